@@ -1,0 +1,65 @@
+# hallsym: `make` lists what there is. Needs GNU make, a POSIX shell and Python 3.11 or newer.
+
+PYTHON ?= python3
+VENV   ?= .venv
+
+BIN       := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+BENCHABLE := $(VENV)/.installed-bench
+PIP       := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+
+# Continuous integration (CI=true) runs the slow tests too, in the same run.
+SLOW := $(if $(filter true,$(CI)),-m "slow or not slow")
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test bench lint clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@echo
+	@echo "  PYTHON=$(PYTHON) makes the environment VENV=$(VENV); name others with make PYTHON=... VENV=..."
+
+install: $(INSTALLED) ## environment with hallsym, its tests and linters (again only if pyproject.toml changed)
+
+demo: install ## the guided demonstration
+	$(BIN)/python -m hallsym demo
+
+test: install lint ## lint, then pytest (with the slow tests when CI=true)
+	$(BIN)/python -m pytest $(SLOW)
+
+bench: $(BENCHABLE) ## the benchmarks in tests/benchmarks
+	@set -e; for script in tests/benchmarks/*.py; do \
+	    case "$${script##*/}" in '*.py'|_*|test_*|conftest.py) continue ;; esac; \
+	    echo "== $$script"; $(BIN)/python "$$script"; \
+	done
+
+lint: install ## ruff and mypy
+	$(BIN)/python -m ruff check
+	$(BIN)/python -m ruff format --check
+	$(BIN)/python -m mypy
+
+clean: ## remove caches, builds and the output of demo and bench (the environment stays)
+	rm -rf build dist demo bench *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Debian and Ubuntu ship Python without ensurepip: there pip is put into the environment from outside.
+$(INSTALLED): pyproject.toml
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || { \
+	    $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	        echo "hallsym needs Python 3.11 or newer; $(PYTHON) is" \
+	            "$$($(PYTHON) --version 2>/dev/null || echo missing)." \
+	            "Name another one: make PYTHON=python3.12" >&2; exit 1; }; \
+	    echo "making $(VENV) with $$($(PYTHON) --version)"; \
+	    $(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { \
+	        $(PYTHON) -m venv --clear --without-pip $(VENV) && \
+	        $(PYTHON) -m pip --python $(BIN)/python install --quiet pip; } || { \
+	        echo "$(PYTHON) cannot make the environment $(VENV): install its venv module" \
+	            "(Debian, Ubuntu: apt install python3-venv) and try again." >&2; exit 1; }; }
+	@echo "installing hallsym and its dependencies into $(VENV)"
+	@$(PIP) -e '.[all,test,lint]'
+	@touch $@
+
+$(BENCHABLE): $(INSTALLED)
+	@echo "installing what the benchmarks compare with into $(VENV)"
+	@$(PIP) -e '.[bench]'
+	@touch $@
