@@ -1,0 +1,118 @@
+"""Evaluate a CasADi function on whole arrays of samples.
+
+CasADi's virtual machine runs one sample at a time. Here each instruction of the expression graph runs once
+on a whole block, so that parameters stay scalars (computed once) and samples go through numpy at memory
+speed. The graph stays the only source of the mathematics.
+"""
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+
+_UNARY: dict[int, Callable] = {
+    ca.OP_ASSIGN: lambda a: a,
+    ca.OP_NEG: np.negative,
+    ca.OP_EXP: np.exp,
+    ca.OP_LOG: np.log,
+    ca.OP_SQRT: np.sqrt,
+    ca.OP_SQ: np.square,
+    ca.OP_TWICE: lambda a: a + a,
+    ca.OP_SIN: np.sin,
+    ca.OP_COS: np.cos,
+    ca.OP_TAN: np.tan,
+    ca.OP_ASIN: np.arcsin,
+    ca.OP_ACOS: np.arccos,
+    ca.OP_ATAN: np.arctan,
+    ca.OP_SINH: np.sinh,
+    ca.OP_COSH: np.cosh,
+    ca.OP_TANH: np.tanh,
+    ca.OP_FABS: np.abs,
+    ca.OP_SIGN: np.sign,
+    ca.OP_FLOOR: np.floor,
+    ca.OP_CEIL: np.ceil,
+    ca.OP_INV: lambda a: np.divide(1.0, a),
+    ca.OP_NOT: lambda a: np.where(a == 0, 1.0, 0.0),
+}
+_BINARY: dict[int, Callable] = {
+    ca.OP_ADD: np.add,
+    ca.OP_SUB: np.subtract,
+    ca.OP_MUL: np.multiply,
+    ca.OP_DIV: np.divide,
+    ca.OP_POW: np.power,
+    ca.OP_CONSTPOW: np.power,
+    ca.OP_ATAN2: np.arctan2,
+    ca.OP_HYPOT: np.hypot,
+    ca.OP_FMIN: np.fmin,
+    ca.OP_FMAX: np.fmax,
+    ca.OP_FMOD: np.fmod,
+    ca.OP_COPYSIGN: np.copysign,
+    ca.OP_LT: lambda a, b: np.where(a < b, 1.0, 0.0),
+    ca.OP_LE: lambda a, b: np.where(a <= b, 1.0, 0.0),
+    ca.OP_EQ: lambda a, b: np.where(a == b, 1.0, 0.0),
+    ca.OP_NE: lambda a, b: np.where(a != b, 1.0, 0.0),
+    ca.OP_AND: lambda a, b: np.where((a != 0) & (b != 0), 1.0, 0.0),
+    ca.OP_OR: lambda a, b: np.where((a != 0) | (b != 0), 1.0, 0.0),
+    ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a != 0, b, 0.0),
+}
+
+
+def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
+    """Return `run(*inputs) -> outputs`, `function` evaluated on arrays of samples.
+
+    Each input of `function`, a column of length n, is given as a sequence of n entries, scalars or arrays
+    that broadcast together. Each output comes back as one array of shape `(rows, *samples)` (entries that
+    depend on no sample are broadcast). Matrix outputs are flattened column by column, as CasADi stores them.
+
+    Raises `NotImplementedError` at once when the graph holds an operation without an array form.
+    """
+    program = _compile(function)
+    rows = [function.nnz_out(k) for k in range(function.n_out())]
+    dense = [function.sparsity_out(k).is_dense() for k in range(function.n_out())]
+    if not all(dense):
+        raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
+
+    def run(*inputs) -> list[np.ndarray]:
+        work: list = [None] * function.sz_w()
+        out: list[list] = [[0.0] * n for n in rows]
+        for kind, op, arguments, target in program:
+            if kind == "binary":
+                work[target] = op(work[arguments[0]], work[arguments[1]])
+            elif kind == "unary":
+                work[target] = op(work[arguments[0]])
+            elif kind == "input":
+                work[target] = inputs[arguments[0]][arguments[1]]
+            elif kind == "constant":
+                work[target] = op
+            else:
+                out[target[0]][target[1]] = work[arguments[0]]
+        return [_stack(entries, inputs) for entries in out]
+
+    return run
+
+
+def _compile(function: ca.Function) -> list[tuple]:
+    program = []
+    for k in range(function.n_instructions()):
+        code, i, o = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if code == ca.OP_CONST:
+            program.append(("constant", function.instruction_constant(k), (), o[0]))
+        elif code == ca.OP_INPUT:
+            program.append(("input", None, tuple(i), o[0]))
+        elif code == ca.OP_OUTPUT:
+            program.append(("output", None, tuple(i), tuple(o)))
+        elif code in _BINARY:
+            program.append(("binary", _BINARY[code], tuple(i), o[0]))
+        elif code in _UNARY:
+            program.append(("unary", _UNARY[code], tuple(i), o[0]))
+        else:
+            raise NotImplementedError(f"operation {code} of {function.name()} has no array form")
+    return program
+
+
+def _stack(entries: list, inputs: tuple) -> np.ndarray:
+    shape = np.broadcast_shapes(*(np.shape(e) for e in entries), *(np.shape(v) for i in inputs for v in i))
+    result = np.empty((len(entries), *shape))
+    for row, entry in enumerate(entries):
+        result[row] = entry
+    return result

@@ -1,0 +1,84 @@
+"""The kinds of sensor: one file per family, only physics. Models are looked up here by name."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hallsym.errors import InputError, nearest
+from hallsym.families import stage
+from hallsym.log import Meta
+from hallsym.model import Model
+
+FAMILIES = (stage,)
+"""Adding a family: one file with MODELS, EFFECTS, ALIASES and `from_meta`, and its name here."""
+
+
+def models() -> dict[str, Callable[..., Model]]:
+    """Return every model by name, aliases included."""
+    named = {make.__name__: make for family in FAMILIES for make in family.MODELS}
+    return named | {alias: named[name] for family in FAMILIES for alias, name in family.ALIASES.items()}
+
+
+def effects() -> dict[str, Callable[[Model], Model]]:
+    """Return every effect by name."""
+    return {effect.__name__: effect for family in FAMILIES for effect in family.EFFECTS}
+
+
+def build(
+    name: str,
+    *,
+    meta: Meta | None = None,
+    added: tuple[str, ...] = (),
+    parameters: Mapping[str, Mapping[str, float]] | None = None,
+) -> Model:
+    """Return the model called `name` for the machine that `meta` describes.
+
+    `meta`: probe layout and nominal values of a log folder. `added`: effects by name. `parameters`: changed
+    nominal values and bounds, `{"H1x": {"lower": .1}}`. Raises `InputError` that lists the known names.
+    """
+    known = models()
+    if name not in known:
+        raise InputError(f"Model must be one of {', '.join(known)}; instead received {name!r}{nearest(name, list(known))}.")
+    family = next(f for f in FAMILIES if known[name] in f.MODELS)
+    model = family.from_meta(known[name], meta or Meta())
+    for effect in added:
+        model = _effect(effect)(model)
+    return model.with_parameters(_checked(model, parameters or {}))
+
+
+def _effect(name: str) -> Callable[[Model], Model]:
+    known = effects()
+    if name not in known:
+        raise InputError(f"Effect must be one of {', '.join(known)}; instead received {name!r}{nearest(name, list(known))}.")
+    return known[name]
+
+
+def _checked(model: Model, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """Turn `fixed = true` into equal bounds and refuse bounds that exclude the start the user gave."""
+    nominal = {p.name: p for p in (*model.parameters, *model.zeros)}
+    out: dict[str, dict[str, float]] = {}
+    for name, raw in changes.items():
+        entry = dict(raw)
+        for key, value in entry.items():
+            good = isinstance(value, bool) if key == "fixed" else _is_number(value)
+            if key not in ("nominal", "lower", "upper", "fixed") or not good:
+                raise InputError(
+                    f"Entry '{key}' of parameter {name} must be nominal, lower, upper (numbers in SI) or fixed "
+                    f"(true or false); instead received {key} = {value!r}."
+                )
+        fixed = entry.pop("fixed", False)
+        if name in nominal:
+            start = entry.get("nominal", nominal[name].nominal)
+            if fixed:
+                entry |= {"nominal": start, "lower": start, "upper": start}
+            low, high = entry.get("lower", nominal[name].lower), entry.get("upper", nominal[name].upper)
+            if ("lower" in entry or "upper" in entry) and not low <= start <= high:
+                raise InputError(
+                    f"Bounds {low:g} to {high:g} of parameter {name} exclude its start {start:g}; "
+                    "widen them or give another 'nominal'."
+                )
+        out[name] = entry
+    return out
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and value == value

@@ -1,0 +1,418 @@
+"""Fit a model to a log: summaries, starts, global search, refinement, uncertainty, error tables.
+
+The path is the same for every family: one pass over the log gives run summaries; a closed form and SHTLBO
+give starting points; IPOPT refines them inside the bounds; a second pass tabulates errors.
+"""
+
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import metadata
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+import solvers
+from hallsym import outliers, start, uncertainty
+from hallsym.calibration import Errors, Fit
+from hallsym.cost import Cost, cost_of
+from hallsym.errors import InputError, nearest
+from hallsym.evaluate import columns_of, error_tables
+from hallsym.families import build
+from hallsym.identify import Determination, determine
+from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
+from hallsym.model import Model
+from hallsym.summary import Summary, summarise
+from solvers.hybrid import EXPLORERS
+
+SOLVERS = ("hybrid", "direct", *EXPLORERS)
+LOSSES = ("auto", "none", "reject", "tukey")
+BUDGET, SIZE, KEEP = 4040, 40, 3
+SAME = 1e-6
+SUSPECT = 6.5
+"""Peak error in noise floors above which outliers are looked for."""
+ROUNDS = 12
+LEAST_SIGMA = 1e-13
+"""Standard deviation [m] given to a reading that shows no noise at all (a noise-free simulation)."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How an optimum was found: solver status, starts that were refined and the share that agree."""
+
+    p: np.ndarray
+    cost: float
+    status: str
+    message: str
+    evaluations: int
+    starts: int
+    share: float
+
+
+def fit(
+    log: Log,
+    model: str | Model | None = None,
+    *,
+    solver: str = "hybrid",
+    holdout: Sequence[int] | None = None,
+    loss: str = "auto",
+    parameters: Mapping[str, Mapping[str, float]] | None = None,
+    effects: Sequence[str] = (),
+    resolve_wiring: bool = False,
+    drop_bad: bool = False,
+    seed: int = 0,
+    on_progress: Progress | None = None,
+) -> Fit:
+    """Calibrate `model` on `log` and return values, uncertainties and errors.
+
+    `model`: a name or a Model; the log's own `base_model` or stage31 by default. `solver`: "hybrid" (SHTLBO
+    and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method to use in the hybrid.
+    `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
+    estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
+    always looks for them, "tukey" weighs every sample by Tukey's biweight, "none" is plain least squares.
+    `parameters`: changed nominal values and bounds. `effects`: effects to add, by name.
+
+    Raises `InputError` for a log that cannot be what the model needs.
+    """
+    began, say = perf_counter(), on_progress or (lambda _: None)
+    _choice(solver, SOLVERS, "solver")
+    _choice(loss, LOSSES, "loss")
+    if not isinstance(model, Model):
+        model = build(
+            model or log.meta.base_model or "stage31", meta=log.meta, added=tuple(effects), parameters=parameters
+        )
+    say("checking the log")
+    columns = columns_of(model)
+    log = clean_log(log, columns) if drop_bad else log
+    notes = list(log.notes) if drop_bad else check_log(log, columns)
+    noise = noise_of(log, model)
+    task = _Task(log, model, noise, solver, seed, say)
+    say("summarising runs")
+    state = task.solve(summarise(log, model), tuple(log.meta.holdout if holdout is None else holdout))
+    wiring = None
+    if resolve_wiring:
+        state, wiring = task.rewire(state)
+    say("tabulating errors")
+    errors = task.errors(state, None)
+    keep = None
+    if task.suspicious(state, errors) if loss == "auto" else loss != "none":
+        state, keep, said = task.without_outliers(state, loss, wiring)
+        errors = task.errors(state, keep) if keep else errors
+        notes += said
+    task.check(state)
+    return _result(task, state, errors, tuple(notes), wiring, perf_counter() - began)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A solved fit: costs of all and of the fitted runs, what is determined, and the optimum."""
+
+    everything: Cost
+    fitted: Cost
+    linear: start.LinearFit
+    merged: Cost
+    determination: Determination
+    search: Search
+    holdout: tuple[int, ...]
+
+    @property
+    def p(self) -> np.ndarray:
+        """The optimum, shape (n,)."""
+        return self.search.p
+
+    def zeros(self) -> dict[int, np.ndarray]:
+        """Zero displacements of every run, held-out ones included."""
+        return dict(zip(self.everything.summary.runs, self.everything.at(self.p).zeros, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What stays the same while a fit goes round: log, model, noise, solver."""
+
+    log: Log
+    model: Model
+    noise: Noise
+    solver: str
+    seed: int
+    say: Progress
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        return {c: s.value for c, s in self.noise.sigmas.items()}
+
+    def solve(self, summary: Summary, holdout: tuple[int, ...]) -> State:
+        """Find the optimum of one set of summaries."""
+        used = _used(summary, holdout)
+        everything = cost_of(summary, self.sigmas)
+        fitted = everything if len(used) == len(summary.runs) else cost_of(summary.select(used), self.sigmas)
+        merged = cost_of(fitted.summary.merged(), self.sigmas)
+        linear = start.linear_fit(merged)
+        first = self._inside(start.closed_form(merged, linear))
+        determination = determine(fitted, first)
+        first[list(determination.held)] = self.model.nominal[list(determination.held)]
+        self.say(f"solving with {self.solver}")
+        search = self._search(fitted, merged, first, determination)
+        return State(everything, fitted, linear, merged, determination, search, holdout)
+
+    def _inside(self, p: np.ndarray) -> np.ndarray:
+        return np.clip(p, *self.model.bounds)
+
+    def _search(self, fitted: Cost, merged: Cost, first: np.ndarray, found: Determination) -> Search:
+        free = np.array([k for k in range(len(first)) if k not in found.held])
+        if len(free) == 0:
+            return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
+        scaled = _Scaled(self.model, first, free, found.scale[free])
+        explored = None
+        if self.solver != "direct":
+            weight = merged.at(first).W[0]
+            explored = solvers.hybrid(
+                scaled.problem(merged, weight),
+                seed=self.seed,
+                starts=scaled.to_unit(first)[None],
+                keep=KEEP,
+                budget=BUDGET,
+                global_solver="shtlbo" if self.solver == "hybrid" else self.solver,
+                same=SAME,
+                **({} if self.solver == "screening" else {"size": SIZE}),
+            )
+            first = scaled.from_unit(explored.x)
+        local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first))
+        interrupted = explored is not None and explored.status == "interrupted"
+        return Search(
+            p=scaled.from_unit(local.x),
+            cost=local.cost * scaled.samples(fitted),
+            status="interrupted" if interrupted else local.status,
+            message=explored.message if interrupted and explored else local.message,
+            evaluations=local.evaluations + (explored.evaluations if explored else 0),
+            starts=1 if explored is None else len(explored.local),
+            share=1.0 if explored is None else explored.share,
+        )
+
+    def rewire(self, state: State) -> tuple[State, tuple[tuple[str, int], ...] | None]:
+        """Solve again with the channel order and signs that fit the layout best."""
+        order, signs, gain = start.wiring(state.merged, state.linear)
+        if gain <= 0:
+            return state, None
+        summary = state.everything.summary.with_channels(order, signs)
+        names = tuple((self.model.channels[k], s) for k, s in zip(order, signs, strict=True))
+        return self.solve(summary, state.holdout), names
+
+    def errors(self, state: State, keep: outliers.Weigh | None) -> Errors:
+        nominal = (self.model.nominal, {})
+        variance = state.fitted.reading_variance
+        tables = error_tables(self.log, self.model, [nominal, (state.p, state.zeros())], variance, keep)
+        return Errors(*tables, holdout=state.holdout)
+
+    def suspicious(self, state: State, errors: Errors) -> bool:
+        floor = np.array(list(uncertainty.noise_floor(state.fitted, state.p).values()))
+        return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
+
+    def without_outliers(
+        self, state: State, loss: str, wiring: Any
+    ) -> tuple[State, outliers.Weigh | None, list[str]]:
+        """Take outliers out, refit, until the same samples are left."""
+        total, before, weigh = float(state.everything.summary.counts.sum()), -1.0, None
+        for _ in range(ROUNDS):
+            residual = outliers.residuals(self.model, state.p, state.zeros())
+            covariance = state.fitted.at(state.p).covariance.mean(axis=0)
+            weigh = (outliers.tukey if loss == "tukey" else outliers.reject_spikes)(residual, covariance)
+            summary = summarise(self.log, self.model, weigh)
+            left = float(summary.counts.sum())
+            if left == total:
+                return state, None, []
+            self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight taken out)")
+            state = self.solve(summary, state.holdout)
+            if abs(left - before) <= 1e-6 * total:
+                break
+            before = left
+        gone = total - left
+        said = (
+            f"{gone:.0f} of {total:.0f} samples ({100 * gone / total:.2g} %) are isolated spikes and were left "
+            "out of fit and error tables (--loss none keeps them)."
+            if loss != "tukey"
+            else f"Tukey's biweight took {100 * gone / total:.2g} % of the weight."
+        )
+        return state, weigh, [said]
+
+    def check(self, state: State) -> None:
+        start.check_reference(self.model, state.linear.unexplained, self.log.name)
+        start.check_wiring(state.merged, state.linear, self.log.name)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scaled:
+    """The free parameters in units of their bound width, the others where they are held."""
+
+    model: Model
+    base: np.ndarray
+    free: np.ndarray
+    scale: np.ndarray
+
+    def to_unit(self, p: np.ndarray) -> np.ndarray:
+        return (p[self.free] - self._origin) / self.scale
+
+    def from_unit(self, x: np.ndarray) -> np.ndarray:
+        p = np.tile(self.base, (*np.shape(x)[:-1], 1)) if np.ndim(x) > 1 else self.base.copy()
+        p[..., self.free] = self._origin + x * self.scale
+        return p
+
+    @property
+    def _origin(self) -> np.ndarray:
+        lower = self.model.bounds[0][self.free]
+        return np.where(np.isfinite(lower), lower, self.base[self.free])
+
+    def samples(self, cost: Cost) -> float:
+        return float(cost.weights @ cost.summary.counts)
+
+    def problem(self, cost: Cost, weight: np.ndarray | None = None) -> solvers.Problem:
+        """Cost per sample. `weight`: fixed inverse covariance for whole populations of a merged cost."""
+        n, free = self.samples(cost), self.free
+
+        def population(x: np.ndarray) -> np.ndarray:
+            if weight is not None:
+                return cost.population(self.from_unit(x), weight) / n
+            return np.array([cost.at(p).value for p in self.from_unit(x)]) / n
+
+        def derivatives(x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+            f, g, H = cost.at(self.from_unit(x)).derivatives()
+            return f / n, g[free] * self.scale / n, H[np.ix_(free, free)] * np.outer(self.scale, self.scale) / n
+
+        lower, upper = self.model.bounds
+        return solvers.Problem(
+            population,
+            (lower[free] - self._origin) / self.scale,
+            (upper[free] - self._origin) / self.scale,
+            derivatives=derivatives,
+        )
+
+
+def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
+    """Return the optimum of a re-weighted cost near `p`: Newton's method on the summaries, no global stage.
+
+    For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
+    """
+    model = cost.summary.model
+    free = np.array([k for k in range(len(p)) if k not in held])
+    width = model.bounds[1] - model.bounds[0]
+    scale = np.where(np.isfinite(width) & (width > 0), width, 1.0)[free]
+    scaled = _Scaled(model, np.asarray(p, dtype=float), free, scale)
+    return scaled.from_unit(solvers.newton(scaled.problem(cost), scaled.to_unit(scaled.base)).x)
+
+
+# -- pieces ----------------------------------------------------------------------------------------------
+
+
+def _choice(name: str, known: Sequence[str], what: str) -> None:
+    if name not in known:
+        raise InputError(f"Input {what} must be one of {', '.join(known)}; instead received {name!r}"
+                         f"{nearest(name, list(known))}.")
+
+
+def noise_of(log: Log, model: Model | None) -> Noise:
+    """Return the noise of every column a model uses (all columns without one): given, else estimated."""
+    columns = columns_of(model) if model else tuple(c for c in log.columns if c not in ("run", "t_s"))
+    missing = [c for c in columns if c not in log.noise]
+    noise = log.noise.merged(estimate_noise(log, missing)) if missing else log.noise
+    sigmas = {c: noise[c] for c in columns}
+    for c in model.channels if model else ():
+        sigmas[c] = replace(sigmas[c], value=max(sigmas[c].value, LEAST_SIGMA))
+    return Noise(sigmas)
+
+
+def _used(summary: Summary, holdout: tuple[int, ...]) -> list[int]:
+    unknown = [run for run in holdout if run not in summary.runs]
+    if unknown:
+        raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {_runs(summary.runs)}.")
+    used = [run for run in summary.runs if run not in holdout]
+    if not used:
+        raise InputError("Every run is held out; leave at least one to fit.")
+    return used
+
+
+def _runs(runs: Sequence[int]) -> str:
+    return ", ".join(map(str, runs)) if len(runs) <= 8 else f"{runs[0]}, {runs[1]}, ... {runs[-1]}"
+
+
+def _result(
+    task: _Task, state: State, errors: Errors, notes: tuple[str, ...], wiring: Any, seconds: float
+) -> Fit:
+    model, found = task.model, state.determination
+    estimate = uncertainty.estimate(state.fitted, state.p, found)
+    gain = np.array(
+        [np.asarray(model.gain(state.p, s)).ravel() for s in state.everything.summary.first_state]
+    )
+    zeros = state.everything.at(state.p).zeros
+    delta = zeros * gain if zeros.shape[1] else zeros
+    undetermined = tuple(
+        n for k, n in enumerate(model.names)
+        if not estimate.determined[k] and n not in found.structural and model.parameters[k].width > 0
+    )
+    return Fit(
+        model=model,
+        values=state.p,
+        std=estimate.std,
+        determined=estimate.determined,
+        covariance=estimate.covariance,
+        covariance_method=estimate.method,
+        covariance_reason=estimate.reason,
+        held=tuple(model.names[k] for k in found.held),
+        structural=found.structural,
+        at_bound=estimate.at_bound,
+        combinations=estimate.combinations,
+        zeros=dict(zip(state.everything.summary.runs, delta, strict=True)),
+        noise=task.noise,
+        noise_floor=uncertainty.noise_floor(state.fitted, state.p),
+        status=state.search.status,
+        message=state.search.message,
+        solver={
+            "name": task.solver,
+            "cost": state.search.cost,
+            "cost_per_degree_of_freedom": estimate.cost_per_dof,
+            "evaluations": state.search.evaluations,
+            "starts": state.search.starts,
+            "share_at_optimum": state.search.share,
+            "seed": task.seed,
+        },
+        log={
+            "path": None if task.log.path is None else str(task.log.path),
+            "sha256": task.log.sha256,
+            "rows": task.log.rows,
+            "runs": len(state.everything.summary.runs),
+            "holdout": list(state.holdout),
+        },
+        seconds=seconds,
+        notes=notes + _zero_notes(model, state.everything.summary.runs, delta),
+        errors=errors,
+        undetermined_by_log=undetermined,
+        wiring=wiring,
+        versions=_versions(),
+        error_rows=errors.rows(),
+    )
+
+
+def _zero_notes(model: Model, runs: Sequence[int], delta: np.ndarray) -> tuple[str, ...]:
+    """Zero deviations beyond their bounds are reported, not clipped: clipping would bend the parameters."""
+    out = []
+    for k, zero in enumerate(model.zeros):
+        beyond = [r for r, d in zip(runs, delta[:, k], strict=True) if not zero.lower <= d <= zero.upper]
+        if beyond:
+            worst = 1e6 * float(np.abs(delta[:, k]).max())
+            out.append(
+                f"Zero deviation {zero.name} is beyond {zero.lower * 1e6:g} to {zero.upper * 1e6:g} um in "
+                f"{len(beyond)} runs (run {beyond[0]} first, {worst:.3g} um at most): look at the reset."
+            )
+    return tuple(out)
+
+
+def _versions() -> dict[str, str]:
+    packages = ("hallsym", "casadi", "numpy", "scipy")
+    found = {}
+    for name in packages:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "unknown"
+    return {"python": platform.python_version(), **found}

@@ -1,0 +1,169 @@
+"""Run summaries: a log of any length, reduced without loss to one small triangle per run.
+
+The residual of a reading is linear in the features of `hallsym.features`, so the R factor of [features |
+readings] holds everything a least-squares cost can ask of a run, for any parameters and any zero deviations.
+QR, not Gram and Cholesky: it keeps the digits (docs/theory.md gives the measured error).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hallsym.features import Features, find_features
+from hallsym.log import Block, Log
+from hallsym.model import Model
+
+SLOPE_SAMPLES = 256
+"""Samples per block that estimate how reference noise enters; a weight needs no more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """The runs of a log as seen by one model.
+
+    `triangles`: (runs, n, n), n = n_features + n_channels, readings last.
+    `slopes`: (runs, n_columns, n_features, n_features), mean outer product of d feature / d column, over the
+    columns of pose and state: how noise of a logged column enters the residual.
+    `counts`: samples per run (sum of weights). `first_state`: vertical state at the reset of each run.
+    `mean_state`: mean vertical state of each run.
+    """
+
+    features: Features
+    centre: np.ndarray
+    runs: tuple[int, ...]
+    triangles: np.ndarray
+    slopes: np.ndarray
+    counts: np.ndarray
+    first_state: np.ndarray
+    mean_state: np.ndarray
+
+    @property
+    def model(self) -> Model:
+        """The model whose features these are."""
+        return self.features.model
+
+    def select(self, runs: Iterable[int]) -> "Summary":
+        """Return the summary of some of the runs, in the order given."""
+        index = [self.runs.index(run) for run in runs]
+        return replace(
+            self,
+            runs=tuple(self.runs[k] for k in index),
+            triangles=self.triangles[index],
+            slopes=self.slopes[index],
+            counts=self.counts[index],
+            first_state=self.first_state[index],
+            mean_state=self.mean_state[index],
+        )
+
+    def with_channels(self, order: Iterable[int], signs: Iterable[float]) -> "Summary":
+        """Return the summary with reading k taken from channel `order[k]` times `signs[k]`."""
+        n = self.features.size
+        triangles = self.triangles.copy()
+        triangles[:, :, n:] = self.triangles[:, :, [n + k for k in order]] * np.array(list(signs))
+        return replace(self, triangles=triangles)
+
+    def merged(self) -> "Summary":
+        """Return one run for all, the features that carry zeros projected out.
+
+        For constant vertical state within each run this is exactly the cost with the zeros eliminated; for
+        moving state it gives up a little information, so it serves starts and global searches, not the fit.
+        """
+        k = self.features.n_zero
+        rows = self.triangles if k == 0 else np.linalg.qr(self.triangles, mode="r")[:, k:, k:]
+        share = self.counts / self.counts.sum()
+        return Summary(
+            features=replace(self.features, exponents=self.features.exponents[k:], n_zero=0),
+            centre=self.centre,
+            runs=(0,),
+            triangles=np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")[None],
+            slopes=np.tensordot(share, self.slopes[:, :, k:, k:], axes=1)[None],
+            counts=np.array([self.counts.sum()]),
+            first_state=(share @ self.first_state)[None],
+            mean_state=(share @ self.mean_state)[None],
+        )
+
+
+def summarise(log: Log, model: Model, weigh=None) -> Summary:
+    """Read a log once and return its run summaries for `model`.
+
+    `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
+    """
+    features = find_features(model)
+    columns = (*model.references, *model.state, *model.channels)
+    centre: np.ndarray | None = None
+    gathered: dict[int, _Run] = {}
+    for block in log.blocks(columns):
+        pose, state = _columns(block, model)
+        if centre is None:
+            centre = _centre(features, pose, state)
+        run = gathered.setdefault(block.run, _Run(np.array([s[0] for s in state])))
+        run.add(features, centre, pose, state, [block.data[c] for c in model.channels],
+                None if weigh is None else weigh(block))
+    assert centre is not None
+    runs = list(gathered.values())
+    return Summary(
+        features=features,
+        centre=centre,
+        runs=tuple(gathered),
+        triangles=np.array([r.triangle for r in runs]),
+        slopes=np.array([r.slopes / max(r.slope_count, 1) for r in runs]),
+        counts=np.array([r.count for r in runs]),
+        first_state=np.array([r.first_state for r in runs]),
+        mean_state=np.array([r.state_sum / max(r.count, 1e-300) for r in runs]),
+    )
+
+
+def _columns(block: Block, model: Model) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    return [block.data[c] for c in model.references], [block.data[c] for c in model.state]
+
+
+def _centre(features: Features, pose: list[np.ndarray], state: list[np.ndarray]) -> np.ndarray:
+    """Mean of the first block, for every variable: takes large common offsets out of the monomials."""
+    point = features.variables([np.mean(v) for v in pose], [np.mean(v) for v in state])
+    return np.array(point).ravel()
+
+
+class _Run:
+    """Accumulates one run, block by block."""
+
+    def __init__(self, first_state: np.ndarray) -> None:
+        self.first_state = first_state
+        self.triangle: np.ndarray | None = None
+        self.slopes: np.ndarray | float = 0.0
+        self.slope_count = 0.0
+        self.count = 0.0
+        self.state_sum: np.ndarray | float = 0.0
+
+    def add(self, features: Features, centre: np.ndarray, pose, state, readings, weights) -> None:
+        rows = np.empty((len(readings[0]), features.size + len(readings)))
+        rows[:, : features.size] = features.values(pose, state, centre)[0].T
+        rows[:, features.size :] = np.transpose(readings)
+        if weights is not None:
+            rows *= np.sqrt(weights)[:, None]
+        stacked = rows if self.triangle is None else np.vstack([self.triangle, rows])
+        self.triangle = _triangle(stacked)
+        self._add_slopes(features, centre, pose, state, weights)
+        weight = np.ones(len(rows)) if weights is None else weights
+        self.count += float(weight.sum())
+        self.state_sum = self.state_sum + np.array([float(s @ weight) for s in state])
+
+    def _add_slopes(self, features: Features, centre: np.ndarray, pose, state, weights) -> None:
+        n = len(pose[0])
+        pick = slice(None, None, max(1, n // SLOPE_SAMPLES))
+        slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], centre)[0]
+        slopes = slopes.reshape(len(pose) + len(state), features.size, -1)
+        # features that carry zeros: their slope with the state is a second-order weight, left out so that the
+        # weight of a residual does not depend on the zeros
+        slopes[:, : features.n_zero] = 0.0
+        weight = np.ones(n)[pick] if weights is None else weights[pick]
+        self.slopes = self.slopes + (slopes * weight) @ np.swapaxes(slopes, 1, 2)
+        self.slope_count += float(weight.sum())
+
+
+def _triangle(rows: np.ndarray) -> np.ndarray:
+    """R factor of `rows`, padded with zero rows to a square; tall blocks are reduced in cache-sized pieces."""
+    n = rows.shape[1]
+    if len(rows) < n:
+        rows = np.vstack([rows, np.zeros((n - len(rows), n))])
+    return np.linalg.qr(rows, mode="r")

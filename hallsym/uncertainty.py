@@ -1,0 +1,171 @@
+"""Standard uncertainties of a fit: from the likelihood, or from what differs between runs."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from hallsym.calibration import CombinationEstimate
+from hallsym.cost import Cost
+from hallsym.identify import Determination, linear_combinations
+
+SCATTER = 3.0
+"""White noise is not believed when the scores of the runs scatter this many standard deviations too much."""
+FEW_RUNS = 20
+"""Fewer runs than this cannot carry a covariance of their own; the likelihood's is scaled instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Uncertainty of every parameter and determined combination; see `Fit` for the fields."""
+
+    std: np.ndarray
+    determined: np.ndarray
+    covariance: np.ndarray
+    method: str
+    reason: str
+    at_bound: tuple[str, ...]
+    combinations: tuple[CombinationEstimate, ...]
+    cost_per_dof: float
+
+
+def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
+    """Return the uncertainties at the optimum `p` of `cost`."""
+    model = cost.summary.model
+    point = cost.at(p)
+    at_bound = _at_bound(model.bounds, p, found)
+    free = np.array([k for k in range(len(p)) if k not in found.held and k not in at_bound], dtype=int)
+    runs = point.information(1.0)
+    information = np.tensordot(cost.weights, runs, axes=1)
+    dof = max(_degrees_of_freedom(cost, len(free)), 1.0)
+    per_dof = point.value / dof
+    covariance = np.zeros((len(p), len(p)))
+    method, reason = "likelihood", "there was nothing to estimate"
+    if len(free):
+        sub, method, reason = _covariance(
+            information[np.ix_(free, free)], runs[:, free][:, :, free], 0.5 * point.run_gradients()[:, free],
+            cost.weights, per_dof,
+        )
+        covariance[np.ix_(free, free)] = sub
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    determined = _determined(model.names, std, found, free)
+    combinations = _combinations(cost, p, covariance, found, determined)
+    std = np.where(determined, std, np.nan)
+    named = tuple(model.names[k] for k in at_bound)
+    return Estimate(std, determined, covariance, method, reason, named, combinations, per_dof)
+
+
+def _covariance(
+    information: np.ndarray, runs: np.ndarray, scores: np.ndarray, weights: np.ndarray, per_dof: float
+) -> tuple[np.ndarray, str, str]:
+    """Likelihood covariance, or one from the scatter between runs when white noise does not explain it."""
+    scale = 1.0 / np.sqrt(np.diag(information))
+    naive = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    scores = scores * weights[:, None]
+    share = (runs * weights[:, None, None]) @ naive  # leverage of each run on its own scores
+    lost = float(np.einsum("rij,rji->", share, share))
+    expected = max(len(naive) - lost, 1e-9)
+    scatter = float(np.einsum("ri,ij,rj->", scores, naive, scores)) / expected
+    limit = 1.0 + SCATTER * np.sqrt(2.0 * lost) / expected
+    n = int(np.sum(weights > 0))
+    told = f"scores of the {n} runs scatter {scatter:.2f} x what white noise predicts (limit {limit:.2f})"
+    if scatter <= limit:
+        return naive, "likelihood", told
+    if n < FEW_RUNS:
+        factor = max(scatter, per_dof, 1.0)
+        return naive * factor, "likelihood, scaled", f"{told}; {n} runs are too few for a covariance of their own"
+    # jackknife-like correction (CR3) for the leverage a run has on its own residuals
+    corrected = np.linalg.solve(np.eye(len(naive)) - share, scores[..., None])[..., 0]
+    spread = naive @ corrected.T
+    return spread @ spread.T, "runs as blocks", told
+
+
+def _degrees_of_freedom(cost: Cost, n_free: int) -> float:
+    summary = cost.summary
+    channels = len(summary.model.channels)
+    n_zeros = len(summary.model.zeros) * int(np.sum(cost.weights > 0))
+    return float(cost.weights @ summary.counts) * channels - n_free - n_zeros
+
+
+def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Determination) -> tuple[int, ...]:
+    lower, upper = bounds
+    return tuple(
+        k for k in range(len(p))
+        if k not in found.held and min(p[k] - lower[k], upper[k] - p[k]) <= 1e-6 * found.scale[k]
+    )
+
+
+def _determined(names: tuple[str, ...], std: np.ndarray, found: Determination, free: np.ndarray) -> np.ndarray:
+    """A parameter is determined if it is free, not structurally tied, and null directions hardly move it."""
+    out = np.zeros(len(names), dtype=bool)
+    for k in free:
+        unit = np.zeros(len(names))
+        unit[k] = 1.0
+        out[k] = names[k] not in found.structural and found.slack(unit) <= std[k]
+    return out
+
+
+def _combinations(
+    cost: Cost, p: np.ndarray, covariance: np.ndarray, found: Determination, determined: np.ndarray
+) -> tuple[CombinationEstimate, ...]:
+    """Named combinations that are determined, then linear ones for what they leave out."""
+    model = cost.summary.model
+    index = {name: k for k, name in enumerate(model.names)}
+    values, gradients = _named(model, p)
+    out, known = [], []
+    for combination, value, gradient in zip(model.combinations, values, gradients, strict=True):
+        std = float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
+        if all(determined[index[n]] for n in combination.parameters):
+            continue
+        if std > 0 and found.slack(gradient) <= max(std, 1e-9 * abs(value)):
+            out.append(CombinationEstimate(combination.expression, float(value), std, combination.unit))
+            known.append(gradient)
+    stacked = np.array(known).T if known else np.zeros((len(p), 0))
+    loose = linear_combinations(model.names, model.nominal, found.scale, found.null, stacked)
+    for gradient in loose:
+        involved = np.flatnonzero(gradient)
+        std = float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
+        if std > 0 and not all(determined[k] for k in involved):
+            text = " + ".join(_term(gradient[k], model.names[k]) for k in involved).replace("+ -", "- ")
+            lead = model.parameters[int(np.argmax(np.abs(gradient * found.scale)))]
+            out.append(CombinationEstimate(text, float(gradient @ p), std, lead.unit))
+    return tuple(out)
+
+
+def _term(factor: float, name: str) -> str:
+    return name if factor == 1 else f"-{name}" if factor == -1 else f"{factor:.6g}*{name}"
+
+
+def _named(model, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    n = len(model.combinations)
+    if n == 0:
+        return np.zeros(0), np.zeros((0, len(p)))
+    symbol = ca.SX.sym("p", len(p))
+    value = model.combined(symbol)
+    both = ca.Function("named", [symbol], [value, ca.densify(ca.jacobian(value, symbol))])
+    v, g = both(p)
+    return np.asarray(v).ravel(), np.asarray(g).reshape(n, len(p))
+
+
+def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
+    """RMSE of the decoded pose that reading and reference noise alone would leave, by pose coordinate."""
+    model, point = cost.summary.model, cost.at(p)
+    z = np.zeros(len(model.zeros))
+    one = 1.0 / cost.reading_variance
+    symbol = ca.SX.sym("m", len(model.channels))
+    spread = ca.Function(
+        "spread",
+        [model.symbols.parameters, model.symbols.state],
+        [ca.densify(ca.substitute(
+            ca.jacobian(model.decoded(model.symbols.parameters, z, symbol, model.symbols.state, one), symbol),
+            symbol, ca.SX.zeros(len(model.channels)),
+        ))],
+    )
+    weights = cost.weights * cost.summary.counts
+    total = np.zeros(len(model.pose))
+    for state, covariance, weight in zip(
+        cost.summary.mean_state, point.covariance, weights / weights.sum(), strict=True
+    ):
+        D = np.asarray(spread(p, state))
+        total += weight * np.einsum("ij,jk,ik->i", D, covariance, D)
+    return dict(zip(model.pose, np.sqrt(total).tolist(), strict=True))
