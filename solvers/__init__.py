@@ -1,0 +1,33 @@
+"""Optimisers that know nothing of sensors.
+
+`Problem` says what to minimise; `minimize` searches a box with a population, `ipopt` and `newton` refine one
+point, `hybrid` does both; each returns a `Result`. To add a global method write its equations as a generator
+(see `solvers.problem.Solver`; `solvers/pso.py` is the shortest example) and name it in
+`solvers.driver.SOLVERS`.
+
+Needs numpy and casadi, nothing else, and nothing of hallsym.
+"""
+
+from solvers.driver import SOLVERS, Stop, minimize
+from solvers.hybrid import HybridResult, hybrid
+from solvers.ipopt import Ipopt, ipopt
+from solvers.multistart import best_apart, latin_hypercube, screened_starts
+from solvers.newton import newton
+from solvers.problem import Population, Problem, Result
+
+__all__ = [
+    "SOLVERS",
+    "HybridResult",
+    "Ipopt",
+    "Population",
+    "Problem",
+    "Result",
+    "Stop",
+    "best_apart",
+    "hybrid",
+    "ipopt",
+    "latin_hypercube",
+    "minimize",
+    "newton",
+    "screened_starts",
+]

@@ -1,0 +1,181 @@
+"""The one loop around every global method: budget, bounds, best so far, history, status, interruption."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from solvers.box import BOUNDS, require_finite_box
+from solvers.multistart import latin_hypercube
+from solvers.problem import (
+    INTERRUPTED,
+    FloatArray,
+    Population,
+    Problem,
+    Result,
+    Solver,
+    Status,
+    choice,
+    misuse,
+    rows,
+)
+from solvers.pso import pso
+from solvers.shtlbo import shtlbo
+from solvers.tlbo import gbtlbo, tlbo
+
+SOLVERS: tuple[Solver, ...] = (tlbo, gbtlbo, shtlbo, pso)
+OnGeneration = Callable[[int, float, Population], None]
+
+
+@dataclass(frozen=True)
+class Stop:
+    """When to stop before the budget is spent.
+
+    target: a cost that is good enough.
+    spread: the class has collapsed, all of it within this many widths of the box in every variable.
+    """
+
+    target: float = -np.inf
+    spread: float = 1e-10
+
+
+def minimize(
+    problem: Problem,
+    solver: str | Solver = "shtlbo",
+    *,
+    seed: int | np.random.Generator,
+    budget: int = 20_100,
+    size: int | None = None,
+    bounds: str = "reflect",
+    stop: Stop | None = None,
+    start: ArrayLike | None = None,
+    on_generation: OnGeneration | None = None,
+    **options: Any,
+) -> Result:
+    """Search the whole box with a population; the same seed gives the same result, to the bit.
+
+    solver: a name from `SOLVERS`, or a generator function of the same form (see `Solver`).
+    budget: rows of `problem.cost` that may be evaluated, met exactly: the last generation is cut short.
+        The default is the paper's: a class of 100, then 100 generations of two phases.
+    size: rows of the population, 100 unless told.
+    bounds: "reflect" folds candidates back into the box, "clip" moves them onto its faces.
+    start: `(k, dim)` points to begin with, clipped into the box; a Latin hypercube fills up the rest.
+    on_generation: called with (evaluations, best cost, population) after the first population and after
+        each generation; may raise KeyboardInterrupt. An interrupted search returns its best point so far.
+    options: those of the method, such as `p_rule` of `shtlbo`.
+
+    >>> bowl = Problem(lambda x: (x**2).sum(axis=1), [-1.0, -1.0], [1.0, 2.0])
+    >>> minimize(bowl, seed=1, budget=3000).cost < 1e-6
+    True
+    """
+    began = perf_counter()
+    method = _method(solver, options)
+    if budget < 2:
+        raise misuse("budget", "minimize", "at least 2", budget)
+    size = min(100 if size is None else size, budget)
+    if size < 2:
+        raise misuse("size", "minimize", "at least 2", size)
+    choice(bounds, tuple(BOUNDS), "bounds", "minimize")
+    require_finite_box(problem, "minimize")
+    rng = np.random.default_rng(seed)
+    run = _Run(problem, budget, bounds, stop or Stop(), _first(problem, size, start, rng))
+    status: Status
+    try:
+        status, message = run.search(method, rng, on_generation, options)
+    except KeyboardInterrupt:
+        status, message = "interrupted", INTERRUPTED
+        run.record()
+    if status != "interrupted" and np.isinf(run.cost):
+        status, message = "failed", "No finite cost was found: check the cost at a point you know is good."
+    return Result(
+        x=run.x,
+        cost=run.cost,
+        status=status,
+        message=message,
+        evaluations=run.evaluations,
+        history=np.array(run.history, dtype=float),
+        population=run.population,
+        seconds=perf_counter() - began,
+    )
+
+
+class _Run:
+    """What the driver keeps about one search."""
+
+    def __init__(self, problem: Problem, budget: int, bounds: str, stop: Stop, first: FloatArray) -> None:
+        self.problem, self.budget, self.repair, self.stop = problem, budget, BOUNDS[bounds], stop
+        self.x, self.cost, self.evaluations = (problem.lower + problem.upper) / 2.0, np.inf, 0
+        self.population = Population(first, np.full(len(first), np.inf))
+        self.history: list[tuple[int, float]] = []
+
+    def search(
+        self, method: Solver, rng: np.random.Generator, heard: OnGeneration | None, options: dict[str, Any]
+    ) -> tuple[Status, str]:
+        """Evaluate the first population, then one generation after the other until there is an ending."""
+        self.population = self.evaluate(self.population.x)
+        generations = method(self.population, self.evaluate, rng, **options)
+        while True:
+            self.record()
+            if heard is not None:
+                heard(self.evaluations, self.cost, self.population)
+            ending = self.ending()
+            if ending is not None:
+                return ending
+            self.population = next(generations)
+
+    def evaluate(self, candidates: FloatArray) -> Population:
+        """Into the box, then the cost; rows beyond the budget are not evaluated and cost +inf."""
+        x = self.repair(candidates, self.problem.lower, self.problem.upper)
+        affordable = min(len(x), self.budget - self.evaluations)
+        if affordable == 0:
+            return Population(x, np.full(len(x), np.inf))
+        paid = self.problem.evaluate(x[:affordable])
+        self.evaluations += affordable
+        best = int(np.argmin(paid.cost))
+        if paid.cost[best] < self.cost:
+            self.x, self.cost = x[best].copy(), float(paid.cost[best])
+        return Population(x, np.concatenate([paid.cost, np.full(len(x) - affordable, np.inf)]))
+
+    def record(self) -> None:
+        """One row of history."""
+        self.history.append((self.evaluations, self.cost))
+
+    def ending(self) -> tuple[Status, str] | None:
+        """Why to stop now, if there is a reason."""
+        if self.cost <= self.stop.target:
+            return "converged", f"The target cost {self.stop.target:g} is reached."
+        if (np.ptp(self.population.x, axis=0) <= self.stop.spread * self.problem.width).all():
+            return "converged", "The population has collapsed to one point: refine it, or try another seed."
+        if self.evaluations >= self.budget:
+            return "budget", f"{self.budget} evaluations are spent: refine the best points, or raise budget."
+        return None
+
+
+def _method(solver: str | Solver, options: dict[str, Any]) -> Solver:
+    """The method by name, its options checked against its signature."""
+    if isinstance(solver, str):
+        names = tuple(known.__name__ for known in SOLVERS)
+        solver = SOLVERS[names.index(choice(solver, names, "solver", "minimize"))]
+    known_options = tuple(inspect.signature(solver).parameters)[3:]
+    for option in options:
+        if option not in known_options:
+            known = ", ".join(known_options) or "nothing: it has none"
+            raise misuse("options", solver.__name__, f"among {known}", option)
+    return solver
+
+
+def _first(problem: Problem, size: int, start: ArrayLike | None, rng: np.random.Generator) -> FloatArray:
+    """The first population: the given points, then a Latin hypercube."""
+    first = latin_hypercube(size, problem.lower, problem.upper, rng)
+    if start is not None:
+        given = rows(start, problem.dim, "start", "minimize")
+        if len(given) > size:
+            raise misuse("start", "minimize", f"at most {size} rows, the size of the population", len(given))
+        first[: len(given)] = np.clip(given, problem.lower, problem.upper)
+    return first

@@ -1,0 +1,162 @@
+"""IPOPT through CasADi, always with the exact Hessian.
+
+Waechter & Biegler, Mathematical Programming 106 (2006) 25, doi:10.1007/s10107-004-0559-y.
+
+IPOPT sees `u = x / unit` (unit: about the width of the box, 1 where that is infinite) and the cost divided by
+its value and slope at the start: so its tolerances are relative, and a cost of 1e-12 square metres is not
+taken for solved before it began.
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import ArrayLike
+
+from solvers.callbacks import Callbacks, Recent
+from solvers.newton import NEGLIGIBLE, inside, local_result
+from solvers.problem import INTERRUPTED, FloatArray, Problem, Result, Status
+from solvers.quadratic import what_is_left
+
+QUIET = {"print_time": False, "show_eval_warnings": False, "error_on_fail": False}
+STRICT = {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0}  # never a step outside the bounds
+ROUNDS = 4
+CTRL_C = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")  # what CasADi >= 3.8 makes of it
+
+
+def ipopt(
+    problem: Problem, x0: ArrayLike, *, max_iterations: int = 200, tolerance: float = 1e-8, **options: Any
+) -> Result:
+    """Refine one point; never returns a worse one than `x0` clipped into the box.
+
+    Needs `problem.expression` or `problem.derivatives`. For many starts of one problem build `Ipopt` once.
+    tolerance, max_iterations: of each round of IPOPT, relative as said above; there are at most four, and
+        one is the rule. options: further options of IPOPT itself.
+    """
+    return Ipopt(problem, max_iterations=max_iterations, tolerance=tolerance, **options).solve(x0)
+
+
+class Ipopt:
+    """IPOPT set up once for a problem; `solve` as often as there are starts."""
+
+    def __init__(
+        self, problem: Problem, *, max_iterations: int = 200, tolerance: float = 1e-8, **options: Any
+    ) -> None:
+        """Build the solver: the options are those of `ipopt`."""
+        self.problem = problem
+        width = np.where(np.isfinite(problem.width) & (problem.width > 0.0), problem.width, 1.0)
+        self.unit = 2.0 ** np.rint(np.log2(width))  # powers of two: dividing by them is exact
+        inner = {"max_iter": max_iterations, "tol": tolerance} | STRICT | options
+        self.recent: Recent | None = None
+        extra: dict[str, Any] = {}
+        if problem.expression is not None:
+            nlp = _from_expression(problem.expression, self.unit)
+        else:
+            self.recent = Recent(problem, self.unit)
+            self.callbacks = Callbacks(self.recent)
+            nlp, extra = self.callbacks.nlp, self.callbacks.options
+        self.solver = casadi.nlpsol("refine", "ipopt", nlp, QUIET | extra | {"ipopt": inner})
+        self.gradient = self.solver.get_function("nlp_grad_f")
+        self.triangle = self.solver.get_function("nlp_hess_l")
+
+    def solve(self, x0: ArrayLike) -> Result:
+        """Refine one point."""
+        began = perf_counter()
+        x, note = inside(self.problem, x0, "ipopt")
+        attempt = _Attempt(self, x)
+        status: Status
+        try:
+            status, message = attempt.run()
+        except KeyboardInterrupt:
+            status, message = "interrupted", INTERRUPTED
+        return local_result(
+            attempt.x, attempt.f, status, message + note, attempt.history, perf_counter() - began
+        )
+
+
+class _Attempt:
+    """One run of IPOPT from one start."""
+
+    def __init__(self, ipopt: Ipopt, x: FloatArray) -> None:
+        self.ipopt, self.x, self.f = ipopt, x, np.inf
+        self.lower, self.upper, self.unit = ipopt.problem.lower, ipopt.problem.upper, ipopt.unit
+        self.history: list[tuple[int, float]] = []
+        self.calls = 1
+        if ipopt.recent is not None:
+            ipopt.recent.reset()
+
+    def run(self) -> tuple[Status, str]:
+        """From the start to the verdict; the best point is kept on the way.
+
+        From far away the cost at the start is a poor measure: another round takes that of the point reached.
+        """
+        slope = self.take(self.x, 1)
+        if np.isinf(self.f):
+            return "failed", "The cost is not finite at the start: choose another start."
+        if (self.lower == self.upper).all():
+            return "converged", "Every variable is fixed: there is nothing to refine."
+        for _ in range(ROUNDS):
+            before = self.f
+            said = self.round(abs(self.f) + float(np.abs(slope).max()))
+            slope, left, settled = self.left()
+            done = settled or said != "Solve_Succeeded" or self.f == before
+            if done:
+                break
+        found = f"IPOPT: {said}; the quadratic model promises {left:.1e} below a cost of {self.f:.6e}."
+        if settled or (done and said == "Solve_Succeeded"):
+            return "converged", found
+        if not done or said.startswith("Maximum"):
+            return "budget", found + " Raise max_iterations, or go on from here."
+        return "failed", found + " Try another start, or check that the derivatives belong to the cost."
+
+    def round(self, scale: float) -> str:
+        """One call of IPOPT from the best point; what it says is data, not the verdict."""
+        bounds = {"lbx": self.lower / self.unit, "ubx": self.upper / self.unit}
+        answer = self.ipopt.solver(x0=self.x / self.unit, p=1.0 / scale if scale > 0.0 else 1.0, **bounds)
+        stats = self.ipopt.solver.stats()
+        self.after_python_error()
+        found = np.clip(np.array(answer["x"]).ravel() * self.unit, self.lower, self.upper)
+        recent = self.ipopt.recent
+        self.calls = recent.calls if recent is not None else self.calls + int(stats["n_call_nlp_f"])
+        self.take(found, self.calls)
+        if stats["return_status"] in CTRL_C:
+            raise KeyboardInterrupt
+        return str(stats["return_status"])
+
+    def take(self, x: FloatArray, evaluations: int) -> FloatArray:
+        """Keep `x` if it is strictly better; return the slope there, the gradient by `u`."""
+        try:
+            f, slope = self.ipopt.gradient(x / self.unit, 1.0)
+        except RuntimeError:
+            self.after_python_error()
+            raise
+        if -np.inf < float(f) < self.f:
+            self.x, self.f = x, float(f)
+        self.history.append((evaluations, self.f))
+        return np.array(slope).ravel()
+
+    def after_python_error(self) -> None:
+        """Raise what Python derivatives raised within IPOPT, after keeping the best point so far."""
+        recent = self.ipopt.recent
+        if recent is not None and recent.error is not None:
+            if recent.best_f < self.f:
+                self.x, self.f = recent.best, recent.best_f
+                self.history.append((recent.calls, self.f))
+            raise recent.error
+
+    def left(self) -> tuple[FloatArray, float, bool]:
+        """The slope, how much lower the cost could still be, and whether that is negligible."""
+        u, low, high = self.x / self.unit, self.lower / self.unit, self.upper / self.unit
+        slope = np.array(self.ipopt.gradient(u, 1.0)[1]).ravel()
+        triangle = np.array(casadi.DM(self.ipopt.triangle(u, 1.0, 1.0, [])))
+        left, rounding = what_is_left(slope, triangle + np.triu(triangle, 1).T, u, low, high)
+        return slope, left, rounding or abs(left) <= NEGLIGIBLE * abs(self.f)
+
+
+def _from_expression(expression: casadi.Function, unit: FloatArray) -> dict[str, Any]:
+    kind: Any = casadi.SX if expression.is_a("SXFunction") else casadi.MX
+    u, scale = kind.sym("u", len(unit)), kind.sym("scale")
+    return {"x": u, "p": scale, "f": scale * expression(casadi.DM(unit) * u)}

@@ -1,0 +1,131 @@
+"""Damped Newton with exact Hessian in a box: small problems, solved thousands of times.
+
+Levenberg-Marquardt control of the damping (Nocedal & Wright, Numerical Optimization, 2nd ed., ch. 4 and
+10), bounds by pinning variables that would leave the box.
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from solvers.problem import INTERRUPTED, FloatArray, Population, Problem, Result, Status, misuse
+from solvers.quadratic import bounded_step, curves_down, what_is_left
+
+EPS = float(np.finfo(float).eps)
+NEGLIGIBLE = 1e-6  # of the cost: what a converged point may still promise when steps no longer improve
+
+
+def newton(problem: Problem, x0: ArrayLike, *, max_iterations: int = 200, tolerance: float = 1e-12) -> Result:
+    """Refine one point; never returns a worse one than `x0` clipped into the box.
+
+    Needs `problem.derivatives` or `problem.expression`; made for up to some 200 variables. Converged means:
+    the bounded quadratic model promises less than `tolerance` times the cost, or less than rounding.
+
+    >>> bowl = Problem(
+    ...     lambda x: (x[:, 0] - 2) ** 2,
+    ...     lower=[0.0],
+    ...     upper=[9.0],
+    ...     derivatives=lambda x: ((x[0] - 2) ** 2, 2 * (x - 2), 2 * np.eye(1)),
+    ... )
+    >>> newton(bowl, [7.0]).x
+    array([2.])
+    """
+    began = perf_counter()
+    start, note = inside(problem, x0, "newton")
+    descent = _Descent(problem, start, tolerance)
+    status: Status
+    try:
+        status, message = descent.run(max_iterations)
+    except KeyboardInterrupt:
+        status, message = "interrupted", INTERRUPTED
+    return local_result(descent.x, descent.f, status, message + note, descent.history, perf_counter() - began)
+
+
+class _Descent:
+    """State of one descent."""
+
+    def __init__(self, problem: Problem, x: FloatArray, tolerance: float) -> None:
+        self.problem, self.x, self.tolerance = problem, x, tolerance
+        self.derivatives = problem.second_order
+        self.f, self.evaluations = np.inf, 0
+        self.damping, self.factor, self.successes = 0.0, 10.0, 0
+        self.history: list[tuple[int, float]] = []
+
+    def run(self, max_iterations: int) -> tuple[Status, str]:
+        """Iterate until there is a reason to stop."""
+        if not self.take(self.x):
+            return "failed", "The cost or its derivatives are not finite at the start: choose another start."
+        lower, upper = self.problem.lower, self.problem.upper
+        self.floor = self.tolerance * EPS * abs(self.f)
+        for _ in range(max_iterations):
+            step, gain = bounded_step(
+                self.gradient, self.hessian, lower - self.x, upper - self.x, self.damping
+            )
+            stuck = bool((np.abs(step) <= EPS * np.abs(self.x)).all())
+            if stuck or abs(gain) <= self.tolerance * abs(self.f) + self.floor:
+                return self.verdict()
+            if gain < 0.0:  # pinning at bounds has spoilt the step: a shorter one goes downhill
+                self.adapt(-1.0)
+                continue
+            before = self.f
+            taken = self.take(np.minimum(np.maximum(self.x + step, lower), upper))
+            self.adapt((before - self.f) / gain if taken else -1.0)
+        return "budget", f"{max_iterations} iterations are spent: raise max_iterations, or go on from here."
+
+    def take(self, x: FloatArray) -> bool:
+        """Evaluate; move there if it is finite and strictly better."""
+        f, gradient, hessian = self.derivatives(x)
+        self.evaluations += 1
+        better = bool(-np.inf < f < self.f and np.isfinite(gradient).all() and np.isfinite(hessian).all())
+        if better:
+            self.x, self.f, self.gradient, self.hessian = x, float(f), gradient, hessian
+        self.history.append((self.evaluations, self.f))
+        return better
+
+    def adapt(self, ratio: float) -> None:
+        """Damping from what was gained over what was promised.
+
+        In a narrow curved valley the damping just short of failure is the fastest: the factor by which it
+        falls shrinks with a failure and grows again with successes in a row.
+        """
+        if ratio < 0.25:
+            if self.successes:
+                self.factor = max(1.5, np.sqrt(self.factor))
+            self.damping = self.damping * (self.factor if self.successes else 10.0) or 1e-3
+            self.successes = 0
+            return
+        self.successes += 1
+        if self.successes > 1:
+            self.factor = min(10.0, self.factor**2)
+        self.damping = self.damping / self.factor if self.damping > 1e-6 else 0.0
+
+    def verdict(self) -> tuple[Status, str]:
+        """Judge the point where steps have become negligible, by what an undamped one would promise."""
+        at = self.x, self.problem.lower, self.problem.upper
+        if curves_down(self.hessian, *at):
+            return "failed", "Stationary, but a saddle or a maximum: start from a point moved a little."
+        left, rounding = what_is_left(self.gradient, self.hessian, *at)
+        if rounding or abs(left) <= NEGLIGIBLE * abs(self.f) + self.floor:
+            return "converged", f"The quadratic model promises {left:.1e} below a cost of {self.f:.6e}."
+        return "failed", "No step improves: the derivatives do not belong to this cost, or are noisy."
+
+
+def inside(problem: Problem, x0: ArrayLike, where: str) -> tuple[FloatArray, str]:
+    """`x0` as a finite vector, clipped into the box, and a note if it was outside."""
+    given = np.array(x0, dtype=float)
+    if given.shape != (problem.dim,) or not np.isfinite(given).all():
+        raise misuse("x0", where, f"finite, of shape ({problem.dim},)", x0)
+    x = np.minimum(np.maximum(given, problem.lower), problem.upper)
+    return x, "" if (x == given).all() else " The start was outside the bounds and was clipped."
+
+
+def local_result(
+    x: FloatArray, f: float, status: Status, message: str, history: list[tuple[int, float]], seconds: float
+) -> Result:
+    """A `Result` with the one point a local method ends at."""
+    points = Population(x[None, :], np.array([f]))
+    rows = np.array(history, dtype=float).reshape(-1, 2)
+    return Result(x, f, status, message, int(rows[-1, 0]) if len(rows) else 0, rows, points, seconds)

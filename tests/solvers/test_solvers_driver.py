@@ -1,0 +1,277 @@
+"""What every global method must do, whichever it is: SOLVERS x problems, budget, bounds, endings."""
+
+import ast
+import doctest
+import importlib
+import pkgutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from solver_problems import GLOBAL, SPHERE
+
+import solvers
+from solvers import SOLVERS, Problem, Result, Stop, minimize
+from solvers.box import BOUNDS, reflect
+
+NAMES = tuple(solver.__name__ for solver in SOLVERS)
+each_solver = pytest.mark.parametrize("name", NAMES)
+each_bounds = pytest.mark.parametrize("bounds", tuple(BOUNDS))
+
+
+@each_solver
+@pytest.mark.parametrize("known", GLOBAL, ids=lambda known: known.name)
+def test_finds_the_global_optimum(name, known):
+    """To a millionth of a typical cost: 8000 random points alone reach 8000^(-2/dim), 1e-4 at best."""
+    problem = known.problem()
+    result = minimize(problem, name, seed=3, size=40, budget=8000)
+    sample = np.random.default_rng(0).uniform(problem.lower, problem.upper, (999, problem.dim))
+    assert result.cost - known.cost <= 1e-6 * (np.median(problem.cost(sample)) - known.cost)
+    assert result.cost == problem.cost(result.x[None, :])[0]
+
+
+@each_solver
+@each_bounds
+def test_same_seed_same_bits(name, bounds):
+    first, again, other = (
+        minimize(SPHERE.problem(), name, seed=seed, budget=900, bounds=bounds) for seed in (5, 5, 6)
+    )
+    for field in ("x", "history"):
+        assert np.array_equal(getattr(first, field), getattr(again, field))
+    assert np.array_equal(first.population.x, again.population.x)
+    assert not np.array_equal(first.x, other.x)
+
+
+@each_solver
+@each_bounds
+@pytest.mark.parametrize("budget", [2, 7, 100, 299, 301])
+def test_budget_and_bounds_hold_for_every_row_evaluated(name, bounds, budget):
+    seen = []
+    lower, upper = np.array([-1.0, 2.0, 0.0]), np.array([0.5, 2.0, 1e-9])
+
+    def cost(x):
+        seen.append(x.copy())
+        return x.sum(axis=1)  # the optimum is a corner: candidates are pushed outside
+
+    result = minimize(Problem(cost, lower, upper), name, seed=0, budget=budget, bounds=bounds)
+    rows = np.concatenate(seen)
+    assert len(rows) == result.evaluations <= budget
+    assert (lower <= rows).all()
+    assert (rows <= upper).all()
+    if result.status == "budget":
+        assert result.evaluations == budget
+
+
+@each_solver
+def test_history_never_rises_and_ends_at_the_result(name):
+    result = minimize(SPHERE.problem(), name, seed=1, budget=2000)
+    assert (np.diff(result.history[:, 0]) > 0).all()
+    assert (np.diff(result.history[:, 1]) <= 0).all()
+    assert tuple(result.history[-1]) == (result.evaluations, result.cost)
+    assert result.cost == result.population.cost.min()
+
+
+@each_solver
+def test_only_strictly_better_replaces(name):
+    """On a plateau nothing is better than anything, so the first population stays."""
+    plateau = Problem(lambda x: np.zeros(len(x)), [-1.0] * 3, [1.0] * 3)
+    seen = []
+    minimize(plateau, name, seed=2, budget=900, on_generation=lambda n, cost, p: seen.append(p.x.copy()))
+    assert len(seen) > 3
+    assert all(np.array_equal(x, seen[0]) for x in seen)
+
+
+@each_solver
+@pytest.mark.parametrize("at", [1, 2, 6])
+def test_interruption_returns_the_best_so_far(name, at):
+    costs = []
+
+    def cost(x):
+        if len(costs) == at:
+            raise KeyboardInterrupt
+        costs.append(SPHERE.cost_of(x))
+        return costs[-1]
+
+    result = minimize(Problem(cost, SPHERE.lower, SPHERE.upper), name, seed=4, budget=5000)
+    assert result.status == "interrupted"
+    assert result.cost == np.concatenate(costs).min() == SPHERE.cost_of(result.x[None, :])[0]
+    assert result.evaluations == sum(map(len, costs)) == result.history[-1, 0]
+
+
+def test_interruption_by_the_callback_and_before_anything_was_evaluated():
+    def stop(evaluations, cost, population):
+        raise KeyboardInterrupt
+
+    assert minimize(SPHERE.problem(), seed=0, on_generation=stop).evaluations == 100
+    nothing = minimize(Problem(lambda x: stop(0, 0, 0), [0.0], [4.0]), seed=0)
+    assert (nothing.status, nothing.cost, nothing.x[0]) == ("interrupted", np.inf, 2.0)
+
+
+@each_solver
+def test_nan_and_infinite_costs_count_as_worst(name):
+    """Half of the box is nan, a quarter -inf: the optimum of the rest is found."""
+
+    def cost(x):
+        value = (x[:, 0] - 1.0) ** 2 + x[:, 1] ** 2
+        return np.where(x[:, 0] < 0, np.nan, np.where(x[:, 1] < -0.5, -np.inf, value))
+
+    result = minimize(Problem(cost, [-2.0, -1.0], [2.0, 1.0]), name, seed=0, size=20, budget=4000)
+    assert result.x == pytest.approx([1.0, 0.0], abs=1e-2)
+    assert np.isfinite(result.population.cost[np.argmin(result.population.cost)])
+
+
+@each_solver
+def test_no_finite_cost_is_a_failure_with_a_remedy(name):
+    result = minimize(Problem(lambda x: np.full(len(x), np.nan), [0.0], [1.0]), name, seed=0, budget=500)
+    assert (result.status, result.cost) == ("failed", np.inf)
+    assert "check the cost" in result.message
+
+
+@each_solver
+def test_fixed_variables(name):
+    target = Problem(lambda x: (x**2).sum(axis=1), [-1.0, 0.3, -1.0], [2.0, 0.3, 2.0])
+    result = minimize(target, name, seed=0, size=20, budget=4000)
+    assert result.x[1] == 0.3
+    assert result.cost == pytest.approx(0.09, abs=1e-4)
+
+
+def test_start_takes_part_and_is_clipped():
+    result = minimize(SPHERE.problem(), seed=0, budget=100, start=[SPHERE.x, [99.0] * 5])
+    assert result.cost == 0.0
+    assert np.array_equal(result.population.x[1], [5.0] * 5)
+
+
+def test_stops_at_the_target_and_when_collapsed():
+    reached = minimize(SPHERE.problem(), seed=0, stop=Stop(target=0.1))
+    assert reached.status == "converged"
+    assert reached.cost <= 0.1 < reached.history[-2, 1]
+    for spread in (1e-3, 1e-6):
+        collapsed = minimize(SPHERE.problem(), seed=0, size=20, stop=Stop(spread=spread))
+        assert collapsed.status == "converged"
+        assert np.ptp(collapsed.population.x, axis=0).max() <= 10.0 * spread
+        assert collapsed.evaluations < 20_100
+
+
+def test_default_budget_is_the_papers():
+    result = minimize(SPHERE.problem(), "shtlbo", seed=0, stop=Stop(spread=0.0))
+    assert len(result.history) == 1 + 100
+    assert result.evaluations == 100 + 2 * 100 * 100
+
+
+def test_a_method_of_ones_own():
+    def lazy(population, evaluate, rng, *, shrink=0.5):
+        while True:
+            best = population.best
+            population = population.improved_by(evaluate(best + shrink * (population.x - best)))
+            yield population
+
+    result = minimize(SPHERE.problem(), lazy, seed=0, budget=1000, shrink=0.7)
+    assert isinstance(result, Result)
+    assert result.cost < result.history[0, 1]
+
+
+def test_seed_may_be_a_generator():
+    one = minimize(SPHERE.problem(), seed=np.random.default_rng(8), budget=500)
+    assert np.array_equal(one.x, minimize(SPHERE.problem(), seed=8, budget=500).x)
+
+
+MISUSE = {
+    "unknown solver": (lambda p: minimize(p, "tblo", seed=0), "one of tlbo, gbtlbo, shtlbo, pso; .* 'tblo'"),
+    "unknown bounds": (lambda p: minimize(p, seed=0, bounds="wrap"), "one of reflect, clip"),
+    "unknown option": (lambda p: minimize(p, seed=0, prule=1), "among p_rule, p_start, p_limits"),
+    "no options": (lambda p: minimize(p, "tlbo", seed=0, p_rule="decline"), "nothing: it has none"),
+    "unknown rule": (lambda p: minimize(p, seed=0, p_rule="best"), "one of decline, success"),
+    "p limits": (lambda p: minimize(p, seed=0, p_limits=(0.9, 0.1)), "Input p_limits of shtlbo"),
+    "budget": (lambda p: minimize(p, seed=0, budget=1), "Input budget of minimize must be at least 2"),
+    "size": (lambda p: minimize(p, seed=0, size=1), "Input size of minimize must be at least 2"),
+    "start shape": (lambda p: minimize(p, seed=0, start=[1.0, 2.0]), r"finite, of shape \(n, 5\)"),
+    "start rows": (lambda p: minimize(p, seed=0, size=2, start=np.zeros((3, 5))), "at most 2 rows"),
+    "infinite box": (lambda p: minimize(Problem(p.cost, [-np.inf], [1]), seed=0), "Input lower of Problem"),
+    "box too wide": (
+        lambda p: minimize(Problem(p.cost, [-1e308], [1e308]), seed=0),
+        "Input width of Problem",
+    ),
+    "cost shape": (lambda p: minimize(Problem(lambda x: x, [0.0], [1.0]), seed=0), r"shape \(100,\)"),
+    "crossed": (
+        lambda p: Problem(p.cost, [0.0, 2.0], [1.0, 1.0]),
+        r"lower\[1\] of Problem .* upper\[1\] = 1",
+    ),
+    "lengths": (lambda p: Problem(p.cost, [0.0], [1.0, 1.0]), "as long as lower, 1; instead received 2"),
+    "nan bound": (lambda p: Problem(p.cost, [np.nan], [1.0]), "free of nan"),
+    "empty": (lambda p: Problem(p.cost, [], []), "not empty"),
+}
+
+
+@pytest.mark.parametrize("case", MISUSE)
+def test_misuse_says_what_is_wrong(case):
+    call, message = MISUSE[case]
+    with pytest.raises(ValueError, match=message) as caught:
+        call(SPHERE.problem())
+    assert str(caught.value).startswith("Input ")
+    assert "; instead received " in str(caught.value)
+
+
+BOX = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
+
+
+@given(BOX, st.floats(-1e9, 1e9))
+def test_reflection_lands_inside_and_leaves_the_inside_alone(box, x):
+    lower, upper = np.array([box[0]]), np.array([box[0] + box[1]])
+    folded = reflect(np.array([[x]]), lower, upper)
+    assert lower <= folded[0] <= upper
+    assert np.array_equal(reflect(folded, lower, upper), folded)
+    if lower <= x <= upper:
+        assert folded[0, 0] == x
+
+
+@given(BOX, st.floats(0.0, 50.0))
+def test_reflection_is_a_mirror_at_both_bounds(box, widths):
+    """Rounding: the position is known to an ulp of the largest number that enters."""
+    lower, width = box
+    upper, beyond = lower + width, widths * width
+    ulp = 8.0 * np.spacing(abs(lower) + 51.0 * width)
+    for mirror in (lower, upper):
+        x = np.array([[mirror - beyond], [mirror + beyond]])
+        one, other = reflect(x, np.array([lower]), np.array([upper]))[:, 0]
+        assert one == pytest.approx(other, abs=ulp)
+        if beyond <= width:
+            assert abs(one - mirror) == pytest.approx(beyond, abs=ulp)
+
+
+def test_reflection_of_what_is_not_finite_and_of_fixed_variables():
+    lower, upper = np.array([0.0, 1.0]), np.array([2.0, 1.0])
+    x = np.array([[np.inf, 7.0], [-np.inf, -7.0], [1e300, np.inf]])
+    folded = reflect(x, lower, upper)
+    assert (folded[:2, 0] == [2.0, 0.0]).all()
+    assert (folded[:, 1] == 1.0).all()
+    assert 0.0 <= folded[2, 0] <= 2.0
+
+
+def test_reflection_beats_clipping_where_both_differ():
+    """Every option changes some result: the corner keeps what clipping puts there."""
+    corner = Problem(lambda x: x.sum(axis=1), [0.0] * 4, [1.0] * 4)
+    clipped, folded = (
+        minimize(corner, "tlbo", seed=0, budget=2000, bounds=b).cost for b in ("clip", "reflect")
+    )
+    assert clipped == 0.0 < folded < 0.2
+
+
+def test_imports_only_numpy_casadi_and_the_standard_library():
+    allowed = {"numpy", "casadi", "solvers", *sys.stdlib_module_names}
+    files = sorted(Path(solvers.__file__).parent.rglob("*.py"))
+    assert len(files) > 5
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                assert node.level == 0
+                names = [node.module]
+            assert {name.split(".")[0] for name in names} <= allowed, file.name
+
+
+@pytest.mark.parametrize("module", [m.name for m in pkgutil.iter_modules(solvers.__path__)])
+def test_examples_in_docstrings(module):
+    assert doctest.testmod(importlib.import_module(f"solvers.{module}")).failed == 0

@@ -1,0 +1,322 @@
+"""IPOPT and Newton: the same contract for both, with derivatives or with an expression."""
+
+import os
+import signal
+import threading
+from time import perf_counter
+
+import casadi
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from solver_problems import LOCAL, MISRA1A, ROSENBROCK, SPHERE
+
+from solvers import Ipopt, Problem, ipopt, newton
+from solvers.quadratic import bounded_step
+
+METHODS = (ipopt, newton)
+GIVEN = ("derivatives", "expression")
+each_method = pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__name__)
+each_given = pytest.mark.parametrize("given_as", GIVEN)
+
+
+@each_method
+@each_given
+@pytest.mark.parametrize("known", LOCAL, ids=lambda known: known.name)
+def test_known_optima(method, given_as, known):
+    """IPOPT's tolerance 1e-8 bounds the slope in units of cost and slope at the start (HS3: slope 1e-5)."""
+    problem = known.problem(**{given_as: True})
+    result = method(problem, known.start, tolerance=1e-12)
+    assert result.status == "converged", result.message
+    assert result.cost == pytest.approx(known.cost, rel=1e-10, abs=1e-7)
+    assert result.x == pytest.approx(known.x, rel=1e-6, abs=2e-3 if known.name == "hs3" else 1e-5)
+    assert (problem.lower <= result.x).all()
+    assert (result.x <= problem.upper).all()
+
+
+@each_method
+@each_given
+def test_nist_digits(method, given_as):
+    """The certified values have 11 digits: at least 8 must come out."""
+    result = method(MISRA1A.problem(**{given_as: True}), MISRA1A.start, tolerance=1e-12)
+    assert result.x == pytest.approx(MISRA1A.x, rel=1e-8)
+    assert result.cost == pytest.approx(MISRA1A.cost, rel=1e-10)
+
+
+@each_method
+@each_given
+@pytest.mark.parametrize("known", LOCAL, ids=lambda known: known.name)
+def test_restart_at_the_optimum_is_converged_and_not_worse(method, given_as, known):
+    problem = known.problem(**{given_as: True})
+    first = method(problem, known.start, tolerance=1e-12)
+    again = method(problem, first.x, tolerance=1e-12)
+    assert again.status == "converged", again.message
+    assert again.cost <= first.cost
+
+
+@each_method
+@given(st.lists(st.floats(-9.0, 9.0), min_size=2, max_size=2), st.integers(1, 6))
+def test_never_worse_than_the_clipped_start(method, x0, iterations):
+    problem = ROSENBROCK.problem(derivatives=True)
+    result = method(problem, x0, max_iterations=iterations)
+    clipped = np.clip(x0, problem.lower, problem.upper)
+    assert result.cost <= problem.second_order(clipped)[0]
+    assert result.cost == problem.second_order(result.x)[0]
+
+
+@each_method
+@each_given
+def test_a_start_outside_is_clipped(method, given_as):
+    result = method(SPHERE.problem(**{given_as: True}), [99.0] * 5)
+    assert result.status == "converged"
+    assert result.history[0, 1] == SPHERE.cost_of(np.full((1, 5), 5.0))[0]
+    assert "clipped" in result.message
+    assert "clipped" not in method(SPHERE.problem(**{given_as: True}), [4.0] * 5).message
+
+
+@each_method
+@each_given
+@pytest.mark.parametrize("fixed", [[0], [1], [0, 3, 4], [0, 1, 2, 3, 4]])
+def test_fixed_variables(method, given_as, fixed):
+    lower, upper = np.array(SPHERE.lower), np.array(SPHERE.upper)
+    lower[fixed] = upper[fixed] = 0.125
+    full = SPHERE.problem(**{given_as: True})
+    result = method(Problem(full.cost, lower, upper, full.derivatives, full.expression), [4.0] * 5)
+    optimum = np.array(SPHERE.x)
+    optimum[fixed] = 0.125
+    assert result.status == "converged", result.message
+    assert (result.x[fixed] == 0.125).all()
+    assert result.x == pytest.approx(optimum, abs=1e-6)
+
+
+@each_method
+@pytest.mark.parametrize("factor", [1e-24, 1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e3])
+def test_units_do_not_matter(method, factor, unit):
+    """A cost of square metres at the micrometre is not taken for solved; nor do units of variables matter."""
+    inner = ROSENBROCK.problem(derivatives=True).second_order
+
+    def derivatives(x):
+        f, gradient, hessian = inner(x / unit)
+        return factor * (f + 1.0), factor * gradient / unit, factor * hessian / unit**2
+
+    box = unit * np.array([[-2.0, -2.0], [2.0, 2.0]])
+    result = method(Problem(lambda x: x[:, 0], *box, derivatives=derivatives), unit * np.array([-1.2, 1.0]))
+    assert result.status == "converged", result.message
+    assert result.x / unit == pytest.approx([1.0, 1.0], abs=1e-4)
+
+
+@each_method
+def test_out_of_iterations(method):
+    result = method(ROSENBROCK.problem(derivatives=True), ROSENBROCK.start, max_iterations=3)
+    assert result.status == "budget"
+    assert "max_iterations" in result.message
+
+
+def counted(known, fail_at=None, error=None):
+    """Derivatives that count their calls, and at one of them misbehave."""
+    inner, calls = known.problem(expression=True).second_order, []
+
+    def derivatives(x):
+        calls.append(x.copy())
+        if len(calls) == fail_at:
+            if error is None:
+                return np.nan, np.full(len(x), np.nan), np.full((len(x), len(x)), np.nan)
+            raise error
+        return inner(x)
+
+    return Problem(known.cost_of, known.lower, known.upper, derivatives), calls
+
+
+@each_method
+@pytest.mark.parametrize("at", [1, 2, 5])
+def test_interruption_returns_the_best_so_far(method, at):
+    problem, calls = counted(ROSENBROCK, at, KeyboardInterrupt())
+    result = method(problem, ROSENBROCK.start)
+    assert result.status == "interrupted"
+    assert len(calls) == at
+    finished = [ROSENBROCK.cost_of(x[None, :])[0] for x in calls[:-1]]
+    assert result.cost == pytest.approx(min(finished, default=np.inf), rel=1e-12)
+
+
+@each_method
+@pytest.mark.parametrize("at", [1, 4])
+def test_an_error_in_the_derivatives_comes_out(method, at):
+    problem, calls = counted(ROSENBROCK, at, ZeroDivisionError("mine"))
+    with pytest.raises(ZeroDivisionError, match="mine"):
+        method(problem, ROSENBROCK.start)
+    assert len(calls) == at
+
+
+@each_method
+def test_nan_at_the_start_is_a_failure_and_later_an_obstacle(method):
+    problem, _ = counted(ROSENBROCK, 1)
+    assert method(problem, ROSENBROCK.start).status == "failed"
+    assert method(problem, ROSENBROCK.start).status == "converged"
+    problem, _ = counted(ROSENBROCK, 4)
+    assert method(problem, ROSENBROCK.start).cost < ROSENBROCK.cost_of(np.array([ROSENBROCK.start]))[0]
+
+
+@each_method
+def test_nothing_is_printed_even_by_bad_derivatives(method, capfd):
+    for at in (1, 3):
+        method(counted(ROSENBROCK, at)[0], ROSENBROCK.start)
+    assert capfd.readouterr() == ("", "")
+
+
+@each_method
+def test_each_point_costs_one_call_of_the_derivatives(method):
+    problem, calls = counted(ROSENBROCK)
+    result = method(problem, ROSENBROCK.start)
+    repeats = len(calls) - len({x.tobytes() for x in calls})
+    assert repeats <= 1  # IPOPT's last point, evaluated again without the relaxed bounds
+    assert result.evaluations == pytest.approx(len(calls), abs=2)
+
+
+@each_method
+def test_derivatives_of_another_cost_are_found_out(method):
+    """The gradient has the wrong sign: no step can improve. IPOPT goes on to its last iteration."""
+
+    def wrong(x):
+        return float(x @ x), -2.0 * x, 2.0 * np.eye(2)
+
+    result = method(Problem(lambda x: x[:, 0], [-5.0] * 2, [5.0] * 2, wrong), [2.0, 1.0])
+    assert result.status == {newton: "failed", ipopt: "budget"}[method]
+    assert result.x.tolist() == [2.0, 1.0]
+
+
+@each_method
+def test_misuse(method):
+    bare = Problem(lambda x: x[:, 0], [0.0], [1.0])
+    with pytest.raises(ValueError, match="Input derivatives of Problem must be given"):
+        method(bare, [0.5])
+    for x0 in ([0.5, 0.5], [np.nan], [[0.5]]):
+        with pytest.raises(
+            ValueError, match=rf"Input x0 of {method.__name__} must be finite, of shape \(1,\)"
+        ):
+            method(Problem(lambda x: x[:, 0], [0.0], [1.0], lambda x: (x[0], x, np.eye(1))), x0)
+
+
+def test_newton_is_quadratic():
+    """Digits double: once within .1 of the optimum, 5 more steps reach rounding."""
+    symbol = casadi.SX.sym("x", 2)
+    smooth = casadi.Function("f", [symbol], [casadi.sum1(casadi.exp(symbol) - 2.0 * symbol)])
+    problem = Problem(lambda x: x[:, 0], [-9.0] * 2, [9.0] * 2, expression=smooth)
+    result = newton(problem, [np.log(2.0) + 0.1, np.log(2.0) - 0.1])
+    assert result.x == pytest.approx([np.log(2.0)] * 2, abs=1e-9)
+    assert result.evaluations <= 5
+
+
+@pytest.mark.parametrize("start", [[0.1, 0.2], [-0.1, 3.0], [1e-9, -1e-9]])
+def test_newton_leaves_negative_curvature(start):
+    """x^4/4 - x^2/2 in each variable: a maximum at 0, minima of -1/4 at +-1."""
+
+    def derivatives(x):
+        return float((x**4 / 4 - x**2 / 2).sum()), x**3 - x, np.diag(3 * x**2 - 1)
+
+    problem = Problem(lambda x: x[:, 0], [-5.0] * 2, [5.0] * 2, derivatives)
+    result = newton(problem, start, tolerance=1e-14)
+    assert result.status == "converged"
+    assert np.abs(result.x) == pytest.approx([1.0, 1.0], abs=1e-6)
+    stuck = newton(problem, [0.0, 0.0])
+    assert stuck.status == "failed"
+    assert "saddle" in stuck.message
+
+
+def test_newton_with_directions_the_data_say_nothing_about():
+    """Only the sum of two variables matters: the sum is found, the difference stays near the start."""
+
+    def derivatives(x):
+        r = x[0] + x[1] - 1.0
+        return r * r + 1.0, np.full(2, 2.0 * r), np.full((2, 2), 2.0)
+
+    result = newton(Problem(lambda x: x[:, 0], [-50.0] * 2, [50.0] * 2, derivatives), [7.0, 3.0])
+    assert result.status == "converged"
+    assert result.x.sum() == pytest.approx(1.0, abs=1e-6)
+    assert result.x[0] - result.x[1] == pytest.approx(4.0, abs=1e-3)
+
+
+def model_optimum(gradient, hessian, low, high):
+    """The bounded optimum of a convex model by projected gradient descent."""
+    step, rate = np.zeros_like(gradient), 1.0 / np.linalg.norm(hessian, 2)
+    for _ in range(400):
+        step = np.clip(step - rate * (gradient + hessian @ step), low, high)
+    return step
+
+
+@given(st.integers(0, 10_000), st.integers(1, 8), st.sampled_from([0.1, 1.0, 100.0]))
+def test_bounded_step_stays_inside_and_keeps_its_promise(seed, dim, size):
+    """Never above the optimum of the same model; equal to it when no bound is met (size 100)."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(dim, dim))
+    hessian, gradient = root @ root.T + np.eye(dim), 3.0 * rng.normal(size=dim)
+    low, high = -rng.uniform(size * 0.5, size, dim), rng.uniform(size * 0.5, size, dim)
+    step, gain = bounded_step(gradient, hessian, low, high)
+    best = model_optimum(gradient, hessian, low, high)
+    possible = -(gradient @ best + best @ hessian @ best / 2.0)
+    assert ((low <= step) & (step <= high)).all()
+    assert gain == pytest.approx(-(gradient @ step + step @ hessian @ step / 2.0), rel=1e-9, abs=1e-12)
+    assert gain <= possible * (1.0 + 1e-6)
+    off_the_bounds = (low < step) & (step < high)
+    assert (gradient + hessian @ step)[off_the_bounds] == pytest.approx(0.0, abs=1e-7)
+    if size == 100.0:
+        assert gain == pytest.approx(possible, rel=1e-6)
+
+
+def test_ipopt_is_built_once_for_many_starts():
+    for given_as in GIVEN:
+        refine = Ipopt(ROSENBROCK.problem(**{given_as: True}))
+        results = [refine.solve(start) for start in ([-1.2, 1.0], [2.0, 2.0], [-1.2, 1.0])]
+        assert all(result.x == pytest.approx([1.0, 1.0], abs=1e-3) for result in results)
+        assert np.array_equal(results[0].x, results[2].x)  # nothing is left over from the run before
+
+
+def test_ipopt_options_reach_ipopt():
+    result = ipopt(ROSENBROCK.problem(derivatives=True), ROSENBROCK.start, max_wall_time=1e-9)
+    assert result.status == "budget"
+    with pytest.raises(RuntimeError, match="no_such_option"):
+        ipopt(ROSENBROCK.problem(derivatives=True), ROSENBROCK.start, no_such_option=1)
+
+
+@pytest.mark.skipif(
+    tuple(map(int, casadi.__version__.split(".")[:2])) < (3, 8),
+    reason="CasADi before 3.8 loses a Ctrl-C that arrives inside an expression",
+)
+def test_ctrl_c_inside_an_expression(capfd):
+    """The signal arrives while C++ runs; 1000 variables take seconds."""
+    symbol = casadi.SX.sym("x", 1000)
+    chain = casadi.sum1(100 * (symbol[1:] - symbol[:-1] ** 2) ** 2 + (1 - symbol[:-1]) ** 2)
+    slow = casadi.Function("f", [symbol], [chain])
+    problem = Problem(lambda x: x[:, 0], [-3.0] * 1000, [3.0] * 1000, expression=slow)
+    refine = Ipopt(problem, max_iterations=10_000, tolerance=1e-300)
+    start = np.full(1000, -1.0)
+    timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    result = refine.solve(start)
+    timer.join()
+    assert result.status == "interrupted"
+    assert result.cost <= float(slow(start))
+
+
+def test_ipopt_callbacks_are_cheap():
+    """Generous, for busy machines: typically 3 ms to build and .1 ms of callbacks an iteration."""
+    dim = 21
+    hessian = np.diag(np.arange(1.0, dim + 1.0))
+
+    def derivatives(x):
+        return (
+            float(x @ hessian @ x + (x**4).sum()),
+            2 * hessian @ x + 4 * x**3,
+            2 * hessian + np.diag(12 * x**2),
+        )
+
+    problem = Problem(lambda x: x[:, 0], [-3.0] * dim, [3.0] * dim, derivatives)
+    Ipopt(problem)
+    began = perf_counter()
+    refine = Ipopt(problem)
+    assert perf_counter() - began < 0.05
+    refine.solve(np.full(dim, 2.0))
+    stats = refine.solver.stats()
+    spent = sum(stats[f"t_wall_nlp_{part}"] for part in ("f", "grad_f", "hess_l"))
+    assert spent / stats["iter_count"] < 1.5e-3

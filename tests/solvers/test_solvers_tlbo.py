@@ -1,0 +1,241 @@
+"""TLBO, GBTLBO, SHTLBO: every equation by itself, with random numbers that are known, then the statistics."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from solver_problems import SPHERE
+
+from solvers import Population, Problem, minimize
+from solvers.shtlbo import P_RULES, decline, learn_around, shtlbo, success, tally, teach_around, updated
+from solvers.tlbo import learn, learn_bare, partners, teach, teach_bare
+
+
+class Dealt:
+    """A generator that deals prepared numbers and fails when asked for something else."""
+
+    def __init__(self, **dealt):
+        self.dealt = {kind: iter(values) for kind, values in dealt.items()}
+
+    def _next(self, kind, shape):
+        value = np.asarray(next(self.dealt[kind]))
+        assert value.shape == (shape if isinstance(shape, tuple) else (shape,))
+        return value
+
+    def random(self, shape):
+        return self._next("uniform", shape)
+
+    def standard_normal(self, shape):
+        return self._next("normal", shape)
+
+    def integers(self, low, high, n):
+        assert (low, high) == (0, n - 1)
+        return self._next("integer", (n,))
+
+
+# Three students in two dimensions; the second is the teacher, the mean is (2, 1).
+CLASS = Population(np.array([[0.0, 3.0], [2.0, 0.0], [4.0, 0.0]]), np.array([5.0, 1.0, 3.0]))
+R = np.array([[0.5, 1.0], [0.25, 0.0], [1.0, 0.5]])
+N = np.array([[1.0, -1.0], [2.0, 0.5], [-0.5, 3.0]])
+K = np.array([0, 1, 0])  # becomes 1, 2, 0: the number of the own row is skipped
+
+
+def test_16_and_17_teacher_phase():
+    """r (T - TF Mean), TF = round(1 + rand): .2 -> 1, .7 -> 2, 0 -> 1."""
+    new = teach(CLASS, Dealt(uniform=[R, [[0.2], [0.7], [0.0]]]))
+    assert new.tolist() == [[0.0, 2.0], [2.0 - 0.25 * 2.0, 0.0], [4.0, -0.5]]
+
+
+def test_18_learner_phase():
+    """Student 0 goes towards 1 (better), 1 away from 2 (worse), 2 away from 0 (worse)."""
+    new = learn(CLASS, Dealt(integer=[K], uniform=[R]))
+    assert new.tolist() == [
+        [0.0 + 0.5 * 2.0, 3.0 - 3.0],
+        [2.0 - 0.25 * 2.0, 0.0],
+        [4.0 + 4.0, 0.0 - 0.5 * 3.0],
+    ]
+
+
+def test_18_moves_away_from_an_equal():
+    equals = Population(CLASS.x, np.ones(3))
+    new = learn(equals, Dealt(integer=[K], uniform=[np.ones((3, 2))]))
+    assert new.tolist() == (2.0 * CLASS.x - CLASS.x[[1, 2, 0]]).tolist()
+
+
+def test_19_bare_teacher_phase():
+    new = teach_bare(CLASS, Dealt(normal=[N]))
+    assert new.tolist() == [[1.0 + 2.0, 1.5 - 3.0], [2.0, 0.0], [3.0 - 0.5 * 2.0, 0.0]]
+
+
+def test_20_bare_learner_phase():
+    new = learn_bare(CLASS, Dealt(integer=[K], normal=[N]))
+    assert new.tolist() == [
+        [1.0 + 2.0, 1.5 - 3.0],
+        [3.0 + 2.0 * 2.0, 0.0],
+        [2.0 - 0.5 * 4.0, 1.5 + 3.0 * 3.0],
+    ]
+
+
+def test_21_and_22_stay_centred_on_the_student():
+    new = teach_around(CLASS, Dealt(normal=[N]))
+    assert new.tolist() == [[0.0 + 2.0, 3.0 - 3.0], [2.0, 0.0], [4.0 - 0.5 * 2.0, 0.0]]
+    new = learn_around(CLASS, Dealt(integer=[K], normal=[N]))
+    assert new.tolist() == [[2.0, 0.0], [2.0 + 2.0 * 2.0, 0.0], [4.0 - 0.5 * 4.0, 0.0 + 3.0 * 3.0]]
+
+
+@pytest.mark.parametrize("n", [2, 3, 10])
+def test_partners_are_others_and_all_equally_likely(n):
+    """Chi-square over the ordered pairs: its mean is (pairs - 1), five standard deviations allowed."""
+    rng, draws = np.random.default_rng(0), 2000
+    counts = np.zeros((n, n))
+    for _ in range(draws):
+        counts[np.arange(n), partners(n, rng)] += 1
+    assert (np.diag(counts) == 0).all()
+    others = counts[~np.eye(n, dtype=bool)]
+    expected = draws / (n - 1)
+    freedom = n * (n - 2)
+    assert ((others - expected) ** 2 / expected).sum() <= freedom + 5.0 * np.sqrt(2.0 * max(freedom, 1))
+
+
+def test_23_and_24_choose_a_move_per_student():
+    """One generation by hand: first uniform number < p takes the TLBO move, the others the Gaussian one."""
+    tried = []
+
+    def evaluate(x):
+        tried.append(x)
+        return Population(x, np.full(len(x), 9.0))  # nothing is better: the class stays as it is
+
+    factor = [[0.2], [0.7], [0.0]]
+    dealt = Dealt(
+        uniform=[[0.39, 0.4, 0.9], R, factor, [0.5, 0.1, 0.2], R],
+        normal=[N, N],
+        integer=[K, K],
+    )
+    after = next(shtlbo(CLASS, evaluate, dealt, p_start=0.4))
+    teacher, around = teach(CLASS, Dealt(uniform=[R, factor])), teach_around(CLASS, Dealt(normal=[N]))
+    assert tried[0].tolist() == [teacher[0].tolist(), around[1].tolist(), around[2].tolist()]
+    partner = learn(CLASS, Dealt(integer=[K], uniform=[R]))
+    around = learn_around(CLASS, Dealt(integer=[K], normal=[N]))
+    assert tried[1].tolist() == [around[0].tolist(), partner[1].tolist(), partner[2].tolist()]
+    assert np.array_equal(after.x, CLASS.x)
+
+
+class Chooser:
+    """Prepared numbers where a move is chosen, zero normal numbers (so the Gaussian moves stand still)."""
+
+    def __init__(self, *choices):
+        self.choices, self.rng = iter(choices), np.random.default_rng(0)
+        self.integers = self.rng.integers
+
+    def random(self, shape):
+        return self.rng.random(shape) if isinstance(shape, tuple) else np.full(shape, next(self.choices))
+
+    def standard_normal(self, shape):
+        return np.zeros(shape)
+
+
+@pytest.mark.parametrize("rule", P_RULES)
+def test_p_follows_what_paid_off_within_its_limits_and_forgets(rule):
+    """Generation 1: only the first move improves, p = .95. Generation 2: only the second, p = .05, where
+    counters that are not reset would give .5. Numbers just below and above p show which move was taken."""
+    improving = iter([True, False, False, True, False, False])  # two phases in each of three generations
+    students, took_first = CLASS, []
+
+    def evaluate(x):
+        nonlocal students
+        took_first.append(not np.array_equal(x, students.x))
+        if not next(improving):
+            return Population(x, np.full(3, np.inf))
+        students = Population(x, students.cost / 2.0)
+        return students
+
+    generations = shtlbo(CLASS, evaluate, Chooser(0.49, 0.51, 0.94, 0.96, 0.04, 0.06), p_rule=rule)
+    for _ in range(3):
+        assert next(generations).x.tolist() == students.x.tolist()
+    assert took_first == [True, False] * 3
+
+
+def test_25_success_rule():
+    """ns1, nf1, ns2, nf2 = 3, 1, 2, 4: 3 x 6 / (2 x 4 + 3 x 6)."""
+    old = np.array([5.0] * 10)
+    new = np.array([4.0, 4.0, 4.0, 5.0, 4.0, 4.0, 5.0, 6.0, 7.0, 8.0])
+    first = np.arange(10) < 4
+    credit = tally(first, success(old, new))
+    assert credit.tolist() == [[3.0, 4.0], [2.0, 6.0]]
+    assert updated(0.5, credit) == 18.0 / 26.0
+
+
+def test_27_28_29_decline_rule():
+    """Declines .5 and .25 in 3 trials of the first, .1 in 2 of the second: .75 x 2 / (.1 x 3 + .75 x 2)."""
+    old, new = np.array([4.0, 4.0, 4.0, 10.0, 10.0]), np.array([2.0, 3.0, 5.0, 9.0, 10.0])
+    assert decline(old, new).tolist() == [0.5, 0.25, 0.0, 0.1, 0.0]
+    credit = tally(np.arange(5) < 3, decline(old, new))
+    assert updated(0.5, credit) == pytest.approx(1.5 / 1.8, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("credit", "p"),
+    [
+        ([[0.0, 50.0], [0.0, 50.0]], 0.3),  # nothing improved
+        ([[0.0, 0.0], [4.0, 99.0]], 0.3),  # the first was never tried
+        ([[4.0, 99.0], [0.0, 0.0]], 0.3),  # the second was never tried
+        ([[0.0, 50.0], [4.0, 50.0]], 0.0),  # tried in vain, while the other improved
+        ([[4.0, 50.0], [0.0, 50.0]], 1.0),
+        ([[4.0, 50.0], [4.0, 50.0]], 0.5),
+    ],
+)
+def test_p_where_counters_are_zero(credit, p):
+    assert updated(0.3, np.array(credit)) == p
+
+
+@given(st.lists(st.tuples(st.floats(-1e9, 1e9) | st.just(np.inf), st.floats(-1e9, 1e9) | st.just(np.inf))))
+def test_declines_are_finite_whatever_the_sign_of_the_cost(pairs):
+    old, new = np.array(pairs).reshape(-1, 2).T
+    for rule in P_RULES.values():
+        gained = rule(old, new)
+        assert ((gained >= 0.0) & (gained <= 2.0)).all()
+        assert (gained[new >= old] == 0.0).all()
+
+
+def test_declines_around_zero():
+    old, new = np.array([1.0, 0.0, -1.0, 1.0, np.inf]), np.array([0.0, -1.0, -2.0, -1.0, 7.0])
+    assert decline(old, new).tolist() == [1.0, 1.0, 0.5, 2.0, 1.0]
+
+
+def costs(solver, seeds=60, **options):
+    """log10 of the final cost, one per seed."""
+    problem = SPHERE.problem()
+    found = [
+        minimize(problem, solver, seed=seed, size=20, budget=420, **options).cost for seed in range(seeds)
+    ]
+    return np.log10(found)
+
+
+def apart(one, other):
+    """Difference of the means in standard errors."""
+    return abs(one.mean() - other.mean()) / np.sqrt((one.var(ddof=1) + other.var(ddof=1)) / len(one))
+
+
+def test_hybrid_with_p_one_is_tlbo_and_with_p_near_one_almost():
+    """Within 4 standard errors; far outside for p = .05, so the test can tell."""
+    tlbo = costs("tlbo")
+    assert apart(tlbo, costs("shtlbo", p_limits=(1.0, 1.0))) < 4.0
+    assert apart(tlbo, costs("shtlbo", p_limits=(0.95, 0.95))) < 4.0
+    assert apart(tlbo, costs("shtlbo", p_limits=(0.05, 0.05))) > 5.0
+
+
+@pytest.mark.parametrize("options", [{"p_rule": "success"}, {"p_start": 0.9}, {"p_limits": (0.4, 0.6)}])
+def test_every_option_changes_the_result(options):
+    default, other = (minimize(SPHERE.problem(), seed=0, budget=2000, **o) for o in ({}, options))
+    assert default.cost != other.cost
+
+
+def test_tlbo_is_drawn_to_the_origin_and_the_gaussian_form_is_not():
+    """(16) is not invariant to a move of the origin: an optimum away from it is much harder."""
+
+    def decades(solver, at):
+        problem = Problem(lambda x: ((x - at) ** 2).sum(axis=1), [at - 5.0] * 5, [at + 5.0] * 5)
+        return np.log10([minimize(problem, solver, seed=s, size=20, budget=1220).cost for s in range(15)])
+
+    assert decades("tlbo", 3.0).mean() - decades("tlbo", 0.0).mean() > 2.0
+    assert decades("gbtlbo", 3.0) == pytest.approx(decades("gbtlbo", 0.0), abs=1e-6)
