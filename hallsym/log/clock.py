@@ -1,0 +1,75 @@
+"""Judges the time column along one pass: running backwards, standing still, and missing ticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.log.units import Array
+
+_LATE = 1.8  # a step longer than this many ticks means that samples are missing
+
+
+@dataclass
+class Clock:
+    """Counts of faults and where the first of each is (row, counted from 0, and run).
+
+    `tick` is the run's usual step in s, the median of the first stretch of that run that was seen.
+    """
+
+    backward: int = 0
+    first_backward: tuple[int, int, float, float] | None = None
+    missing: int = 0
+    first_missing: tuple[int, int, float, float] | None = None
+    steps: int = 0
+    tick: float = 0.0
+    _run: int | None = None
+    _last: float = np.nan
+
+    def add(self, t: Array, segments: list[tuple[int, int, int]], row: int) -> None:
+        """Take a piece of the time column, with its (run, start, stop) stretches and the row it begins at."""
+        step = np.diff(t, prepend=self._last)
+        for run, start, stop in segments:
+            if run == self._run:
+                self._judge(step[start:stop], t[start:stop], run, row + start)
+            else:
+                self.tick = 0.0
+                self._judge(step[start + 1 : stop], t[start + 1 : stop], run, row + start + 1)
+            self._run = run
+        self._last = float(t[-1]) if len(t) else self._last
+
+    def _judge(self, step: Array, t: Array, run: int, row: int) -> None:
+        if not len(step):
+            return
+        low, high = step.min(), step.max()
+        if np.isnan(low):
+            return  # not finite: reported as such
+        if low <= 0:
+            self._backward(step, t, run, row)
+        self.steps += len(step)
+        if self.tick > 0 and high <= _LATE * self.tick:
+            return
+        if self.tick == 0 and low > 0 and high <= _LATE * low:
+            self.tick = float(step[0])
+            return
+        self._late(step, t, run, row)
+
+    def _backward(self, step: Array, t: Array, run: int, row: int) -> None:
+        wrong = np.flatnonzero(step <= 0)
+        self.backward += len(wrong)
+        if self.first_backward is None:
+            i = int(wrong[0])
+            self.first_backward = (row + i, run, float(t[i]), float(step[i]))
+
+    def _late(self, step: Array, t: Array, run: int, row: int) -> None:
+        forward = step[step > 0]
+        if self.tick == 0:
+            self.tick = float(np.median(forward)) if len(forward) else 0.0
+        late = np.flatnonzero(step > _LATE * self.tick) if self.tick else np.empty(0, int)
+        if not len(late):
+            return
+        self.missing += int((np.round(step[late] / self.tick) - 1).sum())
+        if self.first_missing is None:
+            i = int(late[0])
+            self.first_missing = (row + i, run, float(t[i] - step[i]), float(step[i]))

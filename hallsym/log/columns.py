@@ -1,0 +1,171 @@
+"""Which column of a file becomes which SI column of a log."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError, nearest
+from hallsym.log.units import Array, require_unit, si_name, split_unit
+
+RUN = "run"
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """A column under another program's name; `scale` (and sign) is applied before the unit's factor."""
+
+    name: str
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Binding:
+    """SI column `name` is `factor * file[source] + offset`."""
+
+    name: str
+    source: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def si(self, raw: Array) -> Array:
+        """Return SI values (float64; the run column as integers) of raw values of shape (rows,)."""
+        if self.name == RUN:
+            return _whole(raw, self.source)
+        values = np.asarray(raw, np.float64)
+        if self.factor != 1.0:
+            values = values * self.factor
+        return values + self.offset if self.offset else values
+
+
+@dataclass(frozen=True)
+class ColumnFile:
+    """What a column file says: foreign columns by our name, and noise (1 sigma) in the stated units."""
+
+    columns: dict[str, Foreign] = field(default_factory=dict)
+    noise: dict[str, float] = field(default_factory=dict)
+
+
+def parse_column_option(text: str) -> tuple[str, str]:
+    """Split the option `hall_a_um=HallA` into our name, with the foreign unit, and the foreign name."""
+    ours, equals, foreign = text.partition("=")
+    if not (equals and ours.strip() and foreign.strip()):
+        raise InputError(
+            f"Option --column must be OUR_NAME=ITS_NAME, such as hall_a_um=HallA; it is '{text}'."
+        )
+    ours = ours.strip()
+    if ours != RUN:
+        require_unit(ours)
+    return ours, foreign.strip()
+
+
+def read_column_file(path: str | Path) -> ColumnFile:
+    """Read a TOML column file: `[columns]` maps `hall_a_um = "HallA"`, `[noise]` gives `hall_m = 5e-7`.
+
+    A sign or scale is stated as `hall_b_m = {name = "HallB", sign = -1}` (or `scale = 0.5`).
+    """
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"Cannot read column file {path}: {error.strerror}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"Column file {path} must be TOML: {error}.") from error
+    for key in content:
+        if key not in ("columns", "noise"):
+            raise InputError(f"Column file {path} may hold [columns] and [noise]; it has '{key}'.")
+    columns = {ours: _foreign(ours, entry, path) for ours, entry in content.get("columns", {}).items()}
+    noise = {key: _positive(key, value, path) for key, value in content.get("noise", {}).items()}
+    return ColumnFile(columns, noise)
+
+
+def bind(found: Sequence[str], wanted: Mapping[str, str | Foreign], where: str) -> dict[str, Binding]:
+    """Return the SI columns that a file with columns `found` offers, by SI name.
+
+    A file's own column whose name states its unit needs no mapping; one without a unit is left out.
+    """
+    bindings: dict[str, Binding] = {}
+    for ours, entry in wanted.items():
+        foreign = Foreign(entry) if isinstance(entry, str) else entry
+        if foreign.name not in found:
+            raise InputError(
+                f"{where} has no column '{foreign.name}' for {ours}{nearest(foreign.name, list(found))};"
+                f" it has {listed(found)}."
+            )
+        _add(bindings, _binding(ours, foreign), where)
+    taken = {b.source for b in bindings.values()}
+    for column in found:
+        if column in taken or not (column == RUN or split_unit(column)[1]):
+            continue
+        if si_name(column) in bindings and bindings[si_name(column)].source in _names(wanted):
+            continue  # the mapping, which somebody wrote, wins over the file's own name
+        _add(bindings, _binding(column, Foreign(column)), where)
+    return bindings
+
+
+def listed(names: Sequence[str], most: int = 20) -> str:
+    """Return names as one short line."""
+    if not names:
+        return "no numeric columns"
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _names(wanted: Mapping[str, str | Foreign]) -> list[str]:
+    return [entry if isinstance(entry, str) else entry.name for entry in wanted.values()]
+
+
+def _binding(ours: str, foreign: Foreign) -> Binding:
+    if ours == RUN:
+        return Binding(RUN, foreign.name)
+    unit = require_unit(ours)
+    return Binding(si_name(ours), foreign.name, unit.factor * foreign.scale, unit.offset)
+
+
+def _add(bindings: dict[str, Binding], new: Binding, where: str) -> None:
+    if new.name in bindings:
+        raise InputError(
+            f"{where} gives {new.name} twice, by '{bindings[new.name].source}' and '{new.source}';"
+            " map the one you mean with --column."
+        )
+    bindings[new.name] = new
+
+
+def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
+    if ours != RUN:
+        require_unit(ours)
+    if isinstance(entry, str):
+        return Foreign(entry)
+    known = isinstance(entry, dict) and set(entry) <= {"name", "sign", "scale"}
+    if not (known and isinstance(entry.get("name"), str)):
+        raise InputError(
+            f'Column file {path}: {ours} must be "Name" or {{name = "Name", sign = -1, scale = 1.0}}.'
+        )
+    sign, scale = entry.get("sign", 1), entry.get("scale", 1.0)
+    number = isinstance(scale, int | float) and math.isfinite(scale) and scale != 0
+    if sign not in (1, -1) or not number:
+        raise InputError(f"Column file {path}: {ours} needs sign 1 or -1 and a finite scale other than zero.")
+    return Foreign(entry["name"], sign * float(scale))
+
+
+def _positive(key: str, value: Any, path: str | Path) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (0 < value < math.inf):
+        raise InputError(
+            f"Noise '{key}' in {path} must be a positive number (1 sigma); instead received {value!r}."
+        )
+    return float(value)
+
+
+def _whole(raw: Array, source: str) -> Array:
+    values = np.asarray(raw)
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64, copy=False)
+    with np.errstate(invalid="ignore"):
+        whole = values.astype(np.int64)
+    if not np.array_equal(whole, values):
+        raise InputError(f"Column '{source}' must hold whole run numbers; it holds other values.")
+    return whole

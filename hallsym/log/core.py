@@ -1,0 +1,165 @@
+"""The log: named SI channels, split into runs, with what is known of their noise."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.columns import RUN, Binding, bind
+from hallsym.log.meta import Meta
+from hallsym.log.noise import Noise
+from hallsym.log.table import CHUNK_ROWS, Arrays, Piece, Table, TableLike
+from hallsym.log.units import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Consecutive samples of one run: `data[column]` is float64 of shape (samples,), in SI units."""
+
+    run: int
+    data: dict[str, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Recorded samples. Make one with `read_log` or `Log.from_arrays`; arrays are read-only views.
+
+    `notes` says what was assumed while reading; `path` is the data file (None for arrays).
+    """
+
+    table: TableLike
+    noise: Noise = field(default_factory=Noise)
+    meta: Meta = field(default_factory=Meta)
+    path: Path | None = None
+    notes: tuple[str, ...] = ()
+
+    @staticmethod
+    def from_arrays(
+        columns: Mapping[str, Array],
+        noise: Noise | None = None,
+        meta: Meta | None = None,
+        name: str = "The log",
+    ) -> Log:
+        """Build a log from arrays of equal length; a name such as `hall_a_um` states the unit it is in."""
+        arrays = {key: np.asarray(values) for key, values in columns.items()}
+        for key, values in arrays.items():
+            if values.ndim != 1 or len(values) != len(next(iter(arrays.values()))):
+                raise InputError(
+                    f"Column {key} of {name} must be a vector as long as the others; it is {values.shape}."
+                )
+        table = Table(Arrays(arrays), bind(tuple(arrays), {}, name), name)
+        return Log(table, noise or Noise(), meta or Meta(), notes=run_notes(table.bindings))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """SI column names, `run` included."""
+        return self.table.columns
+
+    @property
+    def name(self) -> str:
+        """What to call this log in a message: its path, or what `from_arrays` was told."""
+        return self.table.where
+
+    @cached_property
+    def rows(self) -> int:
+        """Number of samples."""
+        return self.table.count()
+
+    @cached_property
+    def runs(self) -> tuple[int, ...]:
+        """Run ids in the order of recording."""
+        return tuple(dict.fromkeys(block.run for block in self.blocks((RUN,))))
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the data file, or of the columns where there is no file; computed on first use."""
+        if self.path is None:
+            return _hash_columns(self)
+        with open(self.path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+
+    def blocks(self, columns: Sequence[str] | None = None, size: int = CHUNK_ROWS) -> Iterator[Block]:
+        """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all).
+
+        A run must be contiguous: an id that comes back after another run is an `InputError`.
+        """
+        wanted = self.columns if columns is None else tuple(columns)
+        asked = tuple(dict.fromkeys((RUN, *wanted)))
+        runs = RunOrder(self.name)
+        for piece in self.table.pieces(asked, size):
+            for run, start, stop in runs.segments(piece[RUN]):
+                for lo in range(start, stop, size):
+                    hi = min(lo + size, stop)
+                    yield Block(run, {name: _float(piece[name][lo:hi]) for name in wanted})
+
+    def run(self, run: int, columns: Sequence[str] | None = None) -> Piece:
+        """Return one run's columns, each float64 of shape (samples of that run,)."""
+        wanted = self.columns if columns is None else tuple(columns)
+        parts = [block.data for block in self.blocks(wanted) if block.run == run]
+        if not parts:
+            raise InputError(f"{self.name} has no run {run}; it has runs {_few(self.runs)}.")
+        return parts[0] if len(parts) == 1 else {c: np.concatenate([p[c] for p in parts]) for c in wanted}
+
+    def array(self, column: str) -> Array:
+        """Return one whole column, float64 of shape (rows,)."""
+        parts = [piece[column] for piece in self.table.pieces((column,), CHUNK_ROWS)]
+        return _float(parts[0] if len(parts) == 1 else np.concatenate(parts or [np.empty(0)]))
+
+
+class RunOrder:
+    """Splits run columns into runs along one pass and refuses a run that comes back."""
+
+    def __init__(self, where: str) -> None:
+        """Start a pass over the log that messages call `where`."""
+        self.where = where
+        self.current: int | None = None
+        self._seen: set[int] = set()
+
+    def segments(self, run: Array) -> list[tuple[int, int, int]]:
+        """Return (run id, start, stop) of the consecutive stretches of an integer array of shape (rows,)."""
+        if not len(run):
+            return []
+        edges = [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
+        found = list(zip(run[edges[:-1]].tolist(), edges[:-1], edges[1:], strict=True))
+        for ident, _, _ in found:
+            self._enter(ident)
+        return found
+
+    def _enter(self, ident: int) -> None:
+        if ident == self.current:
+            return
+        if ident in self._seen:
+            raise InputError(
+                f"Run {ident} of {self.where} must be contiguous; it comes back after run {self.current},"
+                " so sort the log by run or give each stretch its own number."
+            )
+        self._seen.add(ident)
+        self.current = ident
+
+
+def run_notes(bindings: Mapping[str, Binding]) -> tuple[str, ...]:
+    """Return what has to be said about runs."""
+    return () if RUN in bindings else ("No column 'run': all samples are taken as one run, number 0.",)
+
+
+def _float(values: Array) -> Array:
+    return values.astype(np.float64, copy=False)
+
+
+def _few(runs: tuple[int, ...]) -> str:
+    return ", ".join(map(str, runs[:12])) + (", ..." if len(runs) > 12 else "")
+
+
+def _hash_columns(log: Log) -> str:
+    digest = hashlib.sha256()
+    for block in log.blocks():
+        for name, values in block.data.items():
+            digest.update(f"{name}:{block.run}:".encode())
+            digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,149 @@
+"""Noise from the log itself: what smooth motion cannot explain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import comb
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.columns import RUN
+from hallsym.log.core import Log
+from hallsym.log.noise import Noise, Sigma
+from hallsym.log.units import Array
+
+_ORDERS = range(2, 9)
+_SAMPLES = 1024  # taken from the middle of each block of a run
+_BLOCKS = 16  # at most, per run
+_RUNS = 128  # at most, spread over the log
+_FEWEST = 8  # differences that an order needs in a run
+_CLIP = 2.5
+_CLIPPED_STD = 0.95460  # standard deviation of a unit normal cut off at +-2.5
+_FAR = 4.5
+_ROUNDS = 8
+_UNEVEN = 0.01  # relative deviation of a time step from the usual one
+_GAP = 5.0  # usual steps
+_SLACK = 1.03
+
+
+def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
+    """Estimate one standard deviation of white noise for each channel, in its SI unit.
+
+    In each run, differences of order k = 2..8 remove motion that is a polynomial of degree k - 1 over k + 1
+    samples; divided by sqrt(binom(2k, k)) they have the noise's spread. It is measured by the median absolute
+    deviation and refined by clipping, so outliers do not count. The median over runs is taken for each order,
+    then the lowest order within 3 % of the least: higher ones leave less motion and more scatter.
+    Where samples are not evenly spaced the differences are divided ones; none spans a gap. Where the ADC
+    step hides the noise, step / sqrt(12) is the least that is returned.
+    At most 16 384 samples of a run and 128 runs, spread over the log, are used.
+
+    Valid for noise that is independent from sample to sample: drift, 1/f noise and hum below about a tenth of
+    the sampling rate look like motion and are not seen. A channel that is constant within all runs gives 0.
+    """
+    spreads: dict[str, list[Array]] = {name: [] for name in channels}
+    steps: dict[str, list[float]] = {name: [] for name in channels}
+    timed = "t_s" in log.columns
+    taken: dict[int, int] = {}
+    chosen = set(log.runs[:: -(-len(log.runs) // _RUNS)])
+    for block in log.blocks((RUN, *(("t_s",) if timed else ()), *channels)):
+        taken[block.run] = taken.get(block.run, 0) + 1
+        if block.run not in chosen or taken[block.run] > _BLOCKS:
+            continue
+        start = max(0, (len(block.data[RUN]) - _SAMPLES) // 2)
+        part = {name: values[start : start + _SAMPLES] for name, values in block.data.items()}
+        t = part["t_s"] if timed else np.arange(len(part[RUN]), dtype=float)
+        filters = _filters(t)
+        for name in channels:
+            values = part[name]
+            spreads[name].append(np.array([_spread(_apply(f, values), f[0].shape[-1] // 2) for f in filters]))
+            steps[name].append(_coarse_step(values))
+    return Noise({n: Sigma(_combine(n, spreads[n], steps[n], log.name), "estimated") for n in channels})
+
+
+Filter = tuple[Array, Array | None]
+
+
+def _filters(t: Array) -> list[Filter]:
+    """Return (weights, usable windows) per order; weights are (k + 1,) or (windows, k + 1), of unit norm."""
+    step = np.diff(t)
+    usual = float(np.median(step)) if len(step) else 0.0
+    even = bool(usual > 0 and np.abs(step / usual - 1).max(initial=0.0) <= _UNEVEN)
+    return [_binomial(k) if even else _divided(t, step, usual, k) for k in _ORDERS]
+
+
+def _binomial(k: int) -> Filter:
+    weights = np.array([(-1) ** j * comb(k, j) for j in range(k + 1)], float)
+    return weights / np.sqrt(comb(2 * k, k)), None
+
+
+def _divided(t: Array, step: Array, usual: float, k: int) -> Filter:
+    """Weights 1 / prod(t_j - t_m) annihilate polynomials of degree k - 1 on any spacing."""
+    if len(t) <= k or usual <= 0:
+        return np.zeros((0, k + 1)), np.zeros(0, bool)
+    windows = np.lib.stride_tricks.sliding_window_view(t / usual, k + 1)
+    forward = np.lib.stride_tricks.sliding_window_view((step > 0) & (step < _GAP * usual), k)
+    usable: Array = np.asarray(forward.all(axis=1))
+    apart = windows[:, :, None] - windows[:, None, :] + np.eye(k + 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = 1.0 / apart.prod(axis=2)
+        weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    return weights, usable
+
+
+def _apply(filter: Filter, values: Array) -> Array:
+    weights, usable = filter
+    if len(values) < weights.shape[-1]:
+        return np.empty(0)
+    if usable is None:
+        return np.convolve(values - values[0], weights[::-1], mode="valid")
+    windows = np.lib.stride_tricks.sliding_window_view(values - values[0], weights.shape[-1])
+    return np.einsum("ij,ij->i", windows[usable], weights[usable])
+
+
+def _spread(difference: Array, reach: int) -> float:
+    """Return the standard deviation of differences without their outliers; nan where there are too few."""
+    difference = difference[np.isfinite(difference)]
+    if len(difference) < _FEWEST:
+        return np.nan
+    size = np.abs(difference)
+    sigma = float(np.median(size)) / 0.67449
+    if sigma <= 1e-9 * size.max():  # more than half are zero to rounding: the ADC step hides the noise
+        return float(np.sqrt(np.mean(size**2)))
+    for _ in range(_ROUNDS):
+        before = sigma
+        kept = _clean(size, sigma, reach)
+        sigma = float(np.sqrt(kept @ kept / len(kept))) / _CLIPPED_STD
+        if abs(sigma - before) <= 3e-3 * before:
+            break
+    return sigma
+
+
+def _clean(size: Array, sigma: float, reach: int) -> Array:
+    """Return what lies within the clip and not within `reach` of a difference that only an outlier makes."""
+    within = size <= _CLIP * sigma
+    far = size > _FAR * sigma
+    if far.any():
+        apart = within & ~np.convolve(far, np.ones(2 * reach + 1, bool), mode="same")[: len(size)]
+        within = apart if np.count_nonzero(apart) >= _FEWEST else within
+    return size[within]
+
+
+def _coarse_step(values: Array) -> float:
+    """Return the ADC step where readings repeat so often that it matters, else 0."""
+    step = np.abs(np.diff(values))
+    changes = step[step > 0]
+    return float(changes.min()) if len(changes) and len(changes) < 0.8 * len(step) else 0.0
+
+
+def _combine(channel: str, spreads: list[Array], steps: list[float], where: str) -> float:
+    table = np.array(spreads).reshape(-1, len(_ORDERS))
+    known = ~np.isnan(table)
+    usable = [float(np.median(table[known[:, i], i])) for i in range(len(_ORDERS)) if known[:, i].any()]
+    if not usable:
+        raise InputError(
+            f"Noise of {channel} cannot be estimated from {where}: no run has {_FEWEST + 2} samples in a row;"
+            " state it in the column file's [noise] table or in meta.json."
+        )
+    chosen = next(value for value in usable if value <= _SLACK * min(usable))
+    return max(chosen, float(np.median(steps)) / np.sqrt(12.0))

@@ -1,0 +1,165 @@
+"""HDF5 logs through h5py (an extra): one dataset per column at the root or in a group, or a group per run."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.columns import RUN
+from hallsym.log.extras import load
+from hallsym.log.table import IN_MEMORY_ROWS
+from hallsym.log.units import Array
+
+Lengths = dict[str, int]
+
+
+class Hdf5Source:
+    """Vectors of one HDF5 file; a row (1, n) or column (n, 1) matrix, as MATLAB stores it, is a vector.
+
+    `parts` holds one entry per run group, `(run id or None, {column: dataset})`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Look which vectors the file holds."""
+        self.path = path
+        with self._opened() as file:
+            lengths = _vectors(file)
+        self.parts, self.left_out, self.aliases = _arrange(lengths)
+        self.rows = sum(lengths[next(iter(columns.values()))] for _, columns in self.parts)
+        found = list(self.parts[0][1]) if self.parts else []
+        self.names = (RUN, *found) if self.parts and self.parts[0][0] is not None else tuple(found)
+        self.small = self.rows <= IN_MEMORY_ROWS
+
+    def count(self) -> int:
+        """Return the number of rows."""
+        return self.rows
+
+    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
+        """Return whole columns."""
+        parts = list(self.chunks(names, max(1, self.rows)))
+        return {name: np.concatenate([part[name] for part in parts]) for name in names}
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield consecutive chunks of at most `size` rows."""
+        with self._opened() as file:
+            for run, columns in self.parts:
+                sets = {name: file[columns[name]] for name in names if name in columns}
+                total = max(next(iter(file[d] for d in columns.values())).shape)
+                for lo in range(0, total, size):
+                    hi = min(lo + size, total)
+                    chunk = {name: _slice(dataset, lo, hi) for name, dataset in sets.items()}
+                    yield {name: chunk[name] if name in chunk else np.full(hi - lo, run) for name in names}
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        h5py = load("h5py")
+        try:
+            with h5py.File(self.path, "r") as file:
+                yield file
+        except OSError as error:
+            raise InputError(
+                f"{self.path} must be a complete HDF5 file; it is cut short or damaged, so copy it again"
+                f" ({' '.join(str(error).split())[:120]})."
+            ) from error
+
+
+class Hdf5Writer:
+    """Writes one chunked dataset per column at the root.
+
+    HDF5 may end the process when the disk is full, so each write first makes sure that there is space.
+    """
+
+    group_rows = 65_536
+
+    def __init__(self, path: Path) -> None:
+        """Open the file for writing."""
+        self.path = path
+        self._file = load("h5py").File(path, "w")
+        self._rows = self._chunk = 0
+
+    def write(self, columns: Mapping[str, Array]) -> None:
+        """Append rows."""
+        start, self._rows = self._rows, self._rows + len(next(iter(columns.values())))
+        self._chunk = self._chunk or max(1, min(self.group_rows, self._rows))
+        self._reserve((self._rows - start) * len(columns))
+        for name, values in columns.items():
+            if name not in self._file:
+                self._file.create_dataset(name, data=values, maxshape=(None,), chunks=(self._chunk,))
+            else:
+                self._file[name].resize((self._rows,))
+                self._file[name][start:] = values
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _reserve(self, values: int) -> None:
+        """Refuse (OSError) if there is no space for so many more values; they take whole chunks."""
+        need = 8 * (values + 2 * self._chunk * max(1, len(self._file))) + (1 << 20)
+        if hasattr(os, "posix_fallocate"):
+            with TemporaryFile(dir=self.path.parent) as stream:
+                os.posix_fallocate(stream.fileno(), 0, need)
+
+
+def _vectors(file: Any) -> Lengths:
+    """Return the length of every numeric vector, by its path in the file."""
+    found: Lengths = {}
+
+    def visit(name: str, node: Any) -> None:
+        shape = getattr(node, "shape", None)
+        text = getattr(node, "attrs", {}).get("MATLAB_class", b"") in (b"char", b"cell")
+        if shape is None or name.startswith("#") or text or node.dtype.kind not in "fiub":
+            return
+        if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
+            found[name] = max(shape)
+
+    file.visititems(visit)
+    return found
+
+
+Part = tuple[int | None, dict[str, str]]
+
+
+def _arrange(lengths: Lengths) -> tuple[list[Part], dict[str, str], dict[str, str]]:
+    groups: dict[str, dict[str, str]] = {}
+    for path in lengths:
+        group, _, column = path.rpartition("/")
+        groups.setdefault(group, {})[column] = path
+    numbers = {group: re.search(r"(\d+)$", group) for group in groups}
+    same = len({tuple(sorted(columns)) for columns in groups.values()}) == 1
+    if len(groups) > 1 and same and all(numbers.values()):
+        ordered = sorted((int(match[1]), groups[group]) for group, match in numbers.items() if match)
+        return [(run, columns) for run, columns in ordered], {}, {}
+    columns, left_out, aliases = name_vectors(lengths, "/")
+    return ([(None, columns)] if columns else []), left_out, aliases
+
+
+def name_vectors(lengths: Lengths, separator: str) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
+    """Name nested vectors by their last part where that is unique, and keep those of the usual length.
+
+    Returns (name -> path, name -> why it was left out, path -> name).
+    """
+    ends = Counter(path.rpartition(separator)[2] for path in lengths)
+    names = {p: p.rpartition(separator)[2] if ends[p.rpartition(separator)[2]] == 1 else p for p in lengths}
+    sizes = Counter(size for size in lengths.values() if size > 1)
+    usual = max(sizes, key=lambda size: (sizes[size], size)) if sizes else 1
+    kept = {names[path]: path for path, size in lengths.items() if size == usual}
+    left = {
+        names[p]: f"it has {n} values where the others have {usual}" for p, n in lengths.items() if n != usual
+    }
+    return kept, left, {path: name for path, name in names.items() if path != name}
+
+
+def _slice(dataset: Any, lo: int, hi: int) -> Array:
+    if len(dataset.shape) == 1:
+        return np.asarray(dataset[lo:hi])
+    return np.asarray(dataset[0, lo:hi] if dataset.shape[0] == 1 else dataset[lo:hi, 0])

@@ -1,0 +1,77 @@
+"""MATLAB `.mat` logs: v5 through scipy, v7.3 through h5py. Vectors at the top or in (nested) structs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.format_hdf5 import Hdf5Source, name_vectors
+from hallsym.log.table import Arrays
+from hallsym.log.units import Array
+
+
+def open_mat(path: Path) -> Arrays | Hdf5Source:
+    """Open a MATLAB file of either kind."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    if _is_v73(path):
+        return Hdf5Source(path)
+    try:
+        content = loadmat(path, simplify_cells=True)
+    except (ValueError, TypeError, OSError, MatReadError, KeyError, IndexError) as error:
+        raise InputError(
+            f"{path} must be a complete MATLAB file; it is cut short or damaged, so save it again"
+            f" ({' '.join(str(error).split())[:120]})."
+        ) from error
+    vectors = dict(_flatten({key: value for key, value in content.items() if not key.startswith("__")}, ""))
+    names, left_out, aliases = name_vectors({key: len(values) for key, values in vectors.items()}, ".")
+    source = Arrays({name: vectors[key] for name, key in names.items()})
+    source.left_out, source.aliases = left_out, aliases
+    return source
+
+
+class MatWriter:
+    """Collects columns and writes them as MATLAB v5 column vectors on `close`."""
+
+    group_rows = 1 << 20
+
+    def __init__(self, path: Path) -> None:
+        """Keep the path; MATLAB v5 can only be written whole."""
+        self.path = path
+        self._parts: list[Mapping[str, Array]] = []
+
+    def write(self, columns: Mapping[str, Array]) -> None:
+        """Append rows."""
+        self._parts.append(columns)
+
+    def close(self) -> None:
+        """Write the file."""
+        from scipy.io import savemat
+
+        names = self._parts[0] if self._parts else {}
+        columns = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
+        savemat(self.path, columns, oned_as="column")
+
+
+def _is_v73(path: Path) -> bool:
+    """A v7.3 file has MATLAB's text header, then HDF5's signature at byte 512; or it is plain HDF5."""
+    signature = b"\x89HDF\r\n\x1a\n"
+    with open(path, "rb") as stream:
+        head = stream.read(520)
+    return head.startswith(signature) or head[512:520] == signature
+
+
+def _flatten(value: Any, path: str) -> list[tuple[str, Array]]:
+    if isinstance(value, dict):
+        return [
+            pair for key, item in value.items() for pair in _flatten(item, f"{path}.{key}" if path else key)
+        ]
+    array = np.asarray(value)
+    if array.dtype.kind in "fiub" and array.ndim <= 1:
+        return [(path, np.atleast_1d(array))]
+    return []

@@ -1,0 +1,94 @@
+"""Parquet logs, through pyarrow (an extra)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.extras import load
+from hallsym.log.table import IN_MEMORY_ROWS
+from hallsym.log.units import Array
+
+_BUFFER = 1 << 20
+
+
+class ParquetSource:
+    """Columns of one Parquet file; a large one is decoded batch by batch."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the footer."""
+        self.path = path
+        with self._opened() as file:
+            self.names = tuple(file.schema_arrow.names)
+            self.rows = int(file.metadata.num_rows)
+        self.small = self.rows <= IN_MEMORY_ROWS
+        self.aliases: Mapping[str, str] = {}
+        self.left_out: Mapping[str, str] = {}
+
+    def count(self) -> int:
+        """Return the number of rows."""
+        return self.rows
+
+    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
+        """Return whole columns."""
+        with self._opened() as file:
+            table = file.read(columns=list(names))
+            return {name: self._numbers(name, table.column(name)) for name in names}
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield batches of at most `size` rows."""
+        with self._opened(buffer_size=_BUFFER, pre_buffer=False) as file:
+            for batch in file.iter_batches(batch_size=size, columns=list(names), use_threads=False):
+                yield {name: self._numbers(name, batch.column(name)) for name in names}
+
+    @contextmanager
+    def _opened(self, **options: Any) -> Iterator[Any]:
+        parquet = load("pyarrow.parquet")
+        arrow = load("pyarrow")
+        try:
+            with parquet.ParquetFile(self.path, **options) as file:
+                yield file
+        except (arrow.ArrowException, OSError) as error:
+            raise InputError(
+                f"{self.path} must be a complete Parquet file; it is cut short or damaged, so copy it again"
+                f" ({' '.join(str(error).split())[:120].rstrip('.')})."
+            ) from error
+
+    def _numbers(self, name: str, column: Any) -> Array:
+        kind = load("pyarrow").types
+        if not (
+            kind.is_integer(column.type) or kind.is_floating(column.type) or kind.is_boolean(column.type)
+        ):
+            raise InputError(f"Column '{name}' of {self.path} must hold numbers; it holds {column.type}.")
+        return np.asarray(
+            column.to_numpy(zero_copy_only=False) if hasattr(column, "buffers") else column.to_numpy()
+        )
+
+
+class ParquetWriter:
+    """Writes chunks as row groups, compressed with zstd."""
+
+    group_rows = 131_072
+
+    def __init__(self, path: Path) -> None:
+        """Keep the path; the first rows give the schema."""
+        self.path = path
+        self._arrow, self._parquet = load("pyarrow"), load("pyarrow.parquet")
+        self._file: Any = None
+
+    def write(self, columns: Mapping[str, Array]) -> None:
+        """Append rows."""
+        table = self._arrow.table(dict(columns))
+        if self._file is None:
+            self._file = self._parquet.ParquetWriter(self.path, table.schema, compression="zstd")
+        self._file.write_table(table, row_group_size=self.group_rows)
+
+    def close(self) -> None:
+        """Write the footer."""
+        if self._file is not None:
+            self._file.close()

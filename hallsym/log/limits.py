@@ -1,0 +1,66 @@
+"""What hallsym's columns are for, and what a value of each can physically be."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hallsym.log.units import UNITS
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Columns that fit `pattern` span at most `span` and stay below `level`; else their unit is another.
+
+    `instead` holds the units it could be. A usual log spans less than `likely`: the first unit of `instead`
+    that brings the span there is the one to suggest.
+    """
+
+    pattern: str
+    span: float
+    what: str
+    instead: tuple[str, ...]
+    likely: float
+    level: float = math.inf
+
+
+LIMITS = (
+    Limit(r"(hall_\w+|[xyz](_ref)?)_m", 1.0, "a stage travels", ("mm", "um", "nm"), 0.01),
+    Limit(r"r[xyz](_ref)?_rad", 0.5, "a stage turns", ("mrad", "urad", "nrad"), 0.01),
+    Limit(r"(col|v|hall)_\w+_v", 1e3, "a sensor puts out", ("mv", "uv"), 10.0),
+    Limit(r"hall_\w+_t", 100.0, "a magnet makes", ("mt", "ut"), 3.0),
+    Limit(r"current\w*_a", 1e3, "a coil carries", ("ma",), 100.0),
+    Limit(r"temperature\w*_degc", 500.0, "a machine warms", ("k",), 200.0, 200.0),
+)
+
+_READING = re.compile(r"(hall|col|v)_[a-z0-9]+_(m|v|t|count)")
+_REFERENCE = re.compile(r"([xyz]|r[xyz]|angle)_ref_(m|rad)")
+_POSE = re.compile(r"(z|r[xy])_(m|rad)")
+
+
+def is_reading(column: str) -> bool:
+    """Say whether a column is a sensor's reading (`hall_a_m`, `col_3_v`, `v_sin_v`)."""
+    return bool(_READING.fullmatch(column))
+
+
+def is_reference(column: str) -> bool:
+    """Say whether a column is a reference of motion (`x_ref_m`, `angle_ref_rad`)."""
+    return bool(_REFERENCE.fullmatch(column))
+
+
+def is_moving(column: str) -> bool:
+    """Say whether a column follows the motion sample by sample: readings, references, vertical pose."""
+    return is_reading(column) or is_reference(column) or bool(_POSE.fullmatch(column))
+
+
+def limit_of(column: str) -> Limit | None:
+    """Return the limit of a column's span, if there is one."""
+    return next((limit for limit in LIMITS if re.fullmatch(limit.pattern, column)), None)
+
+
+def likely_unit(limit: Limit, span: float) -> str | None:
+    """Return the unit that would make a span plausible."""
+    fits: Sequence[str] = [unit for unit in limit.instead if span * UNITS[unit].factor <= limit.likely]
+    return fits[0] if fits else (limit.instead[-1] if limit.instead else None)

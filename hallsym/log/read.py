@@ -1,0 +1,109 @@
+"""Read a log from a file or a folder, whatever its format, names and units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from hallsym.errors import InputError
+from hallsym.files import reason
+from hallsym.log.check import clean_log
+from hallsym.log.columns import RUN, ColumnFile, Foreign, bind, listed, read_column_file
+from hallsym.log.core import Log, run_notes
+from hallsym.log.format_csv import CsvSource
+from hallsym.log.formats import FORMATS, format_of
+from hallsym.log.meta import Meta
+from hallsym.log.noise import Noise, check_noise_keys
+from hallsym.log.table import Source, Table
+
+
+def read_log(
+    path: str | Path,
+    *,
+    columns: Mapping[str, str] | None = None,
+    column_file: str | Path | None = None,
+    format: str | None = None,
+    delimiter: str | None = None,
+    drop_bad: bool = False,
+    noise: Mapping[str, float] | None = None,
+) -> Log:
+    """Open a log; samples are read when they are first used.
+
+    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`.
+    `columns` maps our name, ending with the unit the foreign column is in, to the foreign name:
+    `{"hall_a_um": "HallA"}` gives the SI column `hall_a_m`. A column file (TOML) says the same and may give
+    noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
+    `drop_bad` leaves out the samples and runs that `check_log` would refuse.
+    """
+    file, folder = _locate(Path(path))
+    source = _open(file, format, delimiter)
+    meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
+    stated = read_column_file(column_file) if column_file else ColumnFile()
+    wanted = _resolve({**stated.columns, **(columns or {})}, source)
+    table = Table(source, bind(source.names, wanted, str(file)), str(file))
+    if not any(name != RUN for name in table.columns):
+        raise InputError(
+            f"{file} has no column whose name ends with a unit, such as hall_a_m; it has"
+            f" {listed(source.names)}; map them with --column hall_a_um=ITS_NAME."
+        )
+    known = _noise(meta, stated, noise or {}, table)
+    log = Log(table, known, meta, file, run_notes(table.bindings))
+    return clean_log(log) if drop_bad else log
+
+
+def _locate(path: Path) -> tuple[Path, Path | None]:
+    """Return the data file and, for a log given as a folder, the folder."""
+    if path.is_dir():
+        names = [f"log{suffix}" for entry in FORMATS for suffix in entry.suffixes]
+        found = [path / name for name in names if (path / name).is_file()]
+        if not found:
+            raise InputError(
+                f"Folder {path} must hold a log named log.parquet, log.csv, log.h5 or log.mat; it holds none."
+            )
+        return found[0], path
+    if not path.exists():
+        raise InputError(f"Log {path} does not exist{_neighbour(path)}.")
+    return path, None
+
+
+def _neighbour(path: Path) -> str:
+    from hallsym.errors import nearest
+
+    if not path.parent.is_dir():
+        return f"; neither does its folder {path.parent}"
+    return nearest(path.name, [entry.name for entry in path.parent.iterdir()])
+
+
+def _open(file: Path, format: str | None, delimiter: str | None) -> Source:
+    entry = format_of(file, format)
+    try:
+        if file.stat().st_size == 0:
+            raise InputError(f"Log {file} is empty (0 bytes); record or copy it again.")
+        if entry.name == "csv":
+            return CsvSource(file, delimiter)
+        source = entry.open(file)
+    except OSError as error:
+        raise InputError(f"Cannot read {file}: {reason(error)}.") from error
+    if delimiter is not None:
+        raise InputError(f"Option delimiter must be left out for {file}: a {entry.name} file has none.")
+    return source
+
+
+def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:
+    """Let a mapping use a column's long name (`log.HallA`) as well as its short one."""
+    entries = {ours: Foreign(e) if isinstance(e, str) else e for ours, e in wanted.items()}
+    return {ours: Foreign(source.aliases.get(e.name, e.name), e.scale) for ours, e in entries.items()}
+
+
+def _noise(meta: Meta, stated: ColumnFile, given: Mapping[str, float], table: Table) -> Noise:
+    check_noise_keys(given, table.columns, "the noise given")
+    check_noise_keys(stated.noise, table.columns, "the column file")
+    for key, value in given.items():
+        if not value > 0:
+            raise InputError(
+                f"Noise '{key}' must be a positive number (1 sigma); instead received {value!r}."
+            )
+    best = Noise.given(given, table.columns)
+    for values in (stated.noise, meta.noise_1sigma):
+        best = best.merged(Noise.given(values, table.columns))
+    return best

@@ -1,0 +1,201 @@
+"""From raw columns of a file, small or large, to SI columns in memory or in a bounded stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from hallsym.errors import InputError, nearest
+from hallsym.log.columns import RUN, Binding, listed
+from hallsym.log.units import Array
+
+IN_MEMORY_ROWS = 2_000_000
+CHUNK_ROWS = 65_536
+
+Piece = dict[str, Array]
+RowFilter = Callable[[Piece], Array | None]
+
+
+class Source(Protocol):
+    """A file's columns under their own names."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns' own names."""
+
+    @property
+    def small(self) -> bool:
+        """Whether whole columns may be kept in memory."""
+
+    @property
+    def left_out(self) -> Mapping[str, str]:
+        """Why a vector cannot be a column, by name."""
+
+    @property
+    def aliases(self) -> Mapping[str, str]:
+        """Short names by long name, a path in a struct or a group."""
+
+    def count(self) -> int:
+        """Return the number of rows."""
+
+    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
+        """Return whole columns, each of shape (rows,)."""
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield consecutive chunks of at most about `size` rows."""
+
+
+class Arrays:
+    """A source that holds its columns already: each of shape (rows,)."""
+
+    small = True
+
+    def __init__(self, columns: Mapping[str, Array]) -> None:
+        """Take the arrays as they are."""
+        self.columns = dict(columns)
+        self.names = tuple(self.columns)
+        self.left_out: Mapping[str, str] = {}
+        self.aliases: Mapping[str, str] = {}
+
+    def count(self) -> int:
+        """Return the number of rows."""
+        return len(next(iter(self.columns.values()), ()))
+
+    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
+        """Return whole columns."""
+        return {name: self.columns[name] for name in names}
+
+    def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
+        """Yield everything at once."""
+        yield self.read(names)
+
+
+class Table:
+    """SI columns over a source. Small sources are kept in memory, one read per newly asked set of columns."""
+
+    def __init__(self, source: Source, bindings: Mapping[str, Binding], where: str) -> None:
+        """Bind SI names to a source that messages call `where`."""
+        self.source, self.bindings, self.where = source, dict(bindings), where
+        self.columns = tuple(self.bindings) if RUN in self.bindings else (RUN, *self.bindings)
+        self._held: Piece = {}
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether whole columns are kept; otherwise every pass streams the file again."""
+        return self.source.small
+
+    def count(self) -> int:
+        """Return the number of rows."""
+        return self.source.count()
+
+    def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
+        """Yield `{column: values}` in consecutive pieces of about `size` rows; in memory it is one."""
+        self.require(columns)
+        if self.in_memory:
+            yield self._hold(columns)
+            return
+        sources = [self.bindings[name].source for name in columns if name in self.bindings] or [self._any()]
+        for raw in self.source.chunks(sources, size):
+            yield self._convert(columns, raw)
+
+    def require(self, columns: Sequence[str]) -> None:
+        """Refuse columns that the log does not have, and say which name is near."""
+        for name in columns:
+            if name in self.columns:
+                continue
+            if name in self.source.left_out:
+                raise InputError(
+                    f"Column {name} of {self.where} cannot be used: {self.source.left_out[name]}."
+                )
+            raise InputError(
+                f"{self.where} has no column {name}{nearest(name, list(self.columns))}; it has"
+                f" {listed(self.source.names)}; a column under another name is mapped with"
+                f" --column {name}=ITS_NAME, where the ending is the unit it is in."
+            )
+
+    def source_name(self, column: str) -> str:
+        """Return the name that an SI column has in the file."""
+        return self.bindings[column].source if column in self.bindings else column
+
+    def _any(self) -> str:
+        return self.source.names[0]
+
+    def _hold(self, columns: Sequence[str]) -> Piece:
+        new = [name for name in columns if name not in self._held]
+        if new:
+            sources = [self.bindings[name].source for name in new if name in self.bindings]
+            converted = self._convert(new, self.source.read(sources) if sources else {})
+            for values in converted.values():
+                values.flags.writeable = False
+            self._held.update(converted)
+        return {name: self._held[name] for name in columns}
+
+    def _convert(self, columns: Sequence[str], raw: Mapping[str, Array]) -> Piece:
+        rows = len(next(iter(raw.values()))) if raw else self.count()
+        bound = self.bindings
+        return {
+            c: bound[c].si(raw[bound[c].source]) if c in bound else np.zeros(rows, np.int64) for c in columns
+        }
+
+
+class Filtered:
+    """A table seen through a row filter, which may carry state along one pass.
+
+    `make` starts a fresh filter; it is shown the columns `needs` beside those asked for and returns the rows
+    to keep as a boolean mask, or None for all.
+    """
+
+    def __init__(self, table: TableLike, needs: Sequence[str], make: Callable[[], RowFilter]) -> None:
+        """Put a filter before a table."""
+        self.table, self.needs, self.make = table, tuple(needs), make
+        self.columns: tuple[str, ...] = table.columns
+        self.where: str = table.where
+        self.in_memory: bool = table.in_memory
+        self._rows: int | None = None
+        self._mask: Array | None = None
+        self._held: Piece = {}
+
+    def count(self) -> int:
+        """Return the number of rows that are kept."""
+        if self._rows is None:
+            self._rows = sum(len(piece[RUN]) for piece in self.pieces((RUN,), CHUNK_ROWS))
+        return self._rows
+
+    def pieces(self, columns: Sequence[str], size: int) -> Iterator[Piece]:
+        """Yield the kept rows, as `Table.pieces` does."""
+        if self.in_memory:
+            yield self._hold(columns)
+            return
+        keep = self.make()
+        for piece in self.table.pieces(tuple(dict.fromkeys((*columns, *self.needs))), size):
+            mask = keep(piece)
+            if mask is None or mask.all():
+                yield {name: piece[name] for name in columns}
+            elif mask.any():
+                yield {name: piece[name][mask] for name in columns}
+
+    def _hold(self, columns: Sequence[str]) -> Piece:
+        """Filter columns of a table in memory, each once."""
+        if self._mask is None:
+            everything = next(iter(self.table.pieces(self.needs, CHUNK_ROWS)))
+            mask = self.make()(everything)
+            self._mask = np.ones(len(everything[RUN]), bool) if mask is None else mask
+        new = [name for name in columns if name not in self._held]
+        for name, values in next(iter(self.table.pieces(new, CHUNK_ROWS))).items():
+            kept = values[self._mask]
+            kept.flags.writeable = False
+            self._held[name] = kept
+        return {name: self._held[name] for name in columns}
+
+    def require(self, columns: Sequence[str]) -> None:
+        """Refuse columns that the log does not have."""
+        self.table.require(columns)
+
+    def source_name(self, column: str) -> str:
+        """Return the name that an SI column has in the file."""
+        return self.table.source_name(column)
+
+
+TableLike = Table | Filtered

@@ -1,0 +1,141 @@
+"""Write a log, whole or piece by piece, so that a failure leaves the old file as it was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.files import reason, replacing
+from hallsym.log.columns import RUN
+from hallsym.log.core import Log
+from hallsym.log.formats import Writer, format_of
+from hallsym.log.units import Array, si_name, to_si
+
+
+class LogWriter:
+    """Write a log in pieces; the format follows from the suffix, units are SI.
+
+    >>> with LogWriter("log.parquet") as writer:          # doctest: +SKIP
+    ...     writer.append({"run": run, "t_s": t, "hall_a_um": readings})
+
+    The file appears under its name when the block ends without an error, and not before.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Choose the format; nothing is written before the `with` block."""
+        self.path = Path(path)
+        self._format = format_of(self.path)
+        self._waiting: list[dict[str, Array]] = []
+        self._rows = 0
+        self._names: tuple[str, ...] | None = None
+
+    def __enter__(self) -> LogWriter:
+        """Open a temporary file beside the target."""
+        self._target = replacing(self.path)
+        self._temporary = self._target.__enter__()
+        try:
+            with self._reported():
+                self._writer: Writer = self._format.writer(self._temporary)
+        except BaseException:
+            self._abandon()
+            raise
+        return self
+
+    def append(self, columns: Mapping[str, Array]) -> None:
+        """Add samples: arrays of equal length; a name in another unit (`hall_a_um`) is converted to SI."""
+        chunk = {si_name(name): _values(name, values) for name, values in columns.items()}
+        lengths = {len(values) for values in chunk.values()}
+        if len(lengths) != 1:
+            raise InputError(
+                f"Columns written to {self.path} must be equally long; they have {sorted(lengths)} values."
+            )
+        if self._names is None:
+            self._names = tuple(chunk)
+        if set(chunk) != set(self._names):
+            raise InputError(
+                f"Every piece written to {self.path} must have the columns {', '.join(self._names)}."
+            )
+        self._waiting.append({name: chunk[name] for name in self._names})
+        self._rows += lengths.pop()
+        if self._rows >= self._writer.group_rows:
+            self._drain()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Finish and rename, or remove the temporary file."""
+        if error is not None:
+            self._abandon()
+            return
+        try:
+            if self._names is None:
+                raise InputError(
+                    f"Nothing was written to {self.path}: a log needs at least one piece of samples."
+                )
+            self._drain()
+            with self._reported():
+                self._writer.close()
+        except BaseException:
+            self._abandon()
+            raise
+        self._target.__exit__(None, None, None)
+
+    def _drain(self) -> None:
+        if self._waiting and self._names:
+            parts = self._waiting
+            joined = (
+                parts[0]
+                if len(parts) == 1
+                else {n: np.concatenate([p[n] for p in parts]) for n in self._names}
+            )
+            with self._reported():
+                self._writer.write(joined)
+            self._waiting, self._rows = [], 0
+
+    @contextmanager
+    def _reported(self) -> Iterator[None]:
+        """Turn what a format's library raises when it cannot write into one sentence."""
+        try:
+            yield
+        except OSError as error:
+            raise InputError(f"Cannot write {self.path}: {reason(error)}.") from error
+        except RuntimeError as error:  # h5py, on closing a file it could not extend
+            raise InputError(f"Cannot write {self.path}: {' '.join(str(error).split())}.") from error
+
+    def _abandon(self) -> None:
+        """Close what is open and let `replacing` remove the temporary file."""
+        if hasattr(self, "_writer"):
+            with suppress(Exception):
+                self._writer.close()
+        with suppress(_AbandonedError):
+            self._target.__exit__(_AbandonedError, _AbandonedError(), None)
+
+
+class _AbandonedError(Exception):
+    """Tells `replacing` that the block failed, whatever the reason."""
+
+
+def write_log(log: Log | Mapping[str, Array], path: str | Path) -> None:
+    """Write a log or a dict of arrays to `path`, in the format of its suffix, in bounded memory."""
+    with LogWriter(path) as writer:
+        if isinstance(log, Log):
+            for block in log.blocks():
+                writer.append(block.data)
+        else:
+            writer.append(log)
+
+
+def _values(name: str, values: Array) -> Array:
+    array = np.asarray(values)
+    if array.ndim != 1:
+        raise InputError(f"Column {name} must be a vector; it has shape {array.shape}.")
+    if name == RUN:
+        if not np.array_equal(array, array.astype(np.int64)):
+            raise InputError("Column run must hold whole numbers.")
+        return array.astype(np.int64)
+    return to_si(name, array)

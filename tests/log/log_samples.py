@@ -1,0 +1,25 @@
+"""Stage logs made of sines and noise, with faults to put in."""
+
+from __future__ import annotations
+
+import numpy as np
+
+STAGE = ("run", "t_s", "hall_a_m", "hall_b_m", "z_m", "x_ref_m", "y_ref_m", "rz_ref_rad")
+
+
+def stage_arrays(runs: int = 4, samples: int = 400, seed: int = 0) -> dict[str, np.ndarray]:
+    """A healthy log: combined motion of +-0.5 mm, noise 0.5 um, 2 ms clock, a pause between runs."""
+    rng = np.random.default_rng(seed)
+    n = runs * samples
+    run = np.repeat(np.arange(runs), samples)
+    t = np.arange(n) * 0.002 + run * 10.0
+    x, y, rz = (5e-4 * np.sin(2 * np.pi * f * t + f) for f in (1.3, 1.9, 2.3))
+    noisy = {"hall_a_m": y + 0.2 * rz, "hall_b_m": y - 0.2 * rz, "z_m": 1e-4 * np.sign(run - 1.5)}
+    noisy |= {"x_ref_m": x, "y_ref_m": y, "rz_ref_rad": rz}
+    columns = {name: values + 5e-7 * rng.normal(size=n) for name, values in noisy.items()}
+    return {"run": run, "t_s": t, **columns}
+
+
+def one_sentence(message: str) -> bool:
+    """A message for a person: one line, ends with a full stop, not a traceback."""
+    return "\n" not in message and message.endswith(".") and 20 < len(message) < 500

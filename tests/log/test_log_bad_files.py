@@ -1,0 +1,170 @@
+"""Files that cannot be read: each is refused in one sentence that names the file and what to do."""
+
+from __future__ import annotations
+
+import builtins
+import importlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from log_samples import one_sentence, stage_arrays
+
+from hallsym.errors import InputError
+from hallsym.log import check_log, format_csv, read_log, write_log
+
+
+def refused(path: Path, says: str, **options: Any) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        check_log(read_log(path, **options))
+    assert one_sentence(str(caught.value)), caught.value
+    assert path.name in str(caught.value)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    write_log(stage_arrays(), tmp_path / "log_7.csv")
+    refused(tmp_path / "log7.csv", r"does not exist \(did you mean 'log_7.csv'\?\)")
+    refused(tmp_path / "nowhere" / "log.csv", "neither does its folder")
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv", ".h5", ".mat"])
+def test_empty_file(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"log{suffix}"
+    path.touch()
+    refused(path, r"is empty \(0 bytes\)")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "kind"), [(".parquet", "Parquet"), (".h5", "HDF5"), (".mat", "MATLAB"), (".pq", "Parquet")]
+)
+@pytest.mark.parametrize("keep", [0.1, 0.5, 0.98])
+def test_truncated_file(tmp_path: Path, suffix: str, kind: str, keep: float) -> None:
+    path = tmp_path / f"log{suffix}"
+    write_log(stage_arrays(), path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * keep)])
+    refused(path, f"must be a complete {kind} file")
+
+
+def test_damaged_parquet_page(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    write_log(stage_arrays(), path)
+    data = bytearray(path.read_bytes())
+    data[200:4000] = bytes(3800)
+    path.write_bytes(bytes(data))
+    refused(path, "must be a complete Parquet file")
+
+
+def test_folder_without_log(tmp_path: Path) -> None:
+    refused(tmp_path, "must hold a log named log.parquet")
+
+
+def test_unknown_suffix_and_format(tmp_path: Path) -> None:
+    path = tmp_path / "log.xyz"
+    path.write_text("x_ref_m\n1\n")
+    refused(path, "must end with one of .parquet")
+    with pytest.raises(InputError, match=r"Format must be one of.*did you mean 'csv'"):
+        read_log(path, format="cvs")
+    assert read_log(path, format="csv").rows == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("t_s;x_ref_m\n0;1\n", r"separated by ','; line 1 looks separated by ';'.*delimiter=';'"),
+        ("# lab\nt_s\tx_ref_m\n0\t1\n", r"line 2 looks separated by tabs"),
+        ("0,1\n0,2\n", "Line 1 of .* must hold column names"),
+        ("t_s,t_s\n0,2\n", "'t_s' stands there twice"),
+        ("# only\n\n", "must hold a header line"),
+        ("t_s,x_ref_m\n", "has no samples"),
+        ("t_s,x_ref_m\n0,1\n0.1\n", "Line 3 of .* must have 2 cells as the header has; it has 1"),
+        ("t_s,x_ref_m\n0,1\n0.1,2,3\n", "Line 3 of .* must have 2 cells as the header has; it has 3"),
+        ("t_s,x_ref_m\n0,1\n0.1,bad\n", "Line 3, column 'x_ref_m' of .* must be a number; it is 'bad'"),
+    ],
+)
+@pytest.mark.parametrize("pyarrow", [True, False])
+def test_bad_csv(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, says: str, pyarrow: bool
+) -> None:
+    monkeypatch.setattr(format_csv, "available", lambda module: pyarrow)
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    refused(path, says)
+
+
+def test_decimal_comma(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t_s;x_ref_m\n0;1,5\n")
+    refused(path, "decimal point, not a comma; it is '1,5'", delimiter=";")
+
+
+def test_binary_as_csv(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(bytes(range(256)) * 20)
+    refused(path, "log.csv")
+
+
+def test_text_column_in_parquet(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table({"x_ref_m": ["1", "2"]}), tmp_path / "log.parquet")
+    refused(tmp_path / "log.parquet", "Column 'x_ref_m' of .* must hold numbers; it holds string")
+
+
+def test_delimiter_for_parquet(tmp_path: Path) -> None:
+    write_log(stage_arrays(), tmp_path / "log.parquet")
+    refused(tmp_path / "log.parquet", "delimiter must be left out", delimiter=";")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[1]", "must hold a JSON object"),
+        ("{", "Cannot read .*meta.json"),
+        ('{"validation_runs": 3}', "'validation_runs' of .* must be a list"),
+        ('{"validation_runs": ["a"]}', "list of run numbers"),
+        ('{"noise_1sigma": {"hall_m": -1}}', "must hold positive numbers; hall_m is -1"),
+        ('{"gap_threshold_rel": "5 %"}', "must be a number"),
+    ],
+)
+def test_bad_meta(tmp_path: Path, text: str, says: str) -> None:
+    write_log({"x_ref_m": np.arange(9.0)}, tmp_path / "log.csv")
+    (tmp_path / "meta.json").write_text(text)
+    with pytest.raises(InputError, match=says) as caught:
+        read_log(tmp_path)
+    assert one_sentence(str(caught.value))
+
+
+@pytest.mark.parametrize(("suffix", "extra"), [(".parquet", "parquet"), (".h5", "hdf5")])
+def test_missing_extra_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, extra: str
+) -> None:
+    path = tmp_path / f"log{suffix}"
+    write_log(stage_arrays(), path)
+    real = importlib.import_module
+
+    def without_extras(name: str, *rest: Any) -> Any:
+        if name.partition(".")[0] in ("pyarrow", "h5py"):
+            raise ImportError(name)
+        return real(name, *rest)
+
+    monkeypatch.setattr(importlib, "import_module", without_extras)
+    with pytest.raises(InputError, match=rf"pip install 'hallsym\[{extra}\]'") as caught:
+        read_log(path)
+    assert one_sentence(str(caught.value))
+    with pytest.raises(InputError, match=rf"pip install 'hallsym\[{extra}\]'"):
+        write_log(stage_arrays(), tmp_path / f"new{suffix}")
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_unreadable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("x_ref_m\n1\n")
+
+    def denied(*args: Any, **options: Any) -> Any:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(builtins, "open", denied)
+    refused(path, "Cannot read .*permission is denied")

@@ -1,0 +1,147 @@
+"""Names carry units, foreign names are mapped with theirs, and nothing is guessed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from log_samples import one_sentence
+
+from hallsym.errors import InputError
+from hallsym.log import Log, parse_column_option, read_column_file, read_log, write_log
+from hallsym.log.units import UNITS, from_si, si_name, split_unit, to_si
+
+
+@given(unit=st.sampled_from(sorted(UNITS)), value=st.floats(-1e6, 1e6))
+def test_units_convert_both_ways(unit: str, value: float) -> None:
+    name = f"thing_{unit}"
+    back = from_si(name, to_si(name, np.array([value])))
+    assert back == pytest.approx([value], rel=1e-14, abs=1e-12)
+    assert split_unit(si_name(name))[1] == UNITS[UNITS[unit].si]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "si", "expected"),
+    [
+        ("x_ref_um", 2.0, "x_ref_m", 2e-6),
+        ("rz_ref_urad", 3.0, "rz_ref_rad", 3e-6),
+        ("t_ms", 4.0, "t_s", 4e-3),
+        ("angle_ref_deg", 180.0, "angle_ref_rad", np.pi),
+        ("rx_arcsec", 3600.0, "rx_rad", np.pi / 180),
+        ("speed_rpm", 60.0, "speed_rad_s", 2 * np.pi),
+        ("temperature_k", 293.15, "temperature_degc", 20.0),
+        ("v_sin_mv", 5.0, "v_sin_v", 5e-3),
+        ("hall_a_count", 7.0, "hall_a_count", 7.0),
+        ("hall_a_mt", 7.0, "hall_a_t", 7e-3),
+    ],
+)
+def test_a_column_whose_name_states_its_unit_becomes_si(
+    column: str, value: float, si: str, expected: float
+) -> None:
+    log = Log.from_arrays({"run": np.zeros(3), column: np.full(3, value)})
+    assert log.columns == ("run", si)
+    assert log.array(si) == pytest.approx(expected, rel=1e-15)
+
+
+@pytest.mark.parametrize("name", ["hall_a", "hall_t", "v_s", "col_3", "x_ref", "t", "v_sin", "HallA"])
+def test_a_probe_letter_is_no_unit(name: str) -> None:
+    assert split_unit(name) == (name, None)
+
+
+def test_mapping_with_unit(tmp_path: Path) -> None:
+    path = tmp_path / "lab.csv"
+    path.write_text("Time,HallA,x_ref_m,X_um\n0,1,1,5\n1,2,2,6\n")
+    columns = dict(map(parse_column_option, ("hall_a_um=HallA", "t_ms = Time", "x_ref_um=X_um")))
+    log = read_log(path, columns=columns)
+    assert log.array("hall_a_m").tolist() == [1e-6, 2e-6]
+    assert log.array("t_s").tolist() == [0, 1e-3]
+    assert log.array("x_ref_m") == pytest.approx([5e-6, 6e-6])  # the mapping wins over the file's own name
+
+
+def test_column_file_with_sign_scale_and_noise(tmp_path: Path) -> None:
+    (tmp_path / "columns.toml").write_text(
+        '[columns]\nrun = "Nr"\nhall_a_um = "A"\nhall_b_m = {name = "B", sign = -1, scale = 0.5}\n'
+        "[noise]\nhall_um = 0.5\n"
+    )
+    (tmp_path / "lab.csv").write_text("Nr,A,B\n3,1,2\n3,2,4\n")
+    log = read_log(tmp_path / "lab.csv", column_file=tmp_path / "columns.toml")
+    assert log.runs == (3,)
+    assert log.array("hall_b_m").tolist() == [-1.0, -2.0]
+    assert log.noise["hall_b_m"].value == pytest.approx(5e-7)
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({"hall_a": "HallA"}, "must end with the unit.*hall_a_m"),
+        ({"hall_a_rad": "HallA"}, "unit of 'hall_a'.*instead received 'rad'"),
+        ({"t_um": "HallA"}, "unit of 't'"),
+        ({"hall_a_um": "HalA"}, "no column 'HalA'.*did you mean 'HallA'"),
+        ({"hall_a_um": "HallA", "hall_a_mm": "HallB"}, "hall_a_m twice"),
+        ({"gain": "HallA"}, "must end with the unit"),
+    ],
+)
+def test_bad_mapping(tmp_path: Path, columns: dict[str, str], says: str) -> None:
+    (tmp_path / "lab.csv").write_text("HallA,HallB\n1,2\n")
+    with pytest.raises(InputError, match=says) as caught:
+        read_log(tmp_path / "lab.csv", columns=columns)
+    assert one_sentence(str(caught.value))
+
+
+def test_no_column_with_a_unit_says_how_to_map(tmp_path: Path) -> None:
+    (tmp_path / "lab.csv").write_text("HallA,HallB\n1,2\n")
+    with pytest.raises(InputError, match=r"HallA, HallB; map them with --column hall_a_um=ITS_NAME"):
+        read_log(tmp_path / "lab.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[columns]\nhall_a_um = 3\n", 'must be "Name"'),
+        ("[columns]\nhall_a_um = {name = 'A', sign = 2}\n", "sign 1 or -1"),
+        ("[columns]\nhall_a_um = {name = 'A', gain = 2}\n", 'must be "Name"'),
+        ("[column]\n", r"may hold \[columns\] and \[noise\]; it has 'column'"),
+        ("[noise]\nhall_m = -1\n", "positive"),
+        ("[columns\n", "must be TOML"),
+    ],
+)
+def test_bad_column_file(tmp_path: Path, text: str, says: str) -> None:
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(InputError, match=says) as caught:
+        read_column_file(tmp_path / "c.toml")
+    assert one_sentence(str(caught.value))
+
+
+def test_noise_that_belongs_to_no_column_is_refused(tmp_path: Path) -> None:
+    write_log({"hall_a_m": np.arange(9.0)}, tmp_path / "log.csv")
+    with pytest.raises(InputError, match=r"'hal_m'.*belongs to no column"):
+        read_log(tmp_path, noise={"hal_m": 1e-6})
+    with pytest.raises(InputError, match="positive"):
+        read_log(tmp_path, noise={"hall_m": 0.0})
+
+
+@pytest.mark.parametrize("text", ["hall_a_um", "=HallA", "hall_a_um="])
+def test_bad_option(text: str) -> None:
+    with pytest.raises(InputError, match="OUR_NAME=ITS_NAME"):
+        parse_column_option(text)
+
+
+def test_runs_must_be_whole_and_contiguous() -> None:
+    with pytest.raises(InputError, match="whole run numbers"):
+        Log.from_arrays({"run": np.array([0, 0.5]), "x_ref_m": np.zeros(2)}).runs  # noqa: B018
+    log = Log.from_arrays({"run": np.array([0, 1, 0]), "x_ref_m": np.zeros(3)}, name="bench")
+    with pytest.raises(InputError, match="Run 0 of bench must be contiguous; it comes back after run 1"):
+        list(log.blocks())
+
+
+def test_unknown_run_and_column_name_what_there_is() -> None:
+    log = Log.from_arrays({"run": np.array([4, 5]), "x_ref_m": np.zeros(2)})
+    with pytest.raises(InputError, match="no run 9; it has runs 4, 5"):
+        log.run(9)
+    with pytest.raises(InputError, match=r"no column x_rf_m.*did you mean 'x_ref_m'"):
+        log.array("x_rf_m")
+    with pytest.raises(ValueError, match="read-only"):
+        log.array("x_ref_m")[0] = 1.0

@@ -1,0 +1,171 @@
+"""Every format gives back what was written; every value to the same bits."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from log_samples import STAGE, one_sentence, stage_arrays
+from scipy.io import savemat
+
+from hallsym.errors import InputError
+from hallsym.log import Log, LogWriter, format_csv, read_log, write_log
+
+SUFFIXES = (".parquet", ".csv", ".tsv", ".h5", ".mat")
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_round_trip(tmp_path: Path, suffix: str) -> None:
+    arrays = stage_arrays()
+    path = tmp_path / f"log{suffix}"
+    write_log(arrays, path)
+    log = read_log(path)
+    assert (set(log.columns), log.rows, log.runs) == (set(STAGE), 1600, (0, 1, 2, 3))
+    for name, values in arrays.items():
+        assert np.array_equal(log.array(name), values), name
+        assert log.array(name).dtype == np.float64
+    assert log.notes == ()
+    assert np.array_equal(log.run(2)["x_ref_m"], arrays["x_ref_m"][800:1200])
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv", ".h5"])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=hnp.arrays(np.float64, st.integers(1, 40), elements=finite))
+def test_any_finite_value_keeps_its_bits(suffix: str, values: np.ndarray) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"log{suffix}"
+        write_log({"run": np.zeros(len(values), int), "x_ref_m": values}, path)
+        assert read_log(path).array("x_ref_m").tobytes() == values.tobytes()
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=hnp.arrays(np.float64, st.integers(1, 40), elements=finite))
+def test_csv_without_pyarrow_keeps_its_bits(values: np.ndarray) -> None:
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(format_csv, "available", lambda module: False)
+        path = Path(folder) / "log.csv"
+        write_log({"run": np.zeros(len(values), int), "x_ref_m": values}, path)
+        assert read_log(path).array("x_ref_m").tobytes() == values.tobytes()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_pieces_are_joined(tmp_path: Path, suffix: str) -> None:
+    arrays = stage_arrays(samples=40)
+    with LogWriter(tmp_path / f"log{suffix}") as writer:
+        for lo in range(0, 160, 13):
+            writer.append({name: values[lo : lo + 13] for name, values in arrays.items()})
+    assert np.array_equal(read_log(tmp_path / f"log{suffix}").array("hall_b_m"), arrays["hall_b_m"])
+
+
+def test_csv_is_the_same_with_and_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.csv"
+    lines = ["# stage 3", "", " run ,t_s,hall_a_m,x_ref_um", "0,0.0, 1e-6,2", "0,0.002,,3.5", ""]
+    path.write_text("\n".join([*lines, "0,0.004,-inf,nan", "0,6e-3,1E-7,4", ""]))
+    fast = read_log(path)
+    fast_values = {name: fast.array(name) for name in fast.columns}
+    monkeypatch.setattr(format_csv, "available", lambda module: False)
+    plain = read_log(path)
+    assert plain.columns == fast.columns == ("run", "t_s", "hall_a_m", "x_ref_m")
+    assert plain.rows == fast.rows == 4
+    for name in plain.columns:
+        assert np.array_equal(plain.array(name), fast_values[name], equal_nan=True)
+    assert np.array_equal(plain.array("hall_a_m"), [1e-6, np.nan, -np.inf, 1e-7], equal_nan=True)
+
+
+def test_csv_with_byte_order_mark_crlf_and_text_column(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes('\ufeff"t_s",x_ref_m,state\r\n0,1,idle\r\n1,2,move\r\n'.encode())
+    log = read_log(path)
+    assert log.columns == ("run", "t_s", "x_ref_m")
+    assert log.array("x_ref_m").tolist() == [1.0, 2.0]
+    assert log.notes == ("No column 'run': all samples are taken as one run, number 0.",)
+    assert log.runs == (0,)
+
+
+def test_semicolons_are_read_when_stated(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t_s;x_ref_m\n0;1\n1;2\n")
+    assert read_log(path, delimiter=";").array("x_ref_m").tolist() == [1.0, 2.0]
+
+
+def test_float32_becomes_float64(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    values = np.linspace(0, 1e-3, 20, dtype=np.float32)
+    pq.write_table(pa.table({"run": np.zeros(20, np.int16), "x_ref_m": values}), tmp_path / "log.parquet")
+    block = next(read_log(tmp_path).blocks())
+    assert block.run == 0
+    assert block.data["x_ref_m"].dtype == np.float64
+    assert np.array_equal(block.data["x_ref_m"], values.astype(float))
+
+
+def test_matlab_struct_row_vectors_and_text(tmp_path: Path) -> None:
+    n = 30
+    content = {"log": {"HallA": np.arange(n)[None, :], "x_ref_um": 2.0 * np.arange(n)[:, None], "note": "a"}}
+    savemat(tmp_path / "a.mat", {**content, "gain": 3.0, "t_s": np.arange(n) * 0.1})
+    log = read_log(tmp_path / "a.mat", columns={"hall_a_um": "log.HallA"})
+    assert set(log.columns) == {"run", "hall_a_m", "x_ref_m", "t_s"}
+    assert np.allclose(log.array("hall_a_m"), np.arange(n) * 1e-6, rtol=1e-15, atol=0)
+
+
+def test_matlab_v73_is_hdf5_with_rows(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "new.mat", "w", userblock_size=512) as file:
+        file["log/hall_a_m"] = np.arange(12.0)[None, :]
+        file["log/x_ref_m"] = np.arange(12.0)[:, None]
+        file["#refs#/a"] = np.arange(12.0)
+        file["log/title"] = np.frombuffer("stage".encode("utf-16le"), np.uint16)
+        file["log/title"].attrs["MATLAB_class"] = np.bytes_(b"char")
+    log = read_log(tmp_path / "new.mat")
+    assert log.columns == ("run", "hall_a_m", "x_ref_m")
+    assert log.array("hall_a_m").tolist() == log.array("x_ref_m").tolist() == list(range(12))
+
+
+def test_hdf5_with_a_group_per_run(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "runs.h5", "w") as file:
+        for run, n in ((2, 10), (10, 12), (1, 9)):
+            file[f"data/run_{run}/x_ref_mm"] = np.full(n, float(run))
+    log = read_log(tmp_path / "runs.h5")
+    assert (log.runs, log.rows) == ((1, 2, 10), 31)
+    assert [len(block.data["x_ref_m"]) for block in log.blocks()] == [9, 10, 12]
+    assert log.run(10)["x_ref_m"][0] == pytest.approx(0.01, rel=1e-15)
+
+
+def test_vector_of_another_length_is_named_when_needed(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {"x_ref_m": np.zeros(5), "y_ref_m": np.zeros(5), "hall_a_m": np.zeros(7)})
+    with pytest.raises(InputError, match=r"hall_a_m.*7 values where the others have 5") as caught:
+        list(read_log(tmp_path / "a.mat").blocks(["hall_a_m"]))
+    assert one_sentence(str(caught.value))
+
+
+def test_folder_with_meta(tmp_path: Path) -> None:
+    write_log(stage_arrays(), tmp_path / "log.csv")
+    (tmp_path / "meta.json").write_text(
+        '{"family": "stage", "base_model": "model31", "validation_runs": [1, 3], "extra": [1],'
+        ' "nominal": {"H1x": 0.2}, "gap_length_scale_m": 0.35,'
+        ' "noise_1sigma": {"hall_m": 5e-7, "hall_b_um": 0.25, "x_ref_m": 3e-7, "temperature_degc": 0.02}}'
+    )
+    log = read_log(tmp_path)
+    assert (log.meta.base_model, log.meta.holdout, log.meta.gap_length_scale_m) == ("model31", (1, 3), 0.35)
+    assert log.meta.raw["extra"] == [1]
+    assert log.noise["hall_a_m"].value == 5e-7
+    assert log.noise["hall_b_m"].value == pytest.approx(2.5e-7)
+    assert log.noise["x_ref_m"].source == "given"
+    assert set(log.noise) == {"hall_a_m", "hall_b_m", "x_ref_m"}
+    assert read_log(tmp_path, noise={"hall_m": 1e-6}).noise["hall_a_m"].value == 1e-6
+
+
+def test_hash_is_that_of_the_file(tmp_path: Path) -> None:
+    import hashlib
+
+    write_log(stage_arrays(), tmp_path / "log.csv")
+    assert read_log(tmp_path).sha256 == hashlib.sha256((tmp_path / "log.csv").read_bytes()).hexdigest()
+    first, second = (Log.from_arrays(stage_arrays(seed=seed)).sha256 for seed in (0, 1))
+    assert first == Log.from_arrays(stage_arrays()).sha256 != second

@@ -1,0 +1,155 @@
+"""A file is there whole or not at all, and a failure leaves the old one as it was."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from log_samples import one_sentence, stage_arrays
+
+from hallsym.errors import InputError
+from hallsym.files import atomic_write
+from hallsym.log import LogWriter, format_csv, format_hdf5, format_mat, format_parquet, read_log, write_log
+
+WRITERS = {
+    ".parquet": format_parquet.ParquetWriter,
+    ".csv": format_csv.CsvWriter,
+    ".h5": format_hdf5.Hdf5Writer,
+    ".mat": format_mat.MatWriter,
+}
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+@pytest.mark.parametrize("method", ["write", "close"])
+def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, method: str) -> None:
+    path = tmp_path / f"log{suffix}"
+    path.write_bytes(b"old")
+    real = getattr(WRITERS[suffix], method)
+
+    def full(writer: Any, *columns: Any) -> None:
+        real(writer, *columns)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(WRITERS[suffix], method, full)
+    with pytest.raises(InputError, match=r"Cannot write .*: the disk is full") as caught:
+        write_log(stage_arrays(), path)
+    assert one_sentence(str(caught.value))
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == [path.name]
+
+
+_LIMITED = """
+import resource, sys
+import numpy as np
+from hallsym.errors import InputError
+from hallsym.log import write_log
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+x = np.random.default_rng(0).normal(size=200_000)
+for path in sys.argv[1:]:
+    try:
+        write_log({"run": np.zeros(len(x)), "x_ref_m": x}, path)
+    except InputError as error:
+        print(error)
+"""
+
+
+def test_a_real_limit_on_file_size(tmp_path: Path) -> None:
+    """The system itself refuses to extend the file: no library's own exception gets through."""
+    paths = [tmp_path / f"log{suffix}" for suffix in WRITERS]
+    for path in paths:
+        path.write_bytes(b"old")
+    command = [sys.executable, "-c", _LIMITED, *map(str, paths)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert [line.split(":")[0] for line in result.stdout.splitlines()] == [
+        f"Cannot write {path}" for path in paths
+    ]
+    assert all(path.read_bytes() == b"old" for path in paths)
+    assert sorted(os.listdir(tmp_path)) == sorted(path.name for path in paths)
+
+
+def test_nothing_appears_before_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    with LogWriter(path) as writer:
+        writer.append({"x_ref_m": np.arange(3.0)})
+        assert not path.exists()
+    assert read_log(path).array("x_ref_m").tolist() == [0.0, 1.0, 2.0]
+    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~_umask()
+
+
+def test_an_error_in_the_block_goes_through_and_leaves_nothing(tmp_path: Path) -> None:
+    def record() -> None:
+        with LogWriter(tmp_path / "log.csv") as writer:
+            writer.append({"x_ref_m": np.arange(3.0)})
+            raise FileNotFoundError("elsewhere")
+
+    with pytest.raises(FileNotFoundError, match="elsewhere"):
+        record()
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("pieces", "says"),
+    [
+        ([], "Nothing was written"),
+        ([{"x_ref_m": np.zeros(2), "y_ref_m": np.zeros(3)}], r"equally long; they have \[2, 3\]"),
+        ([{"x_ref_m": np.zeros(2)}, {"y_ref_m": np.zeros(2)}], "must have the columns x_ref_m"),
+        ([{"HallA": np.zeros(2)}], "must end with the unit"),
+        ([{"x_ref_m": np.zeros((2, 2))}], "must be a vector"),
+        ([{"run": np.array([0.5]), "x_ref_m": np.zeros(1)}], "run must hold whole numbers"),
+    ],
+)
+def test_misuse(tmp_path: Path, pieces: list[dict[str, np.ndarray]], says: str) -> None:
+    def record() -> None:
+        with LogWriter(tmp_path / "log.csv") as writer:
+            for piece in pieces:
+                writer.append(piece)
+
+    with pytest.raises(InputError, match=says) as caught:
+        record()
+    assert one_sentence(str(caught.value))
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("missing/a.txt", "its folder does not exist"), ("", "it is a folder"), ("f/a", "is a file")],
+)
+def test_impossible_targets(tmp_path: Path, name: str, says: str) -> None:
+    (tmp_path / "f").write_text("")
+    with pytest.raises(InputError, match=f"Cannot write .*{says}") as caught:
+        atomic_write(tmp_path / name, "text")
+    assert one_sentence(str(caught.value))
+
+
+def test_atomic_write(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    for content in ("µm", "µm".encode(), lambda temporary: temporary.write_text("µm", encoding="utf-8")):
+        atomic_write(path, content)
+        assert path.read_text(encoding="utf-8") == "µm"
+    link = tmp_path / "link.txt"
+    link.symlink_to(path)
+    atomic_write(link, "new")
+    assert link.is_symlink()
+    assert path.read_text() == "new"
+
+    def fails(temporary: Path) -> None:
+        temporary.write_text("half")
+        raise KeyError("bug")
+
+    with pytest.raises(KeyError):
+        atomic_write(path, fails)
+    assert path.read_text() == "new"
+    assert sorted(os.listdir(tmp_path)) == ["a.txt", "link.txt"]
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
