@@ -151,12 +151,18 @@ def load_fit(path: str | Path) -> Fit:
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(f"Calibration {path} does not exist; make one with 'hallsym fit LOG -o {path}'.") from None
+        raise InputError(
+            f"Calibration {path} does not exist; make one with 'hallsym fit LOG -o {path}'."
+        ) from None
     except (OSError, ValueError) as error:
-        raise InputError(f"Calibration {path} cannot be read as JSON: {' '.join(str(error).split())}.") from None
+        raise InputError(
+            f"Calibration {path} cannot be read as JSON: {' '.join(str(error).split())}."
+        ) from None
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         found = raw.get("format") if isinstance(raw, dict) else None
-        raise InputError(f"File {path} must be a calibration of format {FORMAT!r}; instead it says {found!r}.")
+        raise InputError(
+            f"File {path} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
+        )
     try:
         return _from_dict(raw)
     except (KeyError, TypeError, ValueError, IndexError) as error:

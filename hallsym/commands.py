@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hallsym import paper
 from hallsym import simulate as twin
 from hallsym.calibration import Fit, load_fit
@@ -119,7 +117,11 @@ def simulate(options: Namespace) -> int:
         "log": str(options.output), "rows": campaign.rows, "runs": len(campaign.runs), "model": model.name,
         "values": dict(values), "noise": dict(noise.sigma), "seed": options.seed,
     }  # fmt: skip
-    _say(options, record, lambda: f"wrote {options.output}: {campaign.rows} samples in {len(campaign.runs)} runs")
+    _say(
+        options,
+        record,
+        lambda: f"wrote {options.output}: {campaign.rows} samples in {len(campaign.runs)} runs",
+    )
     return OK
 
 
@@ -187,7 +189,9 @@ def _assignment(text: str) -> tuple[str, float]:
     except ValueError:
         sigma = -1.0
     if not name or not 0 < sigma < float("inf"):
-        raise InputError(f"--noise must be COLUMN=SIGMA with a positive number in SI, such as hall_m=5e-7; got {text!r}.")
+        raise InputError(
+            f"--noise must be COLUMN=SIGMA with a positive number in SI, such as hall_m=5e-7; got {text!r}."
+        )
     return name, sigma
 
 
@@ -199,7 +203,9 @@ def _runs(text: str) -> list[int]:
             first, _, last = part.strip().partition("-")
             runs += range(int(first), int(last or first) + 1)
     except ValueError:
-        raise InputError(f"--holdout must be run numbers such as 2,7,12 or 40-45; instead received {text!r}.") from None
+        raise InputError(
+            f"--holdout must be run numbers such as 2,7,12 or 40-45; instead received {text!r}."
+        ) from None
     return runs
 
 
@@ -236,7 +242,9 @@ def _campaign(options: Namespace) -> Campaign:
     if options.campaign is None:
         return paper_campaign(options.step or 2e-3, options.duration or 1.0)
     if options.step or options.duration:
-        raise InputError("--step and --duration belong to the paper's campaign; a campaign file states its own.")
+        raise InputError(
+            "--step and --duration belong to the paper's campaign; a campaign file states its own."
+        )
     return read_campaign(options.campaign)
 
 
@@ -250,7 +258,10 @@ def _truth(options: Namespace, machine: Machine) -> tuple[Any, dict[str, float]]
     from hallsym.log import Meta
 
     model = build(
-        options.model or "stage31", meta=machine.applied(Meta()), added=tuple(options.effect), parameters=machine.parameters
+        options.model or "stage31",
+        meta=machine.applied(Meta()),
+        added=tuple(options.effect),
+        parameters=machine.parameters,
     )
     paper_values = published_values("table7_estimates") if machine.probes is None else {}
     given = {name: entry["nominal"] for name, entry in machine.parameters.items() if "nominal" in entry}

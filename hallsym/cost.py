@@ -183,9 +183,7 @@ class Point:
     @cached_property
     def _G(self) -> np.ndarray:
         """dF / dX of each run, shape (r, f, K)."""
-        return -2.0 * (
-            np.swapaxes(self.R_f, 1, 2) @ self.A @ self.W + self.QX @ (self.W @ self.S @ self.W)
-        )
+        return -2.0 * (np.swapaxes(self.R_f, 1, 2) @ self.A @ self.W + self.QX @ (self.W @ self.S @ self.W))
 
     @cached_property
     def _gauss(self) -> np.ndarray:

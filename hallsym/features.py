@@ -80,9 +80,7 @@ class Features:
         for row in self.exponents:
             term = _derivative(s.reading, variables, row) / prod(factorial(int(k)) for k in row)
             rows.append(ca.substitute(term, variables, centre).T)
-        return ca.Function(
-            "coefficients", [s.parameters, s.zeros, centre], [ca.densify(ca.vertcat(*rows))]
-        )
+        return ca.Function("coefficients", [s.parameters, s.zeros, centre], [ca.densify(ca.vertcat(*rows))])
 
     def label(self, j: int) -> str:
         """Readable name of feature j, such as `x_m*z_m`; `1` for the constant."""

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-import solvers
 from hallsym import outliers, start, uncertainty
 from hallsym.calibration import Errors, Fit
 from hallsym.cost import Cost, cost_of
@@ -23,33 +22,19 @@ from hallsym.families import build
 from hallsym.identify import Determination, determine
 from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
 from hallsym.model import Model
+from hallsym.search import SOLVERS, Search, refit, search
 from hallsym.summary import Summary, summarise
-from solvers.hybrid import EXPLORERS
+from hallsym.wiring import check_wiring, find_wiring, rewired
 
-SOLVERS = ("hybrid", "direct", *EXPLORERS)
 LOSSES = ("auto", "none", "reject", "tukey")
-BUDGET, SIZE, KEEP = 4040, 40, 3
-SAME = 1e-6
 SUSPECT = 6.5
 """Peak error in noise floors above which outliers are looked for."""
 ROUNDS = 12
+__all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]
 LEAST_SIGMA = 1e-13
 """Standard deviation [m] given to a reading that shows no noise at all (a noise-free simulation)."""
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """How an optimum was found: solver status, starts that were refined and the share that agree."""
-
-    p: np.ndarray
-    cost: float
-    status: str
-    message: str
-    evaluations: int
-    starts: int
-    share: float
 
 
 def fit(
@@ -82,7 +67,10 @@ def fit(
     _choice(loss, LOSSES, "loss")
     if not isinstance(model, Model):
         model = build(
-            model or log.meta.base_model or "stage31", meta=log.meta, added=tuple(effects), parameters=parameters
+            model or log.meta.base_model or "stage31",
+            meta=log.meta,
+            added=tuple(effects),
+            parameters=parameters,
         )
     say("checking the log")
     columns = columns_of(model)
@@ -92,18 +80,20 @@ def fit(
     task = _Task(log, model, noise, solver, seed, say)
     say("summarising runs")
     state = task.solve(summarise(log, model), tuple(log.meta.holdout if holdout is None else holdout))
-    wiring = None
-    if resolve_wiring:
-        state, wiring = task.rewire(state)
+    wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
+    if gain > 0:
+        log = rewired(log, model.channels, wiring)
+        task = replace(task, log=log, noise=noise_of(log, model))
+        state = task.solve(summarise(log, model), state.holdout)
     say("tabulating errors")
     errors = task.errors(state, None)
     keep = None
     if task.suspicious(state, errors) if loss == "auto" else loss != "none":
-        state, keep, said = task.without_outliers(state, loss, wiring)
+        state, keep, said = task.without_outliers(state, loss)
         errors = task.errors(state, keep) if keep else errors
         notes += said
     task.check(state)
-    return _result(task, state, errors, tuple(notes), wiring, perf_counter() - began)
+    return _result(task, state, errors, tuple(notes), wiring if gain > 0 else None, perf_counter() - began)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,62 +133,20 @@ class _Task:
     def sigmas(self) -> dict[str, float]:
         return {c: s.value for c, s in self.noise.sigmas.items()}
 
-    def solve(self, summary: Summary, holdout: tuple[int, ...]) -> State:
+    def solve(self, summary: Summary, holdout: tuple[int, ...], solver: str | None = None) -> State:
         """Find the optimum of one set of summaries."""
         used = _used(summary, holdout)
         everything = cost_of(summary, self.sigmas)
         fitted = everything if len(used) == len(summary.runs) else cost_of(summary.select(used), self.sigmas)
         merged = cost_of(fitted.summary.merged(), self.sigmas)
         linear = start.linear_fit(merged)
-        first = self._inside(start.closed_form(merged, linear))
+        first = np.clip(start.closed_form(merged, linear), *self.model.bounds)
         determination = determine(fitted, first)
         first[list(determination.held)] = self.model.nominal[list(determination.held)]
-        self.say(f"solving with {self.solver}")
-        search = self._search(fitted, merged, first, determination)
-        return State(everything, fitted, linear, merged, determination, search, holdout)
-
-    def _inside(self, p: np.ndarray) -> np.ndarray:
-        return np.clip(p, *self.model.bounds)
-
-    def _search(self, fitted: Cost, merged: Cost, first: np.ndarray, found: Determination) -> Search:
-        free = np.array([k for k in range(len(first)) if k not in found.held])
-        if len(free) == 0:
-            return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
-        scaled = _Scaled(self.model, first, free, found.scale[free])
-        explored = None
-        if self.solver != "direct":
-            weight = merged.at(first).W[0]
-            explored = solvers.hybrid(
-                scaled.problem(merged, weight),
-                seed=self.seed,
-                starts=scaled.to_unit(first)[None],
-                keep=KEEP,
-                budget=BUDGET,
-                global_solver="shtlbo" if self.solver == "hybrid" else self.solver,
-                same=SAME,
-                **({} if self.solver == "screening" else {"size": SIZE}),
-            )
-            first = scaled.from_unit(explored.x)
-        local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first))
-        interrupted = explored is not None and explored.status == "interrupted"
-        return Search(
-            p=scaled.from_unit(local.x),
-            cost=local.cost * scaled.samples(fitted),
-            status="interrupted" if interrupted else local.status,
-            message=explored.message if interrupted and explored else local.message,
-            evaluations=local.evaluations + (explored.evaluations if explored else 0),
-            starts=1 if explored is None else len(explored.local),
-            share=1.0 if explored is None else explored.share,
-        )
-
-    def rewire(self, state: State) -> tuple[State, tuple[tuple[str, int], ...] | None]:
-        """Solve again with the channel order and signs that fit the layout best."""
-        order, signs, gain = start.wiring(state.merged, state.linear)
-        if gain <= 0:
-            return state, None
-        summary = state.everything.summary.with_channels(order, signs)
-        names = tuple((self.model.channels[k], s) for k, s in zip(order, signs, strict=True))
-        return self.solve(summary, state.holdout), names
+        solver = solver or self.solver
+        self.say(f"solving with {solver}")
+        found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
+        return State(everything, fitted, linear, merged, determination, found, holdout)
 
     def errors(self, state: State, keep: outliers.Weigh | None) -> Errors:
         nominal = (self.model.nominal, {})
@@ -210,24 +158,22 @@ class _Task:
         floor = np.array(list(uncertainty.noise_floor(state.fitted, state.p).values()))
         return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
 
-    def without_outliers(
-        self, state: State, loss: str, wiring: Any
-    ) -> tuple[State, outliers.Weigh | None, list[str]]:
+    def without_outliers(self, state: State, loss: str) -> tuple[State, outliers.Weigh | None, list[str]]:
         """Take outliers out, refit, until the same samples are left."""
-        total, before, weigh = float(state.everything.summary.counts.sum()), -1.0, None
+        total, before = float(state.everything.summary.counts.sum()), -1.0
+        weigh = outliers.column_spikes((*self.model.references, *self.model.channels))
         for _ in range(ROUNDS):
-            residual = outliers.residuals(self.model, state.p, state.zeros())
-            covariance = state.fitted.at(state.p).covariance.mean(axis=0)
-            weigh = (outliers.tukey if loss == "tukey" else outliers.reject_spikes)(residual, covariance)
             summary = summarise(self.log, self.model, weigh)
             left = float(summary.counts.sum())
-            if left == total:
-                return state, None, []
-            self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight taken out)")
-            state = self.solve(summary, state.holdout)
+            if left < total:
+                self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
+                state = self.solve(summary, state.holdout, solver="direct")
             if abs(left - before) <= 1e-6 * total:
                 break
-            before = left
+            before, weigh = left, self.weigh(state, loss)
+        if left == total:
+            return state, None, []
+        state = self.solve(summary, state.holdout)
         gone = total - left
         said = (
             f"{gone:.0f} of {total:.0f} samples ({100 * gone / total:.2g} %) are isolated spikes and were left "
@@ -237,69 +183,17 @@ class _Task:
         )
         return state, weigh, [said]
 
+    def weigh(self, state: State, loss: str) -> outliers.Weigh:
+        """Return what takes outliers out, judged by the residuals of the fit so far."""
+        residual = outliers.residuals(self.model, state.p, state.zeros())
+        covariance = state.fitted.at(state.p).covariance.mean(axis=0)
+        if loss == "tukey":
+            return outliers.tukey(residual, covariance)
+        return outliers.reject_spikes(residual, covariance, (*self.model.references, *self.model.channels))
+
     def check(self, state: State) -> None:
         start.check_reference(self.model, state.linear.unexplained, self.log.name)
-        start.check_wiring(state.merged, state.linear, self.log.name)
-
-
-@dataclass(frozen=True, eq=False)
-class _Scaled:
-    """The free parameters in units of their bound width, the others where they are held."""
-
-    model: Model
-    base: np.ndarray
-    free: np.ndarray
-    scale: np.ndarray
-
-    def to_unit(self, p: np.ndarray) -> np.ndarray:
-        return (p[self.free] - self._origin) / self.scale
-
-    def from_unit(self, x: np.ndarray) -> np.ndarray:
-        p = np.tile(self.base, (*np.shape(x)[:-1], 1)) if np.ndim(x) > 1 else self.base.copy()
-        p[..., self.free] = self._origin + x * self.scale
-        return p
-
-    @property
-    def _origin(self) -> np.ndarray:
-        lower = self.model.bounds[0][self.free]
-        return np.where(np.isfinite(lower), lower, self.base[self.free])
-
-    def samples(self, cost: Cost) -> float:
-        return float(cost.weights @ cost.summary.counts)
-
-    def problem(self, cost: Cost, weight: np.ndarray | None = None) -> solvers.Problem:
-        """Cost per sample. `weight`: fixed inverse covariance for whole populations of a merged cost."""
-        n, free = self.samples(cost), self.free
-
-        def population(x: np.ndarray) -> np.ndarray:
-            if weight is not None:
-                return cost.population(self.from_unit(x), weight) / n
-            return np.array([cost.at(p).value for p in self.from_unit(x)]) / n
-
-        def derivatives(x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-            f, g, H = cost.at(self.from_unit(x)).derivatives()
-            return f / n, g[free] * self.scale / n, H[np.ix_(free, free)] * np.outer(self.scale, self.scale) / n
-
-        lower, upper = self.model.bounds
-        return solvers.Problem(
-            population,
-            (lower[free] - self._origin) / self.scale,
-            (upper[free] - self._origin) / self.scale,
-            derivatives=derivatives,
-        )
-
-
-def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
-    """Return the optimum of a re-weighted cost near `p`: Newton's method on the summaries, no global stage.
-
-    For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
-    """
-    model = cost.summary.model
-    free = np.array([k for k in range(len(p)) if k not in held])
-    width = model.bounds[1] - model.bounds[0]
-    scale = np.where(np.isfinite(width) & (width > 0), width, 1.0)[free]
-    scaled = _Scaled(model, np.asarray(p, dtype=float), free, scale)
-    return scaled.from_unit(solvers.newton(scaled.problem(cost), scaled.to_unit(scaled.base)).x)
+        check_wiring(state.merged, state.linear, self.log.name)
 
 
 # -- pieces ----------------------------------------------------------------------------------------------
@@ -307,8 +201,10 @@ def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
 
 def _choice(name: str, known: Sequence[str], what: str) -> None:
     if name not in known:
-        raise InputError(f"Input {what} must be one of {', '.join(known)}; instead received {name!r}"
-                         f"{nearest(name, list(known))}.")
+        raise InputError(
+            f"Input {what} must be one of {', '.join(known)}; instead received {name!r}"
+            f"{nearest(name, list(known))}."
+        )
 
 
 def noise_of(log: Log, model: Model | None) -> Noise:
@@ -347,7 +243,8 @@ def _result(
     zeros = state.everything.at(state.p).zeros
     delta = zeros * gain if zeros.shape[1] else zeros
     undetermined = tuple(
-        n for k, n in enumerate(model.names)
+        n
+        for k, n in enumerate(model.names)
         if not estimate.determined[k] and n not in found.structural and model.parameters[k].width > 0
     )
     return Fit(

@@ -46,5 +46,7 @@ def read_machine(path: str | Path | None) -> Machine:
         raise InputError(f"In machine file {path}, probes must be [[probes]] tables, one for each probe.")
     for name, entry in parameters.items():
         if not isinstance(entry, dict):
-            raise InputError(f"In machine file {path}, {name} must be a table: [parameters.{name}] nominal = ...")
+            raise InputError(
+                f"In machine file {path}, {name} must be a table: [parameters.{name}] nominal = ..."
+            )
     return Machine(probes, parameters)

@@ -246,7 +246,9 @@ class Model:
         _, p, _ = self._chain
         values = [c.value(p) for c in self.combinations]
         return ca.Function(
-            "combined", [ca.vertcat(*p.values())], [ca.densify(ca.vertcat(*values)) if values else ca.DM(0, 1)]
+            "combined",
+            [ca.vertcat(*p.values())],
+            [ca.densify(ca.vertcat(*values)) if values else ca.DM(0, 1)],
         )
 
 
@@ -281,8 +283,6 @@ def _solve(slope: ca.SX, residual: ca.SX, weight: ca.SX) -> ca.SX:
     bc = ca.cross(b, c)
     determinant = ca.dot(a, bc)
     return (
-        ca.vertcat(
-            ca.dot(residual, bc), ca.dot(residual, ca.cross(c, a)), ca.dot(residual, ca.cross(a, b))
-        )
+        ca.vertcat(ca.dot(residual, bc), ca.dot(residual, ca.cross(c, a)), ca.dot(residual, ca.cross(a, b)))
         / determinant
     )

@@ -1,9 +1,9 @@
 """Gross outliers: samples that neither the motion nor the noise explains."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.special import gammaincinv
 
 from hallsym.arrays import on_arrays
@@ -13,6 +13,7 @@ from hallsym.model import Model
 WINDOW = 7
 SPIKE = 7.0
 """Residuals this many robust standard deviations off their neighbours are spikes (7: 3e-12 of Gaussians)."""
+ROUNDS = 20
 TUKEY = 4.685
 """Tukey's biweight constant: 95 % efficient for Gaussian noise."""
 
@@ -32,19 +33,64 @@ def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> C
     return residual
 
 
-def reject_spikes(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> Weigh:
+def column_spikes(columns: Sequence[str]) -> Weigh:
+    """Return weights 0 where any column leaves its own neighbourhood: a first guess without a model.
+
+    Each sample is compared with the median of six linear predictions from its four neighbours. The worst of
+    each neighbourhood is replaced by it and the comparison repeated, so that a spike neither hides the next
+    one nor accuses a good one.
+    """
+
+    def weigh(block: Block) -> np.ndarray:
+        bad = np.zeros(len(next(iter(block.data.values()))), dtype=bool)
+        for name in columns:
+            bad |= _leaves_neighbourhood(block.data[name])
+        return (~bad).astype(float)
+
+    return weigh
+
+
+def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
+    bad = np.zeros(len(values), dtype=bool)
+    if len(values) < WINDOW:
+        return bad
+    x = values.copy()
+    for _ in range(ROUNDS):
+        a2, a1, b1, b2 = (np.roll(x, k) for k in (2, 1, -1, -2))
+        lines = [a1 + b1, a2 + b2, 4 * a1 - 2 * a2, 4 * b1 - 2 * b2, (4 * a1 + 2 * b2) / 3, (2 * a2 + 4 * b1) / 3]
+        predicted = np.median(lines, axis=0) / 2
+        predicted[:2], predicted[-2:] = x[:2], x[-2:]  # the ends have no neighbours on one side
+        jump = np.abs(x - predicted)
+        far = jump > SPIKE * max(1.4826 * float(np.median(jump)), 1e-15)
+        worst = far & (jump == maximum_filter1d(jump, 5))
+        if not worst.any():
+            break
+        bad |= worst
+        x[worst] = predicted[worst]
+    return bad
+
+
+def reject_spikes(
+    residual: Callable[[Block], np.ndarray], covariance: np.ndarray, columns: Sequence[str]
+) -> Weigh:
     """Return weights 0 for isolated spikes of any channel's residual against a running median, else 1.
 
     What the model cannot explain but changes smoothly is kept: it is a gap, not an outlier. `covariance`:
     (n_channels, n_channels) of one sample's residual by the stated noise; the scale is the larger of it and
-    of what the block itself shows.
+    of what the block itself shows. Samples that `column_spikes` suspects take no part in median and scale.
     """
-    stated = np.sqrt(np.diag(covariance))[:, None]
+    stated, suspect = np.sqrt(np.diag(covariance))[:, None], column_spikes(columns)
 
     def weigh(block: Block) -> np.ndarray:
-        r = residual(block)
-        jump = np.abs(r - median_filter(r, size=(1, WINDOW), mode="nearest"))
-        scale = np.maximum(1.4826 * np.median(jump, axis=1, keepdims=True), stated)
+        r, good = residual(block), suspect(block) > 0
+        if good.sum() < WINDOW:
+            good = np.ones_like(good)
+        at = np.arange(len(good))
+        smooth = median_filter(
+            np.array([np.interp(at, at[good], row[good]) for row in r]), size=(1, WINDOW), mode="nearest"
+        )
+        jump = np.abs(r - smooth)
+        scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
         return np.all(jump <= SPIKE * scale, axis=0).astype(float)
 
     return weigh

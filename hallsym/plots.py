@@ -8,7 +8,7 @@ or marker, so that a greyscale print can be read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -61,6 +61,7 @@ STYLE = {
     "ytick.major.width": 0.6,
     "axes.titlelocation": "left",
     "lines.linewidth": 0.9,
+    "path.simplify": False,
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
 }
@@ -283,7 +284,12 @@ def _extent(before: list[np.ndarray], values: np.ndarray) -> list[np.ndarray]:
 
 
 def _survey(
-    fit: Fit, runs: Mapping[int, _Run], total: int, errors: tuple[Trace, Trace], time: Trace | None, rejected: Trace
+    fit: Fit,
+    runs: Mapping[int, _Run],
+    total: int,
+    errors: tuple[Trace, Trace],
+    time: Trace | None,
+    rejected: Trace,
 ) -> Survey:
     found, n, k = list(runs.values()), len(fit.model.pose), len(fit.model.state)
     count = np.array([r.kept for r in found], dtype=float)
@@ -318,25 +324,27 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Mask | None = None) -> Fi
     n, rows = len(model.pose), len(model.pose) + 1
     figure = Figure(figsize=(WIDTH, 1.25 * rows + 0.75), layout="constrained")
     axes = figure.subplots(rows, len(chosen), sharex="col", sharey="row", squeeze=False)
-    for row in range(rows):
-        _label_measured(axes[row, 0], fit, row, [t.low for t in traces] + [t.high for t in traces])
+    scales = [_scale(model.pose[k], _largest(traces, range(1 + k, 1 + 3 * n, n))) for k in range(n)]
+    scales.append(_scale(model.channels[0], _largest(traces, range(1 + 3 * n, traces[0].low.shape[0]))))
+    for ax, name, (_, unit) in zip(axes[:, 0], (*map(_name, model.pose), "reading"), scales, strict=True):
+        ax.set_ylabel(f"{name} [{unit}]")
+    figure.align_ylabels(axes[:, 0])
     for column, (run, trace) in enumerate(zip(chosen, traces, strict=True)):
         timed = survey.time is not None
         x = trace.low[0] - trace.low[0][0] if timed else trace.samples
         for k in range(n):
-            ax, scale = axes[k, column], axes[k, 0].scale_to_axis
             for series, label, look in (
                 (1 + k, "reference", {"color": LIGHT, "lw": 3.2}),
-                (1 + n + k, "decoded, designed parameters", {"color": GREY, "lw": 0.8, "ls": (0, (3, 1.5))}),
+                (1 + n + k, "decoded, designed parameters", {"color": BLACK, "lw": 0.7, "ls": (0, (4, 2))}),
                 (1 + 2 * n + k, "decoded, fitted", {"color": AFTER, "lw": 0.9}),
             ):
                 at, y = trace.line(series, x)
-                ax.plot(at, scale * y, label=label, **look)
-        ax, scale = axes[n, column], axes[n, 0].scale_to_axis
+                axes[k, column].plot(at, scales[k][0] * y, label=label, **look)
         for k, channel in enumerate(model.channels):
             at, y = trace.line(1 + 3 * n + k, x)
-            ax.plot(at, scale * y, color=SERIES[k % len(SERIES)], ls=DASHES[k % len(DASHES)], label=_name(channel))
-        ax.set_xlabel("time in the run [s]" if timed else "sample of the run")
+            look = {"color": SERIES[k % len(SERIES)], "ls": DASHES[k % len(DASHES)]}
+            axes[n, column].plot(at, scales[n][0] * y, label=_name(channel), **look)
+        axes[n, column].set_xlabel("time in the run [s]" if timed else "sample of the run")
         axes[0, column].set_title(_run_title(fit, survey, run))
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
@@ -377,3 +385,510 @@ def _run_traces(log: Log, fit: Fit, chosen: Sequence[int], keep: Mask | None) ->
         time = block.data["t_s"] if timed else np.zeros(values.shape[1])
         traces[block.run].add(np.vstack([time, values]))
     return [traces[run] for run in chosen]
+
+
+def _largest(traces: Sequence[Trace], series: Sequence[int]) -> float:
+    return max(_top(bounds[list(series)]) for t in traces for bounds in (t.low, t.high))
+
+
+def _run_title(fit: Fit, survey: Survey, run: int) -> str:
+    k = survey.runs.index(run)
+    what = "held out" if run in _holdout(fit) else ""
+    where = ""
+    if len(fit.model.state) and not np.any(survey.drift[k] > 20 * LEVEL):
+        where = _setting_label(fit.model.state, survey.state[k], 5 * LEVEL)
+    return ", ".join(filter(None, (f"run {run}", where, what)))
+
+
+# -- errors along the campaign ---------------------------------------------------------------------------
+
+
+def errors_before_after(fit: Fit, survey: Survey) -> Figure:
+    """Draw the errors of the decoded pose over the whole campaign: designed parameters left, fitted right.
+
+    Every sample counts: of each picture column the least and the greatest error are drawn. The two sides have
+    scales of their own, and the right one says by how much it is finer.
+    """
+    from matplotlib.figure import Figure
+
+    model = fit.model
+    n = len(model.pose)
+    figure = Figure(figsize=(WIDTH, 1.45 * n + 0.85), layout="constrained")
+    axes = figure.subplots(n, 2, sharex=True, squeeze=False)
+    tables, highest = (survey.designed, survey.fitted), np.zeros((n, 2))
+    for column, (trace, table) in enumerate(zip(survey.errors, tables, strict=True)):
+        for k, name in enumerate(model.pose):
+            floor = float(fit.noise_floor.get(name, 0.0))
+            peak = max(float(table.peak[:, k].max()), _top(trace.low[k]), _top(trace.high[k]))
+            highest[k, column] = max(peak, 1.15 * BAND * floor) or 1e-12
+            factor, unit = _scale(name, highest[k, column])
+            ax = axes[k, column]
+            _campaign_axis(ax, fit, survey)
+            x, y = trace.line(k, _campaign_x(survey, trace), survey.edges[1:-1])
+            ax.plot(x, factor * y, color=(BEFORE, AFTER)[column], lw=0.5, zorder=2)
+            for side in (-1, 1):
+                ax.axhline(side * BAND * factor * floor, color=BLACK, lw=0.7, ls=(0, (4, 2)), zorder=3)
+            limit = 1.08 * factor * highest[k, column]
+            ax.set_ylim(-limit * (1.1 if survey.n_rejected else 1.0), limit)
+            ax.set_ylabel(f"error in {_name(name)} [{unit}]")
+            ax.set_title(_error_words(table, k, name, fit if column else None))
+    finer = ", ".join(f"{ratio:.2g}" for ratio in highest[:, 0] / highest[:, 1])
+    for ax in axes[-1]:
+        ax.set_xlabel(_campaign_label(survey))
+    for column, title in enumerate(
+        ("Designed parameters, no zero deviations", f"Fitted; scales {finer} x finer")
+    ):
+        axes[0, column].set_title(f"{title}\n{axes[0, column].get_title('left')}", linespacing=1.6)
+    figure.align_ylabels(axes)
+    _campaign_legend(figure, fit, survey)
+    return figure
+
+
+def _error_words(table: ErrorTable, k: int, name: str, fit: Fit | None) -> str:
+    """RMSE and peak of one coordinate; with `fit` apart for the fitted and the held-out runs."""
+    held = _holdout(fit) if fit else ()
+    used, apart = table.over([r for r in table.runs if r not in held]), table.over(held)
+    factor, unit = _scale(name, float(table.peak[:, k].max()))
+    texts = [
+        f"{label} {_three(factor * row['rmse'][name])}, {word}{_three(factor * row['peak'][name])}"
+        for label, word, row in (
+            ("rmse", "peak ", used),
+            ("held out" if used else "held out: rmse", "", apart),
+        )
+        if row
+    ]
+    return f"{'; '.join(texts)} {unit}" if texts else "no samples"
+
+
+def _campaign_x(survey: Survey, trace: Trace) -> np.ndarray:
+    if len(survey.runs) == 1 and survey.time is not None:
+        return survey.time.low[0] - survey.time.low[0][0]
+    return trace.samples
+
+
+def _campaign_label(survey: Survey) -> str:
+    if len(survey.runs) == 1:
+        return "time [s]" if survey.time is not None else "sample"
+    return "run (as wide as its number of samples)"
+
+
+def _campaign_axis(ax: Axes, fit: Fit, survey: Survey) -> None:
+    """Shade held-out runs, separate runs, number them, and mark rejected samples at the bottom."""
+    edges, held = survey.edges - 0.5, _holdout(fit)
+    x = _campaign_x(survey, survey.rejected)
+    hit = np.flatnonzero(np.isfinite(survey.rejected.high[0]))
+    ax.plot(x[hit], np.full(len(hit), 0.02), transform=ax.get_xaxis_transform(), ls="none", marker="|",
+            ms=4, mew=0.6, color=GREY, zorder=4)  # fmt: skip
+    if len(survey.runs) == 1:
+        ax.set_xlim(x[0], x[-1] if x[-1] > x[0] else x[0] + 1)
+        return
+    for k, run in enumerate(survey.runs):
+        if run in held:
+            ax.axvspan(edges[k], edges[k + 1], color=SHADE, lw=0, zorder=0)
+    if len(survey.runs) <= 80:
+        for edge in edges[1:-1]:
+            ax.axvline(edge, color=FAINT, lw=0.3, zorder=1)
+    pick = _thinned(len(survey.runs), 8)
+    ax.set_xticks([float(edges[k : k + 2].mean()) for k in pick], [str(survey.runs[k]) for k in pick])
+    ax.set_xlim(edges[0], edges[-1])
+
+
+def _campaign_legend(figure: Figure, fit: Fit, survey: Survey) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [
+        Line2D(
+            [],
+            [],
+            color=BLACK,
+            lw=0.7,
+            ls=(0, (4, 2)),
+            label=f"±{BAND:g} x noise floor (99.7 % of pure noise)",
+        )
+    ]
+    if set(_holdout(fit)) & set(survey.runs) and len(survey.runs) > 1:
+        handles.append(Patch(facecolor=SHADE, label="held-out run"))
+    if survey.n_rejected:
+        label = f"rejected sample ({survey.n_rejected})"
+        handles.append(Line2D([], [], color=GREY, ls="none", marker="|", ms=6, label=label))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+
+
+# -- errors by vertical setting --------------------------------------------------------------------------
+
+
+def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] | None = None) -> Figure:
+    """Draw rmse by vertical setting (by run where there are no settings) before, after and for `steps`."""
+    from matplotlib.figure import Figure
+
+    model, floors = fit.model, fit.noise_floor
+    groups, title = settings(fit, survey)
+    held, aside = _holdout(fit), np.zeros(len(groups))
+    used = [[r for r in runs if r not in held] for _, runs in groups]
+    apart = [[r for r in runs if r in held] for _, runs in groups]
+    every = [runs for _, runs in groups]
+    size = 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0
+    series: list[tuple[str, ErrorTable, list[list[int]], dict[str, Any]]] = [
+        ("designed", survey.designed, every, {"marker": "s", "mfc": "white", "color": BEFORE})
+    ]
+    for k, (label, table) in enumerate((steps or {}).items()):
+        look = {"marker": MARKERS[k % len(MARKERS)], "mfc": "white", "color": SERIES[(k + 2) % len(SERIES)]}
+        series.append((label, table, every, look))
+    series.append(("fitted", survey.fitted, used, {"marker": "o", "mfc": AFTER, "color": AFTER}))
+    if any(apart):
+        look = {"marker": "D", "mfc": "white", "color": AFTER, "mew": 1.1}
+        aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, apart, strict=True)])
+        series.append(("fitted, held-out runs", survey.fitted, apart, look))
+    n = len(model.pose)
+    figure = Figure(figsize=(WIDTH, 1.5 * n + 1.5), layout="constrained")
+    axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
+    for k, (ax, name) in enumerate(zip(axes, model.pose, strict=True)):
+        values = [[_rmse(table, runs, k) for runs in sets] for _, table, sets, _ in series]
+        floor = float(floors.get(name, 0.0))
+        factor, unit = _scale(name, _top(np.array(values)))
+        for (label, _, sets, look), y in zip(series, values, strict=True):
+            x = np.arange(len(y)) + (aside if sets is apart else 0.0)
+            ax.plot(x, factor * np.array(y), ls="none", ms=size, label=label, zorder=3, **look)
+        if len(groups) <= MOST_SETTINGS:
+            ax.vlines(
+                np.arange(len(groups)), *_reach(factor * np.array(values)), color=FAINT, lw=0.6, zorder=1
+            )
+        if floor > 0:
+            ax.axhline(factor * floor, color=BLACK, lw=0.8, ls=(0, (4, 2)), label="noise floor", zorder=2)
+        _log_axis(ax, factor * np.array([*np.ravel(values), floor]))
+        ax.set_ylabel(f"rmse {_name(name)} [{unit}]")
+    pick = range(len(groups)) if len(groups) <= MOST_SETTINGS else _thinned(len(groups), 12)
+    words = any(not label.lstrip("-").isdigit() for label, _ in groups)
+    axes[-1].set_xticks(list(pick), [groups[k][0] for k in pick], rotation=90 if words else 0)
+    if len(pick) > 30:
+        axes[-1].tick_params("x", labelsize=7, rotation=90)
+    axes[-1].set_xlim(-0.7, len(groups) - 0.3)
+    axes[-1].set_xlabel(title)
+    handles, labels = axes[0].get_legend_handles_labels()
+    columns = -(-len(labels) // -(-len(labels) // 6))
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=columns, handlelength=1.8, columnspacing=1.4
+    )
+    figure.align_ylabels(axes)
+    return figure
+
+
+def settings(fit: Fit, survey: Survey) -> tuple[list[tuple[str, list[int]]], str]:
+    """Return `[(label, runs)]` by vertical setting and the axis title; one entry per run without settings.
+
+    Runs belong to one setting when their mean vertical states agree within 2 % of what the campaign covers.
+    A state that moves within runs, or never changes, makes no settings.
+    """
+    axes = [k for k, c in enumerate(fit.model.state) if c.endswith(("_m", "_rad"))]
+    state, drift = survey.state[:, axes], survey.drift[:, axes]
+    by_run = [(str(run), [run]) for run in survey.runs]
+    if not axes or len(survey.runs) < 2:
+        return by_run, "run"
+    spread = np.ptp(state, axis=0)
+    near = np.maximum(0.02 * spread, LEVEL)
+    if np.all(spread < LEVEL) or np.any(np.median(drift, axis=0) > np.maximum(0.1 * spread, 2 * LEVEL)):
+        return by_run, "run"
+    centres: list[np.ndarray] = []
+    members: list[list[int]] = []
+    for run, point in zip(survey.runs, state, strict=True):
+        match = [k for k, c in enumerate(centres) if np.all(np.abs(point - c) <= near)]
+        if match:
+            members[match[0]].append(run)
+        else:
+            centres.append(point)
+            members.append([run])
+        if len(centres) > MOST_SETTINGS:
+            return by_run, "run"
+    names = tuple(fit.model.state[k] for k in axes)
+
+    def place(k: int) -> tuple:
+        moved = np.abs(centres[k]) > near
+        return (int(moved.sum()), tuple(~moved), tuple(np.where(moved, centres[k], 0.0)))
+
+    order = sorted(range(len(centres)), key=place)
+    units = {"m": "µm", "rad": "µrad"}
+    shown = "; ".join(
+        f"{', '.join(_name(c) for c in names if _unit(c) == unit)} in {units[unit]}"
+        for unit in dict.fromkeys(map(_unit, names))
+    )
+    labels = [_setting_label(names, centres[k], near) for k in order]
+    return [
+        (label, members[k]) for label, k in zip(labels, order, strict=True)
+    ], f"vertical setting ({shown})"
+
+
+def _setting_label(names: Sequence[str], point: np.ndarray, near: Any) -> str:
+    parts = [
+        f"{_name(c)} {1e6 * v:+.{0 if abs(v) >= 10e-6 else 1}f}".replace("-", "\N{MINUS SIGN}")
+        for c, v, least in zip(names, point, np.broadcast_to(near, len(names)), strict=True)
+        if abs(v) > least
+    ]
+    return " ".join(parts) or "level"
+
+
+def _rmse(table: ErrorTable, runs: Sequence[int], k: int) -> float:
+    pick = [table.runs.index(run) for run in runs if run in table.runs]
+    count = float(table.count[pick].sum()) if pick else 0.0
+    return float(np.sqrt(table.squares[pick, k].sum() / count)) if count else float("nan")
+
+
+def _reach(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest of the series at each setting; nan where there is none."""
+    return np.fmin.reduce(values), np.fmax.reduce(values)
+
+
+def _log_axis(ax: Axes, values: np.ndarray) -> None:
+    """Logarithmic y axis around the positive values with plain numbers at 1, 2, 5."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    values = values[np.isfinite(values) & (values > 0)]
+    if not len(values):
+        return
+    top = float(values.max())
+    low = float(values[values >= 1e-6 * top].min())
+    ax.set_yscale("log")
+    ax.set_ylim(low / 1.5, top * 1.5)
+    decades = np.log10(top / low)
+    ax.yaxis.set_major_locator(
+        LogLocator(subs=(1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,))
+    )
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: _short(v)))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.grid(axis="y", which="major", color=SHADE, lw=0.5, zorder=0)
+
+
+# -- errors by step --------------------------------------------------------------------------------------
+
+
+def errors_by_step(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable]) -> Figure:
+    """Draw rmse and peak over the campaign for the designed model, each step and the fit, one row each."""
+    from matplotlib.figure import Figure
+
+    rows = [("designed", survey.designed), *steps.items(), ("fitted", survey.fitted)]
+    n = len(fit.model.pose)
+    figure = Figure(figsize=(WIDTH, 0.24 * len(rows) + 1.1), layout="constrained")
+    axes = figure.subplots(1, n, sharey=True, squeeze=False)[0]
+    y = np.arange(len(rows))[::-1]
+    for k, (ax, name) in enumerate(zip(axes, fit.model.pose, strict=True)):
+        rmse = np.array([_rmse(table, table.runs, k) for _, table in rows])
+        peak = np.array([table.peak[:, k].max() for _, table in rows])
+        floor = float(fit.noise_floor.get(name, 0.0))
+        factor, unit = _scale(name, _top(peak))
+        ax.hlines(y, factor * rmse, factor * peak, color=FAINT, lw=0.8, zorder=1)
+        ax.plot(factor * rmse, y, ls="none", marker="o", ms=4.5, color=AFTER, label="rmse", zorder=3)
+        ax.plot(
+            factor * peak, y, ls="none", marker="s", ms=4.2, mfc="white", color=BEFORE, label="peak", zorder=3
+        )
+        if floor > 0:
+            ax.axvline(factor * floor, color=BLACK, lw=0.8, ls=(0, (4, 2)), label="noise floor")
+        values = factor * np.array([*rmse, *peak, floor])
+        values = values[np.isfinite(values) & (values > 1e-6 * np.nanmax(values))]
+        if len(values):
+            _log_x(ax, float(values.min()), float(values.max()))
+        ax.set_xlabel(f"error in {_name(name)} [{unit}]")
+    axes[0].set_yticks(y, [label for label, _ in rows])
+    axes[0].set_ylim(-0.6, len(rows) - 0.4)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
+def _log_x(ax: Axes, low: float, top: float) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.set_xscale("log")
+    ax.set_xlim(low / 1.5, top * 1.5)
+    ax.xaxis.set_major_locator(LogLocator(subs=(1, 3) if np.log10(top / low) < 2 else (1,)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda v, _: _short(v)))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+# -- parameters ------------------------------------------------------------------------------------------
+
+
+def parameters(fit: Fit) -> Figure:
+    """Draw every parameter within its bounds, how narrow its 95 % interval is, and the numbers to copy.
+
+    Left: nominal value and estimate, 0 at the lower and 1 at the upper bound; hollow where the data do not
+    determine it. Middle: half the 95 % interval as a share of the bounds. Combinations that the data
+    determine instead stand below.
+    """
+    from matplotlib.figure import Figure
+
+    model, n = fit.model, len(fit.model.parameters)
+    extra = len(fit.combinations)
+    rows = n + (extra + 1 if extra else 0)
+    figure = Figure(figsize=(WIDTH, 0.155 * rows + 0.95), layout="constrained")
+    place, sharp = figure.subplots(1, 2, sharey=True, width_ratios=(3.0, 2.0))
+    for row in range(n):
+        _parameter_row(place, sharp, fit, row)
+        sharp.text(1.04, row, _number_words(fit, row), transform=sharp.get_yaxis_transform(), va="center")
+    for k, c in enumerate(fit.combinations):
+        _combination_row(place, sharp, c, n + 1 + k)
+    if extra:
+        place.axhline(n, color=GREY, lw=0.5)
+        sharp.axhline(n, color=GREY, lw=0.5)
+    ticks = [*range(n), *((n,) if extra else ())]
+    names = [p.name for p in model.parameters]
+    place.set_yticks(ticks, [*names, *(("determined instead:",) if extra else ())], fontsize=7.5)
+    place.tick_params("y", length=0)
+    sharp.tick_params("y", length=0, labelleft=False)
+    place.set_ylim(rows - 0.4, -0.6)
+    place.set_xlim(-0.04, 1.04)
+    place.set_xlabel("position within the bounds")
+    place.set_xticks((0, 0.25, 0.5, 0.75, 1), ("lower", "", "middle", "", "upper"))
+    _precision_axis(sharp, fit)
+    sharp.text(1.04, -1.1, "estimate ± 95 %", transform=sharp.get_yaxis_transform(), va="center")
+    _parameter_legend(figure, fit)
+    return figure
+
+
+def _parameter_row(place: Axes, sharp: Axes, fit: Fit, row: int) -> None:
+    p, value = fit.model.parameters[row], float(fit.values[row])
+    if row % 2 == 0:
+        for ax in (place, sharp):
+            ax.axhspan(row - 0.5, row + 0.5, color="#f4f4f4", lw=0, zorder=0)
+    if not (np.isfinite(p.width) and p.width > 0):
+        place.text(0.5, row, "fixed" if p.width == 0 else "no bounds", ha="center", va="center", color=GREY)
+        return
+    at, nominal = (value - p.lower) / p.width, (p.nominal - p.lower) / p.width
+    known = bool(fit.determined[row])
+    shown = min(max(nominal, -0.03), 1.03)
+    mark = "|" if shown == nominal else ">" if nominal > 1 else "<"
+    place.plot([shown, at], [row, row], color=FAINT, lw=0.8, zorder=1)
+    place.plot(
+        shown, row, marker=mark, ms=6 if mark == "|" else 4, mew=1.2, color=BEFORE, ls="none", zorder=2
+    )
+    edge = p.name in fit.at_bound
+    place.plot(at, row, marker="s" if edge else "o", ms=4.2, mfc=AFTER if known or edge else "white",
+               color=AFTER, ls="none", zorder=3)  # fmt: skip
+    if known:
+        half = COVERAGE * float(fit.std[row]) / p.width
+        place.plot([at - half, at + half], [row, row], color=AFTER, lw=1.4, zorder=2, solid_capstyle="butt")
+        if half > 0:
+            sharp.plot(100 * half, row, marker="o", ms=4.2, color=AFTER, ls="none", zorder=3)
+
+
+def _combination_row(place: Axes, sharp: Axes, combination: Any, row: int) -> None:
+    place.text(
+        0.0,
+        row,
+        combination.expression.replace("*", " ").replace("-", "\N{MINUS SIGN}"),
+        va="center",
+        fontsize=7.5,
+    )
+    words = _plus_minus(combination.value, COVERAGE * combination.std, combination.unit)
+    sharp.text(1.04, row, words, transform=sharp.get_yaxis_transform(), va="center")
+
+
+def _number_words(fit: Fit, row: int) -> str:
+    """The estimate with its interval, or why there is none."""
+    p = fit.model.parameters[row]
+    if p.width == 0:
+        return "fixed"
+    if p.name in fit.at_bound:
+        return "at its bound"
+    if fit.determined[row]:
+        return _plus_minus(float(fit.values[row]), COVERAGE * float(fit.std[row]), p.unit)
+    return "not determined, held" if p.name in fit.held else "not determined"
+
+
+def _precision_axis(ax: Axes, fit: Fit) -> None:
+    model = fit.model
+    width = np.array([p.width for p in model.parameters])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half = 100 * COVERAGE * fit.std / width
+    half = half[np.isfinite(half) & (half > 0)]
+    ax.set_xlabel("half of the 95 % interval\n[% of the bounds' width]")
+    if len(half):
+        _log_x(ax, min(float(half.min()), 0.1), max(float(half.max()), 1.0))
+    else:
+        ax.set_xticks([])
+
+
+def _parameter_legend(figure: Figure, fit: Fit) -> None:
+    from matplotlib.lines import Line2D
+
+    point = {"ls": "none", "ms": 4.2, "color": AFTER}
+    handles = [
+        Line2D([], [], ls="none", marker="|", ms=6, mew=1.2, color=BEFORE, label="nominal"),
+        Line2D([], [], marker="o", **point, label="estimate"),
+    ]
+    lower, upper = fit.model.bounds
+    if np.any((fit.model.nominal < lower - 0.03 * (upper - lower)) | (fit.model.nominal > upper)):
+        look = {"ls": "none", "marker": ">", "ms": 4, "color": BEFORE}
+        handles.insert(1, Line2D([], [], label="nominal beyond the bounds", **look))
+    if fit.at_bound:
+        handles.append(Line2D([], [], marker="s", **point, label="estimate at its bound"))
+    if not np.all(fit.determined):
+        handles.append(Line2D([], [], marker="o", mfc="white", **point, label="not determined by the data"))
+    figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
+
+
+# -- names, units, numbers -------------------------------------------------------------------------------
+
+_LADDER: Mapping[str, tuple[tuple[float, float, str], ...]] = {
+    "m": ((2e-2, 1e6, "µm"), (np.inf, 1e3, "mm")),
+    "rad": ((2e-2, 1e6, "µrad"), (2.0, 1e3, "mrad"), (np.inf, 1.0, "rad")),
+    "v": ((0.5, 1e3, "mV"), (np.inf, 1.0, "V")),
+    "degc": ((np.inf, 1.0, "°C"),),
+}
+"""By SI unit of a column: up to this value, times this factor, in this unit."""
+
+
+def _unit(column: str) -> str:
+    return column.rpartition("_")[2]
+
+
+def _scale(column: str, largest: float) -> tuple[float, str]:
+    """Factor and unit in which values of a column up to `largest` are read easily."""
+    ladder = _LADDER.get(_unit(column), ((np.inf, 1.0, _unit(column)),))
+    return next((factor, unit) for top, factor, unit in ladder if not largest > top)
+
+
+def _name(column: str) -> str:
+    """What people call a column: `rz_rad` is Rz, `hall_a_m` is Hall A."""
+    stem = column.rpartition("_")[0] or column
+    if stem.startswith("hall_"):
+        return f"Hall {stem.removeprefix('hall_').upper()}"
+    return stem.capitalize() if stem in ("z", "rx", "ry", "rz") else stem.replace("_", " ")
+
+
+def _top(values: np.ndarray) -> float:
+    """Largest magnitude that is finite; 0 if there is none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else 0.0
+
+
+def _short(value: float) -> str:
+    """Three significant digits without an exponent, with one where there would be many zeros."""
+    if value == 0 or not np.isfinite(value) or not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.3g}"
+    return np.format_float_positional(float(f"{value:.3g}"), trim="-")
+
+
+def _three(value: float) -> str:
+    """Three significant digits, trailing zeros kept."""
+    return f"{value:#.3g}".rstrip(".") if 1e-4 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def _plus_minus(value: float, half: float, unit: str) -> str:
+    """`value ± half` with two digits of `half`; metres in mm, radians in mrad."""
+    factor, unit = {"m": (1e3, " mm"), "rad": (1e3, " mrad"), "1": (1.0, "")}.get(unit, (1.0, f" {unit}"))
+    value, half = factor * value, factor * half
+    if not (np.isfinite(half) and half > 0):
+        return f"{value:.6g}{unit}"
+    digits = int(np.clip(1 - np.floor(np.log10(half)), 0, 12))
+    return f"{value:.{digits}f} ± {half:.{digits}f}{unit}".replace("-", "\N{MINUS SIGN}")
+
+
+def _holdout(fit: Fit) -> tuple[int, ...]:
+    """Held-out runs, also of a fit that was read back."""
+    return fit.errors.holdout if fit.errors else tuple(fit.log.get("holdout", ()))
+
+
+def _thinned(n: int, most: int) -> Sequence[int]:
+    """Every k-th of n indices, k from 1, 2, 5, 10, .., at most about `most` of them."""
+    step = next(s * 10**e for e in range(12) for s in (1, 2, 5) if n <= most * s * 10**e)
+    return range(0, n, step)

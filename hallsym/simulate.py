@@ -152,8 +152,10 @@ class _Disturbance:
 
     def _unit(self, name: str, n: int) -> np.ndarray:
         dof = self.noise.degrees_of_freedom
-        fresh = self.rng.standard_normal(n) if dof is None else (
-            self.rng.standard_t(dof, n) * np.sqrt((dof - 2) / dof)
+        fresh = (
+            self.rng.standard_normal(n)
+            if dof is None
+            else (self.rng.standard_t(dof, n) * np.sqrt((dof - 2) / dof))
         )
         if not self.memory:
             return fresh

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from hallsym.cost import Cost
 from hallsym.errors import InputError
@@ -11,8 +10,6 @@ from hallsym.model import Model
 
 MOVED = 4.0
 """A column counts as moved when its energy is more than this many times its noise's (rms twice the noise)."""
-MISWIRED = 0.5
-"""Distance between wirings, in sines of angles, that cannot be misalignment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,46 +50,6 @@ def closed_form(cost: Cost, linear: LinearFit) -> np.ndarray:
     return features.model.closed_form(features.model, named)
 
 
-def wiring(cost: Cost, linear: LinearFit) -> tuple[tuple[int, ...], tuple[int, ...], float]:
-    """Return which channel and sign fits each nominal channel best, and by how much it beats the identity.
-
-    Compares each channel's response to the axes that moved, freed of its gain, with the nominal one.
-    """
-    features, model = cost.summary.features, cost.summary.model
-    index = [j for j in range(features.size) if features.label(j) in model.pose and linear.moved[j]]
-    nominal = cost.coefficients.first(model.nominal)[0][0]
-    weight = 1.0 / np.maximum(np.abs(nominal[index]).max(axis=1, keepdims=True), 1e-12)
-    expected = _directions(nominal[index] * weight)
-    found = _directions(linear.coefficients[index] * weight)
-    distance = np.linalg.norm(
-        expected[:, :, None, None] - found[:, None, :, None] * np.array([1.0, -1.0]), axis=0
-    )
-    rows, columns = linear_sum_assignment(distance.min(axis=2))
-    signs = np.where(distance[rows, columns].argmin(axis=1) == 0, 1, -1)
-    best = distance.min(axis=2)[rows, columns].sum()
-    k = np.arange(len(model.channels))
-    return tuple(int(c) for c in columns), tuple(int(s) for s in signs), float(distance[k, k, 0].sum() - best)
-
-
-def check_wiring(cost: Cost, linear: LinearFit, where: str) -> None:
-    """Raise `InputError` when channels look exchanged or inverted."""
-    order, signs, gain = wiring(cost, linear)
-    if gain < MISWIRED:
-        return
-    channels = cost.summary.model.channels
-    swapped = [channels[k] for k, c in enumerate(order) if c != k]
-    flipped = [channels[c] for k, c in enumerate(order) if signs[k] < 0]
-    what = []
-    if swapped:
-        what.append(f"channels {' and '.join(swapped)} look swapped")
-    if flipped:
-        what.append(f"the sign of {' and '.join(flipped)} looks inverted")
-    raise InputError(
-        f"In {where} {' and '.join(what)} against the layout of {cost.summary.model.name}; check the wiring, "
-        "give the machine's probes in meta.json, or let the fit resolve it with --resolve-wiring."
-    )
-
-
 def check_reference(model: Model, unexplained: np.ndarray, where: str) -> None:
     """Raise `InputError` when the reference explains less than half of a channel's variance."""
     for channel, share in zip(model.channels, unexplained, strict=True):
@@ -101,8 +58,3 @@ def check_reference(model: Model, unexplained: np.ndarray, where: str) -> None:
                 f"The reference of {where} explains only {100 * (1 - share):.0f} % of the variation of {channel} "
                 "(expected more than 90 %); it does not belong to these readings: check file, clock and columns."
             )
-
-
-def _directions(slopes: np.ndarray) -> np.ndarray:
-    return slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-

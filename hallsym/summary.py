@@ -56,13 +56,6 @@ class Summary:
             mean_state=self.mean_state[index],
         )
 
-    def with_channels(self, order: Iterable[int], signs: Iterable[float]) -> "Summary":
-        """Return the summary with reading k taken from channel `order[k]` times `signs[k]`."""
-        n = self.features.size
-        triangles = self.triangles.copy()
-        triangles[:, :, n:] = self.triangles[:, :, [n + k for k in order]] * np.array(list(signs))
-        return replace(self, triangles=triangles)
-
     def merged(self) -> "Summary":
         """Return one run for all, the features that carry zeros projected out.
 
@@ -98,8 +91,14 @@ def summarise(log: Log, model: Model, weigh=None) -> Summary:
         if centre is None:
             centre = _centre(features, pose, state)
         run = gathered.setdefault(block.run, _Run(np.array([s[0] for s in state])))
-        run.add(features, centre, pose, state, [block.data[c] for c in model.channels],
-                None if weigh is None else weigh(block))
+        run.add(
+            features,
+            centre,
+            pose,
+            state,
+            [block.data[c] for c in model.channels],
+            None if weigh is None else weigh(block),
+        )
     assert centre is not None
     runs = list(gathered.values())
     return Summary(

@@ -22,8 +22,9 @@ def grid(rows: Sequence[Sequence[str]], *, left: int = 1, rule_after: int = 1) -
     """Return rows as aligned text: the first `left` columns left-aligned, a rule after the header."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = [
-        "  ".join(c.ljust(w) if k < left else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
-        .rstrip()
+        "  ".join(
+            c.ljust(w) if k < left else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
         for row in rows
     ]
     lines.insert(rule_after, "-" * (sum(widths) + 2 * (len(widths) - 1)))
@@ -43,13 +44,22 @@ def concise(value: float, std: float | None) -> str:
 
 
 def error_rows(
-    pose: Sequence[str], rows: Mapping[str, Mapping[str, Mapping[str, float]] | None], floor: Mapping[str, float] | None
+    pose: Sequence[str],
+    rows: Mapping[str, Mapping[str, Mapping[str, float]] | None],
+    floor: Mapping[str, float] | None,
 ) -> str:
     """Return a table of rmse and peak per pose coordinate, one line per entry of `rows`."""
     shown = [readable(c) for c in pose]
     head = ["errors", *(f"{what} {name} [{unit}]" for what in ("rmse", "peak") for _, unit, name in shown)]
     body = [
-        [label, *(_fixed(row[what][c] * factor) for what in ("rmse", "peak") for c, (factor, _, _) in zip(pose, shown, strict=True))]
+        [
+            label,
+            *(
+                _fixed(row[what][c] * factor)
+                for what in ("rmse", "peak")
+                for c, (factor, _, _) in zip(pose, shown, strict=True)
+            ),
+        ]
         for label, row in rows.items()
         if row is not None
     ]
@@ -94,7 +104,9 @@ def parameter_text(fit: Fit) -> str:
     for k, p in enumerate(fit.model.parameters):
         factor, unit = (180 / np.pi, "deg") if p.unit == "rad" else (1.0, p.unit)
         std = fit.std[k] * factor if fit.determined[k] else None
-        value = concise(fit.values[k] * factor, std) if fit.determined[k] else f"({fit.values[k] * factor:.4g})"
+        value = (
+            concise(fit.values[k] * factor, std) if fit.determined[k] else f"({fit.values[k] * factor:.4g})"
+        )
         bounds = "fixed" if p.width == 0 else f"{p.lower * factor:.4g} .. {p.upper * factor:.4g}"
         rows.append([p.name, value, unit, f"{p.nominal * factor:.4g}", bounds, _remark(fit, k)])
     return _remarks_left(rows)

@@ -43,8 +43,11 @@ def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
     method, reason = "likelihood", "there was nothing to estimate"
     if len(free):
         sub, method, reason = _covariance(
-            information[np.ix_(free, free)], runs[:, free][:, :, free], 0.5 * point.run_gradients()[:, free],
-            cost.weights, per_dof,
+            information[np.ix_(free, free)],
+            runs[:, free][:, :, free],
+            0.5 * point.run_gradients()[:, free],
+            cost.weights,
+            per_dof,
         )
         covariance[np.ix_(free, free)] = sub
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -73,7 +76,11 @@ def _covariance(
         return naive, "likelihood", told
     if n < FEW_RUNS:
         factor = max(scatter, per_dof, 1.0)
-        return naive * factor, "likelihood, scaled", f"{told}; {n} runs are too few for a covariance of their own"
+        return (
+            naive * factor,
+            "likelihood, scaled",
+            f"{told}; {n} runs are too few for a covariance of their own",
+        )
     # jackknife-like correction (CR3) for the leverage a run has on its own residuals
     corrected = np.linalg.solve(np.eye(len(naive)) - share, scores[..., None])[..., 0]
     spread = naive @ corrected.T
@@ -90,12 +97,15 @@ def _degrees_of_freedom(cost: Cost, n_free: int) -> float:
 def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Determination) -> tuple[int, ...]:
     lower, upper = bounds
     return tuple(
-        k for k in range(len(p))
+        k
+        for k in range(len(p))
         if k not in found.held and min(p[k] - lower[k], upper[k] - p[k]) <= 1e-6 * found.scale[k]
     )
 
 
-def _determined(names: tuple[str, ...], std: np.ndarray, found: Determination, free: np.ndarray) -> np.ndarray:
+def _determined(
+    names: tuple[str, ...], std: np.ndarray, found: Determination, free: np.ndarray
+) -> np.ndarray:
     """A parameter is determined if it is free, not structurally tied, and null directions hardly move it."""
     out = np.zeros(len(names), dtype=bool)
     for k in free:
@@ -156,10 +166,17 @@ def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
     spread = ca.Function(
         "spread",
         [model.symbols.parameters, model.symbols.state],
-        [ca.densify(ca.substitute(
-            ca.jacobian(model.decoded(model.symbols.parameters, z, symbol, model.symbols.state, one), symbol),
-            symbol, ca.SX.zeros(len(model.channels)),
-        ))],
+        [
+            ca.densify(
+                ca.substitute(
+                    ca.jacobian(
+                        model.decoded(model.symbols.parameters, z, symbol, model.symbols.state, one), symbol
+                    ),
+                    symbol,
+                    ca.SX.zeros(len(model.channels)),
+                )
+            )
+        ],
     )
     weights = cost.weights * cost.summary.counts
     total = np.zeros(len(model.pose))

@@ -37,7 +37,9 @@ def build(
     """
     known = models()
     if name not in known:
-        raise InputError(f"Model must be one of {', '.join(known)}; instead received {name!r}{nearest(name, list(known))}.")
+        raise InputError(
+            f"Model must be one of {', '.join(known)}; instead received {name!r}{nearest(name, list(known))}."
+        )
     family = next(f for f in FAMILIES if known[name] in f.MODELS)
     model = family.from_meta(known[name], meta or Meta())
     for effect in added:
@@ -48,7 +50,9 @@ def build(
 def _effect(name: str) -> Callable[[Model], Model]:
     known = effects()
     if name not in known:
-        raise InputError(f"Effect must be one of {', '.join(known)}; instead received {name!r}{nearest(name, list(known))}.")
+        raise InputError(
+            f"Effect must be one of {', '.join(known)}; instead received {name!r}{nearest(name, list(known))}."
+        )
     return known[name]
 
 

@@ -376,7 +376,9 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
         if key in ("eta", "theta_rad"):
             name = key.removesuffix("_rad")
             if not isinstance(value, list) or len(value) != len(labels):
-                raise InputError(f"Nominal '{key}' must be a list of {len(labels)} numbers; instead received {value!r}.")
+                raise InputError(
+                    f"Nominal '{key}' must be a list of {len(labels)} numbers; instead received {value!r}."
+                )
             changes |= {f"{name}_{k}": {"nominal": float(v)} for k, v in zip(labels, value, strict=True)}
         elif key in model.names:
             changes[key] = {"nominal": float(value)}

@@ -1,0 +1,130 @@
+"""Find the optimum of a likelihood on run summaries: global stage, IPOPT, and quick refits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+import solvers
+from hallsym.cost import Cost
+from hallsym.identify import Determination, scales
+from hallsym.model import Model
+from solvers.hybrid import EXPLORERS
+
+SOLVERS = ("hybrid", "direct", *EXPLORERS)
+"""hybrid is SHTLBO, closed form, IPOPT; direct leaves the global stage out; the others replace SHTLBO."""
+BUDGET, SIZE, KEEP = 4040, 40, 3
+"""Evaluations and class size of the global stage; how many of its points are refined."""
+SAME = 1e-6
+"""Relative difference of cost within which two optima are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How an optimum was found: solver status, starts that were refined and the share that agree."""
+
+    p: np.ndarray
+    cost: float
+    status: str
+    message: str
+    evaluations: int
+    starts: int
+    share: float
+
+
+def search(
+    fitted: Cost, merged: Cost, first: np.ndarray, found: Determination, *, solver: str, seed: int
+) -> Search:
+    """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global stage.
+
+    The global stage and its local refinements run on `merged`, where the zeros are projected out and the
+    whole population is evaluated at once; IPOPT then refines the best of them on the exact cost.
+    """
+    free = np.array([k for k in range(len(first)) if k not in found.held], dtype=int)
+    if len(free) == 0:
+        return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
+    scaled, explored = _Scaled(fitted.summary.model, first, free, found.scale[free]), None
+    if solver != "direct":
+        explored = solvers.hybrid(
+            scaled.problem(merged, merged.at(first).W[0]),
+            seed=seed,
+            starts=scaled.to_unit(first)[None],
+            keep=KEEP,
+            budget=BUDGET,
+            global_solver="shtlbo" if solver == "hybrid" else solver,
+            same=SAME,
+            **({} if solver == "screening" else {"size": SIZE}),
+        )
+        first = scaled.from_unit(explored.x)
+    local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first))
+    interrupted = explored is not None and explored.status == "interrupted"
+    return Search(
+        p=scaled.from_unit(local.x),
+        cost=local.cost * scaled.samples(fitted),
+        status="interrupted" if interrupted else local.status,
+        message=explored.message if interrupted and explored else local.message,
+        evaluations=local.evaluations + (explored.evaluations if explored else 0),
+        starts=1 if explored is None else len(explored.local),
+        share=1.0 if explored is None else float(explored.share),
+    )
+
+
+def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
+    """Return the optimum of a re-weighted cost near `p`: Newton's method on the summaries, no global stage.
+
+    For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
+    """
+    free = np.array([k for k in range(len(p)) if k not in held], dtype=int)
+    scaled = _Scaled(cost.summary.model, np.asarray(p, dtype=float), free, scales(cost.summary.model)[free])
+    return scaled.from_unit(solvers.newton(scaled.problem(cost), scaled.to_unit(scaled.base)).x)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scaled:
+    """The free parameters in units of their bound width, the others where they are held."""
+
+    model: Model
+    base: np.ndarray
+    free: np.ndarray
+    scale: np.ndarray
+
+    def to_unit(self, p: np.ndarray) -> np.ndarray:
+        return (p[self.free] - self._origin) / self.scale
+
+    def from_unit(self, x: np.ndarray) -> np.ndarray:
+        p = np.tile(self.base, (*np.shape(x)[:-1], 1)) if np.ndim(x) > 1 else self.base.copy()
+        p[..., self.free] = self._origin + x * self.scale
+        return p
+
+    @property
+    def _origin(self) -> np.ndarray:
+        lower = self.model.bounds[0][self.free]
+        return np.where(np.isfinite(lower), lower, self.base[self.free])
+
+    def samples(self, cost: Cost) -> float:
+        return float(cost.weights @ cost.summary.counts)
+
+    def problem(self, cost: Cost, weight: np.ndarray | None = None) -> solvers.Problem:
+        """Cost per sample. `weight`: fixed inverse covariance for whole populations of a merged cost."""
+        n, free = self.samples(cost), self.free
+
+        def population(x: np.ndarray) -> np.ndarray:
+            if weight is not None:
+                return cost.population(self.from_unit(x), weight) / n
+            return np.array([cost.at(p).value for p in self.from_unit(x)]) / n
+
+        def derivatives(x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+            f, g, H = cost.at(self.from_unit(x)).derivatives()
+            return (
+                f / n,
+                g[free] * self.scale / n,
+                H[np.ix_(free, free)] * np.outer(self.scale, self.scale) / n,
+            )
+
+        lower, upper = self.model.bounds
+        return solvers.Problem(
+            population,
+            (lower[free] - self._origin) / self.scale,
+            (upper[free] - self._origin) / self.scale,
+            derivatives=derivatives,
+        )

@@ -1,0 +1,142 @@
+"""A model is immutable, orders its links as a signal meets them, and refuses what it does not know."""
+
+from dataclasses import FrozenInstanceError
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from hallsym.errors import InputError
+from hallsym.families import build
+from hallsym.families.stage import stage15, stage31, zero_deviation
+from hallsym.model import LINKS, Parameter
+
+
+def test_links_are_ordered_along_the_chain_whatever_the_order_of_adding():
+    model = stage15()
+    seen: list[str] = []
+
+    def step(link):
+        return lambda signals, parameters: seen.append(link)
+
+    for link in reversed(LINKS):
+        model = model.with_step(link, step(link), effect=f"watch_{link}")
+    assert [LINKS.index(link) for link, _ in model.steps] == sorted(LINKS.index(link) for link, _ in model.steps)
+    _ = model.reading
+    assert seen == list(LINKS)
+
+
+def test_a_step_ends_its_link():
+    """A step added to the transducer sees the gain of the model so far; one before the read-out changes it."""
+    model = stage15().with_step(
+        "transducer",
+        lambda s, p: s.__setitem__("gain", s["gain"] + p["more"]),
+        effect="more",
+        parameters=(Parameter("more", 0.25, 0.0, 1.0, "1"),),
+    )
+    p, q = model.nominal, [1e-4, 2e-4, 3e-5]
+    base = np.asarray(stage15().reading(stage15().nominal, [], q, [0, 0, 0])).ravel()
+    assert np.allclose(np.asarray(model.reading(p, [], q, [0, 0, 0])).ravel(), 1.25 * base, rtol=1e-15)
+
+
+def test_adding_leaves_the_model_as_it_was():
+    model = stage15()
+    before = (model.names, model.steps, model.effects, model.zeros)
+    zero_deviation(model).with_parameters({"H1x": {"nominal": 0.2}})
+    assert (model.names, model.steps, model.effects, model.zeros) == before
+    with pytest.raises(FrozenInstanceError):
+        model.name = "other"
+
+
+def test_a_step_may_be_missing_so_that_an_effect_only_adds_parameters():
+    base = stage15()
+    model = base.with_step("field", None, effect="nothing")
+    assert model.effects == ("nothing",)
+    assert model.steps == base.steps
+
+
+def test_unknown_link_and_taken_parameter_are_refused():
+    with pytest.raises(InputError, match="must be one of clock, mechanics"):
+        stage15().with_step("cable", None, effect="x")
+    with pytest.raises(InputError, match="already part"):
+        stage15().with_step("field", None, effect="x", parameters=(Parameter("H1x", 0, 0, 1, "m"),))
+
+
+def test_vectors_put_values_over_nominal_ones():
+    model = stage15()
+    p = model.vector({"eta_B": 0.7})
+    assert p[model.names.index("eta_B")] == 0.7
+    assert np.array_equal(np.delete(p, model.names.index("eta_B")), np.delete(model.nominal, model.names.index("eta_B")))
+
+
+def test_bounds_and_nominal_values_change_by_name():
+    model = stage31().with_parameters({"H1x": {"nominal": 0.2, "lower": 0.1, "upper": 0.3}, "delta_A": {"upper": 5e-5}})
+    k = model.names.index("H1x")
+    assert (model.nominal[k], model.bounds[0][k], model.bounds[1][k]) == (0.2, 0.1, 0.3)
+    assert model.parameters[k].width == pytest.approx(0.2)
+    assert model.zeros[0].upper == 5e-5
+    with pytest.raises(InputError, match="lower <= upper"):
+        stage31().with_parameters({"H1x": {"lower": 0.3, "upper": 0.2}})
+    with pytest.raises(InputError, match="did you mean 'H1x'"):
+        stage31().with_parameters({"H1xx": {"lower": 0.3}})
+
+
+def test_crossed_bounds_of_a_zero_deviation_are_refused():
+    with pytest.raises(InputError, match="delta_A"):
+        stage31().with_parameters({"delta_A": {"lower": 1e-6, "upper": -1e-6}})
+
+
+def test_fixed_is_equal_bounds_at_the_nominal_value():
+    model = build("stage15", parameters={"theta_A": {"fixed": True}, "H1x": {"fixed": True, "nominal": 0.21}})
+    for name, value in {"theta_A": 0.0, "H1x": 0.21}.items():
+        k = model.names.index(name)
+        assert (model.nominal[k], model.bounds[0][k], model.bounds[1][k]) == (value,) * 3
+
+
+def test_bounds_that_exclude_the_start_are_refused():
+    with pytest.raises(InputError, match="exclude its start"):
+        build("stage15", parameters={"H1x": {"lower": 0.2}})
+    model = build("stage15", parameters={"H1x": {"lower": 0.2, "nominal": 0.22}})
+    assert model.nominal[0] == 0.22
+
+
+def test_derived_quantities_are_made_once_and_replaced_by_what_they_stand_for():
+    def step(signals, parameters):
+        one = signals.derive("twice x", 2 * signals["x_m"])
+        assert signals.derive("twice x", 2 * signals["x_m"]) is one
+        signals["displacement"] = signals["displacement"] + one
+
+    model = stage15().with_step("mechanics", step, effect="twice")
+    assert model.symbols.derived.numel() == 1
+    reading = np.asarray(model.reading(model.nominal, [], [1e-4, 0, 0], [0, 0, 0])).ravel()
+    assert np.allclose(reading, [2e-4, 2e-4, 3e-4], rtol=1e-15)
+
+
+def test_overdetermined_decoding_is_weighted_least_squares():
+    """Against numpy's least squares on readings that no pose explains."""
+    from hallsym.families.stage import Probe
+
+    layout = tuple(
+        Probe(f"hall_{k}_m", position, senses)
+        for k, position, senses in (
+            ("a", (0.2, 0.4), (0.0, 1.0)),
+            ("b", (-0.2, 0.4), (0.0, 1.0)),
+            ("c", (0.2, -0.3), (1.0, 0.0)),
+            ("d", (-0.1, 0.3), (0.6, 0.8)),
+        )
+    )
+    model, rng = stage15(layout), np.random.default_rng(3)
+    p = model.vector({"eta_A": 0.8, "eta_D": 0.9, "theta_C": 0.02})
+    m, weight = rng.uniform(-3e-4, 3e-4, 4), np.array([1.0, 4.0, 0.25, 2.0])
+    design = np.array([np.asarray(model.reading(p, [], e, [0, 0, 0])).ravel() for e in np.eye(3)]).T
+    root = np.sqrt(weight)
+    expected, *_ = np.linalg.lstsq(design * root[:, None], m * root, rcond=None)
+    found = np.asarray(model.decoded(p, [], m, [0, 0, 0], weight)).ravel()
+    assert np.allclose(found, expected, rtol=0, atol=1e-14 * np.abs(expected).max() * np.linalg.cond(design) ** 2)
+
+
+def test_expressions_are_casadi_functions_with_named_inputs():
+    model = stage31()
+    assert isinstance(model.reading, ca.Function)
+    assert model.reading.name_in() == ["parameters", "zeros", "pose", "state"]
+    assert model.decoded.name_in() == ["parameters", "zeros", "reading", "state", "weight"]

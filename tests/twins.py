@@ -1,0 +1,137 @@
+"""Twins of the paper's stage that several tests share, and its model typed a second time in numpy.
+
+The numpy model follows the article's matrix PM and gain phi (Eq. (11), (14), (31)) for its own layout:
+A at (+H1x, +H1y) and B at (-H2x, +H2y) sense Y, C at (+H3x, +H3y) senses X. It shares no code with the package.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+
+import numpy as np
+
+from hallsym import published
+from hallsym.campaign import Campaign, paper_campaign
+from hallsym.cost import Cost, cost_of
+from hallsym.families import build
+from hallsym.log import Block, Log, Noise, Sigma
+from hallsym.model import Model
+from hallsym.simulate import VERTICAL_NOISE, NoiseModel, simulate
+from hallsym.summary import summarise
+
+EPS = float(np.finfo(float).eps)
+TRUTH = published.values("table7_estimates")
+MODELS = ("stage15", "stage30", "stage31", "stage31_tied")
+EFFECTS = ("zero_deviation", "vertical_coupling", "tied_vertical_coupling", "exact_rotation")
+COLUMNS = ("x_ref_m", "y_ref_m", "rz_ref_rad", "z_m", "rx_rad", "ry_rad")
+HALL = ("hall_a_m", "hall_b_m", "hall_c_m")
+SIGMAS = {**dict.fromkeys(HALL, 0.5e-6), "x_ref_m": 1e-6, "y_ref_m": 1.4e-6, "rz_ref_rad": 0.5e-6} | VERTICAL_NOISE
+"""About the noise of Table 8, with a reference that is noisy in Rz too."""
+
+
+def combinations_of_effects() -> list[tuple[str, tuple[str, ...]]]:
+    """Every model with every set of one or two effects that it does not have yet."""
+    out = []
+    for name in MODELS:
+        model = build(name)
+        new = [e for e in EFFECTS if e not in model.effects]
+        if any("vertical_coupling" in e for e in model.effects):
+            new = [e for e in new if "vertical_coupling" not in e]
+        out += [(name, ()), *((name, (e,)) for e in new)]
+        out += [(name, (e, "exact_rotation")) for e in new if e != "exact_rotation"]
+    return out
+
+
+def inside(model: Model, rng: np.random.Generator) -> np.ndarray:
+    """Return a random parameter vector inside the bounds."""
+    return rng.uniform(*model.bounds)
+
+
+def pm(v: Mapping[str, float]) -> np.ndarray:
+    """Return the matrix PM of Eq. (11)."""
+    sA, cA = np.sin(v["theta_A"]), np.cos(v["theta_A"])
+    sB, cB = np.sin(v["theta_B"]), np.cos(v["theta_B"])
+    sC, cC = np.sin(v["theta_C"]), np.cos(v["theta_C"])
+    return np.array(
+        [
+            [-sA, cA, v["H1x"] * cA + v["H1y"] * sA],
+            [-sB, cB, v["H2y"] * sB - v["H2x"] * cB],
+            [cC, sC, v["H3x"] * sC - v["H3y"] * cC],
+        ]
+    )
+
+
+def phi(v: Mapping[str, float], state: np.ndarray) -> np.ndarray:
+    """Return the gains of Eq. (31); without a, b, c those of Eq. (14). `state`: (3,) or (3, samples)."""
+    return np.array(
+        [
+            v[f"eta_{k}"]
+            + v.get(f"a_{k}", 0.0) * state[0]
+            + v.get(f"b_{k}", 0.0) * state[1]
+            + v.get(f"c_{k}", 0.0) * state[2]
+            for k in "ABC"
+        ]
+    )
+
+
+def phi_size(v: Mapping[str, float], state: np.ndarray) -> np.ndarray:
+    """Return the sum of the sizes of the terms of phi: what its rounding errors are relative to."""
+    return phi({name: abs(value) for name, value in v.items()}, np.abs(state))
+
+
+def with_noise(columns: Mapping[str, np.ndarray], sigma: Mapping[str, float] = SIGMAS) -> Log:
+    """Return a log that states its noise."""
+    return Log.from_arrays(columns, noise=Noise({c: Sigma(s, "given") for c, s in sigma.items()}))
+
+
+@cache
+def campaign(samples: int = 50) -> Campaign:
+    """Return the paper's 57 runs with few samples each."""
+    return paper_campaign(step_s=1.0 / samples)
+
+
+def truth_of(model: Model) -> dict[str, float]:
+    """Return Table 7 for the parameters that the model has; the tied form's point from its own a, b, c."""
+    known = {n: v for n, v in TRUTH.items() if n in model.names}
+    if "tied_vertical_coupling" in model.effects:
+        known |= {"x0": 0.12, "y0": -0.02}
+    return known
+
+
+def record(
+    name: str = "stage31",
+    *,
+    seed: int,
+    samples: int = 50,
+    sigma: Mapping[str, float] = SIGMAS,
+    **noise,
+) -> dict[str, np.ndarray]:
+    """Return the columns that a twin with Table 7's values records."""
+    model = build(name)
+    return simulate(model, truth_of(model), campaign(samples), NoiseModel(sigma, **noise), seed=seed)
+
+
+def true_model(name: str = "stage31") -> Model:
+    """Return the model with Table 7's values as nominal ones, so that what is held stays at the truth."""
+    model = build(name)
+    return model.with_parameters({n: {"nominal": v} for n, v in truth_of(model).items()})
+
+
+def cost_on(log: Log, model: Model, sigma: Mapping[str, float] = SIGMAS) -> Cost:
+    """Return the likelihood of a log."""
+    return cost_of(summarise(log, model), sigma)
+
+
+class Chopped:
+    """A log whose blocks are handed over in pieces of the given sizes, in turn."""
+
+    def __init__(self, log: Log, sizes: Sequence[int]) -> None:
+        self.log, self.sizes = log, sizes
+
+    def blocks(self, columns: Sequence[str]) -> Iterator[Block]:
+        turn = 0
+        for block in self.log.blocks(columns):
+            n, first = len(next(iter(block.data.values()))), 0
+            while first < n:
+                last = first + self.sizes[turn % len(self.sizes)]
+                yield Block(block.run, {c: v[first:last] for c, v in block.data.items()})
+                first, turn = last, turn + 1
