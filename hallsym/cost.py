@@ -116,15 +116,13 @@ class Cost:
         """Return the same cost with other run weights."""
         return replace(self, weights=np.asarray(weights, dtype=float))
 
-    def population(self, points: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Return the cost of whole populations (m, n) at zero deviation, with one fixed weight matrix.
-
-        For a merged summary, whose zeros are projected out; `weight`: (K, K) inverse covariance. Shape (m,).
-        """
-        R_f, R_m = (part.reshape(-1, part.shape[-1]) for part in self.triangles)
+    def population(self, points: np.ndarray) -> np.ndarray:
+        """Return F of whole populations, (m, n) -> (m,), for a merged summary (no zeros, one run)."""
+        (R_f,), (R_m,) = self.triangles
         X = self.coefficients.population(points)
-        residual = (R_m - R_f @ X) @ np.linalg.cholesky(weight)
-        return np.einsum("mij,mij->m", residual, residual)
+        A = R_m - R_f @ X
+        C = np.diag(self.reading_variance) + np.swapaxes(X, 1, 2) @ (self.noise_in_features[0] @ X)
+        return np.einsum("mkk->m", np.linalg.solve(C, np.swapaxes(A, 1, 2) @ A))
 
     def at(self, p: np.ndarray) -> "Point":
         """Return everything the cost knows at one parameter vector."""

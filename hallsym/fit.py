@@ -242,11 +242,6 @@ def _result(
     )
     zeros = state.everything.at(state.p).zeros
     delta = zeros * gain if zeros.shape[1] else zeros
-    undetermined = tuple(
-        n
-        for k, n in enumerate(model.names)
-        if not estimate.determined[k] and n not in found.structural and model.parameters[k].width > 0
-    )
     return Fit(
         model=model,
         values=state.p,
@@ -283,7 +278,7 @@ def _result(
         seconds=seconds,
         notes=notes + _zero_notes(model, state.everything.summary.runs, delta),
         errors=errors,
-        undetermined_by_log=undetermined,
+        undetermined_by_log=estimate.undetermined_by_log,
         wiring=wiring,
         versions=_versions(),
         error_rows=errors.rows(),

@@ -102,32 +102,30 @@ def structural_null(
 
 
 def linear_combinations(
-    names: tuple[str, ...], nominal: np.ndarray, scale: np.ndarray, null: np.ndarray, known: np.ndarray
+    scale: np.ndarray, null: np.ndarray, known: np.ndarray, among: np.ndarray
 ) -> list[np.ndarray]:
     """Sparse linear combinations that are determined although their parameters are not.
 
-    Among the parameters that move along `null` (n, k): the complement of `null` and of the gradients
-    `known` (n, m) of combinations already named, reduced to echelon form, one gradient (n,) each, with
-    respect to the unscaled parameters and with the largest scaled entry 1.
+    Among the parameters with index in `among`: the complement of `null` (n, k) and of the gradients `known`
+    (n, m) of combinations already named, reduced to echelon form. One gradient (n,) each, with respect to
+    the unscaled parameters, its largest scaled entry 1.
     """
-    moving = np.flatnonzero(np.linalg.norm(null, axis=1) > 1e-6)
-    if len(moving) == 0:
+    if len(among) == 0:
         return []
-    taken = np.hstack([null[moving], (known * scale[:, None])[moving]])
+    taken = np.hstack([null[among], (known * scale[:, None])[among]])
     u, values, _ = np.linalg.svd(taken, full_matrices=True)
-    rank = int(np.sum(values > 1e-9 * max(values[0], 1e-300))) if len(values) else 0
-    rows = _echelon(u[:, rank:].T)
+    rank = int(np.sum(values > 1e-3 * max(values.max(initial=0.0), 1e-300)))
     out = []
-    for row in rows:
+    for row in _echelon(u[:, rank:].T):
         gradient = np.zeros(len(scale))
-        gradient[moving] = row / scale[moving]
+        gradient[among] = row / scale[among]
         lead = int(np.argmax(np.abs(gradient * scale)))
         out.append(gradient / gradient[lead])
     return out
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """Reduced row echelon form with full pivoting on columns; entries below 1e-9 are zero."""
+    """Reduced row echelon form with full pivoting on columns; entries below 1e-6 are zero."""
     rows = rows.copy()
     for i in range(len(rows)):
         j = int(np.argmax(np.abs(rows[i])))
@@ -135,5 +133,5 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
         for k in range(len(rows)):
             if k != i:
                 rows[k] -= rows[k, j] * rows[i]
-    rows[np.abs(rows) < 1e-9] = 0.0
+    rows[np.abs(rows) < 1e-6] = 0.0
     return rows

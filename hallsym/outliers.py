@@ -59,7 +59,7 @@ def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
         a2, a1, b1, b2 = (np.roll(x, k) for k in (2, 1, -1, -2))
         lines = [a1 + b1, a2 + b2, 4 * a1 - 2 * a2, 4 * b1 - 2 * b2, (4 * a1 + 2 * b2) / 3, (2 * a2 + 4 * b1) / 3]
         predicted = np.median(lines, axis=0) / 2
-        predicted[:2], predicted[-2:] = x[:2], x[-2:]  # the ends have no neighbours on one side
+        predicted[:2], predicted[-2:] = _from_inside(x), _from_inside(x[::-1])[::-1]
         jump = np.abs(x - predicted)
         far = jump > SPIKE * max(1.4826 * float(np.median(jump)), 1e-15)
         worst = far & (jump == maximum_filter1d(jump, 5))
@@ -68,6 +68,17 @@ def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
         bad |= worst
         x[worst] = predicted[worst]
     return bad
+
+
+def _from_inside(x: np.ndarray) -> np.ndarray:
+    """Predict the first two samples, which lack neighbours on one side, by Theil-Sen lines of five others."""
+    return np.array([_line(np.arange(1, 6), x, 0), _line(np.array([0, 2, 3, 4, 5]), x, 1)])
+
+
+def _line(others: np.ndarray, x: np.ndarray, at: int) -> float:
+    i, j = np.triu_indices(len(others), 1)
+    slope = np.median((x[others[j]] - x[others[i]]) / (others[j] - others[i]))
+    return float(np.median(x[others] + slope * (at - others)))
 
 
 def reject_spikes(
@@ -87,7 +98,7 @@ def reject_spikes(
             good = np.ones_like(good)
         at = np.arange(len(good))
         smooth = median_filter(
-            np.array([np.interp(at, at[good], row[good]) for row in r]), size=(1, WINDOW), mode="nearest"
+            np.array([np.interp(at, at[good], row[good]) for row in r]), size=(1, WINDOW), mode="mirror"
         )
         jump = np.abs(r - smooth)
         scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)

@@ -8,6 +8,8 @@ or marker, so that a greyscale print can be read.
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,6 +23,7 @@ from hallsym.errors import InputError
 from hallsym.evaluate import CHUNK, ErrorTable, Mask, columns_of, decoder
 from hallsym.files import atomic_write, reason
 from hallsym.log import Block, Log
+from hallsym.wiring import rewired
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +45,7 @@ WIDTH = 7.1  # inches: two columns of a journal page
 BLACK, GREY, FAINT, SHADE = "#000000", "#777777", "#bbbbbb", "#e6e6e6"
 BEFORE, AFTER, LIGHT, GREEN = "#d55e00", "#0072b2", "#f0b070", "#009e73"  # Okabe and Ito's palette
 SERIES = (AFTER, BEFORE, GREEN, "#cc79a7", BLACK, "#e69f00", "#56b4e9")
-DASHES = ("-", "--", "-.", ":")
+DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKERS = ("^", "v", "D", "P", "X", "<", ">")
 STYLE = {
     "font.size": 8.0,
@@ -95,6 +98,7 @@ def save_pictures(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"Cannot make the folder {folder} for pictures: {reason(error)}.") from error
+    log = rewired(log, fit.model.channels, fit.wiring)
     survey = look_over(log, fit, keep)
     written = []
     with style.context(["default", STYLE]):  # whatever style the caller has set
@@ -220,7 +224,6 @@ class _Decode:
 
     def __init__(self, fit: Fit) -> None:
         self.fit, self.model = fit, fit.model
-        self.wired = fit.wiring or tuple((c, 1) for c in fit.model.channels)
         self.run = decoder(fit.model, np.array([fit.noise[c].value ** 2 for c in fit.model.channels]))
 
     def zeros(self, run: int, first_state: np.ndarray) -> np.ndarray:
@@ -230,11 +233,10 @@ class _Decode:
             return np.zeros(len(self.model.zeros))
         return np.asarray(delta) / np.asarray(self.model.gain(self.fit.values, first_state)).ravel()
 
-    def readings(self, block: Block) -> list[np.ndarray]:
-        return [sign * block.data[c] for c, sign in self.wired]
-
     def __call__(self, block: Block, zeros: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        readings, state = self.readings(block), [block.data[c] for c in self.model.state]
+        readings, state = (
+            [block.data[c] for c in names] for names in (self.model.channels, self.model.state)
+        )
         designed = self.run(self.model.nominal, np.zeros_like(zeros), readings, state)
         return designed, self.run(self.fit.values, zeros, readings, state)
 
@@ -396,7 +398,7 @@ def _run_title(fit: Fit, survey: Survey, run: int) -> str:
     what = "held out" if run in _holdout(fit) else ""
     where = ""
     if len(fit.model.state) and not np.any(survey.drift[k] > 20 * LEVEL):
-        where = _setting_label(fit.model.state, survey.state[k], 5 * LEVEL)
+        where = _setting_label(fit.model.state, survey.state[k], 5 * LEVEL, units=True)
     return ", ".join(filter(None, (f"run {run}", where, what)))
 
 
@@ -425,18 +427,20 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
             ax = axes[k, column]
             _campaign_axis(ax, fit, survey)
             x, y = trace.line(k, _campaign_x(survey, trace), survey.edges[1:-1])
-            ax.plot(x, factor * y, color=(BEFORE, AFTER)[column], lw=0.5, zorder=2)
+            ax.plot(x, factor * y, color=(BEFORE, AFTER)[column], lw=(0.8, 0.5)[column], zorder=2)
             for side in (-1, 1):
                 ax.axhline(side * BAND * factor * floor, color=BLACK, lw=0.7, ls=(0, (4, 2)), zorder=3)
             limit = 1.08 * factor * highest[k, column]
+            ax.ticklabel_format(axis="y", style="plain", useOffset=False)
             ax.set_ylim(-limit * (1.1 if survey.n_rejected else 1.0), limit)
             ax.set_ylabel(f"error in {_name(name)} [{unit}]")
             ax.set_title(_error_words(table, k, name, fit if column else None))
-    finer = ", ".join(f"{ratio:.2g}" for ratio in highest[:, 0] / highest[:, 1])
+    ratios = highest[:, 0] / highest[:, 1]
+    finer = ", ".join(">10000" if ratio > 1e4 else _short(float(f"{ratio:.2g}")) for ratio in ratios)
     for ax in axes[-1]:
         ax.set_xlabel(_campaign_label(survey))
     for column, title in enumerate(
-        ("Designed parameters, no zero deviations", f"Fitted; scales {finer} x finer")
+        ("Designed parameters, no zero deviations", f"Fitted; scales {finer} × finer")
     ):
         axes[0, column].set_title(f"{title}\n{axes[0, column].get_title('left')}", linespacing=1.6)
     figure.align_ylabels(axes)
@@ -504,7 +508,7 @@ def _campaign_legend(figure: Figure, fit: Fit, survey: Survey) -> None:
             color=BLACK,
             lw=0.7,
             ls=(0, (4, 2)),
-            label=f"±{BAND:g} x noise floor (99.7 % of pure noise)",
+            label=f"±{BAND:g} × noise floor (99.7 % of pure noise)",
         )
     ]
     if set(_holdout(fit)) & set(survey.runs) and len(survey.runs) > 1:
@@ -607,9 +611,8 @@ def settings(fit: Fit, survey: Survey) -> tuple[list[tuple[str, list[int]]], str
         return (int(moved.sum()), tuple(~moved), tuple(np.where(moved, centres[k], 0.0)))
 
     order = sorted(range(len(centres)), key=place)
-    units = {"m": "µm", "rad": "µrad"}
     shown = "; ".join(
-        f"{', '.join(_name(c) for c in names if _unit(c) == unit)} in {units[unit]}"
+        f"{', '.join(_name(c) for c in names if _unit(c) == unit)} in {_MICRO[unit]}"
         for unit in dict.fromkeys(map(_unit, names))
     )
     labels = [_setting_label(names, centres[k], near) for k in order]
@@ -618,9 +621,11 @@ def settings(fit: Fit, survey: Survey) -> tuple[list[tuple[str, list[int]]], str
     ], f"vertical setting ({shown})"
 
 
-def _setting_label(names: Sequence[str], point: np.ndarray, near: Any) -> str:
+def _setting_label(names: Sequence[str], point: np.ndarray, near: Any, *, units: bool = False) -> str:
+    """`Z +250 Rx -500`, in um and urad; what is within `near` of zero is left out."""
     parts = [
         f"{_name(c)} {1e6 * v:+.{0 if abs(v) >= 10e-6 else 1}f}".replace("-", "\N{MINUS SIGN}")
+        + (f" {_MICRO.get(_unit(c), '')}" if units else "")
         for c, v, least in zip(names, point, np.broadcast_to(near, len(names)), strict=True)
         if abs(v) > least
     ]
@@ -646,7 +651,7 @@ def _log_axis(ax: Axes, values: np.ndarray) -> None:
     if not len(values):
         return
     top = float(values.max())
-    low = float(values[values >= 1e-6 * top].min())
+    low = float(values.min())
     ax.set_yscale("log")
     ax.set_ylim(low / 1.5, top * 1.5)
     decades = np.log10(top / low)
@@ -683,7 +688,7 @@ def errors_by_step(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable]) ->
         if floor > 0:
             ax.axvline(factor * floor, color=BLACK, lw=0.8, ls=(0, (4, 2)), label="noise floor")
         values = factor * np.array([*rmse, *peak, floor])
-        values = values[np.isfinite(values) & (values > 1e-6 * np.nanmax(values))]
+        values = values[np.isfinite(values) & (values > 0)]
         if len(values):
             _log_x(ax, float(values.min()), float(values.max()))
         ax.set_xlabel(f"error in {_name(name)} [{unit}]")
@@ -717,31 +722,53 @@ def parameters(fit: Fit) -> Figure:
     from matplotlib.figure import Figure
 
     model, n = fit.model, len(fit.model.parameters)
-    extra = len(fit.combinations)
-    rows = n + (extra + 1 if extra else 0)
-    figure = Figure(figsize=(WIDTH, 0.155 * rows + 0.95), layout="constrained")
-    place, sharp = figure.subplots(1, 2, sharey=True, width_ratios=(3.0, 2.0))
+    below = [(textwrap.wrap(_typeset(c.expression), 84), c) for c in fit.combinations]
+    extra = sum(len(lines) for lines, _ in below) + 1.5 if below else 0.0
+    figure = Figure(figsize=(WIDTH, 0.155 * (n + extra) + 1.05), layout="constrained")
+    ratios = (n + 0.2, extra) if below else (1,)
+    grid = figure.add_gridspec(len(ratios), 2, width_ratios=(3, 2), wspace=0.08, height_ratios=ratios)
+    place = figure.add_subplot(grid[0, 0])
+    sharp = figure.add_subplot(grid[0, 1], sharey=place)
     for row in range(n):
         _parameter_row(place, sharp, fit, row)
-        sharp.text(1.04, row, _number_words(fit, row), transform=sharp.get_yaxis_transform(), va="center")
-    for k, c in enumerate(fit.combinations):
-        _combination_row(place, sharp, c, n + 1 + k)
-    if extra:
-        place.axhline(n, color=GREY, lw=0.5)
-        sharp.axhline(n, color=GREY, lw=0.5)
-    ticks = [*range(n), *((n,) if extra else ())]
-    names = [p.name for p in model.parameters]
-    place.set_yticks(ticks, [*names, *(("determined instead:",) if extra else ())], fontsize=7.5)
+        _beside(sharp, row, _number_words(fit, row))
+    _beside(sharp, -1.1, "estimate ± 95 %")
+    place.set_yticks(range(n), model.names)
     place.tick_params("y", length=0)
     sharp.tick_params("y", length=0, labelleft=False)
-    place.set_ylim(rows - 0.4, -0.6)
+    place.set_ylim(n - 0.4, -0.6)
     place.set_xlim(-0.04, 1.04)
     place.set_xlabel("position within the bounds")
     place.set_xticks((0, 0.25, 0.5, 0.75, 1), ("lower", "", "middle", "", "upper"))
     _precision_axis(sharp, fit)
-    sharp.text(1.04, -1.1, "estimate ± 95 %", transform=sharp.get_yaxis_transform(), va="center")
+    if below:
+        _combinations(figure.add_subplot(grid[1, :]), below, extra)
     _parameter_legend(figure, fit)
     return figure
+
+
+def _beside(ax: Axes, row: float, text: str) -> None:
+    """Write to the right of a row."""
+    ax.annotate(text, (1.0, row), xycoords=ax.get_yaxis_transform(), xytext=(6, 0), textcoords="offset points",
+                va="center_baseline", annotation_clip=False)  # fmt: skip
+
+
+def _combinations(ax: Axes, below: Sequence[tuple[list[str], Any]], rows: float) -> None:
+    """List what the data determine instead of single parameters."""
+    ax.set_axis_off()
+    ax.set_ylim(rows - 0.4, -0.6)
+    ax.text(0.0, 0.0, "Determined instead", va="center_baseline", in_layout=False)
+    row = 1
+    for lines, c in below:
+        for k, line in enumerate(lines):
+            indent = 0.03 if k else 0.01
+            ax.text(indent, row + k, line, va="center_baseline", in_layout=False)
+        _beside(ax, row + len(lines) - 1, _plus_minus(c.value, COVERAGE * c.std, c.unit))
+        row += len(lines)
+
+
+def _typeset(expression: str) -> str:
+    return re.sub(r"(?<!e)-", "\N{MINUS SIGN}", expression.replace("*", " "))
 
 
 def _parameter_row(place: Axes, sharp: Axes, fit: Fit, row: int) -> None:
@@ -750,7 +777,9 @@ def _parameter_row(place: Axes, sharp: Axes, fit: Fit, row: int) -> None:
         for ax in (place, sharp):
             ax.axhspan(row - 0.5, row + 0.5, color="#f4f4f4", lw=0, zorder=0)
     if not (np.isfinite(p.width) and p.width > 0):
-        place.text(0.5, row, "fixed" if p.width == 0 else "no bounds", ha="center", va="center", color=GREY)
+        place.text(
+            0.5, row, "fixed" if p.width == 0 else "no bounds", ha="center", va="center_baseline", color=GREY
+        )
         return
     at, nominal = (value - p.lower) / p.width, (p.nominal - p.lower) / p.width
     known = bool(fit.determined[row])
@@ -768,18 +797,6 @@ def _parameter_row(place: Axes, sharp: Axes, fit: Fit, row: int) -> None:
         place.plot([at - half, at + half], [row, row], color=AFTER, lw=1.4, zorder=2, solid_capstyle="butt")
         if half > 0:
             sharp.plot(100 * half, row, marker="o", ms=4.2, color=AFTER, ls="none", zorder=3)
-
-
-def _combination_row(place: Axes, sharp: Axes, combination: Any, row: int) -> None:
-    place.text(
-        0.0,
-        row,
-        combination.expression.replace("*", " ").replace("-", "\N{MINUS SIGN}"),
-        va="center",
-        fontsize=7.5,
-    )
-    words = _plus_minus(combination.value, COVERAGE * combination.std, combination.unit)
-    sharp.text(1.04, row, words, transform=sharp.get_yaxis_transform(), va="center")
 
 
 def _number_words(fit: Fit, row: int) -> str:
@@ -829,12 +846,15 @@ def _parameter_legend(figure: Figure, fit: Fit) -> None:
 # -- names, units, numbers -------------------------------------------------------------------------------
 
 _LADDER: Mapping[str, tuple[tuple[float, float, str], ...]] = {
-    "m": ((2e-2, 1e6, "µm"), (np.inf, 1e3, "mm")),
-    "rad": ((2e-2, 1e6, "µrad"), (2.0, 1e3, "mrad"), (np.inf, 1.0, "rad")),
+    "m": ((2e-8, 1e9, "nm"), (2e-2, 1e6, "µm"), (np.inf, 1e3, "mm")),
+    "rad": ((2e-8, 1e9, "nrad"), (2e-2, 1e6, "µrad"), (2.0, 1e3, "mrad"), (np.inf, 1.0, "rad")),
     "v": ((0.5, 1e3, "mV"), (np.inf, 1.0, "V")),
     "degc": ((np.inf, 1.0, "°C"),),
 }
 """By SI unit of a column: up to this value, times this factor, in this unit."""
+
+
+_MICRO = {"m": "µm", "rad": "µrad"}
 
 
 def _unit(column: str) -> str:

@@ -46,7 +46,7 @@ def search(
     scaled, explored = _Scaled(fitted.summary.model, first, free, found.scale[free]), None
     if solver != "direct":
         explored = solvers.hybrid(
-            scaled.problem(merged, merged.at(first).W[0]),
+            scaled.problem(merged),
             seed=seed,
             starts=scaled.to_unit(first)[None],
             keep=KEEP,
@@ -104,14 +104,15 @@ class _Scaled:
     def samples(self, cost: Cost) -> float:
         return float(cost.weights @ cost.summary.counts)
 
-    def problem(self, cost: Cost, weight: np.ndarray | None = None) -> solvers.Problem:
-        """Cost per sample. `weight`: fixed inverse covariance for whole populations of a merged cost."""
+    def problem(self, cost: Cost) -> solvers.Problem:
+        """Cost per sample, whole populations at once where the cost is a merged one."""
         n, free = self.samples(cost), self.free
 
         def population(x: np.ndarray) -> np.ndarray:
-            if weight is not None:
-                return cost.population(self.from_unit(x), weight) / n
-            return np.array([cost.at(p).value for p in self.from_unit(x)]) / n
+            points = self.from_unit(x)
+            if cost.summary.features.n_zero == 0 and len(cost.summary.runs) == 1:
+                return cost.population(points) / n
+            return np.array([cost.at(p).value for p in points]) / n
 
         def derivatives(x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
             f, g, H = cost.at(self.from_unit(x)).derivatives()

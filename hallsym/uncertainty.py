@@ -8,6 +8,7 @@ import numpy as np
 from hallsym.calibration import CombinationEstimate
 from hallsym.cost import Cost
 from hallsym.identify import Determination, linear_combinations
+from hallsym.model import Model
 
 SCATTER = 3.0
 """White noise is not believed when the scores of the runs scatter this many standard deviations too much."""
@@ -26,6 +27,7 @@ class Estimate:
     reason: str
     at_bound: tuple[str, ...]
     combinations: tuple[CombinationEstimate, ...]
+    undetermined_by_log: tuple[str, ...]
     cost_per_dof: float
 
 
@@ -51,11 +53,26 @@ def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
         )
         covariance[np.ix_(free, free)] = sub
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    determined = _determined(model.names, std, found, free)
-    combinations = _combinations(cost, p, covariance, found, determined)
-    std = np.where(determined, std, np.nan)
-    named = tuple(model.names[k] for k in at_bound)
-    return Estimate(std, determined, covariance, method, reason, named, combinations, per_dof)
+    determined = np.isin(np.arange(len(p)), free) & ~_loose(model.names, std, found)
+    combinations, lost = _combinations(cost, p, covariance, found, determined)
+    loose = [n for k, n in enumerate(model.names) if _by_log(model, k, found, determined, at_bound)]
+    return Estimate(
+        std=np.where(determined, std, np.nan),
+        determined=determined,
+        covariance=covariance,
+        method=method,
+        reason=reason,
+        at_bound=tuple(model.names[k] for k in at_bound),
+        combinations=combinations,
+        undetermined_by_log=(*loose, *lost),
+        cost_per_dof=per_dof,
+    )
+
+
+def _by_log(model: Model, k: int, found: Determination, determined: np.ndarray, at_bound: tuple[int, ...]) -> bool:
+    """Whether another recording could determine parameter k and this one does not."""
+    p = model.parameters[k]
+    return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
 def _covariance(
@@ -103,50 +120,63 @@ def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Deter
     )
 
 
-def _determined(
-    names: tuple[str, ...], std: np.ndarray, found: Determination, free: np.ndarray
-) -> np.ndarray:
-    """A parameter is determined if it is free, not structurally tied, and null directions hardly move it."""
-    out = np.zeros(len(names), dtype=bool)
-    for k in free:
-        unit = np.zeros(len(names))
-        unit[k] = 1.0
-        out[k] = names[k] not in found.structural and found.slack(unit) <= std[k]
-    return out
+def _loose(names: tuple[str, ...], std: np.ndarray, found: Determination) -> np.ndarray:
+    """Which parameters null directions move by more than their uncertainty, or no recording determines."""
+    slack = np.array([found.slack(unit) for unit in np.eye(len(names))])
+    return np.isin(names, found.structural) | (slack > std)
 
 
 def _combinations(
     cost: Cost, p: np.ndarray, covariance: np.ndarray, found: Determination, determined: np.ndarray
-) -> tuple[CombinationEstimate, ...]:
-    """Named combinations that are determined, then linear ones for what they leave out."""
+) -> tuple[tuple[CombinationEstimate, ...], list[str]]:
+    """Named combinations that are determined, then linear ones for what they leave; and named ones lost."""
     model = cost.summary.model
     index = {name: k for k, name in enumerate(model.names)}
     values, gradients = _named(model, p)
-    out, known = [], []
+    out, known, lost = [], [], []
     for combination, value, gradient in zip(model.combinations, values, gradients, strict=True):
-        std = float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
-        if all(determined[index[n]] for n in combination.parameters):
+        std = _std(gradient, covariance)
+        if all(determined[index[n]] or model.parameters[index[n]].width == 0 for n in combination.parameters):
             continue
         if std > 0 and found.slack(gradient) <= max(std, 1e-9 * abs(value)):
             out.append(CombinationEstimate(combination.expression, float(value), std, combination.unit))
             known.append(gradient)
+        else:
+            lost.append(combination.expression)
     stacked = np.array(known).T if known else np.zeros((len(p), 0))
-    loose = linear_combinations(model.names, model.nominal, found.scale, found.null, stacked)
-    for gradient in loose:
-        involved = np.flatnonzero(gradient)
-        std = float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
-        if std > 0 and not all(determined[k] for k in involved):
+    scaled = np.sqrt(np.diag(covariance))
+    among = np.flatnonzero(_loose(model.names, scaled, found) & (found.scale > 0) & _open(model))
+    for gradient in linear_combinations(found.scale, found.null, stacked, among):
+        gradient = _readable(gradient, found.scale, covariance)
+        std = _std(gradient, covariance)
+        if std > 0:
+            involved = np.flatnonzero(gradient)
             text = " + ".join(_term(gradient[k], model.names[k]) for k in involved).replace("+ -", "- ")
-            lead = model.parameters[int(np.argmax(np.abs(gradient * found.scale)))]
-            out.append(CombinationEstimate(text, float(gradient @ p), std, lead.unit))
-    return tuple(out)
+            unit = model.parameters[involved[0]].unit
+            out.append(CombinationEstimate(text, float(gradient @ p), std, unit))
+    return tuple(out), lost
+
+
+def _readable(gradient: np.ndarray, scale: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Leave out terms that cannot move the combination by a quarter of its uncertainty; lead with 1."""
+    small = 0.5 * np.abs(gradient) * scale < 0.25 * _std(gradient, covariance)
+    kept = np.where(small, 0.0, gradient)
+    return kept / kept[np.flatnonzero(kept)[0]] if kept.any() else gradient
+
+
+def _open(model: Model) -> np.ndarray:
+    return np.array([p.width > 0 for p in model.parameters])
+
+
+def _std(gradient: np.ndarray, covariance: np.ndarray) -> float:
+    return float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
 
 
 def _term(factor: float, name: str) -> str:
     return name if factor == 1 else f"-{name}" if factor == -1 else f"{factor:.6g}*{name}"
 
 
-def _named(model, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _named(model: Model, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n = len(model.combinations)
     if n == 0:
         return np.zeros(0), np.zeros((0, len(p)))

@@ -194,7 +194,7 @@ def test_noisy_references_do_not_bias_the_gains():
     seeds scatters by a few 1e-4, so a bias of 4 of its standard errors would be seen, and plain least
     squares (columns without variance) is out by more than 10.
     """
-    from hallsym.fit import refit
+    from hallsym.search import refit
 
     model = true_model()
     sigma = {**SIGMAS, "x_ref_m": 20e-6, "y_ref_m": 20e-6, "rz_ref_rad": 20e-6}

@@ -26,6 +26,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
@@ -63,6 +64,7 @@ SAME_VALUE = 1e-3
 # -- the campaign ------------------------------------------------------------------------------------------
 
 
+@cache
 def noise_model() -> NoiseModel:
     noise = table8_noise(build(MODEL))
     return NoiseModel({**noise.sigma, "rz_ref_rad": RZ_NOISE})
@@ -75,8 +77,10 @@ def twin(samples: int) -> dict[str, np.ndarray]:
 
 
 def in_memory(columns: dict[str, np.ndarray], *, exact_reference: bool = False) -> Log:
-    channels = build(MODEL).channels
-    sigma = {c: s if c in channels or not exact_reference else 0.0 for c, s in noise_model().sigma.items()}
+    """`exact_reference`: only readings have noise, as the peers take it."""
+    sigma = noise_model().sigma
+    if exact_reference:
+        sigma = {column: s if column.startswith("hall") else 0.0 for column, s in sigma.items()}
     return Log.from_arrays(columns, Noise.given(sigma, tuple(columns)))
 
 

@@ -1,0 +1,158 @@
+"""Spikes go, everything that changes smoothly stays, and clean Gaussian noise is left alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twins import COLUMNS, HALL, SIGMAS, TRUTH, campaign, phi, record, with_noise
+
+from hallsym.families.stage import stage31
+from hallsym.log import Block
+from hallsym.outliers import column_spikes, reject_spikes, residuals, tukey
+
+SIGMA = 1e-6
+COVARIANCE = np.eye(3) * SIGMA**2
+seeds = st.integers(0, 2**32 - 1)
+
+
+def block(r: np.ndarray) -> Block:
+    """A block whose residual is `r` (3, samples); one column tells how many samples there are."""
+    return Block(0, dict(zip(HALL, r, strict=True)))
+
+
+def spikes(covariance: np.ndarray = COVARIANCE):
+    return reject_spikes(lambda b: np.array([b.data[c] for c in HALL]), covariance, HALL)
+
+
+def biweight(covariance: np.ndarray = COVARIANCE):
+    return tukey(lambda b: np.array([b.data[c] for c in HALL]), covariance)
+
+
+def noise(seed: int, n: int = 400) -> np.ndarray:
+    return SIGMA * np.random.default_rng(seed).standard_normal((3, n))
+
+
+def test_residuals_of_the_truth_are_nothing():
+    model = stage31()
+    log = with_noise(record(seed=0, samples=20, sigma={}))
+    zeros = {
+        k: np.array(run.zeros) / phi(TRUTH, np.array([run.setting[c] for c in COLUMNS[3:]]))
+        for k, run in enumerate(campaign(20).runs)
+    }
+    residual = residuals(model, model.vector(TRUTH), zeros)
+    for one in log.blocks():
+        assert np.abs(residual(one)).max() <= 1e-18
+    # a run without zeros of its own has none
+    first = next(iter(log.blocks()))
+    expected = [0.87e-6, 0.52e-6, 0.26e-6] * phi(TRUTH, np.zeros(3)) / phi(TRUTH, np.zeros(3))
+    assert np.allclose(residuals(model, model.vector(TRUTH), {})(first).T, expected, rtol=1e-9)
+
+
+@settings(max_examples=25)
+@given(seeds, st.lists(st.integers(10, 389), min_size=1, max_size=12, unique=True), st.floats(20, 1e4))
+def test_isolated_spikes_go_and_nothing_else(seed, where, size):
+    """Spikes of 20 sigma and more, six samples apart; of 1200 Gaussian numbers none is 7 sigma out."""
+    where = [k for k in where if all(abs(k - j) > 6 or k == j for j in where)]
+    r = noise(seed)
+    channel = np.random.default_rng(seed).integers(0, 3, len(where))
+    r[channel, where] += size * SIGMA * np.where(np.arange(len(where)) % 2, 1, -1)
+    expected = np.ones(400)
+    expected[where] = 0.0
+    assert np.array_equal(spikes()(block(r)), expected)
+
+
+def test_gaussian_noise_is_kept_whole():
+    kept = [spikes()(block(noise(seed, 2000))).min() for seed in range(30)]
+    assert min(kept) == 1.0
+
+
+@settings(max_examples=20)
+@given(seeds, st.floats(1.0, 1e3), st.floats(2.0, 20.0))
+def test_a_smooth_gap_is_no_outlier(seed, size, periods):
+    """20 periods in 400 samples still turn by less than 1/3 rad from one sample to the next."""
+    t = np.arange(400) / 400
+    gap = size * SIGMA * np.sin(2 * np.pi * periods * t)
+    assert np.all(spikes()(block(noise(seed) + gap)) == 1.0)
+
+
+def test_more_noise_than_stated_is_no_outlier():
+    for factor in (3.0, 30.0):
+        assert np.all(spikes()(block(factor * noise(1))) == 1.0)
+
+
+def test_stated_noise_is_the_least_scale():
+    """A block quieter than stated: 6 stated standard deviations are kept, 8 are not."""
+    r = 1e-3 * noise(2)
+    r[1, 100] += 6 * SIGMA
+    r[1, 200] += 8 * SIGMA
+    expected = np.ones(400)
+    expected[200] = 0.0
+    assert np.array_equal(spikes()(block(r)), expected)
+
+
+@settings(max_examples=20)
+@given(seeds, st.sampled_from([0.01, 0.05, 0.1]))
+def test_columns_alone_show_most_spikes_and_accuse_few_good_samples(seed, share):
+    """A first guess on a sine with noise: all but a few per cent of 100 um spikes, few of the good samples."""
+    rng = np.random.default_rng(seed)
+    n = 1000
+    x = 3e-4 * np.sin(2 * np.pi * np.arange(n) / 500) + SIGMA * rng.standard_normal(n)
+    hit = rng.random(n) < share
+    x[hit] += rng.choice([-1, 1], hit.sum()) * rng.uniform(1e-4, 1e-3, hit.sum())
+    weight = column_spikes(("x",))(Block(0, {"x": x, "y": np.zeros(n)}))
+    assert np.mean(weight[~hit]) > 0.98
+    assert np.mean(weight[hit]) < 0.15
+
+
+def test_runs_too_short_to_judge_are_kept():
+    for n in (1, 2, 6):
+        assert np.all(column_spikes(("hall_a_m",))(block(noise(0, n))) == 1.0)
+        assert np.all(spikes()(block(noise(0, n))) == 1.0)
+
+
+@given(seeds, st.floats(0.1, 30.0))
+def test_biweight_follows_its_formula(seed, size):
+    """(1 - u^2)^2 with u = distance / (4.685 scale); the scale is at least the stated one."""
+    r = 1e-3 * noise(seed)
+    r[:, 7] = [size * SIGMA, 0.0, 0.0]
+    u = size / np.sqrt(3) / 4.685
+    expected = (1 - u**2) ** 2 if u < 1 else 0.0
+    assert biweight()(block(r))[7] == pytest.approx(expected, rel=1e-2, abs=1e-9)
+
+
+def test_biweight_of_gaussian_noise_does_not_depend_on_its_size():
+    r = noise(3, 5000)
+    small, large = (biweight()(block(f * r)) for f in (2.0, 200.0))
+    assert np.allclose(small, large, rtol=0, atol=1e-12)
+    assert 0.8 < small.mean() < 0.95
+    # whitening: correlated noise of the stated covariance weighs the same as white noise
+    mix = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.5, 0.5, 0.7]])
+    other = biweight(mix @ COVARIANCE @ mix.T)(block(mix @ r))
+    assert np.allclose(other, biweight()(block(r)), rtol=0, atol=1e-9)
+
+
+def test_weights_are_weights():
+    for weigh in (spikes(), biweight(), column_spikes(HALL)):
+        w = weigh(block(noise(4) * 50))
+        assert w.shape == (400,)
+        assert np.all((w >= 0) & (w <= 1))
+
+
+def test_stated_noise_of_the_twin_is_what_its_residuals_show():
+    """The pieces together: 5 % spikes in every reading are found to the sample at the truth."""
+    clean, spiky = (record(seed=9, samples=100, outlier_share=s, outlier_size=1e-3) for s in (0.0, 0.02))
+    model = stage31()
+    log = with_noise(spiky)
+    zeros = {
+        k: np.array(run.zeros) / phi(TRUTH, np.array([run.setting[c] for c in COLUMNS[3:]]))
+        for k, run in enumerate(campaign(100).runs)
+    }
+    covariance = np.eye(3) * (2e-6) ** 2
+    weigh = reject_spikes(residuals(model, model.vector(TRUTH), zeros), covariance, (*HALL, *COLUMNS[:3]))
+    weight = np.concatenate([weigh(b) for b in log.blocks()])
+    residual = residuals(model, model.vector(TRUTH), zeros)
+    size = np.concatenate([np.abs(residual(b)).max(axis=0) for b in log.blocks()])
+    assert len(clean["run"]) == len(weight)
+    assert np.all(weight[size > 30e-6] == 0)
+    assert np.mean(weight[size < 8e-6]) > 0.99
+    assert set(SIGMAS) >= {*HALL}
