@@ -86,7 +86,8 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
                 work[target] = op
             else:
                 out[target[0]][target[1]] = work[arguments[0]]
-        return [_stack(entries, inputs) for entries in out]
+        shape = np.broadcast_shapes(*{getattr(v, "shape", ()) for column in inputs for v in column})
+        return [_stack(entries, shape) for entries in out]
 
     return run
 
@@ -110,8 +111,7 @@ def _compile(function: ca.Function) -> list[tuple]:
     return program
 
 
-def _stack(entries: list, inputs: tuple) -> np.ndarray:
-    shape = np.broadcast_shapes(*(np.shape(e) for e in entries), *(np.shape(v) for i in inputs for v in i))
+def _stack(entries: list, shape: tuple[int, ...]) -> np.ndarray:
     result = np.empty((len(entries), *shape))
     for row, entry in enumerate(entries):
         result[row] = entry

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 DPI = 150
 SUFFIXES = ("png", "pdf", "svg")
 COLUMNS = 1000
-"""A trace is drawn with this many to twice this many min-max columns, or with every sample if it has fewer."""
+"""A long trace is drawn with this many to twice this many min-max columns, a shorter one sample by sample."""
+STRETCHES = tuple(2 * COLUMNS * 4**k for k in range(12))
+"""Samples from the start of a run that are tried when the whole run would be a solid block."""
 BAND = 3.0
 """Half-width of the noise band in noise floors: 99.7 % of Gaussian errors lie inside."""
 COVERAGE = 1.96
@@ -62,7 +64,6 @@ STYLE = {
     "axes.spines.right": False,
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
-    "axes.titlelocation": "left",
     "lines.linewidth": 0.9,
     "path.simplify": False,
     "svg.fonttype": "none",
@@ -81,9 +82,9 @@ def save_pictures(
 ) -> list[Path]:
     """Draw the pictures of `fit` on `log` into `folder` (made if missing) and return the files written.
 
-    `measured`, `errors_before_after`, `errors_by_setting`, `parameters`, and `errors_by_step` if `steps` are
-    given: error tables of models between the designed and the fitted one, in the order in which they were
-    reached. `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part and are marked.
+    `measured`, `errors_before_after`, `errors_by_setting` and `parameters`. `steps`: error tables of models
+    between the designed and the fitted one, by name; they are shown by setting.
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part and are marked.
     `suffixes`: any of png, pdf, svg. The log is read twice, in blocks.
     """
     for suffix in suffixes:
@@ -108,8 +109,6 @@ def save_pictures(
             "errors_by_setting": errors_by_setting(fit, survey, steps),
             "parameters": parameters(fit),
         }
-        if steps:
-            figures["errors_by_step"] = errors_by_step(fit, survey, steps)
         for name, figure in figures.items():
             for suffix in suffixes:
                 path = folder / f"{name}.{suffix}"
@@ -172,7 +171,9 @@ class Trace:
         """Sample number in the middle of each column."""
         return (np.arange(self.low.shape[1]) + 0.5) * self.width - 0.5
 
-    def line(self, series: int, x: np.ndarray, breaks: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+    def line(
+        self, series: int, x: np.ndarray, breaks: Sequence[int] | np.ndarray = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return `(x, y)` of a line from least to greatest value, interrupted before samples in `breaks`."""
         y = self.low[series]
         if self.width > 1:
@@ -322,7 +323,7 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Mask | None = None) -> Fi
 
     model = fit.model
     chosen = representative(survey)
-    traces = _run_traces(log, fit, chosen, keep)
+    traces = _run_traces(log, fit, survey, chosen, keep)
     n, rows = len(model.pose), len(model.pose) + 1
     figure = Figure(figsize=(WIDTH, 1.25 * rows + 0.75), layout="constrained")
     axes = figure.subplots(rows, len(chosen), sharex="col", sharey="row", squeeze=False)
@@ -335,6 +336,7 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Mask | None = None) -> Fi
         timed = survey.time is not None
         x = trace.low[0] - trace.low[0][0] if timed else trace.samples
         for k in range(n):
+            look: dict[str, Any]
             for series, label, look in (
                 (1 + k, "reference", {"color": LIGHT, "lw": 3.2}),
                 (1 + n + k, "decoded, designed parameters", {"color": BLACK, "lw": 0.7, "ls": (0, (4, 2))}),
@@ -347,7 +349,7 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Mask | None = None) -> Fi
             look = {"color": SERIES[k % len(SERIES)], "ls": DASHES[k % len(DASHES)]}
             axes[n, column].plot(at, scales[n][0] * y, label=_name(channel), **look)
         axes[n, column].set_xlabel("time in the run [s]" if timed else "sample of the run")
-        axes[0, column].set_title(_run_title(fit, survey, run))
+        axes[0, column].set_title(_run_title(fit, survey, run, trace), loc="left")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     handles, labels = axes[n, 0].get_legend_handles_labels()
@@ -365,12 +367,17 @@ def representative(survey: Survey, most: int = 3) -> list[int]:
     return sorted(chosen[:most], key=survey.runs.index)
 
 
-def _run_traces(log: Log, fit: Fit, chosen: Sequence[int], keep: Mask | None) -> list[Trace]:
-    """Series of each trace: time, reference, designed pose, fitted pose, readings."""
+def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep: Mask | None) -> list[Trace]:
+    """Trace each chosen run from its start, as far as its motion can still be seen.
+
+    Series: time, reference, designed pose, fitted pose, readings.
+    """
     model, decode = fit.model, _Decode(fit)
-    timed = "t_s" in log.columns
+    timed = survey.time is not None
     n = 1 + 3 * len(model.pose) + len(model.channels)
-    traces: dict[int, Trace] = {run: Trace(n) for run in chosen}
+    sizes = dict(zip(survey.runs, np.diff(survey.edges), strict=True))
+    lengths = {run: [s for s in STRETCHES if s < sizes[run]] + [sizes[run]] for run in chosen}
+    traces = {run: [Trace(n) for _ in lengths[run]] for run in chosen}
     zeros: dict[int, np.ndarray] = {}
     for block in log.blocks((*columns_of(model), *(("t_s",) if timed else ())), size=CHUNK):
         if block.run not in traces:
@@ -379,27 +386,41 @@ def _run_traces(log: Log, fit: Fit, chosen: Sequence[int], keep: Mask | None) ->
             continue
         if block.run not in zeros:
             zeros[block.run] = decode.zeros(block.run, np.array([block.data[c][0] for c in model.state]))
-        designed, fitted = decode(block, zeros[block.run])
         reference = [block.data[c] for c in model.references]
-        values = np.vstack([*reference, designed, fitted, *(block.data[c] for c in model.channels)])
+        readings = [block.data[c] for c in model.channels]
+        values = np.vstack([*reference, *decode(block, zeros[block.run]), *readings])
         if keep is not None:
             values[:, ~(keep(block) > 0)] = np.nan
         time = block.data["t_s"] if timed else np.zeros(values.shape[1])
-        traces[block.run].add(np.vstack([time, values]))
-    return [traces[run] for run in chosen]
+        values = np.vstack([time, *values])
+        for length, trace in zip(lengths[block.run], traces[block.run], strict=True):
+            if trace.count < length:
+                trace.add(values[:, : length - trace.count])
+    most = survey.travel.max(axis=0)
+
+    def clear(trace: Trace) -> bool:
+        rows = slice(1, 1 + len(most))
+        smear = np.nanmedian(trace.high[rows] - trace.low[rows], axis=1)
+        return bool(np.all(smear <= 0.1 * most))
+
+    return [next(filter(clear, reversed(traces[run])), traces[run][0]) for run in chosen]
 
 
 def _largest(traces: Sequence[Trace], series: Sequence[int]) -> float:
     return max(_top(bounds[list(series)]) for t in traces for bounds in (t.low, t.high))
 
 
-def _run_title(fit: Fit, survey: Survey, run: int) -> str:
+def _run_title(fit: Fit, survey: Survey, run: int, trace: Trace) -> str:
     k = survey.runs.index(run)
     what = "held out" if run in _holdout(fit) else ""
     where = ""
     if len(fit.model.state) and not np.any(survey.drift[k] > 20 * LEVEL):
         where = _setting_label(fit.model.state, survey.state[k], 5 * LEVEL, units=True)
-    return ", ".join(filter(None, (f"run {run}", where, what)))
+    part = ""
+    if trace.count < survey.edges[k + 1] - survey.edges[k]:
+        seconds = trace.high[0, -1] - trace.low[0, 0]
+        part = f"first {_short(seconds)} s" if survey.time is not None else f"first {trace.count} samples"
+    return ", ".join(filter(None, (f"run {run}", where, what, part)))
 
 
 # -- errors along the campaign ---------------------------------------------------------------------------
@@ -434,7 +455,7 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
             ax.ticklabel_format(axis="y", style="plain", useOffset=False)
             ax.set_ylim(-limit * (1.1 if survey.n_rejected else 1.0), limit)
             ax.set_ylabel(f"error in {_name(name)} [{unit}]")
-            ax.set_title(_error_words(table, k, name, fit if column else None))
+            ax.set_title(_error_words(table, k, name, fit if column else None), loc="left")
     ratios = highest[:, 0] / highest[:, 1]
     finer = ", ".join(">10000" if ratio > 1e4 else _short(float(f"{ratio:.2g}")) for ratio in ratios)
     for ax in axes[-1]:
@@ -442,7 +463,8 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
     for column, title in enumerate(
         ("Designed parameters, no zero deviations", f"Fitted; scales {finer} × finer")
     ):
-        axes[0, column].set_title(f"{title}\n{axes[0, column].get_title('left')}", linespacing=1.6)
+        below = axes[0, column].get_title("left")
+        axes[0, column].set_title(f"{title}\n{below}", loc="left", linespacing=1.6)
     figure.align_ylabels(axes)
     _campaign_legend(figure, fit, survey)
     return figure
@@ -541,7 +563,7 @@ def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] 
         series.append((label, table, every, look))
     series.append(("fitted", survey.fitted, used, {"marker": "o", "mfc": AFTER, "color": AFTER}))
     if any(apart):
-        look = {"marker": "D", "mfc": "white", "color": AFTER, "mew": 1.1}
+        look = {"marker": "D", "mfc": "white", "color": AFTER}
         aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, apart, strict=True)])
         series.append(("fitted, held-out runs", survey.fitted, apart, look))
     n = len(model.pose)
@@ -560,7 +582,8 @@ def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] 
             )
         if floor > 0:
             ax.axhline(factor * floor, color=BLACK, lw=0.8, ls=(0, (4, 2)), label="noise floor", zorder=2)
-        _log_axis(ax, factor * np.array([*np.ravel(values), floor]))
+        _log_axis(ax, "y", factor * np.array([*np.ravel(values), floor]))
+        ax.grid(axis="y", which="major", color=SHADE, lw=0.5, zorder=0)
         ax.set_ylabel(f"rmse {_name(name)} [{unit}]")
     pick = range(len(groups)) if len(groups) <= MOST_SETTINGS else _thinned(len(groups), 12)
     words = any(not label.lstrip("-").isdigit() for label, _ in groups)
@@ -643,70 +666,21 @@ def _reach(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.fmin.reduce(values), np.fmax.reduce(values)
 
 
-def _log_axis(ax: Axes, values: np.ndarray) -> None:
-    """Logarithmic y axis around the positive values with plain numbers at 1, 2, 5."""
+def _log_axis(ax: Axes, which: str, values: np.ndarray) -> None:
+    """Logarithmic x or y axis around the positive values, with plain numbers at 1, 2, 5 of each decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     values = values[np.isfinite(values) & (values > 0)]
     if not len(values):
         return
-    top = float(values.max())
-    low = float(values.min())
-    ax.set_yscale("log")
-    ax.set_ylim(low / 1.5, top * 1.5)
-    decades = np.log10(top / low)
-    ax.yaxis.set_major_locator(
-        LogLocator(subs=(1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,))
-    )
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda v, _: _short(v)))
-    ax.yaxis.set_minor_formatter(NullFormatter())
-    ax.grid(axis="y", which="major", color=SHADE, lw=0.5, zorder=0)
-
-
-# -- errors by step --------------------------------------------------------------------------------------
-
-
-def errors_by_step(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable]) -> Figure:
-    """Draw rmse and peak over the campaign for the designed model, each step and the fit, one row each."""
-    from matplotlib.figure import Figure
-
-    rows = [("designed", survey.designed), *steps.items(), ("fitted", survey.fitted)]
-    n = len(fit.model.pose)
-    figure = Figure(figsize=(WIDTH, 0.24 * len(rows) + 1.1), layout="constrained")
-    axes = figure.subplots(1, n, sharey=True, squeeze=False)[0]
-    y = np.arange(len(rows))[::-1]
-    for k, (ax, name) in enumerate(zip(axes, fit.model.pose, strict=True)):
-        rmse = np.array([_rmse(table, table.runs, k) for _, table in rows])
-        peak = np.array([table.peak[:, k].max() for _, table in rows])
-        floor = float(fit.noise_floor.get(name, 0.0))
-        factor, unit = _scale(name, _top(peak))
-        ax.hlines(y, factor * rmse, factor * peak, color=FAINT, lw=0.8, zorder=1)
-        ax.plot(factor * rmse, y, ls="none", marker="o", ms=4.5, color=AFTER, label="rmse", zorder=3)
-        ax.plot(
-            factor * peak, y, ls="none", marker="s", ms=4.2, mfc="white", color=BEFORE, label="peak", zorder=3
-        )
-        if floor > 0:
-            ax.axvline(factor * floor, color=BLACK, lw=0.8, ls=(0, (4, 2)), label="noise floor")
-        values = factor * np.array([*rmse, *peak, floor])
-        values = values[np.isfinite(values) & (values > 0)]
-        if len(values):
-            _log_x(ax, float(values.min()), float(values.max()))
-        ax.set_xlabel(f"error in {_name(name)} [{unit}]")
-    axes[0].set_yticks(y, [label for label, _ in rows])
-    axes[0].set_ylim(-0.6, len(rows) - 0.4)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
-    return figure
-
-
-def _log_x(ax: Axes, low: float, top: float) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    ax.set_xscale("log")
-    ax.set_xlim(low / 1.5, top * 1.5)
-    ax.xaxis.set_major_locator(LogLocator(subs=(1, 3) if np.log10(top / low) < 2 else (1,)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda v, _: _short(v)))
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    low, top = float(values.min()), float(values.max())
+    decades = float(np.log10(top / low))
+    margin = 1.5 * 10 ** (0.04 * decades)
+    ax.set(**{f"{which}scale": "log", f"{which}lim": (low / margin, top * margin)})
+    axis = getattr(ax, f"{which}axis")
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,)))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: _short(v)))
+    axis.set_minor_formatter(NullFormatter())
 
 
 # -- parameters ------------------------------------------------------------------------------------------
@@ -749,8 +723,8 @@ def parameters(fit: Fit) -> Figure:
 
 def _beside(ax: Axes, row: float, text: str) -> None:
     """Write to the right of a row."""
-    ax.annotate(text, (1.0, row), xycoords=ax.get_yaxis_transform(), xytext=(6, 0), textcoords="offset points",
-                va="center_baseline", annotation_clip=False)  # fmt: skip
+    look: dict[str, Any] = {"va": "center_baseline", "annotation_clip": False, "textcoords": "offset points"}
+    ax.annotate(text, (1.0, row), xycoords=ax.get_yaxis_transform(), xytext=(6, 0), **look)
 
 
 def _combinations(ax: Axes, below: Sequence[tuple[list[str], Any]], rows: float) -> None:
@@ -819,7 +793,7 @@ def _precision_axis(ax: Axes, fit: Fit) -> None:
     half = half[np.isfinite(half) & (half > 0)]
     ax.set_xlabel("half of the 95 % interval\n[% of the bounds' width]")
     if len(half):
-        _log_x(ax, min(float(half.min()), 0.1), max(float(half.max()), 1.0))
+        _log_axis(ax, "x", np.array([*half, 0.1, 1.0]))
     else:
         ax.set_xticks([])
 
@@ -827,15 +801,15 @@ def _precision_axis(ax: Axes, fit: Fit) -> None:
 def _parameter_legend(figure: Figure, fit: Fit) -> None:
     from matplotlib.lines import Line2D
 
-    point = {"ls": "none", "ms": 4.2, "color": AFTER}
+    point: dict[str, Any] = {"ls": "none", "ms": 4.2, "color": AFTER}
     handles = [
         Line2D([], [], ls="none", marker="|", ms=6, mew=1.2, color=BEFORE, label="nominal"),
         Line2D([], [], marker="o", **point, label="estimate"),
     ]
     lower, upper = fit.model.bounds
     if np.any((fit.model.nominal < lower - 0.03 * (upper - lower)) | (fit.model.nominal > upper)):
-        look = {"ls": "none", "marker": ">", "ms": 4, "color": BEFORE}
-        handles.insert(1, Line2D([], [], label="nominal beyond the bounds", **look))
+        beyond = Line2D([], [], ls="none", marker=">", ms=4, color=BEFORE, label="nominal beyond the bounds")
+        handles.insert(1, beyond)
     if fit.at_bound:
         handles.append(Line2D([], [], marker="s", **point, label="estimate at its bound"))
     if not np.all(fit.determined):

@@ -15,6 +15,8 @@ SOLVERS = ("hybrid", "direct", *EXPLORERS)
 """hybrid is SHTLBO, closed form, IPOPT; direct leaves the global stage out; the others replace SHTLBO."""
 BUDGET, SIZE, KEEP = 4040, 40, 3
 """Evaluations and class size of the global stage; how many of its points are refined."""
+SCREENED, ELSEWHERE = 100, 2
+"""Latin-hypercube points that are looked at, and how many of the best that are apart are refined too."""
 SAME = 1e-6
 """Relative difference of cost within which two optima are the same."""
 
@@ -45,10 +47,11 @@ def search(
         return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
     scaled, explored = _Scaled(fitted.summary.model, first, free, found.scale[free]), None
     if solver != "direct":
+        problem, rng = scaled.problem(merged), np.random.default_rng(seed)
         explored = solvers.hybrid(
-            scaled.problem(merged),
-            seed=seed,
-            starts=scaled.to_unit(first)[None],
+            problem,
+            seed=rng,
+            starts=np.vstack([scaled.to_unit(first), *_elsewhere(problem, rng)]),
             keep=KEEP,
             budget=BUDGET,
             global_solver="shtlbo" if solver == "hybrid" else solver,
@@ -67,6 +70,11 @@ def search(
         starts=1 if explored is None else len(explored.local),
         share=1.0 if explored is None else float(explored.share),
     )
+
+
+def _elsewhere(problem: solvers.Problem, rng: np.random.Generator) -> np.ndarray:
+    """Points far from every other start: the evidence that the optimum does not depend on the start."""
+    return solvers.screened_starts(problem, SCREENED, ELSEWHERE, rng).x
 
 
 def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:

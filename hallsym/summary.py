@@ -14,7 +14,7 @@ from hallsym.features import Features, find_features
 from hallsym.log import Block, Log
 from hallsym.model import Model
 
-SLOPE_SAMPLES = 256
+SLOPE_SAMPLES = 64
 """Samples per block that estimate how reference noise enters; a weight needs no more."""
 
 
