@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.evaluate import ErrorTable
+from hallsym.evaluate import ErrorTable, Mask
 from hallsym.families import build
 from hallsym.files import atomic_write
 from hallsym.log import Meta, Noise, Sigma
@@ -77,6 +77,8 @@ class Fit:
     seconds: float
     notes: tuple[str, ...] = ()
     errors: Errors | None = None
+    keep: Mask | None = None
+    """Weights that took outliers out of the fit; not saved."""
     undetermined_by_log: tuple[str, ...] = ()
     wiring: tuple[tuple[str, int], ...] | None = None
     versions: Mapping[str, str] = field(default_factory=dict)

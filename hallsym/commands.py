@@ -231,7 +231,7 @@ def _pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:
         return []
     from hallsym.plots import save_pictures
 
-    return save_pictures(log, result, Path(folder))
+    return save_pictures(log, result, Path(folder), keep=result.keep)
 
 
 def _noted(notes: list[str]) -> list[str]:

@@ -93,7 +93,8 @@ def fit(
         errors = task.errors(state, keep) if keep else errors
         notes += said
     task.check(state)
-    return _result(task, state, errors, tuple(notes), wiring if gain > 0 else None, perf_counter() - began)
+    result = _result(task, state, errors, tuple(notes), wiring if gain > 0 else None, perf_counter() - began)
+    return replace(result, keep=keep)
 
 
 @dataclass(frozen=True, eq=False)

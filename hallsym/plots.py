@@ -35,6 +35,8 @@ COLUMNS = 1000
 """A long trace is drawn with this many to twice this many min-max columns, a shorter one sample by sample."""
 STRETCHES = tuple(2 * COLUMNS * 4**k for k in range(12))
 """Samples from the start of a run that are tried when the whole run would be a solid block."""
+SMEAR = 0.025
+"""Motion can be seen while it moves less than this share of its travel within one picture column."""
 BAND = 3.0
 """Half-width of the noise band in noise floors: 99.7 % of Gaussian errors lie inside."""
 COVERAGE = 1.96
@@ -401,7 +403,7 @@ def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep:
     def clear(trace: Trace) -> bool:
         rows = slice(1, 1 + len(most))
         smear = np.nanmedian(trace.high[rows] - trace.low[rows], axis=1)
-        return bool(np.all(smear <= 0.1 * most))
+        return bool(np.all(smear <= SMEAR * most))
 
     return [next(filter(clear, reversed(traces[run])), traces[run][0]) for run in chosen]
 
@@ -512,8 +514,7 @@ def _campaign_axis(ax: Axes, fit: Fit, survey: Survey) -> None:
         if run in held:
             ax.axvspan(edges[k], edges[k + 1], color=SHADE, lw=0, zorder=0)
     if len(survey.runs) <= 80:
-        for edge in edges[1:-1]:
-            ax.axvline(edge, color=FAINT, lw=0.3, zorder=1)
+        ax.vlines(edges[1:-1], 0, 1, transform=ax.get_xaxis_transform(), color=FAINT, lw=0.3, zorder=1)
     pick = _thinned(len(survey.runs), 8)
     ax.set_xticks([float(edges[k : k + 2].mean()) for k in pick], [str(survey.runs[k]) for k in pick])
     ax.set_xlim(edges[0], edges[-1])
@@ -864,7 +865,9 @@ def _short(value: float) -> str:
 
 def _three(value: float) -> str:
     """Three significant digits, trailing zeros kept."""
-    return f"{value:#.3g}".rstrip(".") if 1e-4 <= abs(value) < 1e6 else f"{value:.3g}"
+    if 100 <= abs(value) < 1e6:
+        return f"{value:.0f}"
+    return f"{value:#.3g}" if 1e-4 <= abs(value) < 100 else f"{value:.3g}"
 
 
 def _plus_minus(value: float, half: float, unit: str) -> str:

@@ -15,7 +15,7 @@ MOVED = 4.0
 @dataclass(frozen=True, eq=False)
 class LinearFit:
     """Unconstrained coefficients of a merged cost: `coefficients` (n_features, n_channels), which features
-    `moved`, and the share of each channel's variance that the features leave, `unexplained` (n_channels,).
+    `moved`, and the share of each channel's variance that the features leave, `unexplained` (n_channels,), 0 for noise alone.
     """
 
     coefficients: np.ndarray
@@ -37,8 +37,10 @@ def linear_fit(cost: Cost) -> LinearFit:
     coefficients = nominal.copy()
     coefficients[moved] += change / size[moved, None]
     left = target - (R_f / size)[:, moved] @ change
-    total = np.maximum(np.einsum("ij,ij->j", R_m, R_m), 1e-300)
-    return LinearFit(coefficients, moved, np.einsum("ij,ij->j", left, left) / total)
+    total = np.einsum("ij,ij->j", R_m, R_m)
+    heard = total > MOVED * cost.summary.counts[0] * cost.reading_variance
+    share = np.einsum("ij,ij->j", left, left) / np.maximum(total, 1e-300)
+    return LinearFit(coefficients, moved, np.where(heard, share, 0.0))
 
 
 def closed_form(cost: Cost, linear: LinearFit) -> np.ndarray:

@@ -14,6 +14,8 @@ from hallsym.features import Features, find_features
 from hallsym.log import Block, Log
 from hallsym.model import Model
 
+PIECE = 384
+"""Rows reduced at once: fits the cache, and is too small for BLAS threads to get in each other's way."""
 SLOPE_SAMPLES = 64
 """Samples per block that estimate how reference noise enters; a weight needs no more."""
 
@@ -161,8 +163,12 @@ class _Run:
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
-    """R factor of `rows`, padded with zero rows to a square; tall blocks are reduced in cache-sized pieces."""
+    """R factor of `rows`, padded to a square; tall blocks are reduced in pieces that fit the cache."""
     n = rows.shape[1]
+    while len(rows) >= 2 * PIECE:
+        whole = len(rows) // PIECE
+        pieces = np.linalg.qr(rows[: whole * PIECE].reshape(whole, PIECE, n), mode="r")
+        rows = np.vstack([pieces.reshape(-1, n), rows[whole * PIECE :]])
     if len(rows) < n:
         rows = np.vstack([rows, np.zeros((n - len(rows), n))])
     return np.linalg.qr(rows, mode="r")

@@ -144,7 +144,7 @@ def _combinations(
         else:
             lost.append(combination.expression)
     stacked = np.array(known).T if known else np.zeros((len(p), 0))
-    scaled = np.sqrt(np.diag(covariance))
+    scaled = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     among = np.flatnonzero(_loose(model.names, scaled, found) & (found.scale > 0) & _open(model))
     for gradient in linear_combinations(found.scale, found.null, stacked, among):
         gradient = _readable(gradient, found.scale, covariance)

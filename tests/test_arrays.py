@@ -101,7 +101,10 @@ def test_every_operation_is_casadis(code):
 def test_sign_of_negative_numbers_in_fmod_and_of_zero():
     a, b = ca.SX.sym("a"), ca.SX.sym("b")
     f = on_arrays(ca.Function("f", [ca.vertcat(a, b)], [ca.vertcat(ca.fmod(a, b), ca.sign(a))]))
-    assert f(np.array([[-5.5, 5.5, 0.0], [2.0, -2.0, 1.0]]))[0].tolist() == [[-1.5, 1.5, 0.0], [-1.0, 1.0, 0.0]]
+    assert f(np.array([[-5.5, 5.5, 0.0], [2.0, -2.0, 1.0]]))[0].tolist() == [
+        [-1.5, 1.5, 0.0],
+        [-1.0, 1.0, 0.0],
+    ]
 
 
 @pytest.mark.parametrize("make", [ca.erf, ca.asinh, ca.log1p, lambda a: ca.remainder(a, 2.0)])
@@ -134,7 +137,9 @@ def test_scalars_and_arrays_broadcast(shape, drop):
 
 def test_matrices_come_column_by_column():
     x = ca.SX.sym("x", 2)
-    (flat,) = on_arrays(ca.Function("f", [x], [ca.densify(ca.horzcat(x, 10 * x))]))([1.0, np.array([2.0, 3.0])])
+    (flat,) = on_arrays(ca.Function("f", [x], [ca.densify(ca.horzcat(x, 10 * x))]))(
+        [1.0, np.array([2.0, 3.0])]
+    )
     assert flat.tolist() == [[1, 1], [2, 3], [10, 10], [20, 30]]
 
 

@@ -22,7 +22,9 @@ def test_sine_and_triangle_start_at_zero_rise_reach_the_amplitude_and_repeat(mak
     signal = make(amplitude, f)
     assert abs(signal(np.zeros(1))[0]) <= 4 * EPS * amplitude
     quarter = np.array([1, 2, 3, 4]) / (4 * f)
-    assert np.allclose(signal(quarter), amplitude * np.array([1, 0, -1, 0]), rtol=0, atol=64 * EPS * amplitude)
+    assert np.allclose(
+        signal(quarter), amplitude * np.array([1, 0, -1, 0]), rtol=0, atol=64 * EPS * amplitude
+    )
     t = np.linspace(0, 1 / f, 101)
     assert signal(t[:2])[1] > 0
     assert np.abs(signal(t)).max() <= amplitude * (1 + 4 * EPS)
@@ -97,7 +99,12 @@ def test_each_run_of_the_article_moves_one_axis_by_its_amplitude_about_its_setti
 def test_the_articles_deviations_belong_to_their_runs():
     """Rows of Table A1 typed from the article: (1, y), (3, rz), (2, y), (7, x)."""
     runs = paper_campaign().runs
-    for k, micrometres in {0: (0.87, 0.52, 0.26), 5: (1.05, 0.58, 0.86), 6: (-0.93, 1.60, 1.92), 16: (1.97, 1.23, -0.09)}.items():
+    for k, micrometres in {
+        0: (0.87, 0.52, 0.26),
+        5: (1.05, 0.58, 0.86),
+        6: (-0.93, 1.60, 1.92),
+        16: (1.97, 1.23, -0.09),
+    }.items():
         assert np.allclose(runs[k].zeros, np.array(micrometres) * 1e-6, rtol=1e-12)
 
 
@@ -147,7 +154,9 @@ def test_a_campaign_file_runs_every_trajectory_at_every_setting(written):
 
 
 def test_without_settings_there_is_one_at_rest(written):
-    campaign = read_campaign(written('[[trajectory]]\nduration_s = 1\nx_m = {kind="sine", amplitude=1e-4, frequency_hz=1}'))
+    campaign = read_campaign(
+        written('[[trajectory]]\nduration_s = 1\nx_m = {kind="sine", amplitude=1e-4, frequency_hz=1}')
+    )
     assert len(campaign.runs) == 1
     assert campaign.step_s == 2e-3
 
@@ -164,9 +173,15 @@ BAD = {
     "infinite duration": (GOOD.replace("duration_s = 0.5", "duration_s = inf", 1), "duration_s"),
     "true duration": (GOOD.replace("duration_s = 0.5", "duration_s = true", 1), "duration_s"),
     "unknown signal": (GOOD.replace('"sine"', '"sinus"'), "did you mean 'sine'"),
-    "signal is a number": (GOOD.replace('{ kind = "sine", amplitude = 3e-4, frequency_hz = 2.0 }', "3"), "kind"),
+    "signal is a number": (
+        GOOD.replace('{ kind = "sine", amplitude = 3e-4, frequency_hz = 2.0 }', "3"),
+        "kind",
+    ),
     "no amplitude": (GOOD.replace("amplitude = 3e-4, ", ""), "amplitude"),
-    "unknown signal key": (GOOD.replace("frequency_hz = 2.0", "frequency_hz = 2.0, phase_deg = 3"), "phase_deg"),
+    "unknown signal key": (
+        GOOD.replace("frequency_hz = 2.0", "frequency_hz = 2.0, phase_deg = 3"),
+        "phase_deg",
+    ),
     "zero frequency": (GOOD.replace("frequency_hz = 2.0", "frequency_hz = 0"), "frequency_hz"),
     "amplitude as text": (GOOD.replace("amplitude = 3e-4", 'amplitude = "big"'), "amplitude"),
     "amplitude not a number": (GOOD.replace("amplitude = 3e-4", "amplitude = nan"), "amplitude"),
@@ -175,18 +190,30 @@ BAD = {
     "levels as text": (GOOD.replace("[0.0, 5e-5]", '["up"]'), "levels"),
     "level alone": (GOOD.replace("[0.0, 5e-5]", "5e-5"), "levels"),
     "frequencies as text": (
-        GOOD.replace('kind = "sine", amplitude = 3e-4, frequency_hz = 2.0', 'kind = "multi-sine", amplitude = 1e-4, frequencies_hz = ["1"]'),
+        GOOD.replace(
+            'kind = "sine", amplitude = 3e-4, frequency_hz = 2.0',
+            'kind = "multi-sine", amplitude = 1e-4, frequencies_hz = ["1"]',
+        ),
         "frequencies_hz",
     ),
     "raster without lines": (GOOD.replace(", lines = 2", ""), "lines"),
     "raster of lines of light": (GOOD.replace('slow = "y_m"', 'slow = "w_m"'), "axes among"),
     "raster on one axis": (GOOD.replace('slow = "y_m"', 'slow = "x_m"'), "raster"),
-    "raster amplitude as text": (GOOD.replace("fast_amplitude = 1e-3", 'fast_amplitude = "a"'), "fast_amplitude"),
+    "raster amplitude as text": (
+        GOOD.replace("fast_amplitude = 1e-3", 'fast_amplitude = "a"'),
+        "fast_amplitude",
+    ),
     "raster is a number": (GOOD[: GOOD.index("raster")] + "raster = 3", "raster"),
     "raster and its axis": (GOOD + 'x_m = { kind = "sine", amplitude = 3e-4, frequency_hz = 2.0 }', "x_m"),
     "setting as text": (GOOD.replace("z_m = 1e-4", 'z_m = "up"', 1), "z_m"),
-    "setting is a table": (GOOD.replace("[[setting]]\nrx_rad = -2e-4\n", "").replace("[[setting]]", "[setting]"), "setting"),
-    "trajectory is a table": (GOOD[: GOOD.index("[[trajectory]]")] + "[trajectory]\nduration_s = 1", "trajectory"),
+    "setting is a table": (
+        GOOD.replace("[[setting]]\nrx_rad = -2e-4\n", "").replace("[[setting]]", "[setting]"),
+        "setting",
+    ),
+    "trajectory is a table": (
+        GOOD[: GOOD.index("[[trajectory]]")] + "[trajectory]\nduration_s = 1",
+        "trajectory",
+    ),
     "spread as text": (GOOD.replace("2e-6", '"2um"', 1), "zero_spread_m"),
     "negative spread": (GOOD.replace("2e-6", "-2e-6", 1), "zero_spread_m"),
     "noise is a number": (GOOD.replace("[noise]\nhall_m = 5e-7", "noise = 3", 1), "noise"),

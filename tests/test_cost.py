@@ -16,7 +16,13 @@ from hallsym.log import Log
 from hallsym.summary import summarise
 
 NAMES = ["stage15", "stage30", "stage31"]
-DERIVED = [("stage15", ()), ("stage30", ()), ("stage31", ()), ("stage31_tied", ()), ("stage31", ("exact_rotation",))]
+DERIVED = [
+    ("stage15", ()),
+    ("stage30", ()),
+    ("stage31", ()),
+    ("stage31_tied", ()),
+    ("stage31", ("exact_rotation",)),
+]
 NOISY = {**SIGMAS, "z_m": 2e-6, "rx_rad": 3e-6, "ry_rad": 4e-6}
 """State noise large enough to matter in C."""
 seeds = st.integers(0, 2**32 - 1)
@@ -114,7 +120,9 @@ def test_gradient_and_hessian_are_derivatives(log, name, effects, weighted, seed
     if weighted:
         cost = cost.weighted(rng.uniform(0, 2, 57))
     width = np.minimum(model.bounds[1] - model.bounds[0], 100.0)
-    base = model.vector({n: -150.0 if n.startswith("a_") else 20.0 for n in model.names if n[:2] in ("a_", "b_", "c_")})
+    base = model.vector(
+        {n: -150.0 if n.startswith("a_") else 20.0 for n in model.names if n[:2] in ("a_", "b_", "c_")}
+    )
     p, u = base + 0.05 * width * rng.uniform(-1, 1, len(width)), width * rng.uniform(-1, 1, len(width))
     value, gradient, hessian = cost.at(p).derivatives()
     assert value == cost.at(p).value
@@ -181,7 +189,9 @@ def test_information_is_half_the_hessian_where_the_reference_is_exact():
     _, _, hessian = cost.at(model.nominal).derivatives()
     scale = 1 / np.sqrt(np.maximum(np.diag(hessian), 1e-12 * np.diag(hessian).max()))
     information = cost.at(model.nominal).information(0.0).sum(axis=0)
-    assert np.allclose(2 * information * np.outer(scale, scale), hessian * np.outer(scale, scale), rtol=0, atol=1e-6)
+    assert np.allclose(
+        2 * information * np.outer(scale, scale), hessian * np.outer(scale, scale), rtol=0, atol=1e-6
+    )
 
 
 # -- noise in reading and reference ----------------------------------------------------------------------

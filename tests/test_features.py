@@ -35,7 +35,9 @@ def test_features_times_coefficients_are_the_reading(case, seed):
         size = np.abs(terms).sum(axis=0)
         # each term has at most a dozen roundings of its own, cancelling parts included in its coefficient
         inner = 1.0 if not centre.any() else 5e3 * 3.0  # largest slope times largest distance from zero
-        assert np.all(np.abs(terms.sum(axis=0) - reading) <= 32 * EPS * (size + inner * np.abs(values).max() * 3))
+        assert np.all(
+            np.abs(terms.sum(axis=0) - reading) <= 32 * EPS * (size + inner * np.abs(values).max() * 3)
+        )
 
 
 def test_features_of_the_articles_model_are_pose_and_one_times_state_and_one():
@@ -49,7 +51,12 @@ def test_features_of_the_articles_model_are_pose_and_one_times_state_and_one():
 
 @pytest.mark.parametrize(
     ("case", "size", "n_zero"),
-    [(("stage15", ()), 4, 0), (("stage30", ()), 4, 1), (("stage31", ()), 16, 4), (("stage31_tied", ()), 16, 4)],
+    [
+        (("stage15", ()), 4, 0),
+        (("stage30", ()), 4, 1),
+        (("stage31", ()), 16, 4),
+        (("stage31_tied", ()), 16, 4),
+    ],
 )
 def test_features_that_carry_zeros_come_first(case, size, n_zero):
     features = FOUND[case]
@@ -58,12 +65,16 @@ def test_features_that_carry_zeros_come_first(case, size, n_zero):
     p = inside(model, rng)
     centre = rng.normal(size=6)
     none, some = np.zeros(len(model.zeros)), np.full(len(model.zeros), 1e-6)
-    change = np.asarray(features.coefficients(p, some, centre)) - np.asarray(features.coefficients(p, none, centre))
+    change = np.asarray(features.coefficients(p, some, centre)) - np.asarray(
+        features.coefficients(p, none, centre)
+    )
     assert np.array_equal(np.any(change != 0, axis=1), np.arange(size) < n_zero)
 
 
 @given(seeds)
-@pytest.mark.parametrize("case", [("stage15", ()), ("stage31", ()), ("stage31", ("exact_rotation",))], ids=str)
+@pytest.mark.parametrize(
+    "case", [("stage15", ()), ("stage31", ()), ("stage31", ("exact_rotation",))], ids=str
+)
 def test_shift_moves_coefficients_to_another_centre(case, seed):
     """T is the binomial theorem: T(o) c(centre - o) = c(centre), T(0) = 1, T(a) T(b) = T(a + b)."""
     features = FOUND[case]
@@ -96,7 +107,12 @@ def test_slopes_are_derivatives_of_values(case, seed):
 
 def test_a_derived_quantity_keeps_readings_polynomial():
     features = FOUND["stage15", ("exact_rotation",)]
-    assert {features.label(j) for j in range(features.size)} >= {"1 - cos rz", "sin rz", "x_m*1 - cos rz", "y_m*sin rz"}
+    assert {features.label(j) for j in range(features.size)} >= {
+        "1 - cos rz",
+        "sin rz",
+        "x_m*1 - cos rz",
+        "y_m*sin rz",
+    }
 
 
 def replaced(link, change):
@@ -117,7 +133,9 @@ def test_readings_that_are_no_polynomial_are_refused(change):
         find_features(replaced("mechanics", change))
 
 
-@pytest.mark.parametrize("change", [lambda s: ca.fabs(s["displacement"]), lambda s: ca.floor(s["displacement"] * 1e6)])
+@pytest.mark.parametrize(
+    "change", [lambda s: ca.fabs(s["displacement"]), lambda s: ca.floor(s["displacement"] * 1e6)]
+)
 def test_readings_with_kinks_and_steps_are_refused(change):
     """Their second derivative is zero almost everywhere, so differentiation alone takes them for polynomials."""
     with pytest.raises(InputError):

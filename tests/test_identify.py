@@ -2,9 +2,20 @@
 
 import numpy as np
 import pytest
-from twins import EFFECTS, HALL, SIGMAS, TRUTH, combinations_of_effects, cost_on, phi, record, true_model, with_noise
+from twins import (
+    EFFECTS,
+    HALL,
+    SIGMAS,
+    TRUTH,
+    combinations_of_effects,
+    cost_on,
+    phi,
+    record,
+    true_model,
+    with_noise,
+)
 
-from hallsym.campaign import Campaign, Run, paper_campaign, sine
+from hallsym.campaign import Campaign, Run, paper_campaign
 from hallsym.cost import Coefficients
 from hallsym.families import build
 from hallsym.features import find_features
@@ -35,7 +46,9 @@ def test_three_directions_are_null_and_are_the_three_pairs_of_h(name):
     projector = null @ null.T
     for one in PAIRS:
         for other in PAIRS:
-            block = projector[np.ix_([model.names.index(n) for n in one], [model.names.index(n) for n in other])]
+            block = projector[
+                np.ix_([model.names.index(n) for n in one], [model.names.index(n) for n in other])
+            ]
             if one == other:  # one direction of each pair
                 assert np.trace(block) == pytest.approx(1.0, abs=1e-9)
             else:
@@ -82,7 +95,9 @@ def test_the_articles_campaign_determines_all_but_the_pairs():
 
 
 def only(runs, sigma=SIGMAS, samples: int = 50, seed: int = 2):
-    columns = simulate(build("stage31"), TRUTH, Campaign(1 / samples, tuple(runs)), NoiseModel(sigma), seed=seed)
+    columns = simulate(
+        build("stage31"), TRUTH, Campaign(1 / samples, tuple(runs)), NoiseModel(sigma), seed=seed
+    )
     return with_noise(columns)
 
 
@@ -102,7 +117,7 @@ def test_a_vertical_state_that_never_moves_leaves_only_the_gain_at_it():
     gains = dict(zip("ABC", phi(TRUTH, np.array([Z0, RX0, RY0])), strict=True))
     for k in "ABC":
         (one,) = [c for c in found.combinations if f"a_{k}" in c.expression]
-        names = {n: 0.0 for n in found.model.names}
+        names = dict.fromkeys(found.model.names, 0.0)
         at = lambda **v: eval(one.expression, {"__builtins__": {}}, names | v)  # noqa: E731
         slope = {q: at(**{f"{q}_{k}": 1.0}) for q in ("eta", "a", "b", "c")}
         assert slope["a"] / slope["eta"] == pytest.approx(Z0, rel=1e-3)
@@ -125,7 +140,9 @@ def test_what_is_held_stays_inside_its_bounds():
     log = only([Run(1.0, setting, run.motion) for run in paper_campaign().runs[:30]])
     found = fit(log, "stage31", solver="direct")
     low, high = found.model.bounds
-    outside = [n for n, p, a, b in zip(found.model.names, found.values, low, high, strict=True) if not a <= p <= b]
+    outside = [
+        n for n, p, a, b in zip(found.model.names, found.values, low, high, strict=True) if not a <= p <= b
+    ]
     assert outside == []
 
 
@@ -136,7 +153,7 @@ def test_an_axis_that_never_turns_leaves_no_lever_arm():
     assert not any(determined[n] for n in H)
     assert all(determined[n] for n in set(found.model.names) - H)
     assert not any("H" in c.expression for c in found.combinations)
-    assert H <= set(found.held)
+    assert set(found.held) >= H
 
 
 def test_noise_alone_is_no_motion():
@@ -170,11 +187,12 @@ def test_null_is_orthonormal_and_slack_is_half_its_length():
 
 def test_linear_combinations_are_what_null_directions_leave():
     """Two parameters of which only p + 2 q is known; r is known itself and takes no part."""
-    null = np.array([[2.0], [-1.0], [0.0]]) / np.sqrt(5)
-    (one,) = linear_combinations(("p", "q", "r"), np.zeros(3), np.ones(3), null, np.zeros((3, 0)))
+    scale, none = np.ones(3), np.zeros((3, 0))
+    null, among = np.array([[2.0], [-1.0], [0.0]]) / np.sqrt(5), np.array([0, 1])
+    (one,) = linear_combinations(scale, null, none, among)
     assert np.allclose(one / one[0], [1.0, 2.0, 0.0], atol=1e-12)
-    assert linear_combinations(("p", "q", "r"), np.zeros(3), np.ones(3), null, one[:, None]) == []
-    assert linear_combinations(("p", "q", "r"), np.zeros(3), np.ones(3), np.zeros((3, 0)), np.zeros((3, 0))) == []
+    assert linear_combinations(scale, null, one[:, None], among) == []
+    assert linear_combinations(scale, none, none, among[:0]) == []
 
 
 def test_feature_scale_is_the_size_of_each_column():

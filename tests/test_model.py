@@ -21,7 +21,9 @@ def test_links_are_ordered_along_the_chain_whatever_the_order_of_adding():
 
     for link in reversed(LINKS):
         model = model.with_step(link, step(link), effect=f"watch_{link}")
-    assert [LINKS.index(link) for link, _ in model.steps] == sorted(LINKS.index(link) for link, _ in model.steps)
+    assert [LINKS.index(link) for link, _ in model.steps] == sorted(
+        LINKS.index(link) for link, _ in model.steps
+    )
     _ = model.reading
     assert seen == list(LINKS)
 
@@ -66,11 +68,15 @@ def test_vectors_put_values_over_nominal_ones():
     model = stage15()
     p = model.vector({"eta_B": 0.7})
     assert p[model.names.index("eta_B")] == 0.7
-    assert np.array_equal(np.delete(p, model.names.index("eta_B")), np.delete(model.nominal, model.names.index("eta_B")))
+    assert np.array_equal(
+        np.delete(p, model.names.index("eta_B")), np.delete(model.nominal, model.names.index("eta_B"))
+    )
 
 
 def test_bounds_and_nominal_values_change_by_name():
-    model = stage31().with_parameters({"H1x": {"nominal": 0.2, "lower": 0.1, "upper": 0.3}, "delta_A": {"upper": 5e-5}})
+    model = stage31().with_parameters(
+        {"H1x": {"nominal": 0.2, "lower": 0.1, "upper": 0.3}, "delta_A": {"upper": 5e-5}}
+    )
     k = model.names.index("H1x")
     assert (model.nominal[k], model.bounds[0][k], model.bounds[1][k]) == (0.2, 0.1, 0.3)
     assert model.parameters[k].width == pytest.approx(0.2)
@@ -132,7 +138,9 @@ def test_overdetermined_decoding_is_weighted_least_squares():
     root = np.sqrt(weight)
     expected, *_ = np.linalg.lstsq(design * root[:, None], m * root, rcond=None)
     found = np.asarray(model.decoded(p, [], m, [0, 0, 0], weight)).ravel()
-    assert np.allclose(found, expected, rtol=0, atol=1e-14 * np.abs(expected).max() * np.linalg.cond(design) ** 2)
+    assert np.allclose(
+        found, expected, rtol=0, atol=1e-14 * np.abs(expected).max() * np.linalg.cond(design) ** 2
+    )
 
 
 def test_expressions_are_casadi_functions_with_named_inputs():

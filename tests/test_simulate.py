@@ -45,7 +45,12 @@ def test_columns_are_in_order_and_of_one_length():
 
 @pytest.mark.parametrize(
     "noise",
-    [NoiseModel(SIGMAS), NoiseModel(SIGMAS, correlation_s=0.1), NoiseModel(SIGMAS, degrees_of_freedom=4), NoiseModel(outlier_share=0.1)],
+    [
+        NoiseModel(SIGMAS),
+        NoiseModel(SIGMAS, correlation_s=0.1),
+        NoiseModel(SIGMAS, degrees_of_freedom=4),
+        NoiseModel(outlier_share=0.1),
+    ],
 )
 def test_the_same_seed_gives_the_same_log_and_another_seed_another(noise):
     one, two, other = (simulate(MODEL, TRUTH, campaign(10), noise, seed=s) for s in (1, 1, 2))

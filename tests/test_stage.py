@@ -129,7 +129,8 @@ def layouts(draw, sizes=(3, 4, 6)):
     matrix = np.column_stack([senses, (position[:, 0] * senses[:, 1] - position[:, 1] * senses[:, 0]) / 0.3])
     assume(np.linalg.cond(matrix) < 30)
     return tuple(
-        Probe(f"hall_{'abcdef'[k]}_m", tuple(position[k].tolist()), tuple(senses[k].tolist())) for k in range(n)
+        Probe(f"hall_{'abcdef'[k]}_m", tuple(position[k].tolist()), tuple(senses[k].tolist()))
+        for k in range(n)
     )
 
 
@@ -167,9 +168,7 @@ def test_mirrored_machine_reads_the_same(layout, q, s, seed):
     v = named(one, inside(one, np.random.default_rng(seed)))
     w = {n: -value if n.startswith(("theta", "x0")) else value for n, value in v.items()}
     read = numbers(one.reading, one.vector(v), np.zeros(len(layout)), q, s)
-    mirror = numbers(
-        two.reading, two.vector(w), np.zeros(len(layout)), q * [-1, 1, -1], s * [1, 1, -1]
-    )
+    mirror = numbers(two.reading, two.vector(w), np.zeros(len(layout)), q * [-1, 1, -1], s * [1, 1, -1])
     assert np.all(np.abs(read - mirror) <= ROUNDINGS * 30.0 * (np.abs(q).sum() + 1e-300))
 
 
@@ -190,9 +189,7 @@ def test_turned_machine_reads_the_same(exact, layout, q, s, turn, seed):
         one.reading, one.vector(v | dict(zip(("x0", "y0"), point, strict=True))), np.zeros(len(layout)), q, s
     )
     p = two.vector(v | dict(zip(("x0", "y0"), R @ point, strict=True)))
-    other = numbers(
-        two.reading, p, np.zeros(len(layout)), [*(R @ q[:2]), q[2]], [s[0], *(R @ s[1:])]
-    )
+    other = numbers(two.reading, p, np.zeros(len(layout)), [*(R @ q[:2]), q[2]], [s[0], *(R @ s[1:])])
     assert np.all(np.abs(read - other) <= 4 * ROUNDINGS * np.abs(q).sum() + 1e-22)
 
 
@@ -324,7 +321,11 @@ def test_every_parameter_and_zero_moves_a_reading_and_the_decoded_pose(name, eff
         )
         slope = ca.Function("slope", [both, x, s.state], [ca.densify(ca.jacobian(output(*arguments), both))])
         columns = np.abs(np.asarray(slope(np.concatenate([p, d]), *values, [1e-4, 2e-4, -3e-4])))
-        dead = [n for n, c in zip((*model.names, *(z.name for z in model.zeros)), columns.T, strict=True) if not c.any()]
+        dead = [
+            n
+            for n, c in zip((*model.names, *(z.name for z in model.zeros)), columns.T, strict=True)
+            if not c.any()
+        ]
         assert dead == []
 
 
@@ -365,7 +366,9 @@ def test_layouts_that_cannot_tell_x_y_and_rz_apart_are_refused(layout):
         stage15(layout)
 
 
-@pytest.mark.parametrize("effect", [zero_deviation, vertical_coupling, tied_vertical_coupling, exact_rotation])
+@pytest.mark.parametrize(
+    "effect", [zero_deviation, vertical_coupling, tied_vertical_coupling, exact_rotation]
+)
 def test_an_effect_is_added_once(effect):
     model = effect(stage15())
     with pytest.raises(InputError, match="already part"):
@@ -405,7 +408,9 @@ def test_aliases_are_the_articles_names():
 
 # -- a machine described by its log ----------------------------------------------------------------------
 
-ENTRIES = [{"channel": p.channel, "position_m": list(p.position), "senses": list(p.senses)} for p in paper_layout()]
+ENTRIES = [
+    {"channel": p.channel, "position_m": list(p.position), "senses": list(p.senses)} for p in paper_layout()
+]
 
 
 def test_meta_gives_layout_and_nominal_values():

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from twins import SIGMAS, Chopped, cost_on, record, true_model, with_noise
 
 from hallsym.cost import cost_of
-from hallsym.search import refit
 from hallsym.identify import determine
 from hallsym.log import Log
+from hallsym.search import refit
 from hallsym.summary import Summary, summarise
 
 EXACT_STATE = {**SIGMAS, "z_m": 0.0, "rx_rad": 0.0, "ry_rad": 0.0}
@@ -148,6 +148,9 @@ def test_merged_is_exact_where_the_vertical_state_is_constant_in_a_run(name):
 def test_merged_is_a_lower_bound_where_the_state_moves(log, model):
     summary = summarise(log, model)
     only_readings = {c: s for c, s in SIGMAS.items() if c.startswith("hall")}
-    exact, merged = value(summary, model.nominal, only_readings), value(summary.merged(), model.nominal, only_readings)
+    exact, merged = (
+        value(summary, model.nominal, only_readings),
+        value(summary.merged(), model.nominal, only_readings),
+    )
     # three zeros are fitted where four times three features are projected out: of 120 residuals, 9 fewer
     assert 0.88 * exact < merged <= exact

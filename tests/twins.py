@@ -24,7 +24,12 @@ MODELS = ("stage15", "stage30", "stage31", "stage31_tied")
 EFFECTS = ("zero_deviation", "vertical_coupling", "tied_vertical_coupling", "exact_rotation")
 COLUMNS = ("x_ref_m", "y_ref_m", "rz_ref_rad", "z_m", "rx_rad", "ry_rad")
 HALL = ("hall_a_m", "hall_b_m", "hall_c_m")
-SIGMAS = {**dict.fromkeys(HALL, 0.5e-6), "x_ref_m": 1e-6, "y_ref_m": 1.4e-6, "rz_ref_rad": 0.5e-6} | VERTICAL_NOISE
+SIGMAS = {
+    **dict.fromkeys(HALL, 0.5e-6),
+    "x_ref_m": 1e-6,
+    "y_ref_m": 1.4e-6,
+    "rz_ref_rad": 0.5e-6,
+} | VERTICAL_NOISE
 """About the noise of Table 8, with a reference that is noisy in Rz too."""
 
 
