@@ -5,7 +5,7 @@ on a whole block, so that parameters stay scalars (computed once) and samples go
 speed. The graph stays the only source of the mathematics.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -72,7 +72,7 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     if not all(dense):
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
-    def run(*inputs) -> list[np.ndarray]:
+    def run(*inputs: Sequence) -> list[np.ndarray]:
         work: list = [None] * function.sz_w()
         out: list[list] = [[0.0] * n for n in rows]
         for kind, op, arguments, target in program:
@@ -93,7 +93,7 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
 
 
 def _compile(function: ca.Function) -> list[tuple]:
-    program = []
+    program: list[tuple] = []
     for k in range(function.n_instructions()):
         code, i, o = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if code == ca.OP_CONST:

@@ -37,7 +37,7 @@ class Errors:
     holdout: tuple[int, ...]
 
     def rows(self) -> dict[str, dict[str, dict[str, float]] | None]:
-        """Return rmse and peak: `designed` over all runs, `fitted` over fitted, `holdout` over held-out runs."""
+        """Return rmse and peak: `designed` over all runs, `fitted` and `holdout` over theirs."""
         used = [run for run in self.fitted.runs if run not in self.holdout]
         return {
             "designed": self.designed.over(),

@@ -1,6 +1,6 @@
 """A campaign: which runs are recorded, at which vertical settings, along which trajectories.
 
-The paper's campaign is `paper_campaign()`; any other is a TOML file, read by `read_campaign` (docs/campaign.md).
+The paper's campaign is `paper_campaign()`; any other is a TOML file (docs/campaign.md).
 """
 
 import tomllib
@@ -184,11 +184,11 @@ def _raster(raw: Mapping[str, Any], where: str) -> dict[str, Signal]:
 
 
 def _signal(raw: Any, where: str) -> Signal:
-    kind = raw.get("kind") if isinstance(raw, Mapping) else None
+    kind = str(raw.get("kind")) if isinstance(raw, Mapping) else "none"
     if kind not in SIGNALS:
         raise InputError(
             f"'kind' of {where} must be one of {', '.join(SIGNALS)}; instead received {kind!r}"
-            f"{nearest(str(kind), list(SIGNALS))}."
+            f"{nearest(kind, list(SIGNALS))}."
         )
     make, required, optional = SIGNALS[kind]
     _known(raw, ("kind", *required, *optional), where)

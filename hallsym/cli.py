@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from hallsym import commands
 from hallsym.errors import InputError
@@ -10,8 +11,9 @@ from hallsym.errors import InputError
 OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED = 0, 2, 3, 4
 
 EPILOG = """\
-exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done, but this log leaves parameters of the
-model undetermined (they are named); 4 the solver did not converge or was interrupted (best so far is written).
+exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done, but this log leaves parameters of
+the model undetermined (they are named); 4 the solver did not converge or was interrupted (the best so far is
+written).
 
 examples:
   hallsym demo                                    the paper's calibration on the bundled campaign
@@ -58,7 +60,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _command(sub, name: str, run, help: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
+def _command(
+    sub: Any, name: str, run: Any, help: str, description: str, epilog: str = ""
+) -> argparse.ArgumentParser:
     parser = sub.add_parser(
         name, help=help, description=description, epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -105,7 +109,7 @@ def _model_options(parser: argparse.ArgumentParser, default: str) -> None:
     )  # fmt: skip
 
 
-def _demo(sub) -> None:
+def _demo(sub: Any) -> None:
     parser = _command(
         sub, "demo", commands.demo, "the paper's calibration on the bundled campaign",
         "Calibrate the bundled 6-DOF stage campaign as Chen et al. (Sensors 2016, 16, 872) do: designed\n"
@@ -120,7 +124,7 @@ def _demo(sub) -> None:
     )
 
 
-def _fit(sub) -> None:
+def _fit(sub: Any) -> None:
     parser = _command(
         sub, "fit", commands.fit_log, "calibrate a model on a log",
         "Calibrate a model on a log of Hall readings beside a reference. Prints errors before and after,\n"
@@ -159,7 +163,7 @@ def _fit(sub) -> None:
     _log_options(parser)
 
 
-def _evaluate(sub) -> None:
+def _evaluate(sub: Any) -> None:
     parser = _command(
         sub, "evaluate", commands.evaluate, "errors of a saved calibration on another log",
         "Decode a log with a saved calibration and tabulate the errors against its reference. The zero\n"
@@ -171,7 +175,7 @@ def _evaluate(sub) -> None:
     _log_options(parser)
 
 
-def _info(sub) -> None:
+def _info(sub: Any) -> None:
     parser = _command(
         sub, "info", commands.info, "what a log, calibration or campaign file holds; or what hallsym knows",
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a campaign\n"
@@ -183,7 +187,7 @@ def _info(sub) -> None:
     _log_options(parser)
 
 
-def _simulate(sub) -> None:
+def _simulate(sub: Any) -> None:
     parser = _command(
         sub, "simulate", commands.simulate, "write the log a known machine would record",
         "Simulate a campaign of a machine with known parameters: the paper's by default (Table 6 settings, sines\n"

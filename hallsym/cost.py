@@ -1,6 +1,6 @@
 """The maximum-likelihood cost of a model on run summaries, with exact derivatives.
 
-Reading and reference are both noisy, so a residual r (one entry per channel) has covariance
+Reading and reference are both noisy, so a residual r (one entry per channel) has the covariance
 C = Sigma_reading + (dr/dcolumn) Sigma_column (dr/dcolumn)^T, which depends on the parameters. With the true
 pose eliminated the likelihood of independent Gaussian noise is
 
@@ -12,6 +12,7 @@ gradient and Hessian below are those of the cost that is left.
 """
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,7 +37,7 @@ class Coefficients:
     @property
     def n_zeros(self) -> int:
         """Zeros of a run that these features carry: all of the model's, or none once projected out."""
-        return len(self.features.model.zeros) if self.features.n_zero else 0
+        return self.features.n_zeros
 
     @cached_property
     def population(self) -> Callable[[np.ndarray], np.ndarray]:
@@ -52,29 +53,11 @@ class Coefficients:
 
         return coefficients
 
-    @cached_property
-    def _functions(self) -> tuple[ca.Function, ca.Function]:
-        model, n_zeros = self.features.model, self.n_zeros
-        p = model.symbols.parameters
-        zeros = ca.SX.sym("zeros", len(model.zeros))
-        c = self.features.coefficients(p, zeros, self.centre)
-        parts = [ca.vec(ca.substitute(c, zeros, ca.SX.zeros(zeros.numel())))]
-        slopes = ca.jacobian(ca.vec(c), zeros)
-        parts += [slopes[:, k] for k in range(n_zeros)]
-        stacked = ca.densify(ca.horzcat(*parts))  # (n_features * n_channels, 1 + n_zeros)
-        flat = ca.vec(stacked)
-        jacobian = ca.jacobian(flat, p)
-        weights = ca.SX.sym("weights", flat.numel())
-        hessian, _ = ca.hessian(ca.dot(weights, flat), p)
-        first = ca.Function("coefficients", [p], [stacked, ca.densify(jacobian)])
-        second = ca.Function("curvature", [p, weights], [ca.densify(hessian)])
-        return first, second
-
     def first(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the coefficients and their slopes, the latter (1 + n_zeros, n_features, n, n_channels)."""
         model = self.features.model
         shape = (1 + self.n_zeros, len(model.channels), self.features.size)
-        value, slope = (np.asarray(v) for v in self._functions[0](p))
+        value, slope = (np.asarray(v) for v in self.features.expansion[0](p, self.centre))
         return (
             np.ascontiguousarray(np.swapaxes(value.T.reshape(shape), 1, 2)),
             np.ascontiguousarray(np.transpose(slope.reshape(*shape, -1), (0, 2, 3, 1))),
@@ -82,7 +65,8 @@ class Coefficients:
 
     def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
-        return np.asarray(self._functions[1](p, np.swapaxes(weights, 1, 2).ravel()))
+        flat = np.swapaxes(weights, 1, 2).ravel()
+        return np.asarray(self.features.expansion[1](p, self.centre, flat))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +84,9 @@ class Cost:
     column_variance: np.ndarray
     weights: np.ndarray
 
+    anchor: "Point | None" = None
+    """A point whose run-by-run parts are shared by every re-weighting (`anchored`)."""
+
     @cached_property
     def noise_in_features(self) -> np.ndarray:
         """Q_i = sum over columns of variance * mean outer product of feature slopes, (runs, f, f)."""
@@ -112,9 +99,24 @@ class Cost:
         R = self.summary.triangles
         return np.ascontiguousarray(R[:, :, :n]), np.ascontiguousarray(R[:, :, n:])
 
+    @cached_property
+    def grams(self) -> np.ndarray:
+        """R_f^T R_f of each run, (runs, f, f): enough digits for second derivatives, not for the cost."""
+        R_f = self.triangles[0]
+        return np.swapaxes(R_f, 1, 2) @ R_f
+
     def weighted(self, weights: np.ndarray) -> "Cost":
-        """Return the same cost with other run weights."""
-        return replace(self, weights=np.asarray(weights, dtype=float))
+        """Return the same cost with other run weights; nothing that belongs to the runs is computed again."""
+        other = replace(self, weights=np.asarray(weights, dtype=float))
+        for name in ("noise_in_features", "triangles", "grams"):
+            other.__dict__[name] = getattr(self, name)
+        return other
+
+    def anchored(self, p: np.ndarray) -> "Cost":
+        """Return a cost whose re-weightings share what has been computed at `p`: for many refits from `p`."""
+        point = self.at(p)
+        point.derivatives()
+        return replace(self.weighted(self.weights), anchor=point).weighted(self.weights)
 
     def population(self, points: np.ndarray) -> np.ndarray:
         """Return F of whole populations, (m, n) -> (m,), for a merged summary (no zeros, one run)."""
@@ -126,6 +128,8 @@ class Cost:
 
     def at(self, p: np.ndarray) -> "Point":
         """Return everything the cost knows at one parameter vector."""
+        if self.anchor is not None and np.array_equal(p, self.anchor.p):
+            return self.anchor.reweighted(self)
         return Point(self, np.asarray(p, dtype=float))
 
 
@@ -163,82 +167,78 @@ class Point:
         target = (residual @ self.L).reshape(r, -1, 1)
         return np.linalg.solve(moved @ np.swapaxes(moved, 1, 2), moved @ target)[..., 0]
 
-    @cached_property
-    def _B(self) -> np.ndarray:
-        """dX / d(p, zeros), shape (r, f, v, K)."""
-        r, z, (f, n, K) = len(self.zeros), len(self.c) - 1, self.dc.shape[1:]
-        B = np.empty((r, f, n + z, K))
-        B[:, :, :n] = self.dc[0] + np.tensordot(self.zeros, self.dc[1:], axes=1)
-        B[:, :, n:] = np.swapaxes(self.c[1:], 0, 1)
-        return B
+    def reweighted(self, cost: Cost) -> "Point":
+        """Return this point for the same runs with other weights."""
+        other = copy(self)
+        other.cost, other.value = cost, float(cost.weights @ self.run_values)
+        return other
 
     @cached_property
-    def _dA(self) -> np.ndarray:
-        """dA / d(p, zeros), shape (r, m, v, K)."""
-        r, f, v, K = self._B.shape
-        return -(self.R_f @ self._B.reshape(r, f, v * K)).reshape(r, -1, v, K)
+    def _B(self) -> np.ndarray:
+        """dX / d(p, zeros), shape (r, K, f, v)."""
+        r, z, (f, n, K) = len(self.zeros), len(self.c) - 1, self.dc.shape[1:]
+        by_channel = np.ascontiguousarray(np.transpose(self.dc, (0, 3, 1, 2)))
+        B = np.empty((r, K, f, n + z))
+        B[..., :n] = by_channel[0] + np.tensordot(self.zeros, by_channel[1:], axes=1)
+        B[..., n:] = np.transpose(self.c[1:], (2, 1, 0))
+        return B
 
     @cached_property
     def _G(self) -> np.ndarray:
         """dF / dX of each run, shape (r, f, K)."""
-        return -2.0 * (np.swapaxes(self.R_f, 1, 2) @ self.A @ self.W + self.QX @ (self.W @ self.S @ self.W))
+        return -2.0 * (np.swapaxes(self.R_f, 1, 2) @ self.A @ self.W + self.QX @ self._WSW)
 
     @cached_property
-    def _gauss(self) -> np.ndarray:
-        """Whitened dA^T dA of each run, shape (r, v, v)."""
-        r, m, v, K = self._dA.shape
-        slope = np.swapaxes(self._dA @ self.L[:, None], 2, 3).reshape(r, m * K, v)
-        return np.swapaxes(slope, 1, 2) @ slope
+    def _WSW(self) -> np.ndarray:
+        return self.W @ self.S @ self.W
 
-    def _spread(self, middle: np.ndarray) -> np.ndarray:
-        """tr(middle B_a^T Q B_b) for every pair of variables, shape (r, v, v)."""
-        r, f, v, K = self._B.shape
-        QB = (self.cost.noise_in_features @ self._B.reshape(r, f, v * K)).reshape(r, f, v, K)
-        left = np.swapaxes(self._B, 1, 2).reshape(r, v, f * K)
-        return left @ np.swapaxes(np.swapaxes(QB @ middle[:, None], 1, 2).reshape(r, v, f * K), 1, 2)
+    def _quadratic(self, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, shape (r, v, v)."""
+        r, K, f, v = self._B.shape
+        middle = fit @ (self.cost.grams[:, None] @ self._B).reshape(r, K, f * v)
+        if np.any(self.cost.column_variance):
+            middle -= noise @ (self.cost.noise_in_features[:, None] @ self._B).reshape(r, K, f * v)
+        return np.swapaxes(self._B.reshape(r, K * f, v), 1, 2) @ middle.reshape(r, K * f, v)
 
+    @cached_property
     def run_gradients(self) -> np.ndarray:
         """Gradient of each run's own F, shape (r, n): what the run-block covariance is made of."""
-        n = len(self.p)
-        B = np.swapaxes(self._B[:, :, :n], 1, 2).reshape(len(self._B), n, -1)
-        return (B @ self._G.reshape(len(B), -1, 1))[..., 0]
+        r, K, f, v = self._B.shape
+        G = np.swapaxes(self._G, 1, 2).reshape(r, 1, K * f)
+        return (G @ self._B.reshape(r, K * f, v))[:, 0, : len(self.p)]
+
+    @cached_property
+    def _run_hessians(self) -> np.ndarray:
+        """Hessian of each run's F with its zeros eliminated, without the curvature of c, shape (r, n, n)."""
+        n, z = len(self.p), len(self.c) - 1
+        H = 2.0 * self._quadratic(self.W, self._WSW) + self._covariance_terms()
+        if z == 0:
+            return H
+        cross = np.tensordot(self._G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
+        H_pd = H[:, :n, n:] + np.swapaxes(cross, 1, 2)
+        return H[:, :n, :n] - H_pd @ np.linalg.solve(H[:, n:, n:], np.swapaxes(H_pd, 1, 2))
 
     def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Return F, its gradient (n,) and its exact Hessian (n, n), the zeros eliminated."""
-        weights, n, z = self.cost.weights, len(self.p), len(self.c) - 1
-        gradient = weights @ self.run_gradients()
-        H = 2.0 * self._gauss + self._covariance_terms()
-        if z:
-            cross = np.tensordot(self._G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
-            H_pd = H[:, :n, n:] + np.swapaxes(cross, 1, 2)
-            reduced = H[:, :n, :n] - H_pd @ np.linalg.solve(H[:, n:, n:], np.swapaxes(H_pd, 1, 2))
-        else:
-            reduced = H
-        hessian = np.tensordot(weights, reduced, axes=1)
+        weights = self.cost.weights
+        hessian = np.einsum("r,rij->ij", weights, self._run_hessians)
         loads = np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1) * weights[:, None]
-        hessian = hessian + self.cost.coefficients.curvature(
-            self.p, np.tensordot(loads, self._G, axes=(0, 0))
-        )
-        return self.value, gradient, 0.5 * (hessian + hessian.T)
+        bend = np.tensordot(loads, self._G, axes=(0, 0))
+        hessian = hessian + self.cost.coefficients.curvature(self.p, bend)
+        return self.value, weights @ self.run_gradients, 0.5 * (hessian + hessian.T)
 
     def _covariance_terms(self) -> np.ndarray | float:
-        """Second-order terms of F through C(p), shape (r, v, v)."""
+        """Second-order terms of F through C(p) that hold dC, shape (r, v, v)."""
         if not np.any(self.cost.column_variance):
             return 0.0
-        r, f, v, K = self._B.shape
-        W, S = self.W[:, None], self.S[:, None]
-        half = (np.swapaxes(self._B.reshape(r, f, v * K), 1, 2) @ self.QX).reshape(r, v, K, K)
-        dC = half + np.swapaxes(half, 2, 3)
-        P = W @ dC @ W
-        U = (np.swapaxes(self.A, 1, 2) @ self._dA.reshape(r, -1, v * K)).reshape(r, K, v, K)
-        # tr(P_a U_b) = sum_kl P_a[k, l] U_b[l, k]
-        flat = P.reshape(r, v, K * K)
-        U_t = np.swapaxes(np.swapaxes(U, 1, 2), 2, 3).reshape(r, v, K * K)
-        second = flat @ np.swapaxes(U_t, 1, 2)
-        third = flat @ np.swapaxes(np.swapaxes(dC @ W @ S, 2, 3).reshape(r, v, K * K), 1, 2)
-        third = third + np.swapaxes(third, 1, 2)
-        fourth = self._spread(self.W @ self.S @ self.W)
-        return third - 2.0 * (second + np.swapaxes(second, 1, 2)) - 2.0 * fourth
+        r, K, f, v = self._B.shape
+        AR = np.swapaxes(self.A, 1, 2) @ self.R_f  # -A^T dA = AR B
+        both = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)[:, None] @ self._B
+        half, U = both[:, :, :K], both[:, :, K:]
+        dC = (half + np.swapaxes(half, 1, 2)).reshape(r, K * K, v)
+        inner = _kron(self._WSW, self.W) @ dC - 2.0 * (_kron(self.W, self.W) @ U.reshape(r, K * K, v))
+        terms = np.swapaxes(dC, 1, 2) @ inner
+        return terms + np.swapaxes(terms, 1, 2)
 
     def information(self, noise_factor: float = 1.0) -> np.ndarray:
         """Expected information of each run, shape (r, n, n), the zeros eliminated.
@@ -247,12 +247,17 @@ class Point:
         out (1: what the true motion tells; 2: nothing for a motion no larger than its noise).
         """
         n, z = len(self.p), len(self.c) - 1
-        full = self._gauss.copy()
-        if noise_factor and np.any(self.cost.column_variance):
-            full -= noise_factor * self.cost.summary.counts[:, None, None] * self._spread(self.W)
+        counts = self.cost.summary.counts[:, None, None]
+        full = self._quadratic(self.W, noise_factor * counts * self.W)
         if z == 0:
             return full
         return full[:, :n, :n] - full[:, :n, n:] @ np.linalg.solve(full[:, n:, n:], full[:, n:, :n])
+
+
+def _kron(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Kronecker product of each pair of K x K matrices, shape (r, K^2, K^2)."""
+    r, K, _ = a.shape
+    return np.einsum("rij,rkl->rikjl", a, b).reshape(r, K * K, K * K)
 
 
 def cost_of(summary: Summary, noise: Mapping[str, float]) -> Cost:

@@ -32,7 +32,7 @@ class ErrorTable:
     peak: np.ndarray
 
     def over(self, runs: Sequence[int] | None = None) -> dict[str, dict[str, float]] | None:
-        """Return `{"rmse": {x_m: ..}, "peak": {..}}` over some runs (all by default); None if there are none."""
+        """Return `{"rmse": {x_m: ..}, "peak": {..}}` over some runs (default: all); None without any."""
         pick = [k for k, run in enumerate(self.runs) if runs is None or run in set(runs)]
         if not pick or self.count[pick].sum() == 0:
             return None

@@ -5,8 +5,9 @@ their monomials: reading = sum_j f_j(data) c_j(parameters, zeros). Found by diff
 the family, so an effect that adds a term adds its features by itself.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from math import comb, factorial, prod
 
 import casadi as ca
@@ -54,13 +55,13 @@ class Features:
         return self.model.symbols.full(ca.vertcat(*rows))
 
     @cached_property
-    def values(self):
+    def values(self) -> Callable[..., list[np.ndarray]]:
         """`(pose, state, centre) -> [features]` on arrays of samples; (n_features, samples)."""
         s, centre = self.model.symbols, self._variables[1]
         return on_arrays(ca.Function("features", [s.pose, s.state, centre], [ca.densify(self._monomials)]))
 
     @cached_property
-    def slopes(self):
+    def slopes(self) -> Callable[..., list[np.ndarray]]:
         """`(pose, state, centre) -> [d feature / d column]`, (n_columns * n_features, samples)."""
         s, centre = self.model.symbols, self._variables[1]
         jacobian = ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state))
@@ -82,6 +83,36 @@ class Features:
             rows.append(ca.substitute(term, variables, centre).T)
         return ca.Function("coefficients", [s.parameters, s.zeros, centre], [ca.densify(ca.vertcat(*rows))])
 
+    @property
+    def n_zeros(self) -> int:
+        """Zeros of a run that these features carry: all of the model's, or none once projected out."""
+        return len(self.model.zeros) if self.n_zero else 0
+
+    @cached_property
+    def without_zeros(self) -> "Features":
+        """The features that are left once those that carry zeros are projected out."""
+        return replace(self, exponents=self.exponents[self.n_zero :], n_zero=0)
+
+    @cached_property
+    def expansion(self) -> tuple[ca.Function, ca.Function]:
+        """Coefficients with their derivatives, the zeros split off: reading = f . (c + sum_l d_l E_l).
+
+        `(parameters, centre) -> [c, E_1, ...], d / d parameters`, each column flattened by channel, and
+        `(parameters, centre, weights) -> Hessian` of the weighted sum of those columns.
+        """
+        p, centre = self.model.symbols.parameters, self._variables[1]
+        zeros = ca.SX.sym("zeros", len(self.model.zeros))
+        c = self.coefficients(p, zeros, centre)
+        parts = [ca.vec(ca.substitute(c, zeros, ca.SX.zeros(zeros.numel())))]
+        slopes = ca.jacobian(ca.vec(c), zeros)
+        parts += [slopes[:, k] for k in range(self.n_zeros)]
+        stacked = ca.densify(ca.horzcat(*parts))  # (n_features * n_channels, 1 + n_zeros)
+        flat = ca.vec(stacked)
+        weights = ca.SX.sym("weights", flat.numel())
+        hessian, _ = ca.hessian(ca.dot(weights, flat), p)
+        first = ca.Function("coefficients", [p, centre], [stacked, ca.densify(ca.jacobian(flat, p))])
+        return first, ca.Function("curvature", [p, centre, weights], [ca.densify(hessian)])
+
     def label(self, j: int) -> str:
         """Readable name of feature j, such as `x_m*z_m`; `1` for the constant."""
         s = self.model
@@ -102,6 +133,7 @@ class Features:
         return matrix
 
 
+@lru_cache(maxsize=64)
 def find_features(model: Model) -> Features:
     """Return the monomials of the model's reading.
 
@@ -118,19 +150,42 @@ def find_features(model: Model) -> Features:
             for higher, derivative in _higher(row, expression, variables)
         }
         found |= level
-        too_high = any(sum(row) > MAX_DEGREE for row in level)
-        if too_high or len(found) > MAX_FEATURES:
-            raise InputError(
-                f"Model {model.name} with effects {', '.join(model.effects) or 'none'} has readings that are "
-                "not a polynomial of the logged columns, so its runs have no summary; "
-                "derive the non-polynomial quantity with Signals.derive."
-            )
+        if any(sum(row) > MAX_DEGREE for row in level) or len(found) > MAX_FEATURES:
+            raise _not_polynomial(model)
     carries_zero = {row: _depends(expression, s.zeros) for row, expression in found.items()}
     order = sorted(found, key=lambda row: (not carries_zero[row], sum(row), [-k for k in row]))
-    return Features(model, np.array(order, dtype=int), sum(carries_zero.values()))
+    features = Features(model, np.array(order, dtype=int), sum(carries_zero.values()))
+    if not _reproduces(features):
+        raise _not_polynomial(model)
+    return features
 
 
-def _higher(row: tuple[int, ...], expression: ca.SX, variables: ca.SX):
+def _reproduces(features: Features) -> bool:
+    """Check the expansion far from its centre: |u| or a step has derivatives, and is no polynomial."""
+    model, rng = features.model, np.random.default_rng(0)
+    for _ in range(3):
+        p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
+        zeros, pose, state = (rng.standard_normal(len(n)) for n in (model.zeros, model.pose, model.state))
+        centre = np.asarray(features.variables(*(rng.standard_normal(len(n)) for n in (pose, state)))).ravel()
+        expected = np.asarray(model.reading(p, zeros, pose, state)).ravel()
+        f = features.values(pose, state, centre)[0]
+        terms = np.asarray(features.coefficients(p, zeros, centre)) * f[:, None]
+        if not np.all(np.abs(terms.sum(axis=0) - expected) <= 1e-9 * np.abs(terms).sum(axis=0)):
+            return False
+    return True
+
+
+def _not_polynomial(model: Model) -> InputError:
+    return InputError(
+        f"Model {model.name} with effects {', '.join(model.effects) or 'none'} has readings that are not a "
+        "polynomial of the logged columns, so its runs have no summary; derive the non-polynomial quantity with "
+        "Signals.derive."
+    )
+
+
+def _higher(
+    row: tuple[int, ...], expression: ca.SX, variables: ca.SX
+) -> Iterator[tuple[tuple[int, ...], ca.SX]]:
     jacobian = ca.jacobian(expression, variables)
     for v in range(variables.numel()):
         if jacobian[:, v].nnz() and not ca.SX(jacobian[:, v]).is_zero():

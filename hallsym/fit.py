@@ -7,6 +7,7 @@ give starting points; IPOPT refines them inside the bounds; a second pass tabula
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib import metadata
 from time import perf_counter
 from typing import Any
@@ -150,10 +151,10 @@ class _Task:
         return State(everything, fitted, linear, merged, determination, found, holdout)
 
     def errors(self, state: State, keep: outliers.Weigh | None) -> Errors:
-        nominal = (self.model.nominal, {})
+        versions = [(self.model.nominal, {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
-        tables = error_tables(self.log, self.model, [nominal, (state.p, state.zeros())], variance, keep)
-        return Errors(*tables, holdout=state.holdout)
+        designed, fitted = error_tables(self.log, self.model, versions, variance, keep)
+        return Errors(designed, fitted, state.holdout)
 
     def suspicious(self, state: State, errors: Errors) -> bool:
         floor = np.array(list(uncertainty.noise_floor(state.fitted, state.p).values()))
@@ -281,7 +282,7 @@ def _result(
         errors=errors,
         undetermined_by_log=estimate.undetermined_by_log,
         wiring=wiring,
-        versions=_versions(),
+        versions=dict(_versions()),
         error_rows=errors.rows(),
     )
 
@@ -300,6 +301,7 @@ def _zero_notes(model: Model, runs: Sequence[int], delta: np.ndarray) -> tuple[s
     return tuple(out)
 
 
+@cache
 def _versions() -> dict[str, str]:
     packages = ("hallsym", "casadi", "numpy", "scipy")
     found = {}

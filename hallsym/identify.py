@@ -71,7 +71,7 @@ def _hold(null: np.ndarray) -> list[int]:
 
 def feature_scale(cost: Cost) -> np.ndarray:
     """Size of each feature in this log, shape (n_features,): the norm of its column over all runs."""
-    size = np.sqrt(np.sum(cost.triangles[0] ** 2, axis=(0, 1)))
+    size = np.sqrt(np.einsum("rjj->j", cost.grams))
     return np.where(size > 0, size, 1.0)
 
 

@@ -10,6 +10,7 @@ leave behind, so there is one copy of the mathematics.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -121,15 +122,17 @@ class Model:
             effects=(*self.effects, effect),
         )
 
-    def with_parameters(self, changes: Mapping[str, Mapping[str, float]]) -> "Model":
+    def with_parameters(self, changes: Mapping[str, Mapping[str, Any]]) -> "Model":
         """Return a model with other nominal values or bounds: `{"H1x": {"nominal": .2, "lower": .1}}`."""
+        if not changes:
+            return self
         known = [p.name for p in (*self.parameters, *self.zeros)]
         for name in changes:
             if name not in known:
                 raise InputError(f"Model {self.name} has no parameter {name!r}{nearest(name, known)}.")
 
         def changed(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-            return tuple(replace(p, **changes.get(p.name, {})) for p in parameters)
+            return tuple(replace(p, **dict(changes.get(p.name, {}))) for p in parameters)
 
         model = replace(self, parameters=changed(self.parameters), zeros=changed(self.zeros))
         for p in model.parameters:
@@ -239,6 +242,15 @@ class Model:
             ["parameters", "zeros", "reading", "state", "weight"],
             ["pose"],
         )
+
+    @cached_property
+    def noise_gain(self) -> ca.Function:
+        """d pose / d reading at rest, `(parameters, state, weight) -> (n_pose, n_channels)`."""
+        s, reading = self.symbols, ca.SX.sym("reading", len(self.channels))
+        weight = ca.SX.sym("weight", len(self.channels))
+        pose = self.decoded(s.parameters, ca.SX.zeros(len(self.zeros)), reading, s.state, weight)
+        slope = ca.substitute(ca.jacobian(pose, reading), reading, ca.SX.zeros(len(self.channels)))
+        return ca.Function("noise_gain", [s.parameters, s.state, weight], [ca.densify(slope)])
 
     @cached_property
     def combined(self) -> ca.Function:

@@ -9,6 +9,7 @@ from scipy.special import gammaincinv
 from hallsym.arrays import on_arrays
 from hallsym.log import Block
 from hallsym.model import Model
+from hallsym.summary import Weigh
 
 WINDOW = 7
 SPIKE = 7.0
@@ -16,8 +17,6 @@ SPIKE = 7.0
 ROUNDS = 20
 TUKEY = 4.685
 """Tukey's biweight constant: 95 % efficient for Gaussian noise."""
-
-Weigh = Callable[[Block], np.ndarray]
 
 
 def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> Callable[[Block], np.ndarray]:
@@ -57,7 +56,14 @@ def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
     x = values.copy()
     for _ in range(ROUNDS):
         a2, a1, b1, b2 = (np.roll(x, k) for k in (2, 1, -1, -2))
-        lines = [a1 + b1, a2 + b2, 4 * a1 - 2 * a2, 4 * b1 - 2 * b2, (4 * a1 + 2 * b2) / 3, (2 * a2 + 4 * b1) / 3]
+        lines = [
+            a1 + b1,
+            a2 + b2,
+            4 * a1 - 2 * a2,
+            4 * b1 - 2 * b2,
+            (4 * a1 + 2 * b2) / 3,
+            (2 * a2 + 4 * b1) / 3,
+        ]
         predicted = np.median(lines, axis=0) / 2
         predicted[:2], predicted[-2:] = _from_inside(x), _from_inside(x[::-1])[::-1]
         jump = np.abs(x - predicted)

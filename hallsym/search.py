@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,7 @@ def search(
         return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
     scaled, explored = _Scaled(fitted.summary.model, first, free, found.scale[free]), None
     if solver != "direct":
+        options: dict[str, Any] = {} if solver == "screening" else {"size": SIZE}
         problem, rng = scaled.problem(merged), np.random.default_rng(seed)
         explored = solvers.hybrid(
             problem,
@@ -56,7 +58,7 @@ def search(
             budget=BUDGET,
             global_solver="shtlbo" if solver == "hybrid" else solver,
             same=SAME,
-            **({} if solver == "screening" else {"size": SIZE}),
+            **options,
         )
         first = scaled.from_unit(explored.x)
     local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first))

@@ -47,20 +47,14 @@ def table8_noise(model: Model, values: Mapping[str, float] | None = None) -> Noi
     p = model.vector(published.values("table7_estimates") if values is None else values)
     table = published.table("table8_errors_model31")
     rmse = np.array([table[c][table["quantity"].index("rmse")] for c in model.pose])
-    spread = _noise_gain(model, p)  # d pose / d reading at rest
+    rest = np.zeros(len(model.state))
+    spread = np.asarray(model.noise_gain(p, rest, np.ones(len(model.channels))))
     per_probe = np.sum(spread**2, axis=1)
     probe = np.sqrt((rmse[2] ** 2 - ANGLE_NOISE**2) / per_probe[2])
     common = np.sqrt(np.maximum(rmse**2 - probe**2 * per_probe, 0.0))
     sigma = dict.fromkeys(model.channels, float(probe))
     sigma |= {c: float(s) for c, s in zip(model.references, common, strict=True)}
     return NoiseModel({**sigma, **VERTICAL_NOISE})
-
-
-def _noise_gain(model: Model, p: np.ndarray) -> np.ndarray:
-    """Return d pose / d reading at rest, shape (n_pose, n_channels)."""
-    z, s, one = np.zeros(len(model.zeros)), np.zeros(len(model.state)), np.ones(len(model.channels))
-    columns = [np.asarray(model.decoded(p, z, e, s, one)).ravel() for e in 1e-6 * np.eye(len(one))]
-    return np.array(columns).T / 1e-6
 
 
 def simulate(

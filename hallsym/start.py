@@ -14,8 +14,10 @@ MOVED = 4.0
 
 @dataclass(frozen=True, eq=False)
 class LinearFit:
-    """Unconstrained coefficients of a merged cost: `coefficients` (n_features, n_channels), which features
-    `moved`, and the share of each channel's variance that the features leave, `unexplained` (n_channels,), 0 for noise alone.
+    """Unconstrained coefficients of a merged cost, shape (n_features, n_channels).
+
+    `moved`: which features moved. `unexplained`: (n_channels,) share of each channel's variance that the
+    features leave, 0 for a channel that hears only noise.
     """
 
     coefficients: np.ndarray

@@ -5,7 +5,7 @@ readings] holds everything a least-squares cost can ask of a run, for any parame
 QR, not Gram and Cholesky: it keeps the digits (docs/theory.md gives the measured error).
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +14,12 @@ from hallsym.features import Features, find_features
 from hallsym.log import Block, Log
 from hallsym.model import Model
 
-PIECE = 384
-"""Rows reduced at once: fits the cache, and is too small for BLAS threads to get in each other's way."""
+Weigh = Callable[[Block], np.ndarray]
+"""Weight in [0, 1] of each sample of a block."""
+
+PIECE = 8000
+"""Entries of a piece that is reduced at once: fits the cache, and stays below the size at which BLAS starts
+threads, whose wake-up costs more than the work."""
 SLOPE_SAMPLES = 64
 """Samples per block that estimate how reference noise enters; a weight needs no more."""
 
@@ -65,13 +69,13 @@ class Summary:
         moving state it gives up a little information, so it serves starts and global searches, not the fit.
         """
         k = self.features.n_zero
-        rows = self.triangles if k == 0 else np.linalg.qr(self.triangles, mode="r")[:, k:, k:]
+        rows = self.triangles if k == 0 else _r(self.triangles)[:, k:, k:]
         share = self.counts / self.counts.sum()
         return Summary(
-            features=replace(self.features, exponents=self.features.exponents[k:], n_zero=0),
+            features=self.features.without_zeros,
             centre=self.centre,
             runs=(0,),
-            triangles=np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")[None],
+            triangles=_triangle(rows.reshape(-1, rows.shape[-1]))[None],
             slopes=np.tensordot(share, self.slopes[:, :, k:, k:], axes=1)[None],
             counts=np.array([self.counts.sum()]),
             first_state=(share @ self.first_state)[None],
@@ -79,7 +83,7 @@ class Summary:
         )
 
 
-def summarise(log: Log, model: Model, weigh=None) -> Summary:
+def summarise(log: Log, model: Model, weigh: Weigh | None = None) -> Summary:
     """Read a log once and return its run summaries for `model`.
 
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
@@ -115,6 +119,9 @@ def summarise(log: Log, model: Model, weigh=None) -> Summary:
     )
 
 
+Columns = list[np.ndarray]
+
+
 def _columns(block: Block, model: Model) -> tuple[list[np.ndarray], list[np.ndarray]]:
     return [block.data[c] for c in model.references], [block.data[c] for c in model.state]
 
@@ -136,7 +143,15 @@ class _Run:
         self.count = 0.0
         self.state_sum: np.ndarray | float = 0.0
 
-    def add(self, features: Features, centre: np.ndarray, pose, state, readings, weights) -> None:
+    def add(
+        self,
+        features: Features,
+        centre: np.ndarray,
+        pose: Columns,
+        state: Columns,
+        readings: Columns,
+        weights: np.ndarray | None,
+    ) -> None:
         rows = np.empty((len(readings[0]), features.size + len(readings)))
         rows[:, : features.size] = features.values(pose, state, centre)[0].T
         rows[:, features.size :] = np.transpose(readings)
@@ -149,9 +164,16 @@ class _Run:
         self.count += float(weight.sum())
         self.state_sum = self.state_sum + np.array([float(s @ weight) for s in state])
 
-    def _add_slopes(self, features: Features, centre: np.ndarray, pose, state, weights) -> None:
+    def _add_slopes(
+        self,
+        features: Features,
+        centre: np.ndarray,
+        pose: Columns,
+        state: Columns,
+        weights: np.ndarray | None,
+    ) -> None:
         n = len(pose[0])
-        pick = slice(None, None, max(1, n // SLOPE_SAMPLES))
+        pick = slice(None, None, -(-n // SLOPE_SAMPLES))
         slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], centre)[0]
         slopes = slopes.reshape(len(pose) + len(state), features.size, -1)
         # features that carry zeros: their slope with the state is a second-order weight, left out so that the
@@ -163,12 +185,17 @@ class _Run:
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
-    """R factor of `rows`, padded to a square; tall blocks are reduced in pieces that fit the cache."""
+    """R factor of `rows`, padded to a square; tall blocks are reduced piece by piece."""
     n = rows.shape[1]
-    while len(rows) >= 2 * PIECE:
-        whole = len(rows) // PIECE
-        pieces = np.linalg.qr(rows[: whole * PIECE].reshape(whole, PIECE, n), mode="r")
-        rows = np.vstack([pieces.reshape(-1, n), rows[whole * PIECE :]])
+    piece = max(PIECE // n, 2 * n)
+    while len(rows) > piece:
+        whole = len(rows) // piece
+        pieces = _r(rows[: whole * piece].reshape(whole, piece, n))
+        rows = np.vstack([pieces.reshape(-1, n), rows[whole * piece :]])
     if len(rows) < n:
         rows = np.vstack([rows, np.zeros((n - len(rows), n))])
-    return np.linalg.qr(rows, mode="r")
+    return _r(rows)
+
+
+def _r(matrices: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.qr(matrices, mode="r"))

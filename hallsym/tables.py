@@ -75,7 +75,7 @@ def _fixed(value: float) -> str:
 
 def fit_text(fit: Fit) -> str:
     """Return what `hallsym fit` prints: errors, parameters, what is determined instead, notes."""
-    log, solver = fit.log, fit.solver
+    log = fit.log
     used = log["runs"] - len(log["holdout"])
     parts = [
         f"{fit.model.name} on {log['path'] or 'a log in memory'}: {log['rows']} samples, {used} runs fitted"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from hallsym.arrays import on_arrays
 from hallsym.calibration import CombinationEstimate
 from hallsym.cost import Cost
 from hallsym.identify import Determination, linear_combinations
@@ -47,7 +48,7 @@ def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
         sub, method, reason = _covariance(
             information[np.ix_(free, free)],
             runs[:, free][:, :, free],
-            0.5 * point.run_gradients()[:, free],
+            0.5 * point.run_gradients[:, free],
             cost.weights,
             per_dof,
         )
@@ -69,7 +70,9 @@ def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
     )
 
 
-def _by_log(model: Model, k: int, found: Determination, determined: np.ndarray, at_bound: tuple[int, ...]) -> bool:
+def _by_log(
+    model: Model, k: int, found: Determination, determined: np.ndarray, at_bound: tuple[int, ...]
+) -> bool:
     """Whether another recording could determine parameter k and this one does not."""
     p = model.parameters[k]
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
@@ -189,30 +192,10 @@ def _named(model: Model, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
     """RMSE of the decoded pose that reading and reference noise alone would leave, by pose coordinate."""
-    model, point = cost.summary.model, cost.at(p)
-    z = np.zeros(len(model.zeros))
-    one = 1.0 / cost.reading_variance
-    symbol = ca.SX.sym("m", len(model.channels))
-    spread = ca.Function(
-        "spread",
-        [model.symbols.parameters, model.symbols.state],
-        [
-            ca.densify(
-                ca.substitute(
-                    ca.jacobian(
-                        model.decoded(model.symbols.parameters, z, symbol, model.symbols.state, one), symbol
-                    ),
-                    symbol,
-                    ca.SX.zeros(len(model.channels)),
-                )
-            )
-        ],
-    )
-    weights = cost.weights * cost.summary.counts
-    total = np.zeros(len(model.pose))
-    for state, covariance, weight in zip(
-        cost.summary.mean_state, point.covariance, weights / weights.sum(), strict=True
-    ):
-        D = np.asarray(spread(p, state))
-        total += weight * np.einsum("ij,jk,ik->i", D, covariance, D)
-    return dict(zip(model.pose, np.sqrt(total).tolist(), strict=True))
+    summary, covariance = cost.summary, cost.at(p).covariance
+    model = summary.model
+    (flat,) = on_arrays(model.noise_gain)(p, summary.mean_state.T, 1.0 / cost.reading_variance)
+    D = np.transpose(flat.reshape(len(model.channels), len(model.pose), -1), (2, 1, 0))  # (r, pose, K)
+    weights = cost.weights * summary.counts
+    variance = np.einsum("r,rij,rjk,rik->i", weights / weights.sum(), D, covariance, D)
+    return dict(zip(model.pose, np.sqrt(variance).tolist(), strict=True))

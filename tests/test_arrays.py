@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym import arrays
@@ -120,6 +120,7 @@ def test_sparse_outputs_raise_at_once():
         on_arrays(ca.Function("f", [a], [ca.vertcat(a, ca.SX(1, 1))]))
 
 
+@settings(max_examples=25)
 @given(st.lists(st.integers(1, 4), min_size=0, max_size=3), st.integers(0, 3))
 def test_scalars_and_arrays_broadcast(shape, drop):
     """x of the full shape, y of its trailing axes, a number: as numpy broadcasts them."""

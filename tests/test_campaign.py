@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym.campaign import multi_sine, paper_campaign, read_campaign, sine, steps, triangle
@@ -16,6 +16,7 @@ EPS = float(np.finfo(float).eps)
 # -- signals ---------------------------------------------------------------------------------------------
 
 
+@settings(max_examples=25)
 @given(amplitudes, frequencies, st.integers(1, 20))
 @pytest.mark.parametrize("make", [sine, triangle])
 def test_sine_and_triangle_start_at_zero_rise_reach_the_amplitude_and_repeat(make, amplitude, f, n):
@@ -32,6 +33,7 @@ def test_sine_and_triangle_start_at_zero_rise_reach_the_amplitude_and_repeat(mak
     assert np.allclose(signal(t + n / f), signal(t), rtol=0, atol=64 * (n + 1) * EPS * amplitude)
 
 
+@settings(max_examples=25)
 @given(amplitudes, frequencies)
 def test_triangle_has_two_slopes(amplitude, f):
     """4 A f up over the first quarter and the last, down between."""
@@ -46,6 +48,7 @@ def test_sine_has_its_phase():
     assert sine(2.0, 3.0, np.pi / 2)(np.zeros(1))[0] == 2.0
 
 
+@settings(max_examples=25)
 @given(amplitudes, st.lists(st.integers(1, 40), min_size=1, max_size=12, unique=True))
 def test_multi_sine_starts_at_zero_stays_below_its_amplitude_and_holds_its_frequencies(amplitude, whole):
     signal = multi_sine(amplitude, [float(f) for f in whole])

@@ -1,4 +1,4 @@
-"""What the data determine: exact null directions, and the combinations that are left when an axis is at rest."""
+"""What the data determine: exact null directions, and what is left when an axis is at rest."""
 
 import numpy as np
 import pytest
@@ -117,9 +117,11 @@ def test_a_vertical_state_that_never_moves_leaves_only_the_gain_at_it():
     gains = dict(zip("ABC", phi(TRUTH, np.array([Z0, RX0, RY0])), strict=True))
     for k in "ABC":
         (one,) = [c for c in found.combinations if f"a_{k}" in c.expression]
-        names = dict.fromkeys(found.model.names, 0.0)
-        at = lambda **v: eval(one.expression, {"__builtins__": {}}, names | v)  # noqa: E731
-        slope = {q: at(**{f"{q}_{k}": 1.0}) for q in ("eta", "a", "b", "c")}
+        none = dict.fromkeys(found.model.names, 0.0)
+        slope = {
+            q: eval(one.expression, {"__builtins__": {}}, none | {f"{q}_{k}": 1.0})
+            for q in ("eta", "a", "b", "c")
+        }
         assert slope["a"] / slope["eta"] == pytest.approx(Z0, rel=1e-3)
         assert slope["b"] / slope["eta"] == pytest.approx(RX0, rel=1e-3)
         assert slope["c"] / slope["eta"] == pytest.approx(RY0, rel=1e-3)

@@ -29,7 +29,7 @@ def test_links_are_ordered_along_the_chain_whatever_the_order_of_adding():
 
 
 def test_a_step_ends_its_link():
-    """A step added to the transducer sees the gain of the model so far; one before the read-out changes it."""
+    """A step added to the transducer sees the gain so far, and the read-out sees what it leaves."""
     model = stage15().with_step(
         "transducer",
         lambda s, p: s.__setitem__("gain", s["gain"] + p["more"]),

@@ -93,15 +93,15 @@ def test_stated_noise_is_the_least_scale():
 @settings(max_examples=20)
 @given(seeds, st.sampled_from([0.01, 0.05, 0.1]))
 def test_columns_alone_show_most_spikes_and_accuse_few_good_samples(seed, share):
-    """A first guess on a sine with noise: all but a few per cent of 100 um spikes, few of the good samples."""
+    """A first guess on a noisy sine: nearly all spikes of 100 um and more, few of the good samples."""
     rng = np.random.default_rng(seed)
     n = 1000
     x = 3e-4 * np.sin(2 * np.pi * np.arange(n) / 500) + SIGMA * rng.standard_normal(n)
     hit = rng.random(n) < share
     x[hit] += rng.choice([-1, 1], hit.sum()) * rng.uniform(1e-4, 1e-3, hit.sum())
     weight = column_spikes(("x",))(Block(0, {"x": x, "y": np.zeros(n)}))
-    assert np.mean(weight[~hit]) > 0.98
-    assert np.mean(weight[hit]) < 0.15
+    assert np.mean(weight[~hit]) > 0.9  # at a share of .1 every third good sample has a bad neighbour
+    assert np.mean(weight[hit]) < 0.03 if hit.any() else True
 
 
 def test_runs_too_short_to_judge_are_kept():
@@ -110,6 +110,7 @@ def test_runs_too_short_to_judge_are_kept():
         assert np.all(spikes()(block(noise(0, n))) == 1.0)
 
 
+@settings(max_examples=25)
 @given(seeds, st.floats(0.1, 30.0))
 def test_biweight_follows_its_formula(seed, size):
     """(1 - u^2)^2 with u = distance / (4.685 scale); the scale is at least the stated one."""

@@ -100,7 +100,7 @@ def test_each_column_has_its_own_white_noise():
 
 
 def test_correlated_noise_has_its_time_constant_and_variance():
-    """AR(1): correlation exp(-lag / tau). With tau = 50 samples there are 2000 independent ones: 3 % (1 sigma)."""
+    """AR(1): correlation exp(-lag / tau). With tau = 50 samples 2000 are independent: 3 % (1 sigma)."""
     tau = 0.05
     columns = noise_at_rest(NoiseModel(SIGMAS, correlation_s=tau))
     for name, sigma in SIGMAS.items():

@@ -13,7 +13,7 @@ from hallsym.search import refit
 from hallsym.summary import Summary, summarise
 
 EXACT_STATE = {**SIGMAS, "z_m": 0.0, "rx_rad": 0.0, "ry_rad": 0.0}
-"""State noise weighs by the distance from the centre: 70/rad x 80 nrad x .5 mm = 3 nm of 500, squared 3e-5."""
+"""State noise weighs by the distance from the centre: 70/rad x 80 nrad x .5 mm = 3 nm of 500 nm."""
 SAME = 1e-10
 """QR keeps 1e-16 of 500 um, 2e-10 of a residual's 0.5 um, and rounding does not add up."""
 

@@ -23,7 +23,7 @@ def one(seed: int, *, sigma=SIGMAS, samples: int = 50, **noise) -> tuple[np.ndar
 
 
 def test_scatter_of_60_recordings_is_the_stated_covariance():
-    """Each parameter's scatter within the central 99.99 % of chi2(60), their joint distance within 4 sigma."""
+    """Each scatter within the central 99.99 % of chi2(60), their joint distance within 4 sigma."""
     errors, covariance = [], None
     for seed in range(60):
         cost = cost_on(with_noise(record(seed=1000 + seed)), MODEL)
@@ -41,7 +41,7 @@ def test_scatter_of_60_recordings_is_the_stated_covariance():
 
 
 def test_white_noise_of_the_stated_size_is_believed():
-    p, found = one(1)
+    _, found = one(1)
     assert found.method == "likelihood"
     assert "scores of the 57 runs" in found.reason
     assert found.cost_per_dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / (57 * 49 * 3)))

@@ -1,7 +1,8 @@
 """Twins of the paper's stage that several tests share, and its model typed a second time in numpy.
 
 The numpy model follows the article's matrix PM and gain phi (Eq. (11), (14), (31)) for its own layout:
-A at (+H1x, +H1y) and B at (-H2x, +H2y) sense Y, C at (+H3x, +H3y) senses X. It shares no code with the package.
+A at (+H1x, +H1y) and B at (-H2x, +H2y) sense Y, C at (+H3x, +H3y) senses X. It shares no code with
+the package.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -11,6 +11,7 @@ Valid for planar motion up to about 2 mm and 1 mrad (`exact_rotation` beyond tha
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from math import radians
 from typing import Any
 
@@ -20,7 +21,7 @@ import numpy as np
 from hallsym import published
 from hallsym.errors import InputError
 from hallsym.log import Meta
-from hallsym.model import Combination, Model, Parameter, Signals
+from hallsym.model import Combination, Model, Parameter, Signals, Step
 
 POSE = ("x_m", "y_m", "rz_rad")
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
@@ -52,6 +53,7 @@ def paper_layout() -> tuple[Probe, ...]:
     )
 
 
+@cache
 def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (15): reading_k = eta_k n_k . (x - p_y Rz, y + p_x Rz), n_k turned by theta_k.
 
@@ -79,16 +81,19 @@ def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
     )
 
 
+@cache
 def stage30(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (30): Model (15) with the zero deviations of each run."""
     return _named("stage30", zero_deviation(stage15(layout)))
 
 
+@cache
 def stage31(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (31): Model (30) with gains that follow Z, Rx, Ry in nine free coefficients."""
     return _named("stage31", vertical_coupling(stage30(layout)))
 
 
+@cache
 def stage31_tied(layout: tuple[Probe, ...] | None = None) -> Model:
     """Return Model (31) with the vertical coupling of a rigid stage: three slopes and one point."""
     return _named("stage31_tied", tied_vertical_coupling(stage30(layout)))
@@ -213,7 +218,7 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
             [[_entry(coefficients, pose, state, k) for pose in model.pose] for state in ("", *model.state)]
         )
         weight = np.array([1.0, *[_TYPICAL] * len(model.state)])[:, None]
-        u, _, v = np.linalg.svd(matrix * weight)
+        _, _, v = np.linalg.svd(matrix * weight)
         phi, pose = matrix @ v[0], v[0]  # matrix = phi pose^T
         norm = float(np.hypot(pose[0], pose[1])) or 1.0
         sign = 1.0 if phi[0] >= 0 else -1.0
@@ -311,8 +316,8 @@ def _parameters(probes: tuple[Probe, ...], *, paper: bool) -> tuple[Parameter, .
 
 
 def _position(k: int, probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    signs = (-1 if value < 0 else 1 for value in probe.position)
-    return tuple(sign * p[f"H{k + 1}{axis}"] for sign, axis in zip(signs, "xy", strict=True))
+    sx, sy = (-1 if value < 0 else 1 for value in probe.position)
+    return sx * p[f"H{k + 1}x"], sy * p[f"H{k + 1}y"]
 
 
 def _direction(probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
@@ -321,7 +326,7 @@ def _direction(probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
     return nx * ca.cos(theta) - ny * ca.sin(theta), ny * ca.cos(theta) + nx * ca.sin(theta)
 
 
-def _small_angle(probes: tuple[Probe, ...]):
+def _small_angle(probes: tuple[Probe, ...]) -> Step:
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
         rows = []
         for k, probe in enumerate(probes):
@@ -332,7 +337,7 @@ def _small_angle(probes: tuple[Probe, ...]):
     return step
 
 
-def _gain(probes: tuple[Probe, ...]):
+def _gain(probes: tuple[Probe, ...]) -> Step:
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
         s["gain"] = ca.vertcat(*(p[f"eta_{probe.label}"] for probe in probes))  # (14)
 
