@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.decoding import ErrorTable, Mask
 from hallsym.errors import InputError
-from hallsym.evaluate import ErrorTable, Mask
 from hallsym.families import build
 from hallsym.files import atomic_write
 from hallsym.log import Meta, Noise, Sigma

@@ -104,8 +104,8 @@ def _model_options(parser: argparse.ArgumentParser, default: str) -> None:
     )
     group.add_argument(
         "--machine", metavar="TOML",
-        help="your machine: [[probes]] with channel, position_m, senses; [parameters.H1x] with nominal, lower, "
-        "upper, fixed",
+        help="your machine: [[probes]] with channel, position_m, senses; [parameters.H1x] with nominal, "
+        "lower, upper, fixed",
     )  # fmt: skip
 
 
@@ -178,8 +178,8 @@ def _evaluate(sub: Any) -> None:
 def _info(sub: Any) -> None:
     parser = _command(
         sub, "info", commands.info, "what a log, calibration or campaign file holds; or what hallsym knows",
-        "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a campaign\n"
-        "file. Without a file: the models, effects and solvers there are.",
+        "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a\n"
+        "campaign file. Without a file: the models, effects and solvers there are.",
     )  # fmt: skip
     parser.add_argument(
         "file", metavar="FILE", nargs="?", help="log, calibration (.json) or campaign (.toml)"
@@ -190,8 +190,8 @@ def _info(sub: Any) -> None:
 def _simulate(sub: Any) -> None:
     parser = _command(
         sub, "simulate", commands.simulate, "write the log a known machine would record",
-        "Simulate a campaign of a machine with known parameters: the paper's by default (Table 6 settings, sines\n"
-        "at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from a TOML file.",
+        "Simulate a campaign of a machine with known parameters: the paper's by default (Table 6 settings,\n"
+        "sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from a TOML file.",
     )  # fmt: skip
     parser.add_argument(
         "campaign", metavar="TOML", nargs="?", help="campaign file (default: the paper's campaign)"

@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hallsym import paper
-from hallsym import simulate as twin
+from hallsym import paper, twin
 from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign
+from hallsym.decoding import columns_of, judge
 from hallsym.errors import InputError
-from hallsym.evaluate import columns_of, judge
 from hallsym.families import build, effects, models
-from hallsym.fit import LOSSES, SOLVERS, fit, noise_of
+from hallsym.fitting import LOSSES, SOLVERS, fit, noise_of
 from hallsym.log import Log, LogWriter, check_log, parse_column_option, read_log, spans
 from hallsym.machine import Machine, read_machine
 from hallsym.published import values as published_values
@@ -63,8 +62,9 @@ def exit_code(result: Fit) -> int:
         print(f"hallsym: the solver did not finish ({result.status}): {result.message}", file=sys.stderr)
         return NOT_CONVERGED
     if result.undetermined_by_log:
+        what = ", ".join(result.undetermined_by_log)
         print(
-            f"hallsym: this log does not determine {', '.join(result.undetermined_by_log)} of {result.model.name}: "
+            f"hallsym: this log does not determine {what} of {result.model.name}: "
             "they are held or combined as the table says; record runs that move what they belong to.",
             file=sys.stderr,
         )

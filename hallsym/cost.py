@@ -4,7 +4,8 @@ Reading and reference are both noisy, so a residual r (one entry per channel) ha
 C = Sigma_reading + (dr/dcolumn) Sigma_column (dr/dcolumn)^T, which depends on the parameters. With the true
 pose eliminated the likelihood of independent Gaussian noise is
 
-    F(p, d) = sum over runs of tr(C_i(p)^-1 A_i^T A_i),   A_i = R_i [-X_i; 1],   X_i = c(p) + sum_l d_il E_l(p)
+    F(p, d) = sum over runs of tr(C_i(p)^-1 A_i^T A_i)
+    A_i = R_i [-X_i; 1],   X_i = c(p) + sum_l d_il E_l(p)
 
 with R_i the run's triangle, X_i the coefficients of its features and C_i the run's mean covariance (for which
 F is unbiased, docs/theory.md). F is quadratic in a run's zeros d_i: they are eliminated exactly, and
@@ -231,7 +232,7 @@ class Point:
         """Second-order terms of F through C(p) that hold dC, shape (r, v, v)."""
         if not np.any(self.cost.column_variance):
             return 0.0
-        r, K, f, v = self._B.shape
+        r, K, _, v = self._B.shape
         AR = np.swapaxes(self.A, 1, 2) @ self.R_f  # -A^T dA = AR B
         both = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)[:, None] @ self._B
         half, U = both[:, :, :K], both[:, :, K:]

@@ -178,8 +178,8 @@ def _reproduces(features: Features) -> bool:
 def _not_polynomial(model: Model) -> InputError:
     return InputError(
         f"Model {model.name} with effects {', '.join(model.effects) or 'none'} has readings that are not a "
-        "polynomial of the logged columns, so its runs have no summary; derive the non-polynomial quantity with "
-        "Signals.derive."
+        "polynomial of the logged columns, so its runs have no summary; derive the non-polynomial quantity "
+        "with Signals.derive."
     )
 
 

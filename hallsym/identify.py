@@ -56,17 +56,22 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     weak = values < UNDETERMINED**-2
     null = np.zeros((len(p), int(weak.sum())))
     null[free] = vectors[:, weak]
-    held = _hold(null)
+    inside = (lower <= model.nominal) & (model.nominal <= upper)
+    held = _hold(null, inside)
     structural = structural_null(cost.coefficients, feature_scale(cost))
     moving = np.flatnonzero(np.linalg.norm(structural, axis=1) > 1e-6)
     return Determination(scale, null, tuple(model.names[k] for k in moving), tuple(sorted({*held, *fixed})))
 
 
-def _hold(null: np.ndarray) -> list[int]:
-    """The parameters whose values fix every null direction best: pivoted QR of the null basis."""
+def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:
+    """The parameters whose values fix every null direction best: pivoted QR of the null basis.
+
+    Those whose nominal value lies outside their bounds come last: they would not be held at nominal.
+    """
     if null.shape[1] == 0:
         return []
-    return [int(k) for k in qr(null.T, mode="r", pivoting=True)[1][: null.shape[1]]]
+    preferred = null.T * np.where(inside, 1.0, 1e-3)
+    return [int(k) for k in qr(preferred, mode="r", pivoting=True)[1][: null.shape[1]]]
 
 
 def feature_scale(cost: Cost) -> np.ndarray:

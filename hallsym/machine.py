@@ -11,7 +11,7 @@ from hallsym.log import Meta
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """`probes` as in a log's meta.json, None for the log's own; `parameters` by name, see `families.build`."""
+    """`probes` as in a log's meta.json, None for the log's own; `parameters` as `build` takes."""
 
     probes: list[dict[str, Any]] | None
     parameters: dict[str, dict[str, Any]]

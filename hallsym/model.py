@@ -62,7 +62,7 @@ Step = Callable[[Signals, Mapping[str, ca.SX]], None]
 
 @dataclass(frozen=True, eq=False)
 class Combination:
-    """A readable function of the parameters, such as a lever arm, that may be determined when they are not."""
+    """A readable function of the parameters, such as a lever arm: may be determined when they are not."""
 
     expression: str
     unit: str
@@ -138,7 +138,7 @@ class Model:
         for p in model.parameters:
             if not p.lower <= p.upper:
                 raise InputError(
-                    f"Bounds of {p.name} must have lower <= upper; instead received {p.lower:g} and {p.upper:g}."
+                    f"Bounds of {p.name} must have lower <= upper; instead received {p.lower:g}, {p.upper:g}."
                 )
         return model
 

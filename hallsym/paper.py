@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym import published
 from hallsym.calibration import Fit
-from hallsym.fit import fit
+from hallsym.fitting import fit
 from hallsym.log import Log, read_log
 from hallsym.tables import error_rows
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.calibration import Fit
+from hallsym.decoding import CHUNK, ErrorTable, Mask, columns_of, decoder
 from hallsym.errors import InputError
-from hallsym.evaluate import CHUNK, ErrorTable, Mask, columns_of, decoder
 from hallsym.files import atomic_write, reason
 from hallsym.log import Block, Log
 from hallsym.wiring import rewired

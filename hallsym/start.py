@@ -59,6 +59,7 @@ def check_reference(model: Model, unexplained: np.ndarray, where: str) -> None:
     for channel, share in zip(model.channels, unexplained, strict=True):
         if share > 0.5:
             raise InputError(
-                f"The reference of {where} explains only {100 * (1 - share):.0f} % of the variation of {channel} "
-                "(expected more than 90 %); it does not belong to these readings: check file, clock and columns."
+                f"The reference of {where} explains only {100 * max(1 - share, 0):.0f} % of the variation of "
+                f"{channel} (expected more than 90 %); it does not belong to these readings: check file, clock "
+                "and columns."
             )

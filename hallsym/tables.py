@@ -144,7 +144,8 @@ def evidence(fit: Fit) -> list[str]:
     s = fit.solver
     how = f"{s['name']}: {s['evaluations']} evaluations"
     if s["starts"] > 1:
-        how += f"; {round(s['share_at_optimum'] * s['starts'])} of {s['starts']} refined starts reached this optimum"
+        same = round(s["share_at_optimum"] * s["starts"])
+        how += f"; {same} of {s['starts']} refined starts reached this optimum"
     by_source: dict[str, list[str]] = {}
     for channel, sigma in fit.noise.sigmas.items():
         factor, unit, name = readable(channel)

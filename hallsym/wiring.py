@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -22,15 +23,15 @@ Wiring = tuple[tuple[str, int], ...]
 class _Rewired:
     """The table of a log whose channels are taken from other channels, with a sign."""
 
-    table: object
+    table: Any
     sources: dict[str, tuple[str, int]]
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name: str) -> Any:
         return getattr(self.table, name)
 
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[dict[str, np.ndarray]]:
         wanted = tuple(dict.fromkeys(self.sources.get(c, (c, 1))[0] for c in columns))
-        for piece in self.table.pieces(wanted, size):  # type: ignore[attr-defined]
+        for piece in self.table.pieces(wanted, size):
             yield {c: self._taken(piece, c) for c in columns}
 
     def _taken(self, piece: dict[str, np.ndarray], column: str) -> np.ndarray:
@@ -45,7 +46,8 @@ def rewired(log: Log, channels: Sequence[str], wiring: Wiring | None) -> Log:
     sources = dict(zip(channels, wiring, strict=True))
     sigmas = dict(log.noise.sigmas)
     sigmas |= {c: log.noise.sigmas[s] for c, (s, _) in sources.items() if s in log.noise.sigmas}
-    return replace(log, table=_Rewired(log.table, sources), noise=Noise(sigmas))
+    table: Any = _Rewired(log.table, sources)
+    return replace(log, table=table, noise=Noise(sigmas))
 
 
 def find_wiring(cost: Cost, linear: LinearFit) -> tuple[Wiring, float]:

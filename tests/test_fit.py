@@ -14,9 +14,9 @@ from hallsym.cost import cost_of
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.stage import Probe, stage31
-from hallsym.fit import fit
+from hallsym.fitting import fit
 from hallsym.log import Log, Meta
-from hallsym.simulate import NoiseModel, simulate
+from hallsym.twin import NoiseModel, simulate
 from hallsym.start import linear_fit
 from hallsym.summary import summarise
 from hallsym.wiring import check_wiring, find_wiring

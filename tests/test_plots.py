@@ -13,11 +13,11 @@ from hallsym import plots
 from hallsym.calibration import Fit
 from hallsym.campaign import Campaign, Run, sine
 from hallsym.errors import InputError
-from hallsym.evaluate import ErrorTable
+from hallsym.decoding import ErrorTable
 from hallsym.families import build
-from hallsym.fit import fit
+from hallsym.fitting import fit
 from hallsym.log import Block, Log
-from hallsym.simulate import NoiseModel, simulate
+from hallsym.twin import NoiseModel, simulate
 
 HOLDOUT = (2, 7, 12)
 NAMES = ["measured", "errors_before_after", "errors_by_setting", "parameters"]

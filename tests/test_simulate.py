@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from twins import COLUMNS, EPS, HALL, SIGMAS, TRUTH, campaign, phi, pm
 
-from hallsym import simulate as simulation
+from hallsym import twin as simulation
 from hallsym.campaign import Campaign, Run, paper_campaign, sine
 from hallsym.errors import InputError
-from hallsym.evaluate import error_tables
+from hallsym.decoding import error_tables
 from hallsym.families.stage import stage15, stage31
 from hallsym.log import Log
-from hallsym.simulate import NoiseModel, scaled, simulate, simulate_blocks, table8_noise
+from hallsym.twin import NoiseModel, scaled, simulate, simulate_blocks, table8_noise
 
 MODEL = stage31()
 LONG = Campaign(1e-3, (Run(200.0, {}, {}, (0.0, 0.0, 0.0)),))

@@ -15,7 +15,7 @@ from twins import EFFECTS, EPS, MODELS, TRUTH, combinations_of_effects, inside, 
 
 from hallsym.campaign import Campaign, paper_campaign
 from hallsym.errors import InputError
-from hallsym.evaluate import error_tables
+from hallsym.decoding import error_tables
 from hallsym.families import build
 from hallsym.families.stage import (
     Probe,
@@ -30,7 +30,7 @@ from hallsym.families.stage import (
     zero_deviation,
 )
 from hallsym.log import Log, Meta
-from hallsym.simulate import NoiseModel, simulate, table8_noise
+from hallsym.twin import NoiseModel, simulate, table8_noise
 
 ROUNDINGS = 16 * EPS
 """Some ten operations lie between data and reading, in each of the two computations."""

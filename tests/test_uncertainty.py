@@ -117,7 +117,7 @@ def test_noise_floor_is_what_the_true_parameters_leave():
     """Decoded pose minus reference at the truth, 57 x 200 samples: RMSE known to 0.7 %."""
     from twins import campaign, phi
 
-    from hallsym.evaluate import error_tables
+    from hallsym.decoding import error_tables
 
     log = with_noise(record(seed=9, samples=200))
     runs = campaign(200).runs

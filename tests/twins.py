@@ -16,7 +16,7 @@ from hallsym.cost import Cost, cost_of
 from hallsym.families import build
 from hallsym.log import Block, Log, Noise, Sigma
 from hallsym.model import Model
-from hallsym.simulate import VERTICAL_NOISE, NoiseModel, simulate
+from hallsym.twin import VERTICAL_NOISE, NoiseModel, simulate
 from hallsym.summary import summarise
 
 EPS = float(np.finfo(float).eps)

@@ -37,9 +37,7 @@ def build(
     """
     known = models()
     if name not in known:
-        raise InputError(
-            f"Model must be one of {', '.join(known)}; instead received {name!r}{nearest(name, list(known))}."
-        )
+        raise _unknown("Model", name, known)
     family = next(f for f in FAMILIES if known[name] in f.MODELS)
     model = family.from_meta(known[name], meta or Meta())
     for effect in added:
@@ -50,10 +48,15 @@ def build(
 def _effect(name: str) -> Callable[[Model], Model]:
     known = effects()
     if name not in known:
-        raise InputError(
-            f"Effect must be one of {', '.join(known)}; instead received {name!r}{nearest(name, list(known))}."
-        )
+        raise _unknown("Effect", name, known)
     return known[name]
+
+
+def _unknown(what: str, name: str, known: Mapping[str, Any]) -> InputError:
+    listed = ", ".join(known)
+    return InputError(
+        f"{what} must be one of {listed}; instead received {name!r}{nearest(name, list(known))}."
+    )
 
 
 def _checked(model: Model, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
@@ -66,8 +69,8 @@ def _checked(model: Model, changes: Mapping[str, Mapping[str, Any]]) -> dict[str
             good = isinstance(value, bool) if key == "fixed" else _is_number(value)
             if key not in ("nominal", "lower", "upper", "fixed") or not good:
                 raise InputError(
-                    f"Entry '{key}' of parameter {name} must be nominal, lower, upper (numbers in SI) or fixed "
-                    f"(true or false); instead received {key} = {value!r}."
+                    f"Entry '{key}' of parameter {name} must be nominal, lower, upper (numbers in SI) or "
+                    f"fixed (true or false); instead received {key} = {value!r}."
                 )
         fixed = entry.pop("fixed", False)
         if name in nominal:

@@ -40,10 +40,10 @@ from hallsym.calibration import Fit
 from hallsym.campaign import paper_campaign
 from hallsym.cost import Cost, cost_of
 from hallsym.families import build
-from hallsym.fit import fit
+from hallsym.fitting import fit
 from hallsym.log import Log, LogWriter, Noise, read_log, write_log
 from hallsym.search import refit
-from hallsym.simulate import NoiseModel, simulate, simulate_blocks, table8_noise
+from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
 from hallsym.summary import summarise
 
 MODEL = "stage31"

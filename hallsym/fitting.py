@@ -17,8 +17,8 @@ import numpy as np
 from hallsym import outliers, start, uncertainty
 from hallsym.calibration import Errors, Fit
 from hallsym.cost import Cost, cost_of
+from hallsym.decoding import columns_of, error_tables
 from hallsym.errors import InputError, nearest
-from hallsym.evaluate import columns_of, error_tables
 from hallsym.families import build
 from hallsym.identify import Determination, determine
 from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
@@ -55,7 +55,7 @@ def fit(
     """Calibrate `model` on `log` and return values, uncertainties and errors.
 
     `model`: a name or a Model; the log's own `base_model` or stage31 by default. `solver`: "hybrid" (SHTLBO
-    and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method to use in the hybrid.
+    and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method for the hybrid.
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
     always looks for them, "tukey" weighs every sample by Tukey's biweight, "none" is plain least squares.
@@ -144,7 +144,8 @@ class _Task:
         linear = start.linear_fit(merged)
         first = np.clip(start.closed_form(merged, linear), *self.model.bounds)
         determination = determine(fitted, first)
-        first[list(determination.held)] = self.model.nominal[list(determination.held)]
+        held = list(determination.held)
+        first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
         solver = solver or self.solver
         self.say(f"solving with {solver}")
         found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
@@ -178,8 +179,8 @@ class _Task:
         state = self.solve(summary, state.holdout)
         gone = total - left
         said = (
-            f"{gone:.0f} of {total:.0f} samples ({100 * gone / total:.2g} %) are isolated spikes and were left "
-            "out of fit and error tables (--loss none keeps them)."
+            f"{gone:.0f} of {total:.0f} samples ({100 * gone / total:.2g} %) are isolated spikes and were "
+            "left out of fit and error tables (--loss none keeps them)."
             if loss != "tukey"
             else f"Tukey's biweight took {100 * gone / total:.2g} % of the weight."
         )
