@@ -191,7 +191,7 @@ def _simulate(sub: Any) -> None:
     parser = _command(
         sub, "simulate", commands.simulate, "write the log a known machine would record",
         "Simulate a campaign of a machine with known parameters: the paper's by default (Table 6 settings,\n"
-        "sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from a TOML file.",
+        "sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from TOML.",
     )  # fmt: skip
     parser.add_argument(
         "campaign", metavar="TOML", nargs="?", help="campaign file (default: the paper's campaign)"

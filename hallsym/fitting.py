@@ -171,6 +171,7 @@ class _Task:
             if left < total:
                 self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
                 state = self.solve(summary, state.holdout, solver="direct")
+            self.check(state)
             if abs(left - before) <= 1e-6 * total:
                 break
             before, weigh = left, self.weigh(state, loss)

@@ -103,14 +103,22 @@ def reject_spikes(
         if good.sum() < WINDOW:
             good = np.ones_like(good)
         at = np.arange(len(good))
-        smooth = median_filter(
-            np.array([np.interp(at, at[good], row[good]) for row in r]), size=(1, WINDOW), mode="mirror"
-        )
-        jump = np.abs(r - smooth)
+        clean = np.array([np.interp(at, at[good], row[good]) for row in r])
+        jump = np.min([np.abs(r - near) for near in _expected(clean)], axis=0)
         scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
         return np.all(jump <= SPIKE * scale, axis=0).astype(float)
 
     return weigh
+
+
+def _expected(r: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What a residual may be without being a spike: the running median, or a line from either side (a kink)."""
+    left, right = r.copy(), r.copy()
+    left[:, 2:] = 2 * r[:, 1:-1] - r[:, :-2]
+    right[:, :-2] = 2 * r[:, 1:-1] - r[:, 2:]
+    median = median_filter(r, size=(1, WINDOW), mode="mirror")
+    left[:, :2], right[:, -2:] = median[:, :2], median[:, -2:]
+    return median, left, right
 
 
 def tukey(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> Weigh:

@@ -58,8 +58,8 @@ def check_reference(model: Model, unexplained: np.ndarray, where: str) -> None:
     """Raise `InputError` when the reference explains less than half of a channel's variance."""
     for channel, share in zip(model.channels, unexplained, strict=True):
         if share > 0.5:
+            explained = 100 * max(1 - share, 0)
             raise InputError(
-                f"The reference of {where} explains only {100 * max(1 - share, 0):.0f} % of the variation of "
-                f"{channel} (expected more than 90 %); it does not belong to these readings: check file, clock "
-                "and columns."
+                f"The reference of {where} explains only {explained:.0f} % of the variation of {channel} "
+                "(expected more than 90 %); it does not belong to these readings: check file, clock, columns."
             )

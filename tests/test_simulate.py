@@ -8,8 +8,8 @@ from twins import COLUMNS, EPS, HALL, SIGMAS, TRUTH, campaign, phi, pm
 
 from hallsym import twin as simulation
 from hallsym.campaign import Campaign, Run, paper_campaign, sine
-from hallsym.errors import InputError
 from hallsym.decoding import error_tables
+from hallsym.errors import InputError
 from hallsym.families.stage import stage15, stage31
 from hallsym.log import Log
 from hallsym.twin import NoiseModel, scaled, simulate, simulate_blocks, table8_noise

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from twins import EFFECTS, EPS, MODELS, TRUTH, combinations_of_effects, inside, phi, phi_size, pm
 
 from hallsym.campaign import Campaign, paper_campaign
-from hallsym.errors import InputError
 from hallsym.decoding import error_tables
+from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.stage import (
     Probe,

@@ -16,8 +16,8 @@ from hallsym.cost import Cost, cost_of
 from hallsym.families import build
 from hallsym.log import Block, Log, Noise, Sigma
 from hallsym.model import Model
-from hallsym.twin import VERTICAL_NOISE, NoiseModel, simulate
 from hallsym.summary import summarise
+from hallsym.twin import VERTICAL_NOISE, NoiseModel, simulate
 
 EPS = float(np.finfo(float).eps)
 TRUTH = published.values("table7_estimates")
