@@ -103,8 +103,8 @@ class Fit:
                 "held": name in self.held,
                 "at_bound": name in self.at_bound,
                 "nominal": model.parameters[k].nominal,
-                "lower": float(lower[k]),
-                "upper": float(upper[k]),
+                "lower": _number(lower[k]),
+                "upper": _number(upper[k]),
             }
             for k, name in enumerate(model.names)
         }
@@ -131,6 +131,7 @@ class Fit:
                 "reason": self.covariance_reason,
                 "matrix": self.covariance.tolist(),
             },
+            "zero_bounds": {z.name: [_number(z.lower), _number(z.upper)] for z in model.zeros},
             "zero_deviations": {
                 str(run): dict(zip((z.name for z in model.zeros), np.asarray(d).tolist(), strict=True))
                 for run, d in self.zeros.items()
@@ -167,7 +168,7 @@ def load_fit(path: str | Path) -> Fit:
         )
     try:
         return _from_dict(raw)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"Calibration {path} is incomplete ({error!r}); fit the log again.") from None
@@ -175,7 +176,14 @@ def load_fit(path: str | Path) -> Fit:
 
 def _from_dict(raw: Mapping[str, Any]) -> Fit:
     entries = raw["parameters"]
-    changes = {n: {k: e[k] for k in ("nominal", "lower", "upper")} for n, e in entries.items()}
+    changes = {
+        n: {"nominal": e["nominal"], "lower": _bound(e["lower"], -1), "upper": _bound(e["upper"], 1)}
+        for n, e in entries.items()
+    }
+    changes |= {
+        n: {"lower": _bound(low, -1), "upper": _bound(high, 1)}
+        for n, (low, high) in raw["zero_bounds"].items()
+    }
     probes = [
         {"channel": p["channel"], "position_m": p["position_m"], "senses": p["senses"]} for p in raw["layout"]
     ]
@@ -225,6 +233,10 @@ def _probe(probe: Any) -> dict[str, Any]:
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+def _bound(value: float | None, sign: int) -> float:
+    return sign * float("inf") if value is None else float(value)
 
 
 def _float(value: float | None) -> float:

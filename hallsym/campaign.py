@@ -14,6 +14,7 @@ import numpy as np
 
 from hallsym import published
 from hallsym.errors import InputError, nearest
+from hallsym.files import reason
 
 AXES = ("x_m", "y_m", "rz_rad", "z_m", "rx_rad", "ry_rad")
 Signal = Callable[[np.ndarray], np.ndarray]
@@ -139,20 +140,42 @@ def read_campaign(path: str | Path) -> Campaign:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"Campaign file {path} does not exist; give the path of a TOML file.") from None
+    except OSError as error:
+        raise InputError(f"Campaign file {path} cannot be read: {reason(error)}.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"Campaign file {path} is not valid TOML: {error}.") from None
+        raise InputError(f"Campaign file {path} is not valid TOML: {' '.join(str(error).split())}.") from None
     where = f"campaign {path.name}"
     _known(raw, ("step_s", "zero_spread_m", "setting", "trajectory", "noise"), where)
-    step = _positive(raw.get("step_s", 2e-3), "step_s", where)
-    settings = raw.get("setting", [{}])
-    trajectories = raw.get("trajectory", [])
+    settings = [_setting(entry, where) for entry in _tables(raw.get("setting", [{}]), "setting", where)]
+    trajectories = _tables(raw.get("trajectory", []), "trajectory", where)
     if not trajectories:
         raise InputError(f"In {where} at least one [[trajectory]] is needed; there is none.")
-    for setting in settings:
-        _known(setting, AXES, f"a [[setting]] of {where}")
-    runs = [_run(setting, entry, where) for setting in settings for entry in trajectories]
-    spread = float(raw.get("zero_spread_m", 1e-6))
-    return Campaign(step, tuple(runs), spread, dict(raw.get("noise", {})))
+    return Campaign(
+        _positive(raw.get("step_s", 2e-3), "step_s", where),
+        tuple(_run(setting, entry, where) for setting in settings for entry in trajectories),
+        _number(raw.get("zero_spread_m", 1e-6), "zero_spread_m", where, least=0.0),
+        {
+            k: _positive(v, k, f"noise in {where}")
+            for k, v in _table(raw.get("noise", {}), "noise", where).items()
+        },
+    )
+
+
+def _tables(raw: Any, key: str, where: str) -> list[Mapping[str, Any]]:
+    if not isinstance(raw, list) or not all(isinstance(entry, Mapping) for entry in raw):
+        raise InputError(f"In {where}, {key} must be [[{key}]] tables; instead received {raw!r}.")
+    return raw
+
+
+def _table(raw: Any, key: str, where: str) -> Mapping[str, Any]:
+    if not isinstance(raw, Mapping):
+        raise InputError(f"In {where}, {key} must be a table; instead received {raw!r}.")
+    return raw
+
+
+def _setting(raw: Mapping[str, Any], where: str) -> dict[str, float]:
+    _known(raw, AXES, f"a [[setting]] of {where}")
+    return {axis: _number(value, axis, f"a [[setting]] of {where}") for axis, value in raw.items()}
 
 
 def _run(setting: Mapping[str, float], entry: Mapping[str, Any], where: str) -> Run:
@@ -160,27 +183,32 @@ def _run(setting: Mapping[str, float], entry: Mapping[str, Any], where: str) -> 
     _known(entry, ("duration_s", "raster", *AXES), where)
     motion = {axis: _signal(entry[axis], f"{axis} in {where}") for axis in AXES if axis in entry}
     if "raster" in entry:
-        motion |= _raster(entry["raster"], where)
-    duration = _positive(entry.get("duration_s"), "duration_s", where)
-    return Run(duration, {k: float(v) for k, v in setting.items()}, motion)
+        raster = _raster(_table(entry["raster"], "raster", where), f"raster in {where}")
+        twice = [axis for axis in raster if axis in motion]
+        if twice:
+            raise InputError(
+                f"Axis {twice[0]} of {where} is moved by its own signal and by the raster; keep one."
+            )
+        motion |= raster
+    return Run(_positive(entry.get("duration_s"), "duration_s", where), setting, motion)
 
 
 def _raster(raw: Mapping[str, Any], where: str) -> dict[str, Signal]:
     """`{fast="x_m", slow="y_m", fast_amplitude=, slow_amplitude=, line_hz=, lines=}`."""
     keys = ("fast", "slow", "fast_amplitude", "slow_amplitude", "line_hz", "lines")
-    _known(raw, keys, f"raster in {where}")
+    _known(raw, keys, where)
     missing = [k for k in keys if k not in raw]
-    if missing or not {raw.get("fast"), raw.get("slow")} <= set(AXES):
+    if missing:
+        raise InputError(f"A {where} needs {', '.join(keys)}; missing {missing[0]}.")
+    fast, slow = raw["fast"], raw["slow"]
+    if fast not in AXES or slow not in AXES or fast == slow:
+        axes = ", ".join(AXES)
         raise InputError(
-            f"A raster in {where} needs {', '.join(keys)} with axes among {', '.join(AXES)}; "
-            f"{'missing ' + ', '.join(missing) if missing else 'instead received another axis'}."
+            f"'fast' and 'slow' of {where} must be two of {axes}; instead received {fast!r}, {slow!r}."
         )
-    line_hz = _positive(raw["line_hz"], "line_hz", where)
-    lines = _positive(raw["lines"], "lines", where)
-    return {
-        raw["fast"]: triangle(float(raw["fast_amplitude"]), line_hz),
-        raw["slow"]: triangle(float(raw["slow_amplitude"]), line_hz / lines),
-    }
+    line_hz, lines = (_positive(raw[k], k, where) for k in ("line_hz", "lines"))
+    wide, high = (_number(raw[k], k, where) for k in ("fast_amplitude", "slow_amplitude"))
+    return {fast: triangle(wide, line_hz), slow: triangle(high, line_hz / lines)}
 
 
 def _signal(raw: Any, where: str) -> Signal:
@@ -195,11 +223,17 @@ def _signal(raw: Any, where: str) -> Signal:
     missing = [k for k in required if k not in raw]
     if missing:
         raise InputError(f"Signal {kind!r} of {where} needs {', '.join(required)}; missing {missing[0]}.")
-    values = {k: raw[k] for k in (*required, *optional) if k in raw}
-    for key in ("frequency_hz", "dwell_s"):
-        if key in values:
-            _positive(values[key], key, where)
-    return make(**values)
+    return make(**{k: _value(raw[k], k, where) for k in (*required, *optional) if k in raw})
+
+
+def _value(value: Any, key: str, where: str) -> float | list[float]:
+    """One number of a signal, or a list of them; frequencies and dwell times are positive."""
+    check = _positive if key in ("frequency_hz", "frequencies_hz", "dwell_s") else _number
+    if key not in ("frequencies_hz", "levels"):
+        return check(value, key, where)
+    if not isinstance(value, list) or not value:
+        raise InputError(f"'{key}' of {where} must be a list of numbers; instead received {value!r}.")
+    return [check(entry, key, where) for entry in value]
 
 
 def _known(raw: Mapping[str, Any], keys: tuple[str, ...], where: str) -> None:
@@ -210,7 +244,16 @@ def _known(raw: Mapping[str, Any], keys: tuple[str, ...], where: str) -> None:
             )
 
 
+def _number(value: Any, key: str, where: str, least: float = -np.inf) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < np.inf:
+        wanted = "a finite number" if least == -np.inf else f"a number >= {least:g}"
+        raise InputError(f"'{key}' of {where} must be {wanted}; instead received {value!r}.")
+    if value == -np.inf:
+        raise InputError(f"'{key}' of {where} must be a finite number; instead received {value!r}.")
+    return float(value)
+
+
 def _positive(value: Any, key: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
         raise InputError(f"'{key}' of {where} must be a positive number; instead received {value!r}.")
     return float(value)

@@ -12,5 +12,6 @@ def nearest(name: str, known: list[str]) -> str:
     """Return `" (did you mean 'x'?)"` for the closest known name, or an empty string."""
     from difflib import get_close_matches
 
-    hit = get_close_matches(name, known, n=1, cutoff=0.5)
-    return f" (did you mean '{hit[0]}'?)" if hit else ""
+    folded = {k.lower(): k for k in reversed(known)}
+    hit = get_close_matches(name.lower(), list(folded), n=1, cutoff=0.5)
+    return f" (did you mean '{folded[hit[0]]}'?)" if hit else ""

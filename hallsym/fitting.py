@@ -19,9 +19,10 @@ from hallsym.calibration import Errors, Fit
 from hallsym.cost import Cost, cost_of
 from hallsym.decoding import columns_of, error_tables
 from hallsym.errors import InputError, nearest
-from hallsym.families import build
+from hallsym.families import adapted, build
 from hallsym.identify import Determination, determine
 from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
+from hallsym.log.drop import Drop, without
 from hallsym.model import Model
 from hallsym.search import SOLVERS, Search, refit, search
 from hallsym.summary import Summary, summarise
@@ -66,25 +67,23 @@ def fit(
     began, say = perf_counter(), on_progress or (lambda _: None)
     _choice(solver, SOLVERS, "solver")
     _choice(loss, LOSSES, "loss")
-    if not isinstance(model, Model):
-        model = build(
-            model or log.meta.base_model or "stage31",
-            meta=log.meta,
-            added=tuple(effects),
-            parameters=parameters,
-        )
+    if isinstance(model, Model):
+        model = adapted(model, tuple(effects), parameters or {})
+    else:
+        name = model or log.meta.base_model or "stage31"
+        model = build(name, meta=log.meta, added=tuple(effects), parameters=parameters)
     say("checking the log")
     columns = columns_of(model)
     log = clean_log(log, columns) if drop_bad else log
     notes = list(log.notes) if drop_bad else check_log(log, columns)
-    noise = noise_of(log, model)
-    task = _Task(log, model, noise, solver, seed, say)
+    apart = _apart(log, log.meta.holdout if holdout is None else holdout)
+    task = _Task(log, model, noise_of(log, model, apart), solver, seed, say)
     say("summarising runs")
-    state = task.solve(summarise(log, model), tuple(log.meta.holdout if holdout is None else holdout))
+    state = task.solve(summarise(log, model), apart)
     wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
     if gain > 0:
         log = rewired(log, model.channels, wiring)
-        task = replace(task, log=log, noise=noise_of(log, model))
+        task = replace(task, log=log, noise=noise_of(log, model, apart))
         state = task.solve(summarise(log, model), state.holdout)
     say("tabulating errors")
     errors = task.errors(state, None)
@@ -137,7 +136,7 @@ class _Task:
 
     def solve(self, summary: Summary, holdout: tuple[int, ...], solver: str | None = None) -> State:
         """Find the optimum of one set of summaries."""
-        used = _used(summary, holdout)
+        used = [run for run in summary.runs if run not in holdout]
         everything = cost_of(summary, self.sigmas)
         fitted = everything if len(used) == len(summary.runs) else cost_of(summary.select(used), self.sigmas)
         merged = cost_of(fitted.summary.merged(), self.sigmas)
@@ -211,25 +210,29 @@ def _choice(name: str, known: Sequence[str], what: str) -> None:
         )
 
 
-def noise_of(log: Log, model: Model | None) -> Noise:
-    """Return the noise of every column a model uses (all columns without one): given, else estimated."""
+def noise_of(log: Log, model: Model | None, apart: Sequence[int] = ()) -> Noise:
+    """Return the noise of every column a model uses (all columns without one): given, else estimated.
+
+    Runs in `apart` (held out) take no part in the estimate.
+    """
     columns = columns_of(model) if model else tuple(c for c in log.columns if c not in ("run", "t_s"))
     missing = [c for c in columns if c not in log.noise]
-    noise = log.noise.merged(estimate_noise(log, missing)) if missing else log.noise
+    used = without(log, Drop(runs=frozenset(apart))) if missing and apart else log
+    noise = log.noise.merged(estimate_noise(used, missing)) if missing else log.noise
     sigmas = {c: noise[c] for c in columns}
     for c in model.channels if model else ():
         sigmas[c] = replace(sigmas[c], value=max(sigmas[c].value, LEAST_SIGMA))
     return Noise(sigmas)
 
 
-def _used(summary: Summary, holdout: tuple[int, ...]) -> list[int]:
-    unknown = [run for run in holdout if run not in summary.runs]
+def _apart(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
+    """Held-out runs, all of them in the log and not all of the log."""
+    unknown = [run for run in holdout if run not in log.runs]
     if unknown:
-        raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {_runs(summary.runs)}.")
-    used = [run for run in summary.runs if run not in holdout]
-    if not used:
+        raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {_runs(log.runs)}.")
+    if holdout and set(log.runs) <= set(holdout):
         raise InputError("Every run is held out; leave at least one to fit.")
-    return used
+    return tuple(holdout)
 
 
 def _runs(runs: Sequence[int]) -> str:

@@ -15,6 +15,9 @@ from hallsym.model import Model
 UNDETERMINED = 0.25
 """Standard uncertainty over bound width above which a direction counts as not determined (flat: 0.29)."""
 
+ROUNDING = 1e-13
+"""Information below this part of the largest is rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class Determination:
@@ -47,20 +50,19 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     A motion no larger than the noise of its reference does not count (`information(2)`).
     """
     model = cost.summary.model
-    scale, lower, upper = scales(model), *model.bounds
-    fixed = [int(k) for k in np.flatnonzero(lower == upper)]
-    information = np.tensordot(cost.weights, cost.at(p).information(2.0), axes=1)
-    information = information * np.outer(scale, scale)
-    free = [k for k in range(len(p)) if k not in fixed]
-    values, vectors = np.linalg.eigh(information[np.ix_(free, free)])
-    weak = values < UNDETERMINED**-2
-    null = np.zeros((len(p), int(weak.sum())))
-    null[free] = vectors[:, weak]
+    scale, (lower, upper) = scales(model), model.bounds
+    open_ = lower < upper
+    always = structural_null(cost.coefficients, feature_scale(cost), p, open_)
+    rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
+    rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
+    information = np.tensordot(cost.weights, cost.at(p).information(2.0), axes=1) * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(rest.T @ information @ rest)
+    weak = values < max(UNDETERMINED**-2, ROUNDING * values.max(initial=0.0))
+    null = np.hstack([always, rest @ vectors[:, weak]])
     inside = (lower <= model.nominal) & (model.nominal <= upper)
-    held = _hold(null, inside)
-    structural = structural_null(cost.coefficients, feature_scale(cost))
-    moving = np.flatnonzero(np.linalg.norm(structural, axis=1) > 1e-6)
-    return Determination(scale, null, tuple(model.names[k] for k in moving), tuple(sorted({*held, *fixed})))
+    held = {*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}
+    moving = np.flatnonzero(np.linalg.norm(always, axis=1) > 1e-6)
+    return Determination(scale, null, tuple(model.names[k] for k in moving), tuple(sorted(held)))
 
 
 def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:
@@ -81,29 +83,39 @@ def feature_scale(cost: Cost) -> np.ndarray:
 
 
 def structural_null(
-    coefficients: Coefficients, feature_scale: np.ndarray, points: int = 3, seed: int = 0
+    coefficients: Coefficients,
+    feature_scale: np.ndarray,
+    p: np.ndarray | None = None,
+    open_: np.ndarray | None = None,
+    points: int = 3,
+    seed: int = 0,
 ) -> np.ndarray:
-    """Directions that no recording can determine: the null space of d coefficients / d parameters.
+    """Directions that no recording can determine: the null space of d coefficients / d parameters at `p`.
 
-    Decided at random points inside the bounds and kept only if every point agrees on the dimension of the
-    smallest. Returns (n, k) in scaled parameters, at the last such point.
+    Its dimension is decided at random points inside the bounds, the smallest counts; `p` is the last of them
+    by default. `open_` (n,) says which parameters are not fixed (default: all). Returns an orthonormal basis
+    (n, k) in scaled parameters.
     """
     model = coefficients.features.model
     rng, scale, (lower, upper) = np.random.default_rng(seed), scales(model), model.bounds
     lower = np.where(np.isfinite(lower), lower, model.nominal - scale)
     upper = np.where(np.isfinite(upper), upper, model.nominal + scale)
-    best: np.ndarray | None = None
-    for _ in range(points):
-        _, slope = coefficients.first(rng.uniform(lower, upper))
-        jacobian = slope[0] * feature_scale[:, None, None]
-        jacobian = np.swapaxes(jacobian, 1, 2).reshape(-1, jacobian.shape[1]) * scale
+
+    open_ = np.ones(len(scale), dtype=bool) if open_ is None else open_
+    if not open_.any():
+        return np.zeros((len(scale), 0))
+
+    def decomposed(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
+        jacobian = (np.swapaxes(slope, 1, 2).reshape(-1, len(scale)) * scale)[:, open_]
         _, values, vectors = np.linalg.svd(jacobian)
-        rank = int(np.sum(values > 1e-9 * values[0]))
-        null = vectors[rank:].T
-        if best is None or null.shape[1] < best.shape[1]:
-            best = null
-    assert best is not None
-    return best
+        return values, vectors
+
+    tried = [rng.uniform(lower, upper) for _ in range(points)]
+    rank = max(int(np.sum(values > 1e-9 * values[0])) for values, _ in map(decomposed, tried))
+    null = np.zeros((len(scale), int(open_.sum()) - rank))
+    null[open_] = decomposed(tried[-1] if p is None else p)[1][rank:].T
+    return null
 
 
 def linear_combinations(

@@ -135,7 +135,7 @@ class Model:
             return tuple(replace(p, **dict(changes.get(p.name, {}))) for p in parameters)
 
         model = replace(self, parameters=changed(self.parameters), zeros=changed(self.zeros))
-        for p in model.parameters:
+        for p in (*model.parameters, *model.zeros):
             if not p.lower <= p.upper:
                 raise InputError(
                     f"Bounds of {p.name} must have lower <= upper; instead received {p.lower:g}, {p.upper:g}."

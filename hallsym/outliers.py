@@ -12,8 +12,9 @@ from hallsym.model import Model
 from hallsym.summary import Weigh
 
 WINDOW = 7
-SPIKE = 7.0
-"""Residuals this many robust standard deviations off their neighbours are spikes (7: 3e-12 of Gaussians)."""
+SPIKE = 10.0
+"""Robust standard deviations off its neighbours that make a sample a gross outlier. Smaller ones do no harm,
+and at 7 the turning points of a raster would count."""
 ROUNDS = 20
 TUKEY = 4.685
 """Tukey's biweight constant: 95 % efficient for Gaussian noise."""
@@ -112,13 +113,13 @@ def reject_spikes(
 
 
 def _expected(r: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What a residual may be without being a spike: the running median, or a line from either side (a kink)."""
-    left, right = r.copy(), r.copy()
+    """What a residual may be without being a spike: running median, line from either side (a kink), cubic."""
+    median = median_filter(r, size=(1, WINDOW), mode="mirror")
+    left, right, cubic = median.copy(), median.copy(), median.copy()
     left[:, 2:] = 2 * r[:, 1:-1] - r[:, :-2]
     right[:, :-2] = 2 * r[:, 1:-1] - r[:, 2:]
-    median = median_filter(r, size=(1, WINDOW), mode="mirror")
-    left[:, :2], right[:, -2:] = median[:, :2], median[:, -2:]
-    return median, left, right
+    cubic[:, 2:-2] = (4 * (r[:, 1:-3] + r[:, 3:-1]) - (r[:, :-4] + r[:, 4:])) / 6
+    return median, left, right, cubic
 
 
 def tukey(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> Weigh:

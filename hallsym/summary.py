@@ -69,7 +69,7 @@ class Summary:
         moving state it gives up a little information, so it serves starts and global searches, not the fit.
         """
         k = self.features.n_zero
-        rows = self.triangles if k == 0 else _r(self.triangles)[:, k:, k:]
+        rows = self.triangles if k == 0 else _projected(self.triangles, k)
         share = self.counts / self.counts.sum()
         return Summary(
             features=self.features.without_zeros,
@@ -195,6 +195,18 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
     if len(rows) < n:
         rows = np.vstack([rows, np.zeros((n - len(rows), n))])
     return _r(rows)
+
+
+def _projected(triangles: np.ndarray, k: int) -> np.ndarray:
+    """Rows of each triangle with its first k columns projected out, the k columns left out.
+
+    Where the vertical state is still, those columns are multiples of each other: only their rank counts.
+    """
+    first, rest = triangles[:, :, :k], triangles[:, :, k:]
+    size = np.sqrt(np.einsum("rij,rij->rj", first, first))[:, None]
+    u, s, _ = np.linalg.svd(first / np.where(size > 0, size, 1.0), full_matrices=False)
+    u = u * (s > 1e-9 * s[:, :1])[:, None]
+    return rest - u @ (np.swapaxes(u, 1, 2) @ rest)
 
 
 def _r(matrices: np.ndarray) -> np.ndarray:

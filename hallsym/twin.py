@@ -36,6 +36,23 @@ class NoiseModel:
     outlier_size: float = 1e-3
     adc_step_m: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Refuse levels that no noise can have."""
+        for name, value in self.sigma.items():
+            if not 0 <= value < np.inf:
+                raise InputError(f"Noise of {name} must be a number >= 0; instead received {value!r}.")
+        for name in ("correlation_s", "outlier_size", "adc_step_m"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(
+                    f"Noise '{name}' must be a number >= 0; instead received {getattr(self, name)!r}."
+                )
+        if not 0 <= self.outlier_share <= 1:
+            raise InputError(
+                f"Noise 'outlier_share' must be 0 to 1; instead received {self.outlier_share!r}."
+            )
+        if self.degrees_of_freedom is not None and not self.degrees_of_freedom > 2:
+            raise InputError("Student's t noise needs more than 2 degrees of freedom for a variance.")
+
 
 def table8_noise(model: Model, values: Mapping[str, float] | None = None) -> NoiseModel:
     """Return noise levels for which a perfectly calibrated paper stage shows Table 8's RMSE.
@@ -126,8 +143,6 @@ class _Disturbance:
         unknown = [c for c in noise.sigma if c not in known]
         if unknown:
             raise InputError(f"Noise is given for {unknown[0]!r}, which is no column of {model.name}.")
-        if noise.degrees_of_freedom is not None and noise.degrees_of_freedom <= 2:
-            raise InputError("Student's t noise needs more than 2 degrees of freedom for a variance.")
         self.noise, self.rng, self.channels = noise, rng, model.channels
         self.spiky = (*model.channels, *model.references)
         self.memory = float(np.exp(-step_s / noise.correlation_s)) if noise.correlation_s > 0 else 0.0

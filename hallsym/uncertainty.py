@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.arrays import on_arrays
 from hallsym.calibration import CombinationEstimate
 from hallsym.cost import Cost
-from hallsym.identify import Determination, linear_combinations
+from hallsym.identify import UNDETERMINED, Determination, linear_combinations
 from hallsym.model import Model
 
 SCATTER = 3.0
@@ -152,7 +152,7 @@ def _combinations(
     for gradient in linear_combinations(found.scale, found.null, stacked, among):
         gradient = _readable(gradient, found.scale, covariance)
         std = _std(gradient, covariance)
-        if std > 0:
+        if 0 < std < UNDETERMINED * np.abs(gradient * found.scale).max():
             involved = np.flatnonzero(gradient)
             text = " + ".join(_term(gradient[k], model.names[k]) for k in involved).replace("+ -", "- ")
             unit = model.parameters[involved[0]].unit

@@ -200,7 +200,7 @@ BAD = {
         "frequencies_hz",
     ),
     "raster without lines": (GOOD.replace(", lines = 2", ""), "lines"),
-    "raster of lines of light": (GOOD.replace('slow = "y_m"', 'slow = "w_m"'), "axes among"),
+    "raster of lines of light": (GOOD.replace('slow = "y_m"', 'slow = "w_m"'), "'fast' and 'slow'"),
     "raster on one axis": (GOOD.replace('slow = "y_m"', 'slow = "x_m"'), "raster"),
     "raster amplitude as text": (
         GOOD.replace("fast_amplitude = 1e-3", 'fast_amplitude = "a"'),

@@ -1,9 +1,4 @@
-"""Pictures: every sample counts after decimation, axes say their units, files are whole or absent."""
-
-import subprocess
-import sys
-from dataclasses import replace
-from pathlib import Path
+"""Pictures: what is drawn is what was measured and fitted, axes say their units."""
 
 import numpy as np
 import pytest
@@ -12,15 +7,12 @@ from twins import SIGMAS, record, with_noise
 from hallsym import plots
 from hallsym.calibration import Fit
 from hallsym.campaign import Campaign, Run, sine
-from hallsym.errors import InputError
-from hallsym.decoding import ErrorTable
 from hallsym.families import build
 from hallsym.fitting import fit
-from hallsym.log import Block, Log
+from hallsym.log import Log
 from hallsym.twin import NoiseModel, simulate
 
 HOLDOUT = (2, 7, 12)
-NAMES = ["measured", "errors_before_after", "errors_by_setting", "parameters"]
 
 
 @pytest.fixture(scope="module")
@@ -38,68 +30,11 @@ def survey(log: Log, fitted: Fit) -> plots.Survey:
     return plots.look_over(log, fitted)
 
 
-# -- traces ----------------------------------------------------------------------------------------------
-
-
-def test_trace_keeps_every_extreme_of_a_long_log() -> None:
-    rng = np.random.default_rng(3)
-    values = rng.standard_normal((2, 50_000))
-    values[0, 31_234], values[1, 7] = 50.0, np.nan
-    trace, first = plots.Trace(2), 0
-    for size in (1, 700, 8192, 8192, 20_000, 12_915):
-        trace.add(values[:, first : first + size])
-        first += size
-    assert first == trace.count == 50_000
-    assert plots.COLUMNS <= trace.low.shape[1] <= 2 * plots.COLUMNS
-    at = np.arange(50_000) // trace.width
-    for k in range(2):
-        for column in (0, 1, 976, trace.low.shape[1] - 1):
-            part = values[k, at == column]
-            assert trace.low[k, column] == np.nanmin(part)
-            assert trace.high[k, column] == np.nanmax(part)
-    assert trace.high[0, 31_234 // trace.width] == 50.0
-
-
-def test_short_trace_is_drawn_sample_by_sample_and_broken_between_runs() -> None:
-    trace = plots.Trace(1)
-    trace.add(np.arange(10.0)[None])
-    x, y = trace.line(0, trace.samples, [4])
-    np.testing.assert_array_equal(x, [0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9])
-    np.testing.assert_array_equal(y, [0, 1, 2, 3, np.nan, 4, 5, 6, 7, 8, 9])
-
-
-# -- the survey of a log ---------------------------------------------------------------------------------
-
-
-def test_survey_has_the_error_tables_of_the_fit(fitted: Fit, survey: plots.Survey) -> None:
-    assert fitted.errors is not None
-    for mine, theirs in ((survey.designed, fitted.errors.designed), (survey.fitted, fitted.errors.fitted)):
-        assert mine.runs == theirs.runs
-        np.testing.assert_allclose(mine.squares, theirs.squares, rtol=1e-9)
-        np.testing.assert_allclose(mine.peak, theirs.peak, rtol=1e-9)
-
-
-def test_survey_leaves_out_what_keep_rejects(log: Log, fitted: Fit) -> None:
-    def keep(block: Block) -> np.ndarray:
-        return (np.abs(block.data["y_ref_m"]) < 400e-6).astype(float)
-
-    survey = plots.look_over(log, fitted, keep)
-    rejected = int(np.sum(np.abs(log.array("y_ref_m")) >= 400e-6))
-    assert survey.n_rejected == rejected > 0
-    assert survey.fitted.count.sum() == log.rows - rejected
-    figure = plots.errors_before_after(fitted, survey)
-    assert f"rejected sample ({rejected})" in _legends(figure)
-
-
-def test_representative_runs_move_each_axis(survey: plots.Survey) -> None:
-    assert plots.representative(survey) == [0, 1, 2]  # Table A1: Y, X, Rz at each setting
-
-
-# -- figures ---------------------------------------------------------------------------------------------
-
-
 def _legends(figure) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+# -- figures of a campaign -------------------------------------------------------------------------------
 
 
 def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: plots.Survey) -> None:
@@ -134,16 +69,6 @@ def test_measured_lays_the_decoded_pose_over_the_reference(
     assert {"Hall A", "Hall B", "Hall C", "reference"} <= set(_legends(figure))
 
 
-def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: plots.Survey) -> None:
-    groups, title = plots.settings(fitted, survey)
-    labels = [label.replace("\N{MINUS SIGN}", "-") for label, _ in groups]
-    assert len(groups) == 19
-    assert labels[0] == "level"
-    assert {"Z -250", "Z +250", "Rx +500", "Ry -500"} <= set(labels)
-    assert sorted(run for _, runs in groups for run in runs) == list(survey.runs)
-    assert title == "vertical setting (Z in µm; Rx, Ry in µrad)"
-
-
 def test_errors_by_setting_shows_every_series(fitted: Fit, survey: plots.Survey) -> None:
     steps = {"Model (30)": survey.designed}
     figure = plots.errors_by_setting(fitted, survey, steps)
@@ -163,21 +88,8 @@ def test_parameters_say_what_is_not_determined(fitted: Fit) -> None:
     assert told == np.sum(~fitted.determined) - len(fitted.at_bound)
     assert sum("±" in word for word in words) == fitted.determined.sum() + len(fitted.combinations) + 1
     half = 100 * plots.COVERAGE * np.nanmax(fitted.std / (fitted.model.bounds[1] - fitted.model.bounds[0]))
-    drawn = max(float(line.get_xdata()[0]) for line in figure.axes[1].lines)
+    drawn = max(float(line.get_xdata().max()) for line in figure.axes[1].lines)
     assert drawn == pytest.approx(half)
-
-
-@pytest.mark.parametrize(
-    ("value", "half", "unit", "text"),
-    [
-        (0.194562, 0.00035, "m", "194.56 ± 0.35 mm"),
-        (-188.187, 1.84, "1/m", "\N{MINUS SIGN}188.2 ± 1.8 1/m"),
-        (0.86707, 0.00018, "1", "0.86707 ± 0.00018"),
-        (123.0, 0.0, "1/m", "123 1/m"),
-    ],
-)
-def test_an_interval_has_two_digits(value: float, half: float, unit: str, text: str) -> None:
-    assert plots._plus_minus(value, half, unit) == text
 
 
 # -- other logs ------------------------------------------------------------------------------------------
@@ -216,89 +128,29 @@ def test_a_run_too_long_to_see_is_shown_from_its_start(fitted: Fit) -> None:
     np.testing.assert_allclose(np.nanmax(figure.axes[0].lines[0].get_xdata()), seconds, rtol=0.01)
 
 
-# -- files -----------------------------------------------------------------------------------------------
+def test_rms_lies_over_errors_that_are_a_solid_block(log: Log, fitted: Fit, survey: plots.Survey) -> None:
+    label = "rms per picture column"
+    assert label not in _legends(plots.errors_before_after(fitted, survey)), "short runs are seen as they are"
+    long = plots.look_over(with_noise(one_run(100_000, "stage31")), fitted)
+    figure = plots.errors_before_after(fitted, long)
+    assert label in _legends(figure)
+    for k, ax in enumerate(figure.axes[1::2]):
+        block, *_, line = ax.lines
+        assert len(line.get_xdata()) <= 420 < len(block.get_xdata())
+        rmse = 1e6 * np.sqrt(long.fitted.squares[0, k] / long.fitted.count[0])
+        np.testing.assert_allclose(np.sqrt(np.mean(line.get_ydata() ** 2)), rmse, rtol=1e-2)
 
 
-def test_pictures_are_whole_files_in_their_own_style(log: Log, fitted: Fit, tmp_path: Path) -> None:
-    steps: dict[str, ErrorTable] = {"once more": fitted.errors.fitted} if fitted.errors else {}
-    import matplotlib
-
-    pyplot = "matplotlib.pyplot" in sys.modules
-    with matplotlib.rc_context({"font.size": 17.0, "axes.facecolor": "red"}):
-        written = plots.save_pictures(log, fitted, tmp_path / "new" / "folder", steps=steps)
-        assert matplotlib.rcParams["font.size"] == 17.0
-        assert matplotlib.rcParams["axes.facecolor"] == "red"
-    assert ("matplotlib.pyplot" in sys.modules) == pyplot
-    assert [path.stem for path in written] == NAMES
-    for path in written:
-        content = path.read_bytes()
-        assert content.startswith(b"\x89PNG\r\n")
-        assert content.endswith(b"IEND\xaeB`\x82")
-        width = int.from_bytes(content[16:20], "big")
-        assert width == round(plots.WIDTH * plots.DPI)
-        assert 10_000 < len(content) < 1_000_000
-    assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == sorted(p.name for p in written)
-
-
-def test_other_suffixes(log: Log, fitted: Fit, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="only png, pdf, svg; instead received 'gif'"):
-        plots.save_pictures(log, fitted, tmp_path, suffixes=("gif",))
-    assert list(tmp_path.iterdir()) == []
-    plots._write(plots.parameters(fitted), "pdf", tmp_path / "parameters.pdf")
-    assert (tmp_path / "parameters.pdf").read_bytes().startswith(b"%PDF")
-
-
-def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
-        plots.save_pictures(log, fitted, tmp_path / "file" / "pictures")
-    with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
-        plots.save_pictures(log, fitted, tmp_path / "file")
-    assert (tmp_path / "file").read_text() == "mine"
-
-
-def test_no_half_written_picture(
-    log: Log, fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(figure: object, suffix: str, path: Path) -> None:
-        path.write_bytes(b"\x89PNG half")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(plots, "_write", full)
-    (tmp_path / "measured.png").write_bytes(b"old")
-    with pytest.raises(InputError, match=r"Cannot write .*measured\.png: the disk is full"):
-        plots.save_pictures(log, fitted, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["measured.png"]
-    assert (tmp_path / "measured.png").read_bytes() == b"old"
-
-
-def test_wiring_of_the_fit_is_applied(
-    log: Log, fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    a, b, c = fitted.model.channels
-    data = {name: log.array(name) for name in log.columns}
-    data |= {a: data[b], b: -data[a]}
-    swapped = with_noise(data)
-    seen: list[Log] = []
-
-    class EnoughError(Exception):
-        pass
-
-    def stop(log: Log, *_: object) -> None:
-        seen.append(log)
-        raise EnoughError
-
-    monkeypatch.setattr(plots, "look_over", stop)
-    wired = replace(fitted, wiring=((b, -1), (a, 1), (c, 1)))
-    with pytest.raises(EnoughError):
-        plots.save_pictures(swapped, wired, tmp_path)
-    np.testing.assert_array_equal(seen[0].array(a), log.array(a))
-    np.testing.assert_array_equal(seen[0].array(b), log.array(b))
-
-
-def test_matplotlib_is_imported_only_to_draw() -> None:
-    script = "import sys, hallsym.plots; sys.exit('matplotlib' in sys.modules)"
-    assert (
-        subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1], check=False).returncode
-        == 0
+def test_nothing_is_drawn_beyond_the_edge(fitted: Fit, survey: plots.Survey) -> None:
+    """Margins are stated in inches: everything must fit into them."""
+    steps = {f"Model ({k})": survey.designed for k in (15, 30)}
+    figures = (
+        plots.errors_before_after(fitted, survey),
+        plots.errors_by_setting(fitted, survey, steps),
+        plots.parameters(fitted),
     )
+    for figure in figures:
+        drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+        assert min(drawn.x0, drawn.y0) >= 0
+        assert drawn.x1 <= width
+        assert drawn.y1 <= height

@@ -163,17 +163,17 @@ def test_noise_of_an_unknown_column_is_refused():
 @pytest.mark.parametrize(
     "noise",
     [
-        NoiseModel({"hall_a_m": -1e-6}),
-        NoiseModel({"hall_a_m": float("nan")}),
-        NoiseModel(correlation_s=-1.0),
-        NoiseModel(outlier_share=1.5),
-        NoiseModel(outlier_share=-0.1),
-        NoiseModel(adc_step_m=-1e-7),
+        {"sigma": {"hall_a_m": -1e-6}},
+        {"sigma": {"hall_a_m": float("nan")}},
+        {"correlation_s": -1.0},
+        {"outlier_share": 1.5},
+        {"outlier_share": -0.1},
+        {"adc_step_m": -1e-7},
     ],
 )
 def test_noise_that_cannot_be_is_refused(noise):
     with pytest.raises(InputError):
-        simulate(MODEL, TRUTH, campaign(10), noise, seed=0)
+        NoiseModel(**noise)
 
 
 def test_scaled_noise_is_scaled():

@@ -346,7 +346,7 @@ A, B, C = paper_layout()
         ((A, B), "at least 3 probes"),
         ((A, B, Probe("hall_a_um", (0.1, 0.1), (1.0, 0.0))), "different letters"),
         ((A, B, Probe("hall_c_m", (0.2, 0.3), (1.0, 0.1))), "unit vector"),
-        ((A, B, Probe("hall_c_m", (0.2, 0.3), (float("nan"), 0.0))), "unit vector"),
+        ((A, B, Probe("hall_c_m", (0.2, 0.3), (float("nan"), 0.0))), "finite"),
     ],
 )
 def test_impossible_layouts_are_refused(layout, said):

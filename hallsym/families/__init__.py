@@ -28,7 +28,7 @@ def build(
     *,
     meta: Meta | None = None,
     added: tuple[str, ...] = (),
-    parameters: Mapping[str, Mapping[str, float]] | None = None,
+    parameters: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Model:
     """Return the model called `name` for the machine that `meta` describes.
 
@@ -39,10 +39,14 @@ def build(
     if name not in known:
         raise _unknown("Model", name, known)
     family = next(f for f in FAMILIES if known[name] in f.MODELS)
-    model = family.from_meta(known[name], meta or Meta())
+    return adapted(family.from_meta(known[name], meta or Meta()), added, parameters or {})
+
+
+def adapted(model: Model, added: tuple[str, ...], parameters: Mapping[str, Mapping[str, Any]]) -> Model:
+    """Return `model` with effects added by name and with changed nominal values and bounds."""
     for effect in added:
         model = _effect(effect)(model)
-    return model.with_parameters(_checked(model, parameters or {}))
+    return model.with_parameters(_checked(model, parameters))
 
 
 def _effect(name: str) -> Callable[[Model], Model]:

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym import published
-from hallsym.errors import InputError
+from hallsym.errors import InputError, nearest
 from hallsym.log import Meta
 from hallsym.model import Combination, Model, Parameter, Signals, Step
 
@@ -283,10 +283,21 @@ def _check(probes: tuple[Probe, ...]) -> None:
     if len(set(labels)) < len(labels):
         raise InputError(f"Probe channels must have different letters; instead received {', '.join(labels)}.")
     for p in probes:
+        if not np.all(np.isfinite([*p.position, *p.senses])):
+            raise InputError(f"Position and 'senses' of probe {p.channel} must be finite numbers.")
         if not abs(p.senses[0] ** 2 + p.senses[1] ** 2 - 1) < 1e-6:
             raise InputError(
                 f"'senses' of probe {p.channel} must be a unit vector; instead received {list(p.senses)}."
             )
+
+    x, y, nx, ny = np.array([[*p.position, *p.senses] for p in probes]).T
+    lever = x * ny - y * nx
+    responses = np.column_stack([nx, ny, lever / max(np.abs(lever).max(), 1e-12)])
+    if np.linalg.cond(responses) > 1e4:
+        raise InputError(
+            "The probes of a layout must tell x, y and Rz apart; these do not: all sense along one "
+            "direction, or their lines of sight meet in one point."
+        )
 
 
 def _parameters(probes: tuple[Probe, ...], *, paper: bool) -> tuple[Parameter, ...]:
@@ -375,19 +386,27 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     """Return the model for the layout and nominal values in a log's `meta.json`; the paper's by default."""
     layout = None if meta.probes is None else tuple(_probe(entry) for entry in meta.probes)
     model = make(layout)
-    changes: dict[str, dict[str, float]] = {}
     labels = [probe.label for probe in model.layout]
+    known = {*vertical_coupling(stage30(layout)).names, *stage31_tied(layout).names}
+    changes: dict[str, dict[str, float]] = {}
     for key, value in meta.nominal.items():
         if key in ("eta", "theta_rad"):
+            if not isinstance(value, list) or len(value) != len(labels) or not all(map(_is_number, value)):
+                wanted = f"a list of {len(labels)} numbers"
+                raise InputError(f"Nominal '{key}' must be {wanted}; instead it is {value!r}.")
             name = key.removesuffix("_rad")
-            if not isinstance(value, list) or len(value) != len(labels):
-                raise InputError(
-                    f"Nominal '{key}' must be a list of {len(labels)} numbers; instead received {value!r}."
-                )
             changes |= {f"{name}_{k}": {"nominal": float(v)} for k, v in zip(labels, value, strict=True)}
+        elif key not in known:
+            raise InputError(f"Nominal '{key}' is no parameter of a stage{nearest(key, sorted(known))}.")
+        elif not _is_number(value):
+            raise InputError(f"Nominal '{key}' must be a number; instead it is {value!r}.")
         elif key in model.names:
             changes[key] = {"nominal": float(value)}
     return model.with_parameters(changes)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
 def _probe(entry: Mapping[str, Any]) -> Probe:
@@ -398,5 +417,5 @@ def _probe(entry: Mapping[str, Any]) -> Probe:
     except (KeyError, TypeError, ValueError):
         raise InputError(
             "A probe must have 'channel', 'position_m' = [x, y] and 'senses' = [nx, ny]; "
-            f"instead received {dict(entry)!r}."
+            f"instead received {entry!r}."
         ) from None

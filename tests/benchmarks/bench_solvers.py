@@ -6,7 +6,8 @@
 Four problems on the paper's stage, each printed as a Markdown table (docs/solvers.md quotes them):
 (a) Model (31) on the merged run summary of the bundled campaign, inside the bounds of Tables 3 and 5;
 (b) the same with the channels in random order and with random signs, angles anywhere;
-(c) one sample in ten of every reading and reference off by up to 1 mm or 1 mrad;
+(c) one sample in ten of every reading and reference off by up to 1 mm or 1 mrad; judged on a noise-free log,
+    success: the parameters add less than 5 % to the noise floor of every axis;
 (d) local solvers from random starts, on the reading-space cost and on the error of the decoded pose.
 A global method gets 20 100 evaluations, a class of 100. Success: a cost within 1e-6 of the best known one.
 """
@@ -39,6 +40,8 @@ from hallsym.twin import NoiseModel, table8_noise
 from hallsym.wiring import find_wiring, rewired
 
 BUDGET, SIZE, KEEP, SAME = 20_100, 100, 3, 1e-6
+EVERY = 5
+"""The decoded-space cost uses every fifth sample of the bundled campaign, to save time."""
 METHODS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("TLBO", "tlbo", {}),
     ("GBTLBO", "gbtlbo", {}),
@@ -134,7 +137,13 @@ def row(label: str, costs: list[float], seconds: list[float], best: float) -> li
     good = sum(cost <= best * (1 + SAME) for cost in costs)
     above = float(np.median(costs)) / best - 1
     text = "below 1e-6" if above <= SAME else f"{above:.2g}"
-    return [label, f"{good} of {len(costs)}", text, f"{max(costs) / best - 1:.2g}", f"{np.median(seconds):.3g}"]
+    return [
+        label,
+        f"{good} of {len(costs)}",
+        text,
+        f"{max(costs) / best - 1:.2g}",
+        f"{np.median(seconds):.3g}",
+    ]
 
 
 HEAD = ["solver", "success", "median above the optimum", "worst", "seconds"]
@@ -156,10 +165,13 @@ def bundled(seeds: int) -> None:
 
 
 def anywhere() -> Model:
-    """Model (31) without knowledge of angles, signs and order: theta +-180 deg, eta of either sign."""
+    """Model (31) without knowledge of angles, signs and order.
+
+    theta a little beyond +-180 deg, so that an inverted probe does not sit at a bound; eta of either sign.
+    """
     model, free = hallsym.build("stage31"), {}
     for name in model.names:
-        limit = {"H": 0.5, "e": 1.05, "t": np.pi}.get(name[0], 5000.0)
+        limit = {"H": 0.5, "e": 1.05, "t": np.radians(190)}.get(name[0], 5000.0)
         free[name] = {"lower": -limit, "upper": limit}
     return model.with_parameters(free)
 
@@ -173,7 +185,9 @@ def miswired(seeds: int) -> None:
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         order, signs = rng.permutation(3), rng.choice([-1, 1], 3)
-        crossed = rewired(log, model.channels, tuple((model.channels[k], int(s)) for k, s in zip(order, signs)))
+        crossed = rewired(
+            log, model.channels, tuple((model.channels[k], int(s)) for k, s in zip(order, signs, strict=True))
+        )
         began = perf_counter()
         task, first, _ = task_on(crossed, model, hold=False)
         direct.append(solvers.ipopt(task.problem(), task.unit(first)).cost)
@@ -197,35 +211,59 @@ def miswired(seeds: int) -> None:
 
 
 def outliers(seeds: int) -> None:
-    """(c): judged on a noise-free log, so that only the error of the parameters is seen."""
+    """(c)."""
     model, truth = hallsym.build("stage31"), values("table7_estimates")
     campaign, noise = paper_campaign(step_s=0.01), table8_noise(model)
     clean = Log.from_arrays(hallsym.simulate(model, truth, campaign, seed=0))
     cases = [(s, "auto") for s in ("direct", "hybrid", "tlbo", "gbtlbo", "pso", "screening")]
-    cases += [("direct", "reject"), ("direct", "tukey"), ("direct", "none")]
+    cases += [("direct", "tukey"), ("direct", "none")]
     errors: dict[tuple[str, str], list[np.ndarray]] = {case: [] for case in cases}
     seconds: dict[tuple[str, str], list[float]] = {case: [] for case in cases}
+    without: list[np.ndarray] = []
     for seed in range(seeds):
         spoilt = NoiseModel(noise.sigma, outlier_share=0.1)
         stated = Noise({c: Sigma(s, "given") for c, s in noise.sigma.items()})
         log = Log.from_arrays(hallsym.simulate(model, truth, campaign, spoilt, seed=seed), noise=stated)
+        good = Log.from_arrays(hallsym.simulate(model, truth, campaign, noise, seed=seed), noise=stated)
+        without.append(seen_on(clean, hallsym.fit(good, "stage31", solver="direct", loss="none"), noise))
         for solver, loss in cases:
-            fit = hallsym.fit(log, "stage31", solver=solver, loss=loss, seed=seed)
-            seen = judge(clean, fit.model, fit.values, noise.sigma).over()
-            assert seen is not None
-            errors[solver, loss].append(np.array(list(seen["rmse"].values())) * 1e6)
-            seconds[solver, loss].append(fit.seconds)
-    sigma = np.array([1.386, 1.542, 2.307])  # noise floor of x, y, Rz [um, um, urad]
+            began = perf_counter()
+            try:
+                fit = hallsym.fit(log, "stage31", solver=solver, loss=loss, seed=seed)
+            except hallsym.InputError:  # the reference does not seem to belong to the readings
+                continue
+            errors[solver, loss].append(seen_on(clean, fit, noise))
+            seconds[solver, loss].append(perf_counter() - began)
     lines = []
     for case in cases:
-        e = np.array(errors[case])
-        good = int(np.sum(np.all(e < 0.1 * sigma, axis=1)))
-        middle = " / ".join(f"{v:.2g}" for v in np.median(e, axis=0))
-        worst = " / ".join(f"{v:.2g}" for v in e.max(axis=0))
-        lines.append(["`" + "`, `".join(case) + "`", f"{good} of {seeds}", middle, worst,
-                      f"{np.median(seconds[case]):.2g}"])  # fmt: skip
+        label = "`" + "`, `".join(case) + "`"
+        if errors[case]:
+            lines.append(judged(label, errors[case], seeds, seconds[case]))
+        else:
+            lines.append([label, f"refused in {seeds} of {seeds}", "", "", ""])
+    lines.append(judged("the same logs without outliers", without, seeds, []))
     head = ["solver, loss", "success", "median x / y / Rz [um, um, urad]", "worst", "seconds"]
     table("(c) 10 % of every reading and reference are gross outliers", head, lines)
+
+
+FLOOR = np.array([1.386, 1.542, 2.307])
+"""Noise floor of x, y [um] and Rz [urad] on the bundled campaign."""
+ADDS = np.sqrt(1.05**2 - 1)
+"""An error of this many noise floors adds 5 % to the rms."""
+
+
+def seen_on(clean: Log, fit: hallsym.Fit, noise: NoiseModel) -> np.ndarray:
+    """Rms of x, y [um] and Rz [urad] that the parameters alone cause."""
+    errors = judge(clean, fit.model, fit.values, noise.sigma).over()
+    assert errors is not None
+    return np.array(list(errors["rmse"].values())) * 1e6
+
+
+def judged(label: str, errors: list[np.ndarray], seeds: int, seconds: list[float]) -> list[str]:
+    e = np.array(errors)
+    good = int(np.sum(np.all(e < ADDS * FLOOR, axis=1)))
+    middle, worst = (" / ".join(f"{v:.2g}" for v in part) for part in (np.median(e, axis=0), e.max(axis=0)))
+    return [label, f"{good} of {seeds}", middle, worst, f"{np.median(seconds):.2g}" if seconds else ""]
 
 
 # -- (d) ---------------------------------------------------------------------------------------------------
@@ -245,7 +283,7 @@ def decoded(starts: int) -> None:
     ends, seconds = [], []
     for x in points:
         began = perf_counter()
-        ends.append(least_squares(residual, x, bounds=(0, 1), x_scale="jac", max_nfev=400).cost)
+        ends.append(least_squares(residual, x, bounds=(0, 1), x_scale="jac", max_nfev=200).cost)
         seconds.append(perf_counter() - began)
     crossing = np.mean([crosses_zero(log, task, x) for x in points])
     rows = [
@@ -261,15 +299,14 @@ def decoded_residual(log: Log, task: Task) -> Callable[[np.ndarray], np.ndarray]
     """Reference minus decoded pose over noise, each run's mean taken out (its zero deviations)."""
     model, blocks = task.model, list(log.blocks())
     decode = on_arrays(model.decoded)
-    columns = {c: np.concatenate([b.data[c] for b in blocks]) for c in blocks[0].data}
-    edges = np.cumsum([0, *(len(b.data["t_s"]) for b in blocks)])
+    columns = {c: np.concatenate([b.data[c][::EVERY] for b in blocks]) for c in blocks[0].data}
+    edges = np.cumsum([0, *(len(b.data["t_s"][::EVERY]) for b in blocks)])
     readings, states = ([columns[c] for c in names] for names in (model.channels, model.state))
     weight, zero = np.ones(len(model.channels)), np.zeros(len(model.zeros))
-    sigma = np.array([1.386e-6, 1.542e-6, 2.307e-6])
 
     def residual(x: np.ndarray) -> np.ndarray:
         pose = decode(task.full(x), zero, readings, states, weight)[0]
-        error = (pose - np.array([columns[c] for c in model.references])) / sigma[:, None]
+        error = (pose - np.array([columns[c] for c in model.references])) / (FLOOR[:, None] * 1e-6)
         means = np.add.reduceat(error, edges[:-1], axis=1) / np.diff(edges)
         return np.clip(error - np.repeat(means, np.diff(edges), axis=1), -1e9, 1e9).ravel()
 

@@ -1,0 +1,105 @@
+"""Pictures of a fit for print: what was measured, errors before and after, where they are, the parameters.
+
+They follow Figures 9 to 12 of Chen et al., Sensors 2016, 16, 872, doi:10.3390/s16060872. A log of any length
+is read in blocks and reduced to its least and greatest value per picture column, so a peak never gets lost.
+Data stay in SI; axes say um, urad or mV. Colours differ in lightness and every series has its own line style
+or marker, so that a greyscale print can be read. matplotlib is imported only to draw.
+
+`trace` and `survey` reduce the log; `runs`, `errors`, `by_setting` and `estimates` draw one picture each with
+the help of `names` and `style`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hallsym.calibration import Fit
+from hallsym.decoding import ErrorTable, Mask
+from hallsym.errors import InputError
+from hallsym.files import atomic_write, reason
+from hallsym.log import Log
+from hallsym.plots.by_setting import errors_by_setting, settings
+from hallsym.plots.errors import errors_before_after
+from hallsym.plots.estimates import COVERAGE, parameters
+from hallsym.plots.runs import measured, representative
+from hallsym.plots.style import DPI, STYLE, WIDTH
+from hallsym.plots.survey import Survey, look_over
+from hallsym.plots.trace import COLUMNS, Trace
+from hallsym.wiring import rewired
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "COLUMNS",
+    "COVERAGE",
+    "DPI",
+    "SUFFIXES",
+    "WIDTH",
+    "Survey",
+    "Trace",
+    "errors_before_after",
+    "errors_by_setting",
+    "look_over",
+    "measured",
+    "parameters",
+    "representative",
+    "save_pictures",
+    "settings",
+]
+
+SUFFIXES = ("png", "pdf", "svg")
+
+
+def save_pictures(
+    log: Log,
+    fit: Fit,
+    folder: str | Path,
+    *,
+    keep: Mask | None = None,
+    steps: Mapping[str, ErrorTable] | None = None,
+    suffixes: Sequence[str] = ("png",),
+) -> list[Path]:
+    """Draw the pictures of `fit` on `log` into `folder` (made if missing) and return the files written.
+
+    `measured`, `errors_before_after`, `errors_by_setting` and `parameters`. `steps`: error tables of models
+    between the designed and the fitted one, by name; they are shown by setting.
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part and are marked.
+    `suffixes`: any of png, pdf, svg. The log is read twice, in blocks.
+    """
+    for suffix in suffixes:
+        if suffix not in SUFFIXES:
+            raise InputError(
+                f"Input suffixes must hold only {', '.join(SUFFIXES)}; instead received {suffix!r}."
+            )
+    from matplotlib import style
+
+    folder, steps = Path(folder), dict(steps or {})
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"Cannot make the folder {folder} for pictures: {reason(error)}.") from error
+    log = rewired(log, fit.model.channels, fit.wiring)
+    survey = look_over(log, fit, keep)
+    written = []
+    with style.context(["default", STYLE]):  # whatever style the caller has set
+        figures = {
+            "measured": measured(log, fit, survey, keep),
+            "errors_before_after": errors_before_after(fit, survey),
+            "errors_by_setting": errors_by_setting(fit, survey, steps),
+            "parameters": parameters(fit),
+        }
+        for name, figure in figures.items():
+            for suffix in suffixes:
+                path = folder / f"{name}.{suffix}"
+                atomic_write(path, partial(_write, figure, suffix))
+                written.append(path)
+    return written
+
+
+def _write(figure: Figure, suffix: str, path: Path) -> None:
+    dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(suffix)
+    figure.savefig(path, format=suffix, dpi=DPI, metadata=dated)  # the same fit gives the same file
