@@ -37,6 +37,7 @@ __all__ = [
     "COLUMNS",
     "COVERAGE",
     "DPI",
+    "STYLE",
     "SUFFIXES",
     "WIDTH",
     "Survey",

@@ -35,8 +35,8 @@ BAND = 3.0
 """Half-width of the noise band in noise floors: 99.7 % of Gaussian errors lie inside."""
 PIXELS = 420
 """Picture columns of one panel."""
-CROWD = 20
-"""Samples per picture column from which their rms means something."""
+CROWD = 40
+"""Samples per picture column from which on errors may be a solid block."""
 SOLID = 2.5
 """Errors are a solid block when picture columns typically extend over this many rms (a sine's whole: 2.8)."""
 
@@ -45,8 +45,8 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
     """Draw the errors of the decoded pose over the whole campaign: designed parameters left, fitted right.
 
     Every sample counts: of each picture column the least and the greatest error are drawn, and where that
-    makes a solid block the rms too. The two sides have scales of their own, and the right one says by how
-    much it is finer.
+    makes a solid block the local rms too. The two sides have scales of their own, and the right one says by
+    how much it is finer.
     """
     model = fit.model
     n = len(model.pose)
@@ -86,10 +86,12 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
 
 
 def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> bool:
-    """Lay the rms of each picture column over errors that are a solid block, and say whether they are."""
-    per_cell, extent, rms = trace.cells(PIXELS)
+    """Lay the local rms over errors that are a solid block, and say whether they are."""
+    if trace.count < CROWD * PIXELS:
+        return False
+    per_cell, extent, rms = trace.cells(min(PIXELS, max(PIXELS // 4, 8 * len(survey.runs))))
     samples = per_cell * trace.width
-    if samples < CROWD or not np.isfinite(rms[k]).any():
+    if not np.isfinite(rms[k]).any():
         return False
     if np.sqrt(np.nanmean(extent[k] ** 2)) < SOLID * np.sqrt(np.nanmean(rms[k] ** 2)):
         return False
@@ -97,7 +99,7 @@ def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> 
     x = np.interp(middle, trace.samples + 0.5, _campaign_x(survey, trace))
     y = factor * rms[k]
     if 4 * len(survey.runs) < len(y):
-        y[survey.edges[1:-1] // samples] = np.nan  # a column of two runs belongs to neither
+        y[survey.edges[1:-1] // samples] = np.nan  # what lies in two runs belongs to neither
     for color, width in (("white", 2.0), (BLACK, 0.9)):
         ax.plot(x, y, color=color, lw=width, zorder=2.5)
     return True
@@ -158,7 +160,7 @@ def _campaign_legend(figure: Figure, fit: Fit, survey: Survey, solid: bool) -> N
     label = f"±{BAND:g} × noise floor (99.7 % of pure noise)"
     handles: list[Any] = [Line2D([], [], color=BLACK, lw=0.7, ls=DASHED, label=label)]
     if solid:
-        handles.append(Line2D([], [], color=BLACK, lw=0.9, label="rms per picture column"))
+        handles.append(Line2D([], [], color=BLACK, lw=0.9, label="local rms"))
     if set(held_out(fit)) & set(survey.runs) and len(survey.runs) > 1:
         handles.append(Patch(facecolor=SHADE, label="held-out run"))
     if survey.n_rejected:

@@ -32,7 +32,7 @@ def unit(column: str) -> str:
 
 
 def scale(column: str, largest: float) -> tuple[float, str]:
-    """Factor and unit for values of a column up to `largest`: those of the text tables if they are near it."""
+    """Factor and unit for values of a column up to `largest`: those of the text tables if near it."""
     factor, shown = readable(column)[0], unit(column)
     if factor == 1.0:
         return factor, shown

@@ -1,0 +1,218 @@
+"""Every example in README.md and docs/ runs; every command, option, link and file that they name exists.
+
+Blocks of one page run in order in one temporary folder, in which `data` is the repository's. ```python runs;
+```sh runs line by line: `hallsym ...` through the installed entry point, `make` and `pip` are only looked up.
+A ```toml or ```json block is written to the last `file` named before it. `<!--setup ... -->` is Python that a
+reader does not need. A comment `# exit 3` states the exit code that is expected, 0 otherwise.
+"""
+
+import contextlib
+import io
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+LISTED = ("README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.md")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+COMMANDS = ("demo", "fit", "evaluate", "info", "simulate")
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: language, text, line it begins at, and the last `file` named before it."""
+
+    kind: str
+    text: str
+    line: int
+    name: str
+
+
+def text_of(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def blocks_of(page: Path) -> Iterator[Block]:
+    text = text_of(page)
+    for match in re.finditer(r"^```(\w+)\n(.*?)^```$|^<!--(setup)\n(.*?)^-->$", text, re.M | re.S):
+        before = re.findall(r"`([\w./-]+\.(?:toml|json))`", text[: match.start()])
+        yield Block(
+            match[1] or match[3],
+            match[2] or match[4] or "",
+            text[: match.start()].count("\n") + 1,
+            before[-1] if before else "",
+        )
+
+
+def commands_of(page: Path) -> Iterator[tuple[str, int, int]]:
+    """Each command with the exit code it shall have and its line."""
+    for block in blocks_of(page):
+        if block.kind in ("sh", "console"):
+            joined = block.text.replace("\\\n", " ")
+            for line in filter(None, map(str.strip, joined.splitlines())):
+                command, _, remark = line.removeprefix("$ ").partition(" #")
+                stated = re.search(r"exit (\d)", remark)
+                yield command.strip(), int(stated[1]) if stated else 0, block.line
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def hallsym(words: list[str]) -> tuple[int, str]:
+    """Run the installed entry point; returns exit code and what it printed."""
+    (point,) = entry_points(group="console_scripts", name="hallsym")
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code = point.load()(words)
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return code, out.getvalue() + err.getvalue()
+
+
+def run(command: str, expected: int) -> None:
+    words = shlex.split(command)
+    target = None
+    if ">" in words:
+        at = words.index(">")
+        words, target = words[:at], words[at + 1]
+    program, *arguments = words
+    if Path(program).name == "hallsym":
+        code, said = hallsym(arguments)
+        assert code == expected, f"{command}: exit code {code}\n{said}"
+        if target:
+            Path(target).write_text(said, encoding="utf-8")
+    elif program == "make":
+        known = re.findall(r"^([a-z]+):", text_of(ROOT / "Makefile"), re.M)
+        assert [a for a in arguments if "=" not in a and a not in known] == [], command
+    elif program == "pip":
+        extras = re.search(r"\[(.*)\]", command)
+        wanted = extras[1].split(",") if extras else []
+        assert set(wanted) <= set(PROJECT["optional-dependencies"]), command
+    elif Path(program).name == "python":
+        script = ROOT / arguments[0]
+        assert script.is_file(), command
+        for option in re.findall(r"--[a-z-]+", command):
+            assert f'"{option}"' in text_of(script), f"{script} has no option {option}"
+    else:
+        pytest.fail(f"do not know how to check {command!r}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_examples_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    shared: dict = {"__name__": "example"}
+    for block in blocks_of(page):
+        where = f"{name_of(page)}, line {block.line}"
+        if block.kind in ("python", "setup"):
+            with contextlib.redirect_stdout(io.StringIO()):
+                exec(compile("\n" * block.line + block.text, str(page), "exec"), shared)
+        elif block.kind in ("sh", "console"):
+            for command, expected, line in commands_of(page):
+                if line == block.line:
+                    run(command, expected)
+        elif block.kind in ("toml", "json"):
+            assert block.name.endswith(block.kind), f"{where}: no file name before the block"
+            (tomllib if block.kind == "toml" else json).loads(block.text)
+            Path(block.name).parent.mkdir(exist_ok=True)
+            Path(block.name).write_text(block.text, encoding="utf-8")
+        else:
+            assert block.kind in ("text", "math"), f"{where}: a block of {block.kind} is not checked"
+
+
+@pytest.mark.parametrize("page", [ROOT / name for name in LISTED] + list(PAGES[1:]), ids=name_of)
+def test_links_and_files_exist(page):
+    text = re.sub(r"^```.*?^```$", "", text_of(page), flags=re.M | re.S)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match(r"[a-z]+:", link):
+            assert link.startswith("https://"), link
+            continue
+        file, _, anchor = link.partition("#")
+        target = (page.parent / file) if file else page
+        assert target.exists(), f"{name_of(page)} links to {link}"
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", text_of(target), re.M)
+            assert anchor in {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}, link
+    for file in re.findall(r"`((?:hallsym|solvers|data|docs|tests)/[\w./-]+)`", text):
+        assert (ROOT / file).exists(), f"{name_of(page)} names {file}"
+
+
+def helps() -> dict[str, str]:
+    texts = {}
+    for command in ("", *COMMANDS):
+        code, texts[command] = hallsym([*command.split(), "--help"])
+        assert code == 0
+    return texts
+
+
+def test_every_command_has_help_and_is_documented():
+    texts = helps()
+    found = re.findall(r"^    (\w+) {2,}\w", texts[""].partition("COMMAND\n")[2], re.M)
+    assert sorted(found) == sorted(COMMANDS), "the list of commands in this test is out of date"
+    everything = "".join(map(text_of, PAGES))
+    for command in COMMANDS:
+        assert len(texts[command]) > 200, command
+        assert re.search(rf"hallsym {command}\b", everything) or f"make {command}" in everything, command
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_and_options_exist(page):
+    texts = helps()
+    shown = [command for command, _, _ in commands_of(page)]
+    shown += re.findall(r"`(hallsym [^`]*)`", text_of(page))
+    for command in shown:
+        words = shlex.split(command)
+        if Path(words[0]).name != "hallsym" or len(words) == 1:
+            continue
+        name = "" if words[1].startswith("-") else words[1]
+        assert name in texts, f"{name_of(page)}: hallsym has no command {name}"
+        for option in (w for w in words[1:] if w.startswith("-")):
+            assert re.search(rf"(^|[\s\[]){re.escape(option)}\b", texts[name]), (
+                f"{command}: no option {option}"
+            )
+    inline = re.findall(r"`(--[a-z][a-z-]*)", text_of(page))
+    for option in inline:
+        assert any(re.search(rf"(^|[\s\[]){option}\b", text) for text in texts.values()), (
+            f"{name_of(page)}: no command has the option {option}"
+        )
+
+
+def test_the_table_in_the_readme_is_what_the_demo_prints(tmp_path, monkeypatch):
+    from hallsym import paper, tables
+
+    _, _, steps = paper.reproduce()
+    printed = paper.text(steps)
+    lines = [re.split(r" {2,}", line.strip()) for line in printed.splitlines()[2:]]
+    rows = re.findall(r"^\| ((?:designed|paper|Model).*) \|$", text_of(ROOT / "README.md"), re.M)
+    shown = [row.split(" | ") for row in rows]
+    assert tables and [row[0] for row in shown] == [line[0] for line in lines]
+    for row, line in zip(shown, lines, strict=True):
+        assert [float(v) for v in row[1:]] == pytest.approx([float(v) for v in line[1:]], rel=2e-3), row[0]
+
+
+def test_the_checks_of_a_log_say_what_the_page_quotes():
+    source = "".join(text_of(file) for file in sorted((ROOT / "hallsym").rglob("*.py")))
+    page = text_of(ROOT / "docs" / "logs.md").partition("## Checks")[2]
+    quoted = re.findall(r'"([^"]+)"', page.partition("```")[0])
+    assert len(quoted) > 10
+    for phrase in quoted:
+        # numbers stand for what is formatted in; a sentence may be broken over lines of source
+        pieces = [piece.strip() for piece in re.split(r"\d+(?: %)?", phrase)]
+        joined = re.sub(r'"\s*\n\s*f?"', "", source)
+        assert all(piece in joined for piece in pieces), phrase
+
+
+def test_the_picture_is_small():
+    assert (ROOT / "docs/pictures/errors.png").stat().st_size <= 200_000
