@@ -105,20 +105,27 @@ def reject_spikes(
             good = np.ones_like(good)
         at = np.arange(len(good))
         clean = np.array([np.interp(at, at[good], row[good]) for row in r])
-        jump = np.min([np.abs(r - near) for near in _expected(clean)], axis=0)
+        off = [np.abs(r - near) for near in _expected(clean, good)]
+        jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
         scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
         return np.all(jump <= SPIKE * scale, axis=0).astype(float)
 
     return weigh
 
 
-def _expected(r: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What a residual may be without being a spike: running median, line from either side (a kink), cubic."""
+def _expected(r: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What a residual may be without being a spike: running median, line from either side (a kink), cubic.
+
+    Lines and cubic go through `good` samples only; elsewhere the median stands for them.
+    """
     median = median_filter(r, size=(1, WINDOW), mode="mirror")
     left, right, cubic = median.copy(), median.copy(), median.copy()
-    left[:, 2:] = 2 * r[:, 1:-1] - r[:, :-2]
-    right[:, :-2] = 2 * r[:, 1:-1] - r[:, 2:]
-    cubic[:, 2:-2] = (4 * (r[:, 1:-3] + r[:, 3:-1]) - (r[:, :-4] + r[:, 4:])) / 6
+    before, after = good[1:-1] & good[:-2], good[1:-1] & good[2:]
+    left[:, 2:] = np.where(before, 2 * r[:, 1:-1] - r[:, :-2], median[:, 2:])
+    right[:, :-2] = np.where(after, 2 * r[:, 1:-1] - r[:, 2:], median[:, :-2])
+    around = good[1:-3] & good[3:-1] & good[:-4] & good[4:]
+    bent = (4 * (r[:, 1:-3] + r[:, 3:-1]) - (r[:, :-4] + r[:, 4:])) / 6
+    cubic[:, 2:-2] = np.where(around, bent, median[:, 2:-2])
     return median, left, right, cubic
 
 
