@@ -12,7 +12,7 @@ from hallsym.decoding import ErrorTable, Mask
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.files import atomic_write
-from hallsym.log import Meta, Noise, Sigma
+from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.model import Model
 
 FORMAT = "hallsym calibration 1"
@@ -79,6 +79,8 @@ class Fit:
     errors: Errors | None = None
     keep: Mask | None = None
     """Weights that took outliers out of the fit; not saved."""
+    source: Log | None = None
+    """The log itself; not saved, its hash is."""
     undetermined_by_log: tuple[str, ...] = ()
     wiring: tuple[tuple[str, int], ...] | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -138,7 +140,7 @@ class Fit:
             },
             "wiring": None if self.wiring is None else [list(pair) for pair in self.wiring],
             "layout": [_probe(p) for p in model.layout],
-            "log": dict(self.log),
+            "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
             "versions": dict(self.versions),
         }
 

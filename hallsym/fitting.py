@@ -94,7 +94,7 @@ def fit(
         notes += said
     task.check(state)
     result = _result(task, state, errors, tuple(notes), wiring if gain > 0 else None, perf_counter() - began)
-    return replace(result, keep=keep)
+    return replace(result, keep=keep, source=log)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +277,7 @@ def _result(
         },
         log={
             "path": None if task.log.path is None else str(task.log.path),
-            "sha256": task.log.sha256,
+            "sha256": None,
             "rows": task.log.rows,
             "runs": len(state.everything.summary.runs),
             "holdout": list(state.holdout),

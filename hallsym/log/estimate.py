@@ -16,6 +16,7 @@ from hallsym.log.units import Array
 _ORDERS = range(2, 9)
 _SAMPLES = 1024  # taken from the middle of each block of a run
 _BLOCKS = 16  # at most, per run
+_ENOUGH = 16  # blocks over all runs: 16 384 samples know a standard deviation to 0.6 %
 _RUNS = 128  # at most, spread over the log
 _FEWEST = 8  # differences that an order needs in a run
 _CLIP = 2.5
@@ -36,7 +37,7 @@ def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
     then the lowest order within 3 % of the least: higher ones leave less motion and more scatter.
     Where samples are not evenly spaced the differences are divided ones; none spans a gap. Where the ADC
     step hides the noise, step / sqrt(12) is the least that is returned.
-    At most 16 384 samples of a run and 128 runs, spread over the log, are used.
+    Some 16 384 samples are used, 1024 in a stretch, of runs spread over the log (at most 128).
 
     Valid for noise that is independent from sample to sample: drift, 1/f noise and hum below about a tenth of
     the sampling rate look like motion and are not seen. A channel that is constant within all runs gives 0.
@@ -45,10 +46,13 @@ def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
     steps: dict[str, list[float]] = {name: [] for name in channels}
     timed = "t_s" in log.columns
     taken: dict[int, int] = {}
-    chosen = set(log.runs[:: -(-len(log.runs) // _RUNS)])
+    typical = min(_SAMPLES, max(1, log.rows // len(log.runs)))
+    wanted = min(_RUNS, -(-_ENOUGH * _SAMPLES // typical))
+    chosen = set(log.runs[:: -(-len(log.runs) // wanted)])
+    most = max(1, min(_BLOCKS, _ENOUGH // len(chosen)))
     for block in log.blocks((RUN, *(("t_s",) if timed else ()), *channels)):
         taken[block.run] = taken.get(block.run, 0) + 1
-        if block.run not in chosen or taken[block.run] > _BLOCKS:
+        if block.run not in chosen or taken[block.run] > most:
             continue
         start = max(0, (len(block.data[RUN]) - _SAMPLES) // 2)
         part = {name: values[start : start + _SAMPLES] for name, values in block.data.items()}
