@@ -91,4 +91,4 @@ def _values(log: Log, seen: Scan) -> Iterator[Finding]:
     yield from findings.units(log, spans)
     yield from findings.dead(log, seen, spans)
     yield from findings.saturated(log, seen)
-    yield from findings.stale(log, seen)
+    yield from findings.stale(log, seen, spans)

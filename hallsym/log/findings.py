@@ -144,12 +144,14 @@ def saturated(log: Log, scan: Scan) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def stale(log: Log, scan: Scan) -> Iterator[Finding]:
-    """Samples that the logger repeated."""
+def stale(log: Log, scan: Scan, spans: Spans) -> Iterator[Finding]:
+    """Samples that the logger repeated; in a run where a column rests there is nothing to repeat."""
     for name, trace in scan.traces.items():
         if not is_moving(name):
             continue
-        if trace.repeats > scan.rows / 2 and (times := repeats_each(log, name)):
+        resting = [n for run, n in spans.samples.items() if _rests(spans.runs[run][name])]
+        repeats, rows = trace.repeats - sum(resting) + len(resting), scan.rows - sum(resting)
+        if repeats > rows / 2 and (times := repeats_each(log, name)):
             yield Finding(
                 f"{_the(log, name)} repeats each value about {times:.0f} times: it was recorded at a lower"
                 " rate than the others, which looks like a delay"
@@ -160,6 +162,10 @@ def stale(log: Log, scan: Scan) -> Iterator[Finding]:
                 f" and after ({found.stretches} stretches, first in row {found.row + 1}, run {found.run}):"
                 " the logger repeated old samples"
             )
+
+
+def _rests(span: Span) -> bool:
+    return span.min == span.max
 
 
 def _unit(log: Log, name: str, what: str, unit: str | None) -> Finding:

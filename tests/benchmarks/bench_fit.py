@@ -43,8 +43,8 @@ from hallsym.families import build
 from hallsym.fitting import fit
 from hallsym.log import Log, LogWriter, Noise, read_log, write_log
 from hallsym.search import refit
-from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
 from hallsym.summary import summarise
+from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
 
 MODEL = "stage31"
 DRAWS = 200

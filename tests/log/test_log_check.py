@@ -217,3 +217,14 @@ def test_cases_pass_silently(number: int) -> None:
     log = read_log(CASES / f"dev_{number:03d}")
     assert check_log(log) == []
     assert set(log.noise) >= {name for name in log.columns if name.endswith("_ref_m") or "hall" in name}
+
+
+def test_a_noise_free_axis_that_rests_in_two_runs_of_three_repeats_nothing():
+    t = np.arange(300) * 2e-3
+    run = np.repeat([0, 1, 2], 100)
+    x = np.where(run == 1, 3e-4 * np.sin(2 * np.pi * 5 * t), 0.0)
+    rng = np.random.default_rng(0)
+    log = Log.from_arrays(
+        {"run": run, "t_s": t, "x_ref_m": x, "hall_a_m": x + 1e-7 * rng.standard_normal(300)}
+    )
+    assert check_log(log) == []
