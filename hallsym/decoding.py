@@ -60,6 +60,7 @@ def error_tables(
     versions: Sequence[tuple[np.ndarray, Mapping[int, np.ndarray]]],
     reading_variance: np.ndarray,
     keep: Mask | None = None,
+    on_rows: Callable[[int], None] | None = None,
 ) -> list[ErrorTable]:
     """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
 
@@ -67,6 +68,7 @@ def error_tables(
     """
     decode, none = decoder(model, reading_variance), np.zeros(len(model.zeros))
     sums: list[dict[int, list]] = [{} for _ in versions]
+    done = 0
     for block in log.blocks(columns_of(model), size=CHUNK):
         readings = [block.data[c] for c in model.channels]
         states = [block.data[c] for c in model.state]
@@ -76,6 +78,9 @@ def error_tables(
             for row, column in zip(pose, model.references, strict=True):
                 row -= block.data[column]
             _add(total, block.run, pose if kept is None else pose[:, kept])
+        done += len(readings[0])
+        if on_rows:
+            on_rows(done)
     return [_table(model, total) for total in sums]
 
 

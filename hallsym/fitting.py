@@ -25,7 +25,7 @@ from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
 from hallsym.log.drop import Drop, without
 from hallsym.model import Model
 from hallsym.search import SOLVERS, Search, refit, search
-from hallsym.summary import Summary, summarise
+from hallsym.summary import Summary, Weigh, summarise
 from hallsym.wiring import check_wiring, find_wiring, rewired
 
 LOSSES = ("auto", "none", "reject", "tukey")
@@ -78,14 +78,12 @@ def fit(
     notes = list(log.notes) if drop_bad else check_log(log, columns)
     apart = _apart(log, log.meta.holdout if holdout is None else holdout)
     task = _Task(log, model, noise_of(log, model, apart), solver, seed, say)
-    say("summarising runs")
-    state = task.solve(summarise(log, model), apart)
+    state = task.solve(task.summary(), apart)
     wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
     if gain > 0:
         log = rewired(log, model.channels, wiring)
         task = replace(task, log=log, noise=noise_of(log, model, apart))
-        state = task.solve(summarise(log, model), state.holdout)
-    say("tabulating errors")
+        state = task.solve(task.summary(), state.holdout)
     errors = task.errors(state, None)
     keep = None
     if task.suspicious(state, errors) if loss == "auto" else loss != "none":
@@ -105,6 +103,7 @@ class State:
     fitted: Cost
     linear: start.LinearFit
     merged: Cost
+    closed_form: np.ndarray
     determination: Determination
     search: Search
     holdout: tuple[int, ...]
@@ -134,6 +133,16 @@ class _Task:
     def sigmas(self) -> dict[str, float]:
         return {c: s.value for c, s in self.noise.sigmas.items()}
 
+    def counting(self, what: str) -> Callable[[int], None]:
+        """Return a progress callback that says which share of the log is done."""
+        total = self.log.rows
+        self.say(what)
+        return lambda rows: self.say(f"{what}, {100 * rows // total} % of {total} samples")
+
+    def summary(self, weigh: Weigh | None = None) -> Summary:
+        """Return the run summaries of the log."""
+        return summarise(self.log, self.model, weigh, self.counting("summarising runs"))
+
     def solve(self, summary: Summary, holdout: tuple[int, ...], solver: str | None = None) -> State:
         """Find the optimum of one set of summaries."""
         used = [run for run in summary.runs if run not in holdout]
@@ -141,31 +150,34 @@ class _Task:
         fitted = everything if len(used) == len(summary.runs) else cost_of(summary.select(used), self.sigmas)
         merged = cost_of(fitted.summary.merged(), self.sigmas)
         linear = start.linear_fit(merged)
-        first = np.clip(start.closed_form(merged, linear), *self.model.bounds)
+        closed_form = start.closed_form(merged, linear)
+        first = np.clip(closed_form, *self.model.bounds)
         determination = determine(fitted, first)
         held = list(determination.held)
         first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
         solver = solver or self.solver
         self.say(f"solving with {solver}")
         found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
-        return State(everything, fitted, linear, merged, determination, found, holdout)
+        return State(everything, fitted, linear, merged, closed_form, determination, found, holdout)
 
-    def errors(self, state: State, keep: outliers.Weigh | None) -> Errors:
+    def errors(self, state: State, keep: Weigh | None) -> Errors:
         versions = [(self.model.nominal, {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
-        designed, fitted = error_tables(self.log, self.model, versions, variance, keep)
+        designed, fitted = error_tables(
+            self.log, self.model, versions, variance, keep, self.counting("tabulating errors")
+        )
         return Errors(designed, fitted, state.holdout)
 
     def suspicious(self, state: State, errors: Errors) -> bool:
         floor = np.array(list(uncertainty.noise_floor(state.fitted, state.p).values()))
         return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
 
-    def without_outliers(self, state: State, loss: str) -> tuple[State, outliers.Weigh | None, list[str]]:
+    def without_outliers(self, state: State, loss: str) -> tuple[State, Weigh | None, list[str]]:
         """Take outliers out, refit, until the same samples are left."""
         total, before = float(state.everything.summary.counts.sum()), -1.0
         weigh = outliers.column_spikes((*self.model.references, *self.model.channels))
         for _ in range(ROUNDS):
-            summary = summarise(self.log, self.model, weigh)
+            summary = self.summary(weigh)
             left = float(summary.counts.sum())
             if left < total:
                 self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
@@ -186,7 +198,7 @@ class _Task:
         )
         return state, weigh, [said]
 
-    def weigh(self, state: State, loss: str) -> outliers.Weigh:
+    def weigh(self, state: State, loss: str) -> Weigh:
         """Return what takes outliers out, judged by the residuals of the fit so far."""
         residual = outliers.residuals(self.model, state.p, state.zeros())
         covariance = state.fitted.at(state.p).covariance.mean(axis=0)
@@ -195,8 +207,13 @@ class _Task:
         return outliers.reject_spikes(residual, covariance, (*self.model.references, *self.model.channels))
 
     def check(self, state: State) -> None:
+        """Refuse a reference that does not belong, and channels that no value in the bounds explains."""
         start.check_reference(self.model, state.linear.unexplained, self.log.name)
-        check_wiring(state.merged, state.linear, self.log.name)
+        lower, upper = self.model.bounds
+        slack = 0.05 * state.determination.scale
+        inside = (lower - slack <= state.closed_form) & (state.closed_form <= upper + slack)
+        if not inside.all():
+            check_wiring(state.merged, state.linear, self.log.name)
 
 
 # -- pieces ----------------------------------------------------------------------------------------------

@@ -83,11 +83,15 @@ class Summary:
         )
 
 
-def summarise(log: Log, model: Model, weigh: Weigh | None = None) -> Summary:
+def summarise(
+    log: Log, model: Model, weigh: Weigh | None = None, on_rows: Callable[[int], None] | None = None
+) -> Summary:
     """Read a log once and return its run summaries for `model`.
 
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
+    `on_rows(samples so far)` is called after each block.
     """
+    done = 0
     features = find_features(model)
     columns = (*model.references, *model.state, *model.channels)
     centre: np.ndarray | None = None
@@ -105,6 +109,9 @@ def summarise(log: Log, model: Model, weigh: Weigh | None = None) -> Summary:
             [block.data[c] for c in model.channels],
             None if weigh is None else weigh(block),
         )
+        done += len(pose[0])
+        if on_rows:
+            on_rows(done)
     assert centre is not None
     runs = list(gathered.values())
     return Summary(

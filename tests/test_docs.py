@@ -25,8 +25,6 @@ LISTED = ("README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.m
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = ("demo", "fit", "evaluate", "info", "simulate")
 
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
-
 
 @dataclass(frozen=True)
 class Block:
