@@ -28,11 +28,13 @@ from hallsym.search import SOLVERS, Search, refit, search
 from hallsym.summary import Summary, Weigh, summarise
 from hallsym.wiring import check_wiring, find_wiring, rewired
 
+__all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]
+
 LOSSES = ("auto", "none", "reject", "tukey")
 SUSPECT = 6.5
 """Peak error in noise floors above which outliers are looked for."""
 ROUNDS = 12
-__all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]
+"""Of taking outliers out and fitting again, at most."""
 LEAST_SIGMA = 1e-13
 """Standard deviation [m] given to a reading that shows no noise at all (a noise-free simulation)."""
 
@@ -174,7 +176,7 @@ class _Task:
 
     def without_outliers(self, state: State, loss: str) -> tuple[State, Weigh | None, list[str]]:
         """Take outliers out, refit, until the same samples are left."""
-        total, before = float(state.everything.summary.counts.sum()), -1.0
+        total, before, whole = float(state.everything.summary.counts.sum()), -1.0, state
         weigh = outliers.column_spikes((*self.model.references, *self.model.channels))
         for _ in range(ROUNDS):
             summary = self.summary(weigh)
@@ -187,7 +189,7 @@ class _Task:
                 break
             before, weigh = left, self.weigh(state, loss)
         if left == total:
-            return state, None, []
+            return whole, None, []
         state = self.solve(summary, state.holdout)
         gone = total - left
         said = (
