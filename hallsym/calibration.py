@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.decoding import ErrorTable, Mask
+from hallsym.batches import Weigh
+from hallsym.decoding import ErrorTable
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.files import atomic_write
@@ -77,7 +78,7 @@ class Fit:
     seconds: float
     notes: tuple[str, ...] = ()
     errors: Errors | None = None
-    keep: Mask | None = None
+    keep: Weigh | None = None
     """Weights that took outliers out of the fit; not saved."""
     source: Log | None = None
     """The log itself; not saved, its hash is."""

@@ -6,15 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.arrays import on_arrays
+from hallsym.batches import Weigh, batches
 from hallsym.cost import cost_of
-from hallsym.log import Block, Log
+from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.summary import summarise
-
-CHUNK = 8192
-"""Samples decoded at once: the working set stays in cache."""
-
-Mask = Callable[[Block], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +55,7 @@ def error_tables(
     model: Model,
     versions: Sequence[tuple[np.ndarray, Mapping[int, np.ndarray]]],
     reading_variance: np.ndarray,
-    keep: Mask | None = None,
+    keep: Weigh | None = None,
     on_rows: Callable[[int], None] | None = None,
 ) -> list[ErrorTable]:
     """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
@@ -68,19 +64,16 @@ def error_tables(
     """
     decode, none = decoder(model, reading_variance), np.zeros(len(model.zeros))
     sums: list[dict[int, list]] = [{} for _ in versions]
-    done = 0
-    for block in log.blocks(columns_of(model), size=CHUNK):
-        readings = [block.data[c] for c in model.channels]
-        states = [block.data[c] for c in model.state]
-        kept = None if keep is None else keep(block) > 0
+    for batch in batches(log, columns_of(model), on_rows):
+        readings, states = batch.columns(model.channels), batch.columns(model.state)
+        weights, lengths = batch.weights(keep), np.diff(batch.edges)
         for (p, zeros), total in zip(versions, sums, strict=True):
-            pose = decode(p, zeros.get(block.run, none), readings, states)
-            for row, column in zip(pose, model.references, strict=True):
-                row -= block.data[column]
-            _add(total, block.run, pose if kept is None else pose[:, kept])
-        done += len(readings[0])
-        if on_rows:
-            on_rows(done)
+            own = np.array([zeros.get(block.run, none) for block in batch.blocks])
+            error = decode(p, np.repeat(own, lengths, axis=0).T, readings, states)
+            for row, column in zip(error, model.references, strict=True):
+                row -= batch.data[column]
+            for block, at in batch.parts():
+                _add(total, block.run, error[:, at] if weights is None else error[:, at][:, weights[at] > 0])
     return [_table(model, total) for total in sums]
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hallsym import outliers, start, uncertainty
+from hallsym.batches import Weigh
 from hallsym.calibration import Errors, Fit
 from hallsym.cost import Cost, cost_of
 from hallsym.decoding import columns_of, error_tables
@@ -25,7 +26,7 @@ from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
 from hallsym.log.drop import Drop, without
 from hallsym.model import Model
 from hallsym.search import SOLVERS, Search, refit, search
-from hallsym.summary import Summary, Weigh, summarise
+from hallsym.summary import Summary, summarise
 from hallsym.wiring import check_wiring, find_wiring, rewired
 
 __all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]

@@ -7,9 +7,9 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.special import gammaincinv
 
 from hallsym.arrays import on_arrays
+from hallsym.batches import Weigh
 from hallsym.log import Block
 from hallsym.model import Model
-from hallsym.summary import Weigh
 
 WINDOW = 7
 SPIKE = 10.0

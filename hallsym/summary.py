@@ -10,12 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.batches import Batch, Weigh, batches
 from hallsym.features import Features, find_features
-from hallsym.log import Block, Log
+from hallsym.log import Log
 from hallsym.model import Model
-
-Weigh = Callable[[Block], np.ndarray]
-"""Weight in [0, 1] of each sample of a block."""
 
 PIECE = 8000
 """Entries of a piece that is reduced at once: fits the cache, and stays below the size at which BLAS starts
@@ -89,29 +87,16 @@ def summarise(
     """Read a log once and return its run summaries for `model`.
 
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
-    `on_rows(samples so far)` is called after each block.
+    `on_rows(samples so far)` is called along the way.
     """
-    done = 0
     features = find_features(model)
     columns = (*model.references, *model.state, *model.channels)
     centre: np.ndarray | None = None
     gathered: dict[int, _Run] = {}
-    for block in log.blocks(columns):
-        pose, state = _columns(block, model)
+    for batch in batches(log, columns, on_rows):
         if centre is None:
-            centre = _centre(features, pose, state)
-        run = gathered.setdefault(block.run, _Run(np.array([s[0] for s in state])))
-        run.add(
-            features,
-            centre,
-            pose,
-            state,
-            [block.data[c] for c in model.channels],
-            None if weigh is None else weigh(block),
-        )
-        done += len(pose[0])
-        if on_rows:
-            on_rows(done)
+            centre = _centre(features, batch)
+        _gather(gathered, features, centre, batch, batch.weights(weigh))
     assert centre is not None
     runs = list(gathered.values())
     return Summary(
@@ -126,67 +111,67 @@ def summarise(
     )
 
 
-Columns = list[np.ndarray]
-
-
-def _columns(block: Block, model: Model) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    return [block.data[c] for c in model.references], [block.data[c] for c in model.state]
-
-
-def _centre(features: Features, pose: list[np.ndarray], state: list[np.ndarray]) -> np.ndarray:
+def _centre(features: Features, batch: Batch) -> np.ndarray:
     """Mean of the first block, for every variable: takes large common offsets out of the monomials."""
-    point = features.variables([np.mean(v) for v in pose], [np.mean(v) for v in state])
-    return np.array(point).ravel()
+    first, model = batch.blocks[0].data, features.model
+    means = [[np.mean(first[c]) for c in columns] for columns in (model.references, model.state)]
+    return np.array(features.variables(*means)).ravel()
+
+
+def _gather(
+    gathered: "dict[int, _Run]",
+    features: Features,
+    centre: np.ndarray,
+    batch: Batch,
+    weights: np.ndarray | None,
+) -> None:
+    """Add a batch to the runs it belongs to."""
+    model, n = features.model, features.size
+    pose, state = batch.columns(model.references), batch.columns(model.state)
+    rows = np.empty((len(batch), n + len(model.channels)))
+    rows[:, :n] = features.values(pose, state, centre)[0].T
+    rows[:, n:] = np.transpose(batch.columns(model.channels))
+    if weights is not None:
+        rows *= np.sqrt(weights)[:, None]
+    weight = np.ones(len(batch)) if weights is None else weights
+    states = np.array(state) if state else np.zeros((0, len(batch)))
+    pick, edges = _sparse(batch)
+    slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], centre)[0]
+    slopes = slopes.reshape(len(pose) + len(state), n, -1)
+    # features that carry zeros: their slope with the state is a second-order weight, left out so that the
+    # weight of a residual does not depend on the zeros
+    slopes[:, : features.n_zero] = 0.0
+    for k, (block, at) in enumerate(batch.parts()):
+        run = gathered.setdefault(block.run, _Run(states[:, at.start]))
+        run.add(rows[at], weight[at], states[:, at])
+        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[pick[edges[k] : edges[k + 1]]])
+
+
+def _sparse(batch: Batch) -> tuple[np.ndarray, list[int]]:
+    """Every so many samples of each block, and where the blocks begin among them."""
+    picks = [
+        np.arange(at.start, at.stop, -(-(at.stop - at.start) // SLOPE_SAMPLES)) for _, at in batch.parts()
+    ]
+    return np.concatenate(picks), np.cumsum([0, *map(len, picks)]).tolist()
 
 
 class _Run:
     """Accumulates one run, block by block."""
 
     def __init__(self, first_state: np.ndarray) -> None:
-        self.first_state = first_state
+        self.first_state = first_state.copy()
         self.triangle: np.ndarray | None = None
         self.slopes: np.ndarray | float = 0.0
         self.slope_count = 0.0
         self.count = 0.0
         self.state_sum: np.ndarray | float = 0.0
 
-    def add(
-        self,
-        features: Features,
-        centre: np.ndarray,
-        pose: Columns,
-        state: Columns,
-        readings: Columns,
-        weights: np.ndarray | None,
-    ) -> None:
-        rows = np.empty((len(readings[0]), features.size + len(readings)))
-        rows[:, : features.size] = features.values(pose, state, centre)[0].T
-        rows[:, features.size :] = np.transpose(readings)
-        if weights is not None:
-            rows *= np.sqrt(weights)[:, None]
-        stacked = rows if self.triangle is None else np.vstack([self.triangle, rows])
-        self.triangle = _triangle(stacked)
-        self._add_slopes(features, centre, pose, state, weights)
-        weight = np.ones(len(rows)) if weights is None else weights
+    def add(self, rows: np.ndarray, weight: np.ndarray, states: np.ndarray) -> None:
+        self.triangle = _triangle(rows if self.triangle is None else np.vstack([self.triangle, rows]))
         self.count += float(weight.sum())
-        self.state_sum = self.state_sum + np.array([float(s @ weight) for s in state])
+        self.state_sum = self.state_sum + states @ weight
 
-    def _add_slopes(
-        self,
-        features: Features,
-        centre: np.ndarray,
-        pose: Columns,
-        state: Columns,
-        weights: np.ndarray | None,
-    ) -> None:
-        n = len(pose[0])
-        pick = slice(None, None, -(-n // SLOPE_SAMPLES))
-        slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], centre)[0]
-        slopes = slopes.reshape(len(pose) + len(state), features.size, -1)
-        # features that carry zeros: their slope with the state is a second-order weight, left out so that the
-        # weight of a residual does not depend on the zeros
-        slopes[:, : features.n_zero] = 0.0
-        weight = np.ones(n)[pick] if weights is None else weights[pick]
+    def add_slopes(self, slopes: np.ndarray, weight: np.ndarray) -> None:
         self.slopes = self.slopes + (slopes * weight) @ np.swapaxes(slopes, 1, 2)
         self.slope_count += float(weight.sum())
 

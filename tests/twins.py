@@ -133,7 +133,7 @@ class Chopped:
     def __init__(self, log: Log, sizes: Sequence[int]) -> None:
         self.log, self.sizes = log, sizes
 
-    def blocks(self, columns: Sequence[str]) -> Iterator[Block]:
+    def blocks(self, columns: Sequence[str], size: int = 65_536) -> Iterator[Block]:
         turn = 0
         for block in self.log.blocks(columns):
             n, first = len(next(iter(block.data.values()))), 0

@@ -16,8 +16,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hallsym.batches import Weigh
 from hallsym.calibration import Fit
-from hallsym.decoding import ErrorTable, Mask
+from hallsym.decoding import ErrorTable
 from hallsym.errors import InputError
 from hallsym.files import atomic_write, reason
 from hallsym.log import Log
@@ -60,7 +61,7 @@ def save_pictures(
     fit: Fit,
     folder: str | Path,
     *,
-    keep: Mask | None = None,
+    keep: Weigh | None = None,
     steps: Mapping[str, ErrorTable] | None = None,
     suffixes: Sequence[str] = ("png",),
 ) -> list[Path]:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hallsym.batches import SIZE, Weigh
 from hallsym.calibration import Fit
-from hallsym.decoding import CHUNK, Mask, columns_of
+from hallsym.decoding import columns_of
 from hallsym.log import Log
 from hallsym.plots.names import LEVEL, largest, name, scale, setting, short
 from hallsym.plots.style import (
@@ -35,7 +36,7 @@ SMEAR = 0.025
 """Motion can be seen while it moves less than this share of its travel within one picture column."""
 
 
-def measured(log: Log, fit: Fit, survey: Survey, keep: Mask | None = None) -> Figure:
+def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> Figure:
     """Draw reference, decoded pose and readings of the runs in which each pose coordinate moves most."""
     model = fit.model
     chosen = representative(survey)
@@ -79,7 +80,7 @@ def representative(survey: Survey, most: int = 3) -> list[int]:
     return sorted(chosen[:most], key=survey.runs.index)
 
 
-def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep: Mask | None) -> list[Trace]:
+def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep: Weigh | None) -> list[Trace]:
     """Trace each chosen run from its start, as far as its motion can still be seen.
 
     Series: time, reference, designed pose, fitted pose, readings.
@@ -91,7 +92,7 @@ def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep:
     lengths = {run: [s for s in STRETCHES if s < sizes[run]] + [sizes[run]] for run in chosen}
     traces = {run: [Trace(n) for _ in lengths[run]] for run in chosen}
     zeros: dict[int, np.ndarray] = {}
-    for block in log.blocks((*columns_of(model), *(("t_s",) if timed else ())), size=CHUNK):
+    for block in log.blocks((*columns_of(model), *(("t_s",) if timed else ())), size=SIZE):
         if block.run not in traces:
             if len(zeros) == len(traces):
                 break

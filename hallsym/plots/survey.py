@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.batches import SIZE, Weigh
 from hallsym.calibration import Fit
-from hallsym.decoding import CHUNK, ErrorTable, Mask, columns_of, decoder
+from hallsym.decoding import ErrorTable, columns_of, decoder
 from hallsym.log import Block, Log
 from hallsym.plots.trace import Trace
 
@@ -74,7 +75,7 @@ class Decode:
         return designed, self.run(self.fit.values, zeros, readings, state)
 
 
-def look_over(log: Log, fit: Fit, keep: Mask | None = None) -> Survey:
+def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
     """Read `log` once and return what its pictures show."""
     model, decode = fit.model, Decode(fit)
     traces = Trace(len(model.pose), squares=True), Trace(len(model.pose), squares=True)
@@ -82,7 +83,7 @@ def look_over(log: Log, fit: Fit, keep: Mask | None = None) -> Survey:
     columns = (*columns_of(model), *(("t_s",) if time else ()))
     runs: dict[int, _Run] = {}
     total = 0
-    for block in log.blocks(columns, size=CHUNK):
+    for block in log.blocks(columns, size=SIZE):
         reference = np.array([block.data[c] for c in model.references])
         state = np.array([block.data[c] for c in model.state]).reshape(len(model.state), -1)
         n = reference.shape[1]

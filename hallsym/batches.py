@@ -1,0 +1,70 @@
+"""Consecutive blocks of a log side by side, so that short runs do not cost a call each."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.log import Block, Log
+
+SIZE = 8192
+"""Samples handled at once: many short runs or a piece of a long one; the working set stays in cache."""
+
+Weigh = Callable[[Block], np.ndarray]
+"""Weight in [0, 1] of each sample of a block."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """`blocks` in order; `data[column]` over all of them; block k lies at `edges[k]` to `edges[k + 1]`."""
+
+    blocks: tuple[Block, ...]
+    data: dict[str, np.ndarray]
+    edges: tuple[int, ...]
+
+    def __len__(self) -> int:
+        """Samples in the batch."""
+        return self.edges[-1]
+
+    def parts(self) -> Iterator[tuple[Block, slice]]:
+        """Yield each block with its place in the batch."""
+        for k, block in enumerate(self.blocks):
+            yield block, slice(self.edges[k], self.edges[k + 1])
+
+    def columns(self, names: Sequence[str]) -> list[np.ndarray]:
+        """Return several columns, each of shape (samples,)."""
+        return [self.data[name] for name in names]
+
+    def weights(self, weigh: Weigh | None) -> np.ndarray | None:
+        """Return the weight of every sample, or None where all count fully."""
+        return None if weigh is None else np.concatenate([weigh(block) for block in self.blocks])
+
+
+def batches(
+    log: Log, columns: Sequence[str], on_rows: Callable[[int], None] | None = None
+) -> Iterator[Batch]:
+    """Yield the log in batches of whole blocks, about `SIZE` samples each.
+
+    `on_rows(samples so far)` is called after each batch.
+    """
+    waiting: list[Block] = []
+    count = done = 0
+    for block in log.blocks(columns, size=SIZE):
+        waiting.append(block)
+        count += len(block.data[columns[0]])
+        if count >= SIZE:
+            yield _batch(waiting, columns)
+            done += count
+            waiting, count = [], 0
+            if on_rows:
+                on_rows(done)
+    if waiting:
+        yield _batch(waiting, columns)
+        if on_rows:
+            on_rows(done + count)
+
+
+def _batch(blocks: list[Block], columns: Sequence[str]) -> Batch:
+    lengths = [len(block.data[columns[0]]) for block in blocks]
+    data = {c: np.concatenate([block.data[c] for block in blocks]) for c in columns}
+    return Batch(tuple(blocks), data, tuple(np.cumsum([0, *lengths]).tolist()))
