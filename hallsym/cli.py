@@ -72,6 +72,12 @@ def _command(
     return parser
 
 
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a seed is a whole number, 0 or more; instead received {text!r}")
+    return int(text)
+
+
 def _log_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("reading the log")
     group.add_argument(
@@ -159,7 +165,7 @@ def _fit(sub: Any) -> None:
         action="store_true",
         help="find channel order and signs instead of refusing wrong ones",
     )
-    group.add_argument("--seed", type=int, default=0, help="of the global stage (default 0)")
+    group.add_argument("--seed", type=_seed, default=0, help="of the global stage (default 0)")
     _log_options(parser)
 
 
@@ -199,7 +205,7 @@ def _simulate(sub: Any) -> None:
     parser.add_argument(
         "-o", "--output", required=True, metavar="LOG", help="log to write: .parquet, .csv, .h5 or .mat"
     )
-    parser.add_argument("--seed", type=int, required=True, help="of noise and random zero deviations")
+    parser.add_argument("--seed", type=_seed, required=True, help="of noise and random zero deviations")
     parser.add_argument(
         "--values", metavar="JSON", help="calibration whose values are the truth (default: Table 7)"
     )

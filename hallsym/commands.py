@@ -14,7 +14,8 @@ from hallsym.decoding import columns_of, judge
 from hallsym.errors import InputError
 from hallsym.families import build, effects, models
 from hallsym.fitting import LOSSES, SOLVERS, fit, noise_of
-from hallsym.log import Log, LogWriter, check_log, parse_column_option, read_log, spans
+from hallsym.log import Log, LogWriter, Noise, check_log, parse_column_option, read_log, spans
+from hallsym.log.noise import check_noise_keys
 from hallsym.machine import Machine, read_machine
 from hallsym.published import values as published_values
 from hallsym.tables import error_rows, fit_text, grid, readable
@@ -201,7 +202,10 @@ def _runs(text: str) -> list[int]:
     try:
         for part in filter(None, text.split(",")):
             first, _, last = part.strip().partition("-")
-            runs += range(int(first), int(last or first) + 1)
+            span = range(int(first), int(last or first) + 1)
+            if not span:
+                raise ValueError(part)
+            runs += span
     except ValueError:
         raise InputError(
             f"--holdout must be run numbers such as 2,7,12 or 40-45; instead received {text!r}."
@@ -239,6 +243,10 @@ def _noted(notes: list[str]) -> list[str]:
 
 
 def _campaign(options: Namespace) -> Campaign:
+    for name in ("step", "duration"):
+        value = getattr(options, name)
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"--{name} must be a positive number of seconds; instead received {value:g}.")
     if options.campaign is None:
         return paper_campaign(options.step or 2e-3, options.duration or 1.0)
     if options.step or options.duration:
@@ -272,9 +280,8 @@ def _levels(campaign: Campaign, model: Any, values: Mapping[str, float]) -> dict
     """Noise by column: the campaign file's own, else Table 8's."""
     if not campaign.noise:
         return dict(twin.table8_noise(model, values).sigma)
-    from hallsym.log import Noise
-
     columns = (*model.channels, *model.state, *model.references)
+    check_noise_keys(campaign.noise, columns, "the campaign's [noise]")
     return {c: s.value for c, s in Noise.given(campaign.noise, columns).sigmas.items()}
 
 

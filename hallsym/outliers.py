@@ -107,7 +107,9 @@ def reject_spikes(
             good = np.ones_like(good)
         at = np.arange(len(good))
         clean = np.array([np.interp(at, at[good], row[good]) for row in r])
-        off = [np.abs(r - near) for near in _expected(clean, good)]
+        middle = median_filter(r[:, good], size=(1, WINDOW), mode="mirror")
+        median = np.array([np.interp(at, at[good], row) for row in middle])
+        off = [np.abs(r - near) for near in _expected(clean, median, good)]
         jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
         scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
         return np.all(jump <= SPIKE * scale, axis=0).astype(float)
@@ -115,12 +117,11 @@ def reject_spikes(
     return weigh
 
 
-def _expected(r: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, ...]:
+def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, ...]:
     """What a residual may be without being a spike: running median, line from either side (a kink), cubic.
 
     Lines and cubic go through `good` samples only; elsewhere the median stands for them.
     """
-    median = median_filter(r, size=(1, WINDOW), mode="mirror")
     left, right, cubic = median.copy(), median.copy(), median.copy()
     before, after = good[1:-1] & good[:-2], good[1:-1] & good[2:]
     left[:, 2:] = np.where(before, 2 * r[:, 1:-1] - r[:, :-2], median[:, 2:])

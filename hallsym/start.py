@@ -61,5 +61,6 @@ def check_reference(model: Model, unexplained: np.ndarray, where: str) -> None:
             explained = 100 * max(1 - share, 0)
             raise InputError(
                 f"The reference of {where} explains only {explained:.0f} % of the variation of {channel} "
-                "(expected more than 90 %); it does not belong to these readings: check file, clock, columns."
+                "(expected more than 90 %); it does not belong to these readings, or outliers hide that it "
+                "does: check file, clock and columns, or fit with --loss auto."
             )

@@ -152,7 +152,14 @@ def evidence(fit: Fit) -> list[str]:
         by_source.setdefault(sigma.source, []).append(f"{name} {sigma.value * factor:.3g} {unit}")
     noise = "; ".join(f"{source}: {', '.join(values)}" for source, values in by_source.items())
     return [
-        f"solver: {how}; cost per degree of freedom {s['cost_per_degree_of_freedom']:.3f}",
+        f"solver: {how}; cost per degree of freedom {s['cost_per_degree_of_freedom']:.3f}" + _excess(fit),
         f"uncertainty: {fit.covariance_method} ({fit.covariance_reason})",
         f"noise (1 sigma) {noise}",
     ]
+
+
+def _excess(fit: Fit) -> str:
+    """What a cost per degree of freedom well above 1 means."""
+    if fit.solver["cost_per_degree_of_freedom"] < 1.5:
+        return ""
+    return " (1 is what the noise explains: the machine does more than this model, or the noise is larger)"

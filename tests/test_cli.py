@@ -424,3 +424,31 @@ def test_independent_campaigns(capsys, case):
     assert found["notes"] == []
     for name, value in label["noisy"]["before"]["output_rmse"].items():
         assert found["errors"]["holdout"]["rmse"][name] == pytest.approx(value, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fit", "LOG", "--holdout", "5-3"], "2,7,12"),
+        (["simulate", "-o", "x.csv", "--seed", "1", "--step", "-1"], "--step"),
+    ],
+)
+def test_numbers_that_cannot_be(capsys, written, arguments, words):
+    assert words in refused(capsys, *[written() if a == "LOG" else a for a in arguments])
+
+
+def test_a_negative_seed_is_a_usage_error(capsys, tmp_path):
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", "-o", str(tmp_path / "x.csv"), "--seed", "-1"])
+    assert ended.value.code == 2
+    assert "whole number" in capsys.readouterr().err
+
+
+def test_noise_of_no_column_in_a_campaign_is_refused(capsys, tmp_path):
+    campaign = tmp_path / "campaign.toml"
+    campaign.write_text(
+        "[noise]\nhal_m = 5e-7\n[[trajectory]]\nduration_s = 1.0\n"
+        'x_m = {kind = "sine", amplitude = 1e-4, frequency_hz = 1}\n'
+    )
+    said = refused(capsys, "simulate", campaign, "-o", tmp_path / "x.csv", "--seed", "1")
+    assert "hal_m" in said
