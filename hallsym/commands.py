@@ -19,6 +19,7 @@ from hallsym.log.noise import check_noise_keys
 from hallsym.machine import Machine, read_machine
 from hallsym.published import values as published_values
 from hallsym.tables import error_rows, fit_text, grid, readable
+from hallsym.wiring import rewired
 
 OK, NOT_DETERMINED, NOT_CONVERGED = 0, 3, 4
 
@@ -76,7 +77,7 @@ def exit_code(result: Fit) -> int:
 def evaluate(options: Namespace) -> int:
     """`hallsym evaluate`."""
     known = load_fit(options.calibration)
-    log = _open(options, Machine(None, {}))
+    log = rewired(_open(options, Machine(None, {})), known.model.channels, known.wiring)
     columns = columns_of(known.model)
     notes = list(log.notes) if options.drop_bad else check_log(log, columns)
     noise = noise_of(log, known.model)

@@ -326,6 +326,14 @@ def test_evaluate_reproduces_the_fit_on_its_own_log(capsys, written, tmp_path):
             assert found[what][name] == pytest.approx(value, rel=1e-9)
 
 
+def test_evaluate_reads_the_channels_that_the_fit_resolved(capsys, written, tmp_path):
+    log, path = written(swapped), tmp_path / "calib.json"
+    _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--resolve-wiring", "--json")
+    fitted = json.loads(out)["errors"]["fitted"]["rmse"]
+    _, out, _ = run(capsys, "evaluate", path, log, "--json")
+    assert json.loads(out)["errors"]["rmse"] == pytest.approx(fitted, rel=1e-9)
+
+
 def test_evaluate_by_run_lists_every_run(capsys, written, tmp_path):
     log, path = written(), tmp_path / "calib.json"
     run(capsys, "fit", log, "-o", path, "--solver", "direct")
