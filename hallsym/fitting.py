@@ -19,9 +19,9 @@ from hallsym.batches import Weigh
 from hallsym.calibration import Errors, Fit
 from hallsym.cost import Cost, cost_of
 from hallsym.decoding import columns_of, error_tables
+from hallsym.determination import Determination, determine
 from hallsym.errors import InputError, nearest
 from hallsym.families import adapted, build
-from hallsym.identify import Determination, determine
 from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
 from hallsym.log.drop import Drop, without
 from hallsym.model import Model

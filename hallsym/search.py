@@ -8,7 +8,7 @@ import numpy as np
 
 import solvers
 from hallsym.cost import Cost
-from hallsym.identify import Determination, scales
+from hallsym.determination import Determination, scales
 from hallsym.model import Model
 from solvers.hybrid import EXPLORERS
 

@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.arrays import on_arrays
 from hallsym.calibration import CombinationEstimate
 from hallsym.cost import Cost
-from hallsym.identify import UNDETERMINED, Determination, linear_combinations
+from hallsym.determination import UNDETERMINED, Determination, linear_combinations
 from hallsym.model import Model
 
 SCATTER = 3.0

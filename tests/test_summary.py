@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from twins import SIGMAS, Chopped, cost_on, record, true_model, with_noise
 
 from hallsym.cost import cost_of
-from hallsym.identify import determine
+from hallsym.determination import determine
 from hallsym.log import Log
 from hallsym.search import refit
 from hallsym.summary import Summary, summarise

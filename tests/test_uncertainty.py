@@ -6,7 +6,7 @@ from scipy.stats import chi2
 from twins import SIGMAS, TRUTH, cost_on, pm, record, true_model, with_noise
 
 from hallsym.cost import cost_of
-from hallsym.identify import determine
+from hallsym.determination import determine
 from hallsym.search import refit
 from hallsym.summary import summarise
 from hallsym.uncertainty import Estimate, estimate, noise_floor

@@ -30,8 +30,8 @@ from hallsym.arrays import on_arrays
 from hallsym.campaign import paper_campaign
 from hallsym.cost import Cost, cost_of
 from hallsym.decoding import judge
+from hallsym.determination import determine
 from hallsym.fitting import noise_of
-from hallsym.identify import determine
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Model
 from hallsym.published import values

@@ -17,10 +17,10 @@ from twins import (
 
 from hallsym.campaign import Campaign, Run, paper_campaign
 from hallsym.cost import Coefficients
+from hallsym.determination import determine, feature_scale, linear_combinations, scales, structural_null
 from hallsym.families import build
 from hallsym.features import find_features
 from hallsym.fitting import fit
-from hallsym.identify import determine, feature_scale, linear_combinations, scales, structural_null
 from hallsym.twin import NoiseModel, simulate
 
 H = {"H1x", "H1y", "H2x", "H2y", "H3x", "H3y"}

@@ -1,0 +1,6 @@
+"""The commands of the command line, one file each: `add(sub)` describes it, `run(options)` carries it out."""
+
+from hallsym.commands import demo, evaluate, fit, info, simulate
+
+COMMANDS = (demo, fit, evaluate, info, simulate)
+"""In the order of `hallsym --help`."""

@@ -1,0 +1,49 @@
+"""`hallsym evaluate`: errors of a saved calibration on another log."""
+
+from argparse import Namespace
+from typing import Any
+
+from hallsym.calibration import load_fit
+from hallsym.commands.common import OK, command, log_options, noted, open_log, say
+from hallsym.decoding import columns_of, judge
+from hallsym.fitting import noise_of
+from hallsym.log import check_log
+from hallsym.tables import error_rows
+from hallsym.wiring import rewired
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "evaluate", run, "errors of a saved calibration on another log",
+        "Decode a log with a saved calibration and tabulate the errors against its reference. The zero\n"
+        "deviations of each run are estimated from that run: a reset is a reset.",
+    )  # fmt: skip
+    parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
+    parser.add_argument("log", metavar="LOG", help="log to judge on")
+    parser.add_argument("--by-run", action="store_true", help="one line per run")
+    log_options(parser)
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    known = load_fit(options.calibration)
+    log = rewired(open_log(options), known.model.channels, known.wiring)
+    columns = columns_of(known.model)
+    notes = list(log.notes) if options.drop_bad else check_log(log, columns)
+    noise = noise_of(log, known.model)
+    table = judge(log, known.model, known.values, {c: s.value for c, s in noise.sigmas.items()})
+    rows: dict[str, Any] = {"all runs": table.over()}
+    if options.by_run:
+        rows |= {f"run {run}": table.over([run]) for run in table.runs}
+    record = {
+        "calibration": str(options.calibration),
+        "model": known.model.name,
+        "log": str(options.log),
+        "errors": rows["all runs"],
+        "by_run": {str(run): table.over([run]) for run in table.runs},
+        "noise": {c: {"value": s.value, "source": s.source} for c, s in noise.sigmas.items()},
+        "notes": notes,
+    }
+    say(options, record, lambda: "\n".join([error_rows(known.model.pose, rows, None), *noted(notes)]))
+    return OK
