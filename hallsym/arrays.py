@@ -112,7 +112,9 @@ def _compile(function: ca.Function) -> list[tuple]:
 
 
 def _stack(entries: list, shape: tuple[int, ...]) -> np.ndarray:
-    result = np.empty((len(entries), *shape))
+    # a long double stays one: ranks are decided in extended precision
+    wide = any(getattr(entry, "dtype", None) == np.longdouble for entry in entries)
+    result = np.empty((len(entries), *shape), dtype=np.longdouble if wide else float)
     for row, entry in enumerate(entries):
         result[row] = entry
     return result

@@ -87,6 +87,8 @@ class Cost:
 
     anchor: "Point | None" = None
     """A point whose run-by-run parts are shared by every re-weighting (`anchored`)."""
+    planned: bool = False
+    """The logged columns hold the motion itself, without noise: a campaign that is not recorded yet."""
 
     @cached_property
     def noise_in_features(self) -> np.ndarray:
@@ -219,6 +221,17 @@ class Point:
         H_pd = H[:, :n, n:] + np.swapaxes(cross, 1, 2)
         return H[:, :n, :n] - H_pd @ np.linalg.solve(H[:, n:, n:], np.swapaxes(H_pd, 1, 2))
 
+    @cached_property
+    def run_hessians(self) -> np.ndarray:
+        """Exact Hessian of each run's own F with its zeros eliminated, shape (r, n, n)."""
+        loads = np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1)
+        bends = [
+            self.cost.coefficients.curvature(self.p, load[:, None, None] * G)
+            for load, G in zip(loads, self._G, strict=True)
+        ]
+        hessians = self._run_hessians + np.array(bends)
+        return 0.5 * (hessians + np.swapaxes(hessians, 1, 2))
+
     def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Return F, its gradient (n,) and its exact Hessian (n, n), the zeros eliminated."""
         weights = self.cost.weights
@@ -248,11 +261,22 @@ class Point:
         out (1: what the true motion tells; 2: nothing for a motion no larger than its noise).
         """
         n, z = len(self.p), len(self.c) - 1
-        counts = self.cost.summary.counts[:, None, None]
-        full = self._quadratic(self.W, noise_factor * counts * self.W)
+        full = self._full_information(noise_factor)
         if z == 0:
             return full
         return full[:, :n, :n] - full[:, :n, n:] @ np.linalg.solve(full[:, n:, n:], full[:, n:, :n])
+
+    def _full_information(self, noise_factor: float) -> np.ndarray:
+        counts = self.cost.summary.counts[:, None, None]
+        return self._quadratic(self.W, (noise_factor - self.cost.planned) * counts * self.W)
+
+    def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
+        """Covariance of each run's zero displacements [m^2], (r, z, z); `covariance`: of the parameters."""
+        n = len(self.p)
+        full = self._full_information(1.0)
+        own = np.linalg.inv(full[:, n:, n:])
+        slope = own @ full[:, n:, :n]
+        return own + slope @ covariance @ np.swapaxes(slope, 1, 2)
 
 
 def _kron(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -5,11 +5,14 @@ the standard uncertainty of a direction no further down than a quarter of that w
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import qr
 
+from hallsym.arrays import on_arrays
 from hallsym.cost import Coefficients, Cost
+from hallsym.features import Features
 from hallsym.model import Model
 
 UNDETERMINED = 0.25
@@ -32,6 +35,8 @@ class Determination:
     null: np.ndarray
     structural: tuple[str, ...]
     held: tuple[int, ...]
+    n_structural: int = 0
+    """How many of the first columns of `null` no recording can determine."""
 
     def slack(self, gradient: np.ndarray) -> float:
         """How far a quantity with this gradient can move along the null directions inside the bounds."""
@@ -62,7 +67,9 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     inside = (lower <= model.nominal) & (model.nominal <= upper)
     held = {*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}
     moving = np.flatnonzero(np.linalg.norm(always, axis=1) > 1e-6)
-    return Determination(scale, null, tuple(model.names[k] for k in moving), tuple(sorted(held)))
+    return Determination(
+        scale, null, tuple(model.names[k] for k in moving), tuple(sorted(held)), always.shape[1]
+    )
 
 
 def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:
@@ -92,30 +99,65 @@ def structural_null(
 ) -> np.ndarray:
     """Directions that no recording can determine: the null space of d coefficients / d parameters at `p`.
 
-    Its dimension is decided at random points inside the bounds, the smallest counts; `p` is the last of them
-    by default. `open_` (n,) says which parameters are not fixed (default: all). Returns an orthonormal basis
-    (n, k) in scaled parameters.
+    Its dimension is decided at random points inside the bounds by `structural_rank`, the smallest counts; `p`
+    is the last of them by default. `open_` (n,) says which parameters are not fixed (default: all). Returns
+    an orthonormal basis (n, k) in scaled parameters.
     """
     model = coefficients.features.model
-    rng, scale, (lower, upper) = np.random.default_rng(seed), scales(model), model.bounds
-    lower = np.where(np.isfinite(lower), lower, model.nominal - scale)
-    upper = np.where(np.isfinite(upper), upper, model.nominal + scale)
-
+    scale = scales(model)
     open_ = np.ones(len(scale), dtype=bool) if open_ is None else open_
     if not open_.any():
         return np.zeros((len(scale), 0))
-
-    def decomposed(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
-        jacobian = (np.swapaxes(slope, 1, 2).reshape(-1, len(scale)) * scale)[:, open_]
-        _, values, vectors = np.linalg.svd(jacobian)
-        return values, vectors
-
-    tried = [rng.uniform(lower, upper) for _ in range(points)]
-    rank = max(int(np.sum(values > 1e-9 * values[0])) for values, _ in map(decomposed, tried))
+    rank, _ = structural_rank(coefficients.features, tuple(open_.tolist()), points, seed)
+    at = _random_points(model, points, seed)[-1] if p is None else p
+    slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
+    jacobian = (np.swapaxes(slope, 1, 2).reshape(-1, len(scale)) * scale)[:, open_]
     null = np.zeros((len(scale), int(open_.sum()) - rank))
-    null[open_] = decomposed(tried[-1] if p is None else p)[1][rank:].T
+    null[open_] = np.linalg.svd(jacobian)[2][rank:].T
     return null
+
+
+def _random_points(model: Model, points: int, seed: int) -> np.ndarray:
+    rng, scale, (lower, upper) = np.random.default_rng(seed), scales(model), model.bounds
+    lower = np.where(np.isfinite(lower), lower, model.nominal - scale)
+    upper = np.where(np.isfinite(upper), upper, model.nominal + scale)
+    return rng.uniform(lower, upper, (points, len(scale)))
+
+
+@lru_cache(maxsize=64)
+def structural_rank(
+    features: Features, open_: tuple[bool, ...], points: int = 3, seed: int = 0
+) -> tuple[int, np.ndarray]:
+    """Rank of d coefficients / d parameters, the largest at random points, and the pivots that decided it.
+
+    Gaussian elimination with full pivoting in extended precision (where the machine has it), every row scaled
+    to 1: a pivot that is zero comes out as rounding, some 16 decades below those that are not.
+    """
+    model = features.model
+    at = _random_points(model, points, seed).astype(np.longdouble)
+    slope = on_arrays(features.expansion[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
+    shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, points)
+    rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, points).T * scales(model)
+    tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]
+    floor = rows.shape[1] * 1e3 * float(np.finfo(np.longdouble).eps)
+    ranks = [int(np.sum(pivots > floor * pivots.max(initial=0.0))) for pivots in tried]
+    best = int(np.argmax(ranks))
+    return ranks[best], tried[best]
+
+
+def _pivots(matrix: np.ndarray) -> np.ndarray:
+    """Pivots of Gaussian elimination with full pivoting, rows scaled to 1 first."""
+    size = np.abs(matrix).max(axis=1, initial=0.0)
+    rest, found = matrix[size > 0] / size[size > 0, None], []
+    for _ in range(min(rest.shape)):
+        i, j = np.unravel_index(int(np.argmax(np.abs(rest))), rest.shape)
+        pivot = rest[i, j]
+        found.append(abs(pivot))
+        if pivot == 0:
+            break
+        rest = np.delete(rest - np.outer(rest[:, j] / pivot, rest[i]), i, axis=0)
+        rest = np.delete(rest, j, axis=1)
+    return np.array(found + [0.0] * (matrix.shape[1] - len(found)), dtype=float)
 
 
 def linear_combinations(
@@ -133,7 +175,7 @@ def linear_combinations(
     u, values, _ = np.linalg.svd(taken, full_matrices=True)
     rank = int(np.sum(values > 1e-3 * max(values.max(initial=0.0), 1e-300)))
     out = []
-    for row in _echelon(u[:, rank:].T):
+    for row in echelon(u[:, rank:].T):
         gradient = np.zeros(len(scale))
         gradient[among] = row / scale[among]
         lead = int(np.argmax(np.abs(gradient * scale)))
@@ -141,8 +183,8 @@ def linear_combinations(
     return out
 
 
-def _echelon(rows: np.ndarray) -> np.ndarray:
-    """Reduced row echelon form with full pivoting on columns; entries below 1e-6 are zero."""
+def echelon(rows: np.ndarray) -> np.ndarray:
+    """Return the reduced row echelon form, pivots chosen by size; entries below 1e-6 are zero."""
     rows = rows.copy()
     for i in range(len(rows)):
         j = int(np.argmax(np.abs(rows[i])))

@@ -15,6 +15,8 @@ import numpy as np
 from hallsym.arrays import on_arrays
 from hallsym.model import Model
 
+Columns = Sequence | np.ndarray
+
 
 @dataclass(frozen=True, eq=False)
 class Influence:
@@ -33,9 +35,9 @@ class Influence:
 def influence(
     model: Model,
     p: np.ndarray,
-    zeros: Sequence,
-    pose: Sequence,
-    state: Sequence,
+    zeros: Columns,
+    pose: Columns,
+    state: Columns,
     weight: np.ndarray | None = None,
 ) -> Influence:
     """Return the slopes of the decoded pose at given poses and states.

@@ -17,7 +17,14 @@ from twins import (
 
 from hallsym.campaign import Campaign, Run, paper_campaign
 from hallsym.cost import Coefficients
-from hallsym.determination import determine, feature_scale, linear_combinations, scales, structural_null
+from hallsym.determination import (
+    determine,
+    feature_scale,
+    linear_combinations,
+    scales,
+    structural_null,
+    structural_rank,
+)
 from hallsym.families import build
 from hallsym.features import find_features
 from hallsym.fitting import fit
@@ -210,3 +217,39 @@ def test_effects_are_all_covered_here():
     covered = {e for name, effects in combinations_of_effects() for e in (*effects, *build(name).effects)}
     assert covered == set(EFFECTS)
     assert set(HALL) == set(build("stage31").channels)
+
+
+@pytest.mark.parametrize(("name", "added"), combinations_of_effects(), ids=str)
+def test_the_structural_rank_is_decided_with_decades_to_spare(name, added):
+    """Kept pivots are above 1e-6, dropped ones rounding: in extended precision nothing lies between."""
+    model = build(name, added=added)
+    rank, pivots = structural_rank(find_features(model), (True,) * len(model.names))
+    assert np.all(pivots[:rank] > 1e-6)
+    assert np.all(pivots[rank:] < 1e-13)
+    assert rank == len(model.names) - null_of(model).shape[1]
+
+
+def test_a_fixed_parameter_takes_its_null_direction_with_it():
+    model = build("stage31")
+    open_ = tuple(n != "H1y" for n in model.names)
+    assert structural_rank(find_features(model), open_)[0] == 18  # of 20
+    pair = tuple(n not in ("H1x", "H1y") for n in model.names)
+    assert structural_rank(find_features(model), pair)[0] == 17  # of 19: two pairs are left
+
+
+def test_a_planned_campaign_counts_its_motion_whole():
+    """Noise-free columns as a plan hold as much as noisy ones do once the noise's share is taken out."""
+    from dataclasses import replace
+
+    model, campaign = true_model(), paper_campaign(0.02)
+    exact = cost_on(with_noise(simulate(model, TRUTH, campaign, seed=1)), model)
+    plan = replace(exact, planned=True).at(model.nominal).information(1.0)
+    noisy = [
+        cost_on(with_noise(simulate(model, TRUTH, campaign, NoiseModel(SIGMAS), seed=s)), model)
+        .at(model.nominal)
+        .information(1.0)
+        .sum(axis=0)
+        for s in range(8)
+    ]
+    size = np.sqrt(np.outer(*[np.diag(plan.sum(axis=0))] * 2))
+    assert (np.abs(np.mean(noisy, axis=0) - plan.sum(axis=0)) / size).max() < 0.01
