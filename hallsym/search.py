@@ -48,7 +48,7 @@ def search(
     free = np.array([k for k in range(len(first)) if k not in found.held], dtype=int)
     if len(free) == 0:
         return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
-    scaled, explored = _Scaled(fitted.summary.model, first, free, found.scale[free]), None
+    scaled, explored = Scaled(fitted.summary.model, first, free, found.scale[free]), None
     if solver != "direct":
         options: dict[str, Any] = {} if solver == "screening" else {"size": SIZE}
         problem, rng = scaled.problem(merged), np.random.default_rng(seed)
@@ -86,14 +86,22 @@ def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
 
     For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
     """
-    free = np.array([k for k in range(len(p)) if k not in held], dtype=int)
-    scaled = _Scaled(cost.summary.model, np.asarray(p, dtype=float), free, scales(cost.summary.model)[free])
+    scaled = scaled_around(cost.summary.model, p, held)
     return scaled.from_unit(solvers.newton(scaled.problem(cost), scaled.to_unit(scaled.base)).x)
 
 
+def scaled_around(model: Model, p: np.ndarray, held: Sequence[int]) -> "Scaled":
+    """Return the scaled parameters of `model` with those of index in `held` kept as in `p`."""
+    free = np.array([k for k in range(len(p)) if k not in held], dtype=int)
+    return Scaled(model, np.asarray(p, dtype=float), free, scales(model)[free])
+
+
 @dataclass(frozen=True, eq=False)
-class _Scaled:
-    """The free parameters in units of their bound width, the others where they are held."""
+class Scaled:
+    """The free parameters in units of their bound width, the others where they are held.
+
+    `base`: (n,) values of the others. `free`: index of the free ones. `scale`: their widths.
+    """
 
     model: Model
     base: np.ndarray
@@ -101,9 +109,11 @@ class _Scaled:
     scale: np.ndarray
 
     def to_unit(self, p: np.ndarray) -> np.ndarray:
+        """Return the free ones of `p` (n,) in units of their width."""
         return (p[self.free] - self._origin) / self.scale
 
     def from_unit(self, x: np.ndarray) -> np.ndarray:
+        """Return all parameters for free ones in units of their width, one point or many rows."""
         p = np.tile(self.base, (*np.shape(x)[:-1], 1)) if np.ndim(x) > 1 else self.base.copy()
         p[..., self.free] = self._origin + x * self.scale
         return p
@@ -114,6 +124,7 @@ class _Scaled:
         return np.where(np.isfinite(lower), lower, self.base[self.free])
 
     def samples(self, cost: Cost) -> float:
+        """Return how many samples count: costs are per sample in `problem`."""
         return float(cost.weights @ cost.summary.counts)
 
     def problem(self, cost: Cost) -> solvers.Problem:

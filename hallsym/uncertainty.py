@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from hallsym.arrays import on_arrays
@@ -10,6 +9,7 @@ from hallsym.calibration import CombinationEstimate
 from hallsym.cost import Cost
 from hallsym.determination import UNDETERMINED, Determination, linear_combinations
 from hallsym.model import Model
+from hallsym.quantities import combination, linear
 
 SCATTER = 3.0
 """White noise is not believed when the scores of the runs scatter this many standard deviations too much."""
@@ -78,12 +78,20 @@ def _by_log(
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
+def inverse(information: np.ndarray) -> np.ndarray:
+    """Return the covariance (n, n) that belongs to an information matrix (n, n): its inverse.
+
+    The matrix is brought to unit diagonal first, so the units of the parameters cost no digits.
+    """
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+
+
 def _covariance(
     information: np.ndarray, runs: np.ndarray, scores: np.ndarray, weights: np.ndarray, per_dof: float
 ) -> tuple[np.ndarray, str, str]:
     """Likelihood covariance, or one from the scatter between runs when white noise does not explain it."""
-    scale = 1.0 / np.sqrt(np.diag(information))
-    naive = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    naive = inverse(information)
     scores = scores * weights[:, None]
     share = (runs * weights[:, None, None]) @ naive  # leverage of each run on its own scores
     lost = float(np.einsum("rij,rji->", share, share))
@@ -91,6 +99,8 @@ def _covariance(
     scatter = float(np.einsum("ri,ij,rj->", scores, naive, scores)) / expected
     limit = 1.0 + SCATTER * np.sqrt(2.0 * lost) / expected
     n = int(np.sum(weights > 0))
+    if n == 1:
+        return naive, "likelihood", "one run cannot show whether its noise is white; it is taken for granted"
     told = f"scores of the {n} runs scatter {scatter:.2f} x what white noise predicts (limit {limit:.2f})"
     if scatter <= limit:
         return naive, "likelihood", told
@@ -135,17 +145,17 @@ def _combinations(
     """Named combinations that are determined, then linear ones for what they leave; and named ones lost."""
     model = cost.summary.model
     index = {name: k for k, name in enumerate(model.names)}
-    values, gradients = _named(model, p)
     out, known, lost = [], [], []
-    for combination, value, gradient in zip(model.combinations, values, gradients, strict=True):
+    for named in model.combinations:
+        value, gradient = combination(model, named).first(p)
         std = _std(gradient, covariance)
-        if all(determined[index[n]] or model.parameters[index[n]].width == 0 for n in combination.parameters):
+        if all(determined[index[n]] or model.parameters[index[n]].width == 0 for n in named.parameters):
             continue
         if std > 0 and found.slack(gradient) <= max(std, 1e-9 * abs(value)):
-            out.append(CombinationEstimate(combination.expression, float(value), std, combination.unit))
+            out.append(CombinationEstimate(named.expression, value, std, named.unit))
             known.append(gradient)
         else:
-            lost.append(combination.expression)
+            lost.append(named.expression)
     stacked = np.array(known).T if known else np.zeros((len(p), 0))
     scaled = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     among = np.flatnonzero(_loose(model.names, scaled, found) & (found.scale > 0) & _open(model))
@@ -154,9 +164,9 @@ def _combinations(
         std = _std(gradient, covariance)
         if 0 < std < UNDETERMINED * np.abs(gradient * found.scale).max():
             involved = np.flatnonzero(gradient)
-            text = " + ".join(_term(gradient[k], model.names[k]) for k in involved).replace("+ -", "- ")
-            unit = model.parameters[involved[0]].unit
-            out.append(CombinationEstimate(text, float(gradient @ p), std, unit))
+            quantity = linear(model, gradient, model.parameters[involved[0]].unit)
+            factors = {model.names[k]: float(gradient[k]) for k in involved}
+            out.append(CombinationEstimate(quantity.name, float(gradient @ p), std, quantity.unit, factors))
     return tuple(out), lost
 
 
@@ -173,21 +183,6 @@ def _open(model: Model) -> np.ndarray:
 
 def _std(gradient: np.ndarray, covariance: np.ndarray) -> float:
     return float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
-
-
-def _term(factor: float, name: str) -> str:
-    return name if factor == 1 else f"-{name}" if factor == -1 else f"{factor:.6g}*{name}"
-
-
-def _named(model: Model, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    n = len(model.combinations)
-    if n == 0:
-        return np.zeros(0), np.zeros((0, len(p)))
-    symbol = ca.SX.sym("p", len(p))
-    value = model.combined(symbol)
-    both = ca.Function("named", [symbol], [value, ca.densify(ca.jacobian(value, symbol))])
-    v, g = both(p)
-    return np.asarray(v).ravel(), np.asarray(g).reshape(n, len(p))
 
 
 def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:

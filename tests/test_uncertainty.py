@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from twins import SIGMAS, TRUTH, cost_on, pm, record, true_model, with_noise
+from twins import COLUMNS, HALL, SIGMAS, TRUTH, cost_on, phi, pm, record, true_model, with_noise
 
 from hallsym.cost import cost_of
 from hallsym.determination import determine
@@ -115,7 +115,7 @@ def test_a_parameter_at_its_bound_is_named_and_has_no_uncertainty():
 
 def test_noise_floor_is_what_the_true_parameters_leave():
     """Decoded pose minus reference at the truth, 57 x 200 samples: RMSE known to 0.7 %."""
-    from twins import campaign, phi
+    from twins import campaign
 
     from hallsym.decoding import error_tables
 
@@ -131,32 +131,80 @@ def test_noise_floor_is_what_the_true_parameters_leave():
         assert floor[name] == pytest.approx(value, rel=0.03)
 
 
-def coverage(seeds: range, **noise) -> dict[str, float]:
-    """Share of recordings whose 95 % intervals hold the truth, for parameters and combinations."""
-    inside: dict[str, list[bool]] = {}
+def eliminated(columns, sigma: float, values: dict[str, float]) -> np.ndarray:
+    """Residuals over sigma with the zeros of every run projected out, by the second numpy model."""
+    pose = np.array([columns[c] for c in COLUMNS[:3]])
+    gain = phi(values, np.array([columns[c] for c in COLUMNS[3:]]))
+    rest = np.array([columns[c] for c in HALL]) - gain * (pm(values) @ pose)
+    first = np.flatnonzero(np.diff(columns["run"], prepend=-1))
+    zero = np.add.reduceat(gain * rest, first, axis=1) / np.add.reduceat(gain**2, first, axis=1)
+    length = np.diff([*first, len(columns["run"])])
+    return (rest - gain * np.repeat(zero, length, axis=1)).ravel() / sigma
+
+
+def test_covariance_agrees_with_lmfit():
+    """The same likelihood with an exact reference, 18 free parameters: every entry to 3 digits of the std."""
+    lmfit = pytest.importorskip("lmfit", reason="the test extra is not installed")
+    sigma = {c: SIGMAS[c] if c in HALL else 0.0 for c in SIGMAS}
+    columns = record(seed=41, samples=20, sigma=sigma)
+    cost = cost_on(with_noise(columns, sigma), MODEL, sigma)
+    found = determine(cost, MODEL.nominal)
+    p = refit(cost, MODEL.nominal, found.held)
+    ours = estimate(cost, p, found)
+    assert ours.method == "likelihood"
+    parameters = lmfit.Parameters()
+    for k, name in enumerate(MODEL.names):
+        parameters.add(name, value=MODEL.nominal[k], vary=k not in found.held)
+    theirs = lmfit.minimize(
+        lambda q: eliminated(columns, SIGMAS[HALL[0]], q.valuesdict()), parameters, scale_covar=False
+    )
+    free = [MODEL.names.index(name) for name in theirs.var_names]
+    assert len(free) == 18
+    C = ours.covariance[np.ix_(free, free)]
+    std = np.sqrt(np.diag(C))
+    values = np.array([theirs.params[name].value for name in theirs.var_names])
+    assert np.abs(p[free] - values) / std == pytest.approx(np.zeros(18), abs=1e-3)
+    assert theirs.covar / np.outer(std, std) == pytest.approx(C / np.outer(std, std), abs=1e-3)
+    assert np.sqrt(np.diag(theirs.covar)) == pytest.approx(std, rel=1e-3)
+
+
+def repeated(seeds: range, **noise) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Errors and stated standard uncertainties of parameters and combinations over many recordings."""
+    errors: dict[str, list[float]] = {}
+    stds: dict[str, list[float]] = {}
     arms = dict(zip((c.expression for c in MODEL.combinations), pm(TRUTH)[:, 2], strict=True))
     for seed in seeds:
         p, found = one(seed, **noise)
         for k in np.flatnonzero(found.determined):
-            error = abs(p[k] - MODEL.nominal[k])
-            inside.setdefault(MODEL.names[k], []).append(error < 1.96 * found.std[k])
+            errors.setdefault(MODEL.names[k], []).append(p[k] - MODEL.nominal[k])
+            stds.setdefault(MODEL.names[k], []).append(found.std[k])
         for c in found.combinations:
-            inside.setdefault(c.expression, []).append(abs(c.value - arms[c.expression]) < 1.96 * c.std)
-    assert all(len(v) == len(seeds) for v in inside.values())
-    return {name: float(np.mean(v)) for name, v in inside.items()}
+            errors.setdefault(c.expression, []).append(c.value - arms[c.expression])
+            stds.setdefault(c.expression, []).append(c.std)
+    assert all(len(v) == len(seeds) for v in errors.values())
+    return tuple({name: np.array(v) for name, v in d.items()} for d in (errors, stds))
+
+
+def coverage(errors: dict[str, np.ndarray], stds: dict[str, np.ndarray]) -> dict[str, float]:
+    """Share of recordings whose 95 % intervals hold the truth."""
+    return {name: float(np.mean(np.abs(e) < 1.96 * stds[name])) for name, e in errors.items()}
 
 
 @pytest.mark.slow
-def test_intervals_cover_95_percent():
-    """600 recordings know a coverage to 0.9 % (1 sigma); 92 to 98 % is more than 3 of these either way."""
-    found = coverage(range(5000, 5600), samples=40)
-    assert len(found) == 18
-    assert all(0.92 <= share <= 0.98 for share in found.values()), found
+def test_uncertainties_are_the_scatter_and_intervals_cover():
+    """1600 recordings know a coverage to 0.55 % (1 sigma) and a scatter to 1.8 %; the first 400 to 3.5 %."""
+    errors, stds = repeated(range(5000, 6600), samples=40)
+    assert len(errors) == 18
+    shares = coverage(errors, stds)
+    assert all(0.93 <= share <= 0.97 for share in shares.values()), shares
+    for first in (400, 1600):
+        ratio = {n: np.sqrt(np.mean(stds[n][:first] ** 2) / np.mean(errors[n][:first] ** 2)) for n in errors}
+        assert all(0.9 <= r <= 1.1 for r in ratio.values()), (first, ratio)
 
 
 @pytest.mark.slow
 def test_intervals_cover_with_correlated_noise_too():
     """Noise correlated over a tenth of a run; runs as blocks know their covariance only roughly."""
-    found = coverage(range(7000, 7200), samples=40, correlation_s=0.1)
+    found = coverage(*repeated(range(7000, 7200), samples=40, correlation_s=0.1))
     assert all(0.88 <= share <= 0.99 for share in found.values()), found
     assert 0.92 <= np.mean(list(found.values())) <= 0.98
