@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.batches import Weigh
+from hallsym.cost import Cost
 from hallsym.decoding import ErrorTable
+from hallsym.determination import Determination
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.files import atomic_write
@@ -27,6 +29,8 @@ class CombinationEstimate:
     value: float
     std: float
     unit: str
+    factors: Mapping[str, float] | None = None
+    """Of a linear combination: factor by parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +86,10 @@ class Fit:
     """Weights that took outliers out of the fit; not saved."""
     source: Log | None = None
     """The log itself; not saved, its hash is."""
+    likelihood: Cost | None = None
+    """The cost of the fitted runs: what profiles and refits need; not saved."""
+    determination: Determination | None = None
+    """What those runs determine; not saved."""
     undetermined_by_log: tuple[str, ...] = ()
     wiring: tuple[tuple[str, int], ...] | None = None
     versions: Mapping[str, str] = field(default_factory=dict)

@@ -7,7 +7,7 @@ give starting points; IPOPT refines them inside the bounds; a second pass tabula
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib import metadata
 from time import perf_counter
 from typing import Any
@@ -54,6 +54,7 @@ def fit(
     resolve_wiring: bool = False,
     drop_bad: bool = False,
     seed: int = 0,
+    start: np.ndarray | None = None,
     on_progress: Progress | None = None,
 ) -> Fit:
     """Calibrate `model` on `log` and return values, uncertainties and errors.
@@ -63,7 +64,8 @@ def fit(
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
     always looks for them, "tukey" weighs every sample by Tukey's biweight, "none" is plain least squares.
-    `parameters`: changed nominal values and bounds. `effects`: effects to add, by name.
+    `parameters`: changed nominal values and bounds. `effects`: effects to add, by name. `start`: (n,) values
+    to begin from instead of the closed form.
 
     Raises `InputError` for a log that cannot be what the model needs.
     """
@@ -80,7 +82,7 @@ def fit(
     log = clean_log(log, columns) if drop_bad else log
     notes = list(log.notes) if drop_bad else check_log(log, columns)
     apart = _apart(log, log.meta.holdout if holdout is None else holdout)
-    task = _Task(log, model, noise_of(log, model, apart), solver, seed, say)
+    task = _Task(log, model, noise_of(log, model, apart), solver, seed, say, start)
     state = task.solve(task.summary(), apart)
     wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
     if gain > 0:
@@ -94,8 +96,10 @@ def fit(
         errors = task.errors(state, keep) if keep else errors
         notes += said
     task.check(state)
-    result = _result(task, state, errors, tuple(notes), wiring if gain > 0 else None, perf_counter() - began)
-    return replace(result, keep=keep, source=log)
+    result = _result(
+        task, state, errors, tuple(notes), wiring if gain > 0 else None, loss, perf_counter() - began
+    )
+    return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +120,11 @@ class State:
         """The optimum, shape (n,)."""
         return self.search.p
 
+    @cached_property
+    def found(self) -> Determination:
+        """What the fitted runs determine at the optimum, for what was held on the way there."""
+        return replace(determine(self.fitted, self.p), held=self.determination.held)
+
     def zeros(self) -> dict[int, np.ndarray]:
         """Zero displacements of every run, held-out ones included."""
         return dict(zip(self.everything.summary.runs, self.everything.at(self.p).zeros, strict=True))
@@ -131,6 +140,7 @@ class _Task:
     solver: str
     seed: int
     say: Progress
+    begin: np.ndarray | None
 
     @property
     def sigmas(self) -> dict[str, float]:
@@ -154,7 +164,7 @@ class _Task:
         merged = cost_of(fitted.summary.merged(), self.sigmas)
         linear = start.linear_fit(merged)
         closed_form = start.closed_form(merged, linear)
-        first = np.clip(closed_form, *self.model.bounds)
+        first = np.clip(closed_form if self.begin is None else self.begin, *self.model.bounds)
         determination = determine(fitted, first)
         held = list(determination.held)
         first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
@@ -260,9 +270,15 @@ def _runs(runs: Sequence[int]) -> str:
 
 
 def _result(
-    task: _Task, state: State, errors: Errors, notes: tuple[str, ...], wiring: Any, seconds: float
+    task: _Task,
+    state: State,
+    errors: Errors,
+    notes: tuple[str, ...],
+    wiring: Any,
+    loss: str,
+    seconds: float,
 ) -> Fit:
-    model, found = task.model, state.determination
+    model, found = task.model, state.found
     estimate = uncertainty.estimate(state.fitted, state.p, found)
     gain = np.array(
         [np.asarray(model.gain(state.p, s)).ravel() for s in state.everything.summary.first_state]
@@ -288,6 +304,7 @@ def _result(
         message=state.search.message,
         solver={
             "name": task.solver,
+            "loss": loss,
             "cost": state.search.cost,
             "cost_per_degree_of_freedom": estimate.cost_per_dof,
             "evaluations": state.search.evaluations,

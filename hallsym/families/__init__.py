@@ -49,6 +49,14 @@ def adapted(model: Model, added: tuple[str, ...], parameters: Mapping[str, Mappi
     return model.with_parameters(_checked(model, parameters))
 
 
+def same_layout(model: Model, meta: Meta) -> bool:
+    """Return whether a log's `meta.json` describes the machine of `model`, or none."""
+    if meta.probes is None:
+        return True
+    family = next(f for f in FAMILIES if model.family == f.FAMILY)
+    return family.from_meta(models()[model.name], meta).layout == model.layout
+
+
 def _effect(name: str) -> Callable[[Model], Model]:
     known = effects()
     if name not in known:

@@ -23,6 +23,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.log import Meta
 from hallsym.model import Combination, Model, Parameter, Signals, Step
 
+FAMILY = "stage"
 POSE = ("x_m", "y_m", "rz_rad")
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 STATE = ("z_m", "rx_rad", "ry_rad")
@@ -64,7 +65,7 @@ def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
     _check(probes)
     return Model(
         name="stage15",
-        family="stage",
+        family=FAMILY,
         pose=POSE,
         references=REFERENCES,
         state=STATE,
