@@ -5,7 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hallsym.campaign import multi_sine, paper_campaign, read_campaign, sine, steps, triangle
+from hallsym.campaign import (
+    AXES,
+    Campaign,
+    Run,
+    multi_sine,
+    paper_campaign,
+    read_campaign,
+    sine,
+    steps,
+    triangle,
+    write_campaign,
+)
 from hallsym.errors import InputError
 
 amplitudes = st.floats(1e-6, 1e-3)
@@ -224,6 +235,29 @@ BAD = {
     "negative noise": (GOOD.replace("5e-7", "-5e-7", 1), "noise|hall_m"),
 }
 
+RUNS = """
+[[run]]
+name = "corner"
+duration_s = 0.5
+z_m = -2.5e-4
+x_m = { kind = "sine", about = 1e-4, amplitude = 3e-4, frequency_hz = 2.0 }
+[[run]]
+duration_s = 0.25
+zero_deviations_m = [1e-6, -2e-6, 0]
+raster = { fast = "x_m", slow = "y_m", fast_amplitude = 1e-3, slow_amplitude = 5e-4, line_hz = 8, lines = 2 }
+"""
+BAD |= {
+    "no run": ("run = []", r"\[\[run\]\]"),
+    "settings without trajectory": ("[[setting]]\nz_m = 0.0\n" + RUNS, "trajectory"),
+    "unknown key of a run": (RUNS.replace("z_m =", "zz_m ="), "did you mean 'z_m'"),
+    "name as a number": (RUNS.replace('"corner"', "3"), "name"),
+    "place as text": (RUNS.replace("-2.5e-4", '"low"'), "z_m"),
+    "about as text": (RUNS.replace("about = 1e-4", 'about = "here"'), "about"),
+    "run without duration": (RUNS.replace("duration_s = 0.25", ""), "duration_s"),
+    "deviations as a number": (RUNS.replace("[1e-6, -2e-6, 0]", "1e-6"), "zero_deviations_m"),
+    "about in a trajectory": (GOOD.replace("amplitude = 3e-4", "about = 0.0, amplitude = 3e-4"), "about"),
+}
+
 
 @pytest.mark.parametrize("what", BAD)
 def test_a_bad_campaign_file_is_refused_in_one_sentence(written, what):
@@ -241,3 +275,90 @@ def test_a_missing_campaign_file_is_refused(tmp_path):
         read_campaign(tmp_path / "none.toml")
     with pytest.raises(InputError):
         read_campaign(tmp_path)
+
+
+# -- single runs, and campaigns that are written ---------------------------------------------------------
+
+
+def test_single_runs_hold_axes_or_move_them_about_a_place(written):
+    corner, raster = read_campaign(written(RUNS)).runs
+    t = np.array([0.0, 0.125])
+    assert corner.name == "corner"
+    assert np.allclose(corner.position("x_m", t), [1e-4, 4e-4], rtol=1e-12)
+    assert np.all(corner.position("z_m", t) == -2.5e-4)
+    assert corner.zeros is None
+    assert raster.zeros == (1e-6, -2e-6, 0.0)
+    assert raster.position("y_m", np.array([1 / 16]))[0] == pytest.approx(5e-4, rel=1e-12)
+
+
+def test_single_runs_follow_the_product_of_settings_and_trajectories(written):
+    both = read_campaign(written(GOOD + RUNS))
+    assert [run.duration_s for run in both.runs] == [0.5, 0.25, 0.5, 0.25, 0.5, 0.25]
+    assert both.runs[4].name == "corner"
+
+
+def same(a: Campaign, b: Campaign) -> bool:
+    """Whether two campaigns are the same to the bit: clock, noise, and every run."""
+    head = (a.step_s, a.zero_spread_m, dict(a.noise or {})) == (
+        b.step_s,
+        b.zero_spread_m,
+        dict(b.noise or {}),
+    )
+    return head and [_key(r) for r in a.runs] == [_key(r) for r in b.runs]
+
+
+def _key(run: Run) -> tuple:
+    places = {axis: float(v) for axis, v in run.setting.items()}
+    return (run.name, run.duration_s, places, dict(run.motion), run.zeros)
+
+
+def test_the_articles_campaign_survives_a_file(tmp_path):
+    write_campaign(paper_campaign(), tmp_path / "paper.toml", comment="57 runs\nof the article")
+    assert (tmp_path / "paper.toml").read_text().startswith("# 57 runs\n# of the article\n")
+    assert same(read_campaign(tmp_path / "paper.toml"), paper_campaign())
+
+
+def test_settings_trajectories_and_rasters_survive_a_file_as_single_runs(written, tmp_path):
+    campaign = read_campaign(written(GOOD + RUNS))
+    write_campaign(campaign, tmp_path / "again.toml")
+    assert same(read_campaign(tmp_path / "again.toml"), campaign)
+
+
+numbers = st.floats(-1e-3, 1e-3)
+signals = st.one_of(
+    st.builds(sine, numbers, frequencies, numbers),
+    st.builds(triangle, numbers, frequencies),
+    st.builds(multi_sine, numbers, st.lists(frequencies, min_size=1, max_size=4)),
+    st.builds(steps, st.lists(numbers, min_size=1, max_size=4), frequencies),
+)
+runs = st.builds(
+    Run,
+    st.floats(1e-3, 1e3),
+    st.dictionaries(st.sampled_from(AXES), numbers),
+    st.dictionaries(st.sampled_from(AXES), signals),
+    st.none() | st.tuples(numbers, numbers, numbers),
+    st.text(st.characters(exclude_categories=["Cs"]), max_size=8),
+)
+
+
+@settings(max_examples=60)
+@given(
+    st.builds(
+        Campaign,
+        st.floats(1e-6, 1.0),
+        st.lists(runs, min_size=1, max_size=3).map(tuple),
+        st.floats(0, 1e-5),
+        st.dictionaries(st.sampled_from(["hall_m", "z_nm", "x ref", "ü"]), st.floats(1e-9, 1.0)),
+    )
+)
+def test_every_campaign_survives_a_file(tmp_path_factory, campaign):
+    path = tmp_path_factory.mktemp("campaign") / "c.toml"
+    write_campaign(campaign, path)
+    assert same(read_campaign(path), campaign)
+
+
+def test_a_motion_that_is_a_plain_function_is_not_written(tmp_path):
+    campaign = Campaign(1e-3, (Run(1.0, {}, {"x_m": np.sin}),))
+    with pytest.raises(InputError, match="plain function"):
+        write_campaign(campaign, tmp_path / "c.toml")
+    assert not (tmp_path / "c.toml").exists()
