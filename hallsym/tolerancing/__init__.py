@@ -1,0 +1,22 @@
+"""Global sensitivity before data: Sobol indices of the designed decoder's errors to a machine's tolerances.
+
+`ranges` says what a tolerance is, `workspace` where errors count, `sobol` estimates the indices, `calibrated`
+what a calibration takes away, `study` puts them together, `text` says them.
+"""
+
+from hallsym.tolerancing.ranges import Tolerance, default_tolerances, given_tolerances, read_tolerances
+from hallsym.tolerancing.sobol import Indices
+from hallsym.tolerancing.study import Tolerances, tolerances
+from hallsym.tolerancing.workspace import Workspace, workspace_of
+
+__all__ = [
+    "Indices",
+    "Tolerance",
+    "Tolerances",
+    "Workspace",
+    "default_tolerances",
+    "given_tolerances",
+    "read_tolerances",
+    "tolerances",
+    "workspace_of",
+]
