@@ -7,8 +7,9 @@
 0.867
 """
 
+from hallsym.budget import Budget, Source, position_budget, read_budget, uncertainty_map
 from hallsym.calibration import Fit, load_fit
-from hallsym.campaign import Campaign, paper_campaign, read_campaign
+from hallsym.campaign import Campaign, paper_campaign, read_campaign, write_campaign
 from hallsym.decoding import ErrorTable, judge
 from hallsym.errors import InputError
 from hallsym.families import build
@@ -16,12 +17,17 @@ from hallsym.fitting import fit, refit
 from hallsym.log import Log, LogWriter, Meta, Noise, read_log, write_log
 from hallsym.model import Model, Parameter
 from hallsym.paper import bundled_campaign
+from hallsym.planning import Plan, Ranges, paper_ranges, plan, read_ranges
+from hallsym.sensitivity import Identifiability, identify
+from hallsym.tolerancing import Tolerances, read_tolerances, tolerances
 from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
 
 __all__ = [
+    "Budget",
     "Campaign",
     "ErrorTable",
     "Fit",
+    "Identifiability",
     "InputError",
     "Log",
     "LogWriter",
@@ -30,17 +36,31 @@ __all__ = [
     "Noise",
     "NoiseModel",
     "Parameter",
+    "Plan",
+    "Ranges",
+    "Source",
+    "Tolerances",
     "build",
     "bundled_campaign",
     "fit",
+    "identify",
     "judge",
     "load_fit",
     "paper_campaign",
+    "paper_ranges",
+    "plan",
+    "position_budget",
+    "read_budget",
     "read_campaign",
     "read_log",
+    "read_ranges",
+    "read_tolerances",
     "refit",
     "simulate",
     "simulate_blocks",
     "table8_noise",
+    "tolerances",
+    "uncertainty_map",
+    "write_campaign",
     "write_log",
 ]

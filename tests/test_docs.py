@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 LISTED = ("README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.md")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-COMMANDS = ("demo", "fit", "evaluate", "info", "simulate")
+COMMANDS = ("demo", "fit", "evaluate", "budget", "sensitivity", "tolerances", "info", "simulate", "plan")
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def helps() -> dict[str, str]:
 
 def test_every_command_has_help_and_is_documented():
     texts = helps()
-    found = re.findall(r"^    (\w+) {2,}\w", texts[""].partition("COMMAND\n")[2], re.M)
+    found = re.findall(r"^    (\w+)(?: {2,}|\n +)\w", texts[""].partition("COMMAND\n")[2], re.M)
     assert sorted(found) == sorted(COMMANDS), "the list of commands in this test is out of date"
     everything = "".join(map(text_of, PAGES))
     for command in COMMANDS:

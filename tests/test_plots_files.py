@@ -15,6 +15,7 @@ from hallsym.decoding import ErrorTable
 from hallsym.errors import InputError
 from hallsym.fitting import fit
 from hallsym.log import Log
+from hallsym.plots import saving
 
 HOLDOUT = (2, 7, 12)
 NAMES = ["measured", "errors_before_after", "errors_by_setting", "parameters"]
@@ -55,8 +56,8 @@ def test_other_suffixes(log: Log, fitted: Fit, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="only png, pdf, svg; instead received 'gif'"):
         plots.save_pictures(log, fitted, tmp_path, suffixes=("gif",))
     assert list(tmp_path.iterdir()) == []
-    plots._write(plots.parameters(fitted), "pdf", tmp_path / "parameters.pdf")
-    assert (tmp_path / "parameters.pdf").read_bytes().startswith(b"%PDF")
+    (path,) = saving.save_figures({"parameters": lambda: plots.parameters(fitted)}, tmp_path, ("pdf",))
+    assert path.read_bytes().startswith(b"%PDF")
 
 
 def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:
@@ -75,7 +76,7 @@ def test_no_half_written_picture(
         path.write_bytes(b"\x89PNG half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(plots, "_write", full)
+    monkeypatch.setattr(saving, "_write", full)
     (tmp_path / "measured.png").write_bytes(b"old")
     with pytest.raises(InputError, match=r"Cannot write .*measured\.png: the disk is full"):
         plots.save_pictures(log, fitted, tmp_path)

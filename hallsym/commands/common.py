@@ -92,12 +92,13 @@ def open_log(options: Namespace, machine: Machine | None = None) -> Log:
         format=options.format,
         delimiter=options.delimiter,
         drop_bad=options.drop_bad,
-        noise=dict(_assignment(text) for text in options.noise),
+        noise=dict(assignment(text) for text in options.noise),
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 
 
-def _assignment(text: str) -> tuple[str, float]:
+def assignment(text: str) -> tuple[str, float]:
+    """Read one `--noise COLUMN=SIGMA`."""
     name, _, value = text.partition("=")
     try:
         sigma = float(value)

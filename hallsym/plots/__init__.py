@@ -12,27 +12,22 @@ the help of `names` and `style`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hallsym.batches import Weigh
 from hallsym.calibration import Fit
 from hallsym.decoding import ErrorTable
-from hallsym.errors import InputError
-from hallsym.files import atomic_write, reason
 from hallsym.log import Log
 from hallsym.plots.by_setting import errors_by_setting, settings
 from hallsym.plots.errors import errors_before_after
 from hallsym.plots.estimates import COVERAGE, parameters
 from hallsym.plots.runs import measured, representative
+from hallsym.plots.saving import SUFFIXES, save_figures
 from hallsym.plots.style import DPI, STYLE, WIDTH
 from hallsym.plots.survey import Survey, look_over
 from hallsym.plots.trace import COLUMNS, Trace
 from hallsym.wiring import rewired
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = [
     "COLUMNS",
@@ -53,8 +48,6 @@ __all__ = [
     "settings",
 ]
 
-SUFFIXES = ("png", "pdf", "svg")
-
 
 def save_pictures(
     log: Log,
@@ -72,36 +65,16 @@ def save_pictures(
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part and are marked.
     `suffixes`: any of png, pdf, svg. The log is read twice, in blocks.
     """
-    for suffix in suffixes:
-        if suffix not in SUFFIXES:
-            raise InputError(
-                f"Input suffixes must hold only {', '.join(SUFFIXES)}; instead received {suffix!r}."
-            )
-    from matplotlib import style
-
-    folder, steps = Path(folder), dict(steps or {})
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"Cannot make the folder {folder} for pictures: {reason(error)}.") from error
+    steps = dict(steps or {})
     log = rewired(log, fit.model.channels, fit.wiring)
-    survey = look_over(log, fit, keep)
-    written = []
-    with style.context(["default", STYLE]):  # whatever style the caller has set
-        figures = {
-            "measured": measured(log, fit, survey, keep),
-            "errors_before_after": errors_before_after(fit, survey),
-            "errors_by_setting": errors_by_setting(fit, survey, steps),
-            "parameters": parameters(fit),
-        }
-        for name, figure in figures.items():
-            for suffix in suffixes:
-                path = folder / f"{name}.{suffix}"
-                atomic_write(path, partial(_write, figure, suffix))
-                written.append(path)
-    return written
-
-
-def _write(figure: Figure, suffix: str, path: Path) -> None:
-    dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(suffix)
-    figure.savefig(path, format=suffix, dpi=DPI, metadata=dated)  # the same fit gives the same file
+    survey = cache(lambda: look_over(log, fit, keep))  # once, and only when the folder is there
+    return save_figures(
+        {
+            "measured": lambda: measured(log, fit, survey(), keep),
+            "errors_before_after": lambda: errors_before_after(fit, survey()),
+            "errors_by_setting": lambda: errors_by_setting(fit, survey(), steps),
+            "parameters": lambda: parameters(fit),
+        },
+        folder,
+        suffixes,
+    )

@@ -44,7 +44,7 @@ def parameters(fit: Fit) -> Figure:
     determine instead stand below.
     """
     model, n = fit.model, len(fit.model.parameters)
-    below = [(textwrap.wrap(_typeset(c.expression), 84), c) for c in fit.combinations]
+    below = [(textwrap.wrap(typeset(c.expression), 84), c) for c in fit.combinations]
     extra = sum(len(lines) for lines, _ in below) + 1.5 if below else 0.0
     words = [_number_words(fit, row) for row in range(n)]
     instead = [plus_minus(c.value, COVERAGE * c.std, c.unit) for c in fit.combinations]
@@ -60,8 +60,8 @@ def parameters(fit: Fit) -> Figure:
         bands(ax, [(row - 0.5, row + 0.5) for row in range(0, n, 2)], STRIPE, upright=False)
     _values(place, sharp, fit)
     for row, text in enumerate(words):
-        _beside(sharp, row, text)
-    _beside(sharp, -1.1, header)
+        beside(sharp, row, text)
+    beside(sharp, -1.1, header)
     place.set_yticks(range(n), model.names)
     place.tick_params("y", length=0)
     sharp.tick_params("y", length=0, labelleft=False)
@@ -119,7 +119,7 @@ def _number_words(fit: Fit, row: int) -> str:
     return "not determined, held" if p.name in fit.held else "not determined"
 
 
-def _beside(ax: Axes, row: float, text: str) -> None:
+def beside(ax: Axes, row: float, text: str) -> None:
     """Write to the right of a row."""
     ax.text(1.03, row, text, transform=ax.get_yaxis_transform(), va="center_baseline")
 
@@ -140,7 +140,8 @@ def _combinations(
         figure.text(1 - (right - 0.06) / width, y, value)
 
 
-def _typeset(expression: str) -> str:
+def typeset(expression: str) -> str:
+    """Return an expression as it is printed: minus signs, no stars."""
     return re.sub(r"(?<!e)-", MINUS, expression.replace("*", " "))
 
 

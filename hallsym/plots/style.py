@@ -45,7 +45,9 @@ STYLE = {
     "ytick.major.width": 0.6,
     "lines.linewidth": 0.9,
     "path.simplify": False,
+    "hatch.linewidth": 0.5,
     "svg.fonttype": "none",
+    "svg.hashsalt": "hallsym",  # names inside an svg are random without one
     "pdf.fonttype": 42,
 }
 
