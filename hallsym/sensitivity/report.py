@@ -1,7 +1,7 @@
 """`identify`: what the data determine, parameter by parameter, and what they do not."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
@@ -146,21 +146,19 @@ def identify(
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
     evidence = _evidence(known, on, values, noise, name)
+    intervals = intervals_of(evidence, profiles=profiles, bootstrap=bootstrap, seed=seed, say=say)
     say("looking for null directions")
-    always = structural(evidence.cost, evidence.found, evidence.combinations)
-    here = practical(evidence.cost, evidence.found, evidence.combinations)
+    stated = [replace(c, std=intervals.std[c.expression]) for c in evidence.combinations]
+    always = structural(evidence.cost, evidence.found, stated)
+    here = practical(evidence.cost, evidence.found, stated)
     correlation = _correlation(evidence.covariance, evidence.determined)
     words = verdicts(evidence, always, here, correlation)
     slopes = slopes_over(evidence.workspace, evidence.cost, evidence.p)
-    intervals = intervals_of(evidence, profiles=profiles, bootstrap=bootstrap, seed=seed, say=say)
     parameters = tuple(
         _parameter(evidence, k, words[k], correlation[k], intervals, slopes) for k in range(len(evidence.p))
     )
     combinations = tuple(
-        CombinationReport(
-            c.expression, c.value, c.unit, intervals.std[c.expression], intervals.of[c.expression]
-        )
-        for c in evidence.combinations
+        CombinationReport(c.expression, c.value, c.unit, c.std, intervals.of[c.expression]) for c in stated
     )
     return Identifiability(
         evidence=evidence,
