@@ -1,0 +1,262 @@
+"""What the residual of a model shows by itself: spectrum, memory, spikes, jitter, ADC steps, slips.
+
+One pass over the log, block by block. The findings here are no effects that a model could hold (an outlier
+has no equation), or the searched numbers that effects start from (a mains frequency, the instant of a slip).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from hallsym.arrays import on_arrays
+from hallsym.batches import batches
+from hallsym.computed import extended, rate
+from hallsym.decoding import columns_of
+from hallsym.diagnosis.tangent import Base
+
+MAINS = ((46.0, 54.0), (56.0, 64.0))
+"""Bands [Hz] in which mains lines are looked for."""
+SEGMENT = 64
+"""Samples of a segment between two instants at which a slip is looked for."""
+LAGS = 64
+SPIKE = 6.0
+"""Standard deviations beyond which a sample counts as a spike."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A stretch of one run: times, whitened residual (K, samples), reading rates whitened, raw readings."""
+
+    run: int
+    t: np.ndarray
+    residual: np.ndarray
+    speed: np.ndarray
+    readings: np.ndarray
+    used: np.ndarray
+
+
+@dataclass(eq=False)
+class Survey:
+    """Sums over the log; `finish` turns them into findings.
+
+    `inflation`: variance of a slow average of the residual over that of white noise of the same size.
+    `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
+    `jitter_s`: rms sampling-instant error that explains residual growing with speed, with `jitter_z` its
+    significance. `stale_share`, `spike_share`: share of samples. `adc_step`: (K,) step seen, 0 for none.
+    `lines_hz`: mains lines; `line_power`: their share of the residual's power.
+    """
+
+    step_s: float = 0.0
+    origin_s: float = 0.0
+    duration_s: float = 0.0
+    count: int = 0
+    variance: float = 1.0
+    fast: float = 1.0
+    inflation: float = 1.0
+    jitter_s: float = 0.0
+    jitter_z: float = 0.0
+    jitter_power: float = 0.0
+    stale_share: float = 0.0
+    stale_power: float = 0.0
+    spike_share: float = 0.0
+    spike_power: float = 0.0
+    one_sided: float = 0.0
+    adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    lines_hz: tuple[float, ...] = ()
+    line_power: float = 0.0
+    extremes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    temperature: float | None = None
+
+
+def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
+    """Yield the whitened residual of some runs with what moves it."""
+    model = base.model
+    s = model.symbols
+    reading = s.full(s.reading)
+    axes = [rate(c) for c in model.references]
+    slope = ca.jacobian(reading, s.pose) @ ca.SX.sym("v", len(axes))
+    v = ca.symvar(slope)
+    v = [x for x in v if str(x).startswith("v")]
+    function = ca.Function(
+        "survey", [s.parameters, s.zeros, s.pose, s.state, ca.vertcat(*v)], [ca.densify(reading), ca.densify(slope)]
+    )
+    run = on_arrays(function)
+    log = extended(base.log, model.with_columns(*axes), base.sigma)
+    columns = (*columns_of(model), *(a.name for a in axes), "t_s")
+    whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
+    for batch in batches(log, columns):
+        weights = batch.weights(base.keep)
+        own = np.array([base.zeros.get(b.run, np.zeros(len(model.zeros))) for b in batch.blocks])
+        zeros = np.repeat(own, np.diff(batch.edges), axis=0).T
+        names = [a.name for a in axes]
+        expected, moved = run(
+            base.p, zeros, batch.columns(model.references), batch.columns(model.state), batch.columns(names)
+        )
+        readings = np.array(batch.columns(model.channels))
+        residual = whiten @ (readings - expected)
+        speed = whiten @ moved
+        for block, at in batch.parts():
+            if block.run in runs:
+                used = np.ones(at.stop - at.start, bool) if weights is None else weights[at] > 0
+                yield Piece(
+                    block.run, batch.data["t_s"][at], residual[:, at], speed[:, at], readings[:, at], used
+                )
+
+
+def survey(base: Base, runs: frozenset[int]) -> Survey:
+    """Read the log once and return what the residual of `base` on `runs` shows by itself."""
+    work = _Work(len(base.model.channels))
+    for piece in pieces(base, runs):
+        work.add(piece)
+    return work.finish()
+
+
+class _Work:
+    def __init__(self, channels: int) -> None:
+        self.K = channels
+        self.found = Survey()
+        self.squares = self.differences = 0.0
+        self.correlation = np.zeros(LAGS)
+        self.shift: list[np.ndarray] = []
+        self.spectra: list[tuple[float, float, np.ndarray]] = []
+        self.values: list[set[float]] = [set() for _ in range(channels)]
+        self.largest: list[np.ndarray] = []
+        self.repeats = 0
+        self.wave: list[tuple[np.ndarray, np.ndarray]] = []
+        self.jitter = np.zeros(5)
+        self.first: float | None = None
+
+    def add(self, piece: Piece) -> None:
+        f = self.found
+        r = np.where(piece.used, piece.residual, 0.0)
+        n = len(piece.t)
+        if self.first is None:
+            self.first = float(piece.t[0])
+            f.origin_s = self.first
+        f.duration_s = float(piece.t[-1]) - self.first
+        if n > 1 and f.step_s == 0.0:
+            f.step_s = float(np.median(np.diff(piece.t)))
+        f.count += n
+        self.squares += float((r**2).sum())
+        if n > 8:
+            second = r[:, 2:] - 2 * r[:, 1:-1] + r[:, :-2]
+            self.differences += float((second**2).sum()) / 6 * n / (n - 2)
+            self._correlate(r)
+            self._spectrum(piece.t, r)
+        self._instants(piece)
+        for k in range(self.K):
+            if len(self.values[k]) < 20000:
+                self.values[k].update(piece.readings[k].tolist())
+
+    def _correlate(self, r: np.ndarray) -> None:
+        n = r.shape[1]
+        x = r - r.mean(axis=1, keepdims=True)
+        spectrum = np.abs(np.fft.rfft(x, 2 * n, axis=1)) ** 2
+        products = np.fft.irfft(spectrum, axis=1)[:, :LAGS].sum(axis=0)
+        self.correlation[: len(products)] += products
+
+    def _spectrum(self, t: np.ndarray, r: np.ndarray) -> None:
+        """Fourier amplitudes of the mains bands, kept per block with its middle time (blocks <= 8192)."""
+        grid = np.concatenate([np.arange(a, b, 0.125) for a, b in MAINS])
+        middle = 0.5 * (t[0] + t[-1])
+        if len(t) < 16:
+            return
+        x = np.arange(len(t)) / len(t) - 0.5
+        basis = np.linalg.qr(np.vander(x, 6))[0]
+        smooth = r - (r @ basis) @ basis.T
+        if len(self.spectra) < 256:
+            phase = np.exp(-2j * np.pi * np.outer(grid, t - middle))
+            self.spectra.append((middle, len(t), smooth @ phase.T))
+            self.wave.append((t, smooth))
+
+    def _instants(self, piece: Piece) -> None:
+        """Time shift of each sample that its residual asks for, in standard deviations."""
+        information = np.einsum("ks,ks->s", piece.speed, piece.speed)
+        along = np.einsum("ks,ks->s", piece.speed, piece.residual)
+        size = np.sqrt(np.maximum(information, 1e-300))
+        z = along / size
+        rest = np.einsum("ks,ks->s", piece.residual, piece.residual) - z**2
+        self.shift.append(np.array([z, size, rest, piece.used]))
+
+    def finish(self) -> Survey:
+        f = self.found
+        total = max(f.count * self.K, 1)
+        f.variance, f.fast = self.squares / total, self.differences / total
+        rho = self.correlation / max(self.correlation[0], 1e-300)
+        stop = next((k for k in range(1, LAGS) if rho[k] < 0.02), LAGS)
+        f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
+        if self.shift:
+            self._judge_instants()
+        f.adc_step = np.array([_step(v) for v in self.values])
+        self._judge_lines()
+        return f
+
+    def _judge_instants(self) -> None:
+        f, (z, size, rest, used) = self.found, np.hstack(self.shift)
+        scale = 1.4826 * np.median(np.abs(z)) if len(z) else 1.0
+        scale = max(scale, 0.5)
+        level = max(float(np.median(rest)) / max(1.386, 0.45 * (self.K - 1)), 0.25) if self.K > 1 else 1.0
+        spikes = rest > SPIKE**2 * level + 12
+        late = (np.abs(z) > SPIKE * scale) & ~spikes
+        f.spike_share = float(spikes.mean())
+        f.spike_power = float((rest[spikes] + z[spikes] ** 2).sum()) / (f.count * self.K)
+        quiet = ~spikes
+        x, y = size[quiet] ** 2, z[quiet] ** 2
+        clipped = np.minimum(y, (4 * SPIKE * scale) ** 2)
+        slope, base = np.polyfit(x / max(x.mean(), 1e-300), clipped, 1) if len(x) > 100 else (0.0, 1.0)
+        spread = float(np.std(clipped)) / max(np.sqrt(len(x)) * float(np.std(x / max(x.mean(), 1e-300))), 1e-12)
+        f.jitter_z = float(slope / max(spread, 1e-300))
+        f.jitter_s = float(np.sqrt(max(slope, 0.0) / max(x.mean(), 1e-300)))
+        f.jitter_power = float(max(slope, 0.0)) / self.K
+        f.stale_share = float(late.mean())
+        f.stale_power = float((z[late] ** 2).sum()) / (f.count * self.K)
+        f.one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
+
+    def _judge_lines(self) -> None:
+        f = self.found
+        if not self.spectra:
+            return
+        grid = np.concatenate([np.arange(a, b, 0.125) for a, b in MAINS])
+        power = sum((np.abs(a) ** 2).sum(axis=0) / n for _, n, a in self.spectra)
+        lines = []
+        for low, high in MAINS:
+            band = (grid >= low) & (grid < high)
+            peak = grid[band][np.argmax(power[band])]
+            lines.append(self._refined(float(peak)))
+        f.lines_hz = tuple(x for x, _ in lines)
+
+    def _refined(self, peak: float) -> tuple[float, float]:
+        """Frequency at which all blocks are in phase, near the peak of their mean power."""
+        times = np.array([m for m, _, _ in self.spectra])
+        total = sum(n for _, n, _ in self.spectra)
+        longest = max(t[-1] - t[0] for t, _ in self.wave) or 1.0
+        span = max(times[-1] - times[0], longest)
+        best = (peak, -1.0)
+        for centre in peak + np.linspace(-0.5, 0.5, 9) / longest:
+            a = np.array([s @ np.exp(-2j * np.pi * centre * (t - m)) for (t, s), m in zip(self.wave, times, strict=True)])
+            offsets = np.arange(-0.07 / longest, 0.07 / longest, 0.2 / span)
+            turn = np.exp(-2j * np.pi * np.outer(centre + offsets, times - times[0]))
+            together = (np.abs(turn @ a) ** 2).sum(axis=1) / total
+            k = int(np.argmax(together))
+            if together[k] > best[1]:
+                best = (float(centre + offsets[k]), float(together[k]))
+        return best
+
+
+def _step(values: set[float]) -> float:
+    """Step between the values that a channel takes; 0 when it takes no steps."""
+    v = np.sort(np.fromiter(values, float))
+    if len(v) < 8:
+        return 0.0
+    gaps = np.diff(v)
+    gaps = gaps[gaps > 1e-13]
+    if len(gaps) < 8:
+        return 0.0
+    q = float(np.quantile(gaps, 0.05))
+    near = gaps[gaps < 1.5 * q]
+    q = float(np.median(near))
+    ratio = gaps / q
+    off = np.abs(ratio - np.round(ratio))
+    return q if np.mean(off < 0.02) > 0.95 else 0.0
