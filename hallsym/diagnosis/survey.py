@@ -27,7 +27,10 @@ SPIKE = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A stretch of one run: times, whitened residual (K, samples), reading rates whitened, raw readings."""
+    """A stretch of one run: times, whitened residual (K, samples), what a second of delay does to it, readings.
+
+    `data` holds the model's columns and the rates of the reference; `used` says which samples count.
+    """
 
     run: int
     t: np.ndarray
@@ -35,6 +38,7 @@ class Piece:
     speed: np.ndarray
     readings: np.ndarray
     used: np.ndarray
+    data: dict[str, np.ndarray]
 
 
 @dataclass(eq=False)
@@ -84,7 +88,8 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     )
     run = on_arrays(function)
     log = extended(base.log, model.with_columns(*axes), base.sigma)
-    columns = (*columns_of(model), *(a.name for a in axes), "t_s")
+    wanted = (*columns_of(model), *(a.name for a in axes), "t_s", "temperature_degc")
+    columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
     whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
     for batch in batches(log, columns):
         weights = batch.weights(base.keep)
@@ -100,9 +105,8 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
         for block, at in batch.parts():
             if block.run in runs:
                 used = np.ones(at.stop - at.start, bool) if weights is None else weights[at] > 0
-                yield Piece(
-                    block.run, batch.data["t_s"][at], residual[:, at], speed[:, at], readings[:, at], used
-                )
+                data = {c: v[at] for c, v in batch.data.items()}
+                yield Piece(block.run, data["t_s"], residual[:, at], speed[:, at], readings[:, at], used, data)
 
 
 def survey(base: Base, runs: frozenset[int]) -> Survey:
