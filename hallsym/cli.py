@@ -19,6 +19,7 @@ examples:
   hallsym demo                                    the paper's calibration on the bundled campaign
   hallsym fit LOG --model stage31 -o calib.json   calibrate a stage from your own log
   hallsym evaluate calib.json OTHER_LOG           errors of that calibration on another log
+  hallsym diagnose LOG --model stage31            where the gap lies, why, and how far it shrinks
   hallsym info LOG                                what a log holds, and what is wrong with it
 """
 
@@ -44,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from hallsym import diagnose_command  # it uses this module's options
+
     parser = argparse.ArgumentParser(
         prog="hallsym",
         description="From a log of Hall readings beside a reference to a calibrated position sensor.",
@@ -57,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     _evaluate(sub)
     _info(sub)
     _simulate(sub)
+    diagnose_command.add(sub)
     return parser
 
 

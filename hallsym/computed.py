@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -27,11 +28,17 @@ HALVES = (3, 4, 5, 6, 8, 10, 12, 16, 20, 26, 34, 44, 58, 76, 100)
 """Half widths [samples] that are tried."""
 HALO = 4 * HALVES[-1]
 """Samples of context on either side of a block."""
+ROOM = 100_000_000
+"""Bytes of computed columns that are kept for the next pass over the same log."""
+_KEPT: "WeakKeyDictionary[Log, dict[tuple, np.ndarray]]" = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
 class Computed:
-    """A column made from others: `rule(stretch) -> (samples,)`; `needs` are the logged columns it reads."""
+    """A column made from others: `rule(stretch) -> (samples,)`; `needs` are the logged columns it reads.
+
+    `name` says all that the rule depends on: two columns of one name are one column.
+    """
 
     name: str
     needs: tuple[str, ...]
@@ -148,7 +155,18 @@ class ExtendedLog:
         raw |= dict.fromkeys(c for m in made for c in m.needs) | {"t_s": None}
         for stretch, inner in self._stretches(tuple(raw), size):
             data = {c: stretch.data[c][inner] for c in wanted if c not in self.computed}
-            yield Block(stretch.run, data | {m.name: _finite(m.rule(stretch))[inner] for m in made})
+            yield Block(stretch.run, data | {m.name: self._column(m, stretch, inner) for m in made})
+
+    def _column(self, made: Computed, stretch: Stretch, inner: slice) -> np.ndarray:
+        """Return a computed column of a block, kept for the next pass while there is room."""
+        kept = _KEPT.setdefault(self.log, {})
+        key = (made.name, stretch.run, float(stretch.data["t_s"][inner.start]), inner.stop - inner.start)
+        if key not in kept:
+            values = _finite(made.rule(stretch))[inner]
+            if len(kept) * values.nbytes > ROOM:
+                return values
+            kept[key] = values.copy()
+        return kept[key]
 
     def _stretches(self, columns: tuple[str, ...], size: int) -> Iterator[tuple[Stretch, slice]]:
         """Yield blocks with up to HALO samples of context on either side, and where the block itself lies."""

@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
+from hallsym.decoding import columns_of
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.refit import Refitted, inverse, refit, solve, with_model
 from hallsym.diagnosis.tangent import Base, Tangents, tangents
@@ -62,12 +64,23 @@ def candidates(
         try:
             variants = effect.variants(base.model, facts)
             for variant in variants:
-                out[f"{effect.name}|{variant.label}"] = (effect, variant, *_extended(base.model, effect, variant))
+                wide, new = _extended(base.model, effect, variant)
+                lacking = _lacking(wide, facts)
+                if lacking:
+                    raise InputError(f"no {lacking} logged")
+                out[f"{effect.name}|{variant.label}"] = (effect, variant, wide, new)
         except InputError as error:
             trouble.append(Trouble(effect.name, str(error)))
         except Exception as error:  # a user's effect may raise anything: the others still run
             trouble.append(Trouble(effect.name, f"raised {type(error).__name__}: {error}"))
     return out, trouble
+
+
+def _lacking(model: Model, facts: Facts) -> str | None:
+    """Return a column that the model reads and the log does not have."""
+    made = {c.name for c in model.computed}
+    needed = [*columns_of(model), *(c for m in model.computed for c in m.needs)]
+    return next((c for c in needed if c not in made and c not in facts.columns), None)
 
 
 def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, list[str]]:
@@ -88,6 +101,7 @@ def scores(
 ) -> tuple[list[Score], Tangents]:
     """Score every candidate on `runs`; best first (by BIC), one pass over the log."""
     t = tangents(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
+    tried = _finite(t, tried)
     units = t.units(runs)
     n_base, K = t.span[""].stop, len(base.model.channels)
     basis = np.arange(n_base)
@@ -120,6 +134,17 @@ def scores(
             )
         )  # fmt: skip
     return sorted(out, key=lambda s: s.bic), t
+
+
+def _finite(t: Tangents, tried: dict[str, Any]) -> dict[str, Any]:
+    """Take out candidates whose readings are not finite somewhere, in place, so that they spoil nothing."""
+    bad = ~np.isfinite(t.likelihood).all(axis=(0, 1)) & ~np.isfinite(np.einsum("uii->ui", t.likelihood)).all(axis=0)
+    if not bad.any():
+        return tried
+    for products in (t.likelihood, t.output):
+        products[:, bad] = 0.0
+        products[:, :, bad] = 0.0
+    return {key: entry for key, entry in tried.items() if not bad[t.span[key]].any()}
 
 
 def _bic(cost: float, effective: float, size: int, N: float) -> float:

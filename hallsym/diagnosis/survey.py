@@ -80,12 +80,10 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     s = model.symbols
     reading = s.full(s.reading)
     axes = [rate(c) for c in model.references]
-    slope = ca.jacobian(reading, s.pose) @ ca.SX.sym("v", len(axes))
-    v = ca.symvar(slope)
-    v = [x for x in v if str(x).startswith("v")]
-    function = ca.Function(
-        "survey", [s.parameters, s.zeros, s.pose, s.state, ca.vertcat(*v)], [ca.densify(reading), ca.densify(slope)]
-    )
+    velocity = ca.SX.sym("velocity", len(axes))
+    slope = ca.jacobian(reading, s.pose) @ velocity
+    inputs = [s.parameters, s.zeros, s.pose, s.state, velocity]
+    function = ca.Function("survey", inputs, [ca.densify(reading), ca.densify(slope)])
     run = on_arrays(function)
     log = extended(base.log, model.with_columns(*axes), base.sigma)
     wanted = (*columns_of(model), *(a.name for a in axes), "t_s", "temperature_degc")

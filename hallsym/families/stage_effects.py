@@ -359,7 +359,7 @@ def hysteresis(width_m: float, gains: Sequence[float] = ()) -> Make:
         names = [f"{what}_{k}" for what in ("loop", "loop_start") for k in labels]
         columns = [
             Computed(
-                f"{name}_{label}_{width_m:.6g}",
+                f"{name}_{label}_{width_m / abs(gains[k] if gains else 1.0):.6g}",
                 AXES,
                 lambda s, k=k, rule=rule: rule(_felt(model, k, s), width_m / abs(gains[k] if gains else 1.0)),
             )
