@@ -30,7 +30,7 @@ HALO = 4 * HALVES[-1]
 """Samples of context on either side of a block."""
 ROOM = 100_000_000
 """Bytes of computed columns that are kept for the next pass over the same log."""
-_KEPT: "WeakKeyDictionary[Log, dict[tuple, np.ndarray]]" = WeakKeyDictionary()
+_KEPT: WeakKeyDictionary[Log, dict[tuple, np.ndarray]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def _windows(half: int, order: int) -> np.ndarray:
 
 
 def _local(x: np.ndarray, half: int, order: int) -> np.ndarray:
-    """Derivative per sample^order by local polynomials; near the ends by the polynomial of the last window."""
+    """Derivative per sample^order by local polynomials; near the ends by that of the last window."""
     weights = _windows(half, order)
     out = np.empty(len(x))
     out[half:-half] = np.convolve(x, weights[half][::-1], mode="valid")
@@ -109,7 +109,7 @@ def _local(x: np.ndarray, half: int, order: int) -> np.ndarray:
 
 
 def widest_half(x: np.ndarray, sigma: float) -> int:
-    """Return the half width of the widest window that leaves no more than noise of standard deviation sigma."""
+    """Return the half width of the widest window that leaves no more than noise of deviation sigma."""
     best, level = HALVES[0], sigma**2
     for half in HALVES:
         if 2 * half + 1 > len(x):
@@ -191,7 +191,8 @@ class _Held:
 
     def __init__(self, run: int, data: dict[str, np.ndarray], origin: float, sigma: Mapping[str, float]):
         self.run, self.data, self.origin, self.sigma = run, data, origin, sigma
-        self.first, self.done, self.halves = float(data["t_s"][0]), 0, {}
+        self.first, self.done = float(data["t_s"][0]), 0
+        self.halves: dict[str, int] = {}
 
     def add(self, data: dict[str, np.ndarray]) -> None:
         self.data = {c: np.concatenate([v, data[c]]) for c, v in self.data.items()}

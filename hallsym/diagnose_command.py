@@ -17,17 +17,21 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = cli._command(
         sub, "diagnose", run, "where the gap lies, which effect makes it, how far it shrinks",
-        "Fit a model on a log, find what it leaves above the noise, which effect of the catalogue explains it,\n"
-        "and how far the gap shrinks once that effect is added, judged on held-out runs.",
+        "Fit a model on a log, find what it leaves above the noise, which effect explains it, and how\n"
+        "far the gap shrinks once that effect is added, judged on held-out runs.",
         "examples:\n"
         "  hallsym diagnose LOG --model stage31\n"
         "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
         "  hallsym diagnose LOG --effects my_effects.py",
     )  # fmt: skip
     parser.add_argument("log", metavar="LOG", help="log, or a folder with log and meta.json")
-    parser.add_argument("--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)")
+    parser.add_argument(
+        "--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)"
+    )
     parser.add_argument("--effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
-    parser.add_argument("--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)")
+    parser.add_argument(
+        "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
+    )
     parser.add_argument("-o", "--output", metavar="JSON", help="save the diagnosis")
     cli._model_options(parser, "the log's base_model, else stage31")
     cli._log_options(parser)

@@ -16,7 +16,8 @@ from hallsym.log import Log, Meta, Noise, Sigma
 TRUTH = published.values("table7_estimates")
 SIGMA = {
     **dict.fromkeys(("hall_a_m", "hall_b_m", "hall_c_m"), 0.5e-6),
-    "x_ref_m": 0.3e-6, "y_ref_m": 0.3e-6, "rz_ref_rad": 0.5e-6, "z_m": 12e-9, "rx_rad": 80e-9, "ry_rad": 80e-9,
+    "x_ref_m": 0.3e-6, "y_ref_m": 0.3e-6, "rz_ref_rad": 0.5e-6,
+    "z_m": 12e-9, "rx_rad": 80e-9, "ry_rad": 80e-9,
 }  # fmt: skip
 STEP = 0.002
 
@@ -43,13 +44,13 @@ Inject = Callable[[Motion, np.random.Generator], None]
 def grid(rng: np.random.Generator, settings: int = 19, span: float = 2.5e-4) -> list[Motion]:
     """Single-axis sines at many vertical settings, as in the paper."""
     runs, start = [], 0.0
-    for k in range(settings):
+    for _ in range(settings):
         level = rng.uniform(-1, 1, 3) * np.array([span, 2 * span, 2 * span])
         for axis, size in ((1, 500e-6), (0, 300e-6), (2, 300e-6)):
             t = np.arange(500) * STEP
             pose = np.zeros((3, 500))
             pose[axis] = size * np.sin(2 * np.pi * t)
-            runs.append(_run(t, start, pose, np.tile(level[:, None], 500), (3 * k + axis) / (3 * settings)))
+            runs.append(_run(t, start, pose, np.tile(level[:, None], 500), len(runs) / (3 * settings)))
             start += rng.uniform(15, 45)
     return runs
 
@@ -76,18 +77,21 @@ def raster(rng: np.random.Generator) -> list[Motion]:
     runs, start = [], 0.0
     for k in range(8):
         t = np.arange(4000) * STEP
-        tri = lambda f, p: 1 - 4 * np.abs(np.mod(f * t + p, 1) - 0.5)  # noqa: E731
         fast, slow = rng.uniform(0.8, 1.2), rng.uniform(0.08, 0.15)
         a, b = (fast, slow) if k % 2 else (slow, fast)
-        pose = np.array([280e-6 * tri(a, rng.random()), 470e-6 * tri(b, rng.random()),
+        pose = np.array([280e-6 * _triangle(a * t + rng.random()), 470e-6 * _triangle(b * t + rng.random()),
                          250e-6 * np.sin(2 * np.pi * rng.uniform(0.1, 0.3) * t)])  # fmt: skip
-        pose = np.array([np.convolve(np.pad(row, 8, mode="reflect", reflect_type="odd"), np.ones(17) / 17, "valid")
-                         for row in pose])  # fmt: skip
+        wide = np.pad(pose, ((0, 0), (8, 8)), mode="reflect", reflect_type="odd")
+        pose = np.array([np.convolve(row, np.ones(17) / 17, "valid") for row in wide])
         state = np.array([s * np.sin(2 * np.pi * rng.uniform(0.05, 0.2) * t + rng.uniform(0, 6.28))
                           for s in (1e-4, 2e-4, 2e-4)])  # fmt: skip
         runs.append(_run(t, start, pose, state, k / 8))
         start += rng.uniform(30, 40)
     return runs
+
+
+def _triangle(phase: np.ndarray) -> np.ndarray:
+    return 1 - 4 * np.abs(np.mod(phase, 1) - 0.5)
 
 
 CAMPAIGNS = {"grid": grid, "multisine": multisine, "raster": raster}
@@ -148,7 +152,10 @@ def machine(
         out = {"run": np.full(n, number), "t_s": run.start + run.t}
         for k, c in enumerate(("hall_a_m", "hall_b_m", "hall_c_m")):
             out[c] = run.reading[k] + SIGMA[c] * _noise(rng, n, noise, pink)
-        for rows, names in ((run.reference, ("x_ref_m", "y_ref_m", "rz_ref_rad")), (run.state, ("z_m", "rx_rad", "ry_rad"))):
+        for rows, names in (
+            (run.reference, ("x_ref_m", "y_ref_m", "rz_ref_rad")),
+            (run.state, ("z_m", "rx_rad", "ry_rad")),
+        ):
             for row, c in zip(rows, names, strict=True):
                 out[c] = row + SIGMA[c] * _noise(rng, n, noise, 0.0)
         if temperature:
@@ -230,7 +237,11 @@ def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
 
     def lag(tau: float) -> Callable[[Motion], np.ndarray]:
         def filtered(m: Motion) -> np.ndarray:
-            memory, state, out = np.exp(-STEP / tau), m.reading[:, 0] - tau * _d(m.reading)[:, 0], np.empty_like(m.reading)
+            memory, state, out = (
+                np.exp(-STEP / tau),
+                m.reading[:, 0] - tau * _d(m.reading)[:, 0],
+                np.empty_like(m.reading),
+            )
             for k in range(m.reading.shape[1]):
                 u0 = m.reading[:, max(k - 1, 0)]
                 slope = (m.reading[:, k] - u0) / STEP
@@ -299,12 +310,22 @@ def faulty(rng: np.random.Generator) -> Mapping[str, Inject]:
         for c in halls:
             out[c] = np.round(out[c] / 2.5e-6) * 2.5e-6
 
-    return {"outliers": outliers, "dropped_samples": dropped, "clock_jitter": jitter, "adc_quantisation": steps}
+    return {
+        "outliers": outliers,
+        "dropped_samples": dropped,
+        "clock_jitter": jitter,
+        "adc_quantisation": steps,
+    }
 
 
 def unlisted(rng: np.random.Generator) -> Mapping[str, Inject]:
     """Effects that no catalogue lists."""
-    place, width, per, ring = rng.uniform(-1e-4, 1e-4), rng.uniform(2e-5, 5e-5), rng.uniform(2e-5, 6e-5), rng.uniform(20, 35)
+    place, width, per, ring = (
+        rng.uniform(-1e-4, 1e-4),
+        rng.uniform(2e-5, 5e-5),
+        rng.uniform(2e-5, 6e-5),
+        rng.uniform(20, 35),
+    )
     a = rng.uniform(0.5, 1.0, 3)[:, None]
 
     def add(f: Callable[[Motion], np.ndarray]) -> Inject:

@@ -18,7 +18,7 @@ from hallsym.calibration import Fit
 from hallsym.cost import cost_of
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
-from hallsym.diagnosis.faults import Fault, faults
+from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
 from hallsym.diagnosis.ranking import Exact, Score, by_name, candidates, distance, refitted, scores
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation
 from hallsym.diagnosis.refit import Refitted, refit
@@ -74,10 +74,18 @@ def diagnose(
     say("fitting the model")
     chosen_model = model.model if isinstance(model, Fit) else model
     result = fitting.fit(
-        log, chosen_model, solver="direct", holdout=apart, resolve_wiring=True, drop_bad=drop_bad, on_progress=say
+        log,
+        chosen_model,
+        solver="direct",
+        holdout=apart,
+        resolve_wiring=True,
+        drop_bad=drop_bad,
+        on_progress=say,
     )
     if result.model.family != "stage":
-        raise InputError(f"Model {result.model.name} has no catalogue of effects yet; only stage models have.")
+        raise InputError(
+            f"Model {result.model.name} has no catalogue of effects yet; only stage models have."
+        )
     wiring = result.wiring
     base = base_of(log, result)
     runs = [r for r in base.log.runs if r not in apart]
@@ -146,7 +154,12 @@ class _Search:
     """The greedy search; after `run`, what it found."""
 
     def __init__(
-        self, base: Base, runs: list[int], catalogue: Sequence[Effect], level: float, say: Callable[[str], None]
+        self,
+        base: Base,
+        runs: list[int],
+        catalogue: Sequence[Effect],
+        level: float,
+        say: Callable[[str], None],
     ) -> None:
         self.runs, self.catalogue, self.level, self.say = runs, tuple(catalogue), level, say
         self.start = refit(base, runs)
@@ -174,7 +187,9 @@ class _Search:
         facts = facts_of(at.base, self.runs, self.survey)
         tried, trouble = candidates(at.base, self.catalogue, facts)
         self.not_testable |= {t.name: t.reason for t in trouble}
-        ranked, _ = scores(at.base, tried, self.runs, TYPICAL_INFLATION)
+        ranked, t = scores(at.base, tried, self.runs, TYPICAL_INFLATION)
+        for key in t.spoiled:
+            self.not_testable[key.split("|")[0]] = "its readings are not finite on this log"
         for score in by_name(ranked):
             if score.absorbed:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
@@ -225,14 +240,26 @@ def _report(
     final = survey(replace(now, keep=None), frozenset(search.runs))
     kept = survey(now, frozenset(search.runs)) if now.keep else final
     inflation = kept.inflation
-    before, after = _before(plain, log, apart, rows, result), block_errors(replace(now, keep=None), apart, rows, None)
+    before, after = (
+        _before(plain, log, apart, rows, result),
+        block_errors(replace(now, keep=None), apart, rows, None),
+    )
     floor = dict(result.noise_floor)
-    floor_metric = float(np.sqrt(sum((start.length_m * v if c.startswith("r") else v) ** 2 for c, v in floor.items())))
+    floor_metric = float(
+        np.sqrt(sum((start.length_m * v if c.startswith("r") else v) ** 2 for c, v in floor.items()))
+    )
     spoiled = [f for f in faults(now, final) if 1 - np.sqrt(max(1 - f.power, 0.0)) >= level]
     if after.metric <= floor_metric * (1 + ALLOWANCE):
         spoiled = []
-    scale = float(np.sqrt(max(1 - sum(f.power for f in spoiled), 1e-6)))
-    left = max(after.metric * scale, min(floor_metric, after.metric))
+    cured = after
+    if any(f.name in TAILS for f in spoiled):
+        now = replace(now, keep=without_tail(now))
+        search.now = refit(now, search.runs)
+        now = search.now.base
+        cured = block_errors(now, apart, rows, now.keep)
+    smooth = [f for f in spoiled if f.name not in TAILS]
+    left = cured.metric * float(np.sqrt(max(1 - sum(f.power for f in smooth), 1e-6)))
+    left = max(left, min(floor_metric, cured.metric))
     scale = left / after.metric
     effects = _effects(search, before, after, floor_metric, inflation, apart, rows)
     effects += [_fault_record(f, scale, before, after, floor_metric) for f in spoiled]
@@ -245,9 +272,13 @@ def _report(
     ranked = _ranked(effects, search) if verdict != "no gap" else []
     smaller = _smaller(search, inflation)
     if verdict == "no gap":
-        smaller = [{"name": e.name, "shrinkage": e.shrinkage, "p_value": e.p_value} for e in effects] + smaller
-    gap_after = after.gap()
-    gap_after = {k: {c: v * (scale if k == "rmse" else 1.0) for c, v in row.items()} for k, row in gap_after.items()}
+        smaller = [
+            {"name": e.name, "shrinkage": e.shrinkage, "p_value": e.p_value} for e in effects
+        ] + smaller
+    rest = left / cured.metric
+    gap_after = {
+        k: {c: v * (rest if k == "rmse" else 1.0) for c, v in row.items()} for k, row in cured.gap().items()
+    }
     if verdict == "no gap":
         gap_after, left, effects = before.gap(), before.metric, []
     low, high = interval(before, after)
@@ -279,7 +310,7 @@ def _report(
         log={**result.log, "runs_fitted": len(search.runs)},
         notes=result.notes,
         seconds=seconds,
-        versions=result.versions,
+        versions=dict(result.versions),
     )
 
 
@@ -352,12 +383,14 @@ def _effects(
     return out
 
 
-def _fault_record(fault: Fault, scale: float, before: BlockErrors, after: BlockErrors, floor: float) -> FoundEffect:
+def _fault_record(
+    fault: Fault, scale: float, before: BlockErrors, after: BlockErrors, floor: float
+) -> FoundEffect:
     excess = max(before.metric**2 - floor**2, 1e-300)
     share = float(np.clip((1 - scale**2) * after.metric**2 / excess, 0.0, 1.0))
     return FoundEffect(
-        fault.name, fault.link, fault.text, fault.parameters, fault.p_value, 1 - scale, (1 - scale, 1 - scale),
-        share, "no parameter: a repair, not a model",
+        fault.name, fault.link, fault.text, fault.parameters, fault.p_value, 1 - scale,
+        (1 - scale, 1 - scale), share, "no parameter: a repair, not a model",
     )  # fmt: skip
 
 
@@ -365,7 +398,9 @@ def _miswired(model: Model, wiring: Wiring) -> bool:
     return any(source != c or sign < 0 for c, (source, sign) in zip(model.channels, wiring, strict=True))
 
 
-def _wiring_record(model: Model, wiring: Wiring, before: BlockErrors, left: float, floor: float) -> FoundEffect:
+def _wiring_record(
+    model: Model, wiring: Wiring, before: BlockErrors, left: float, floor: float
+) -> FoundEffect:
     swapped = [c for c, (source, _) in zip(model.channels, wiring, strict=True) if source != c]
     flipped = [source for source, sign in wiring if sign < 0]
     what = f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted"
@@ -408,18 +443,27 @@ def _smaller(search: _Search, inflation: float) -> list[dict[str, Any]]:
     out, tested = [], len(search.catalogue)
     names = {f.exact.score.effect.name for f in search.found}
     for score in by_name(search.last):
-        p = min(1.0, float(chi2.sf(chi2.isf(max(score.p_value, 1e-300), score.size) * TYPICAL_INFLATION / inflation, score.size)) * tested)
+        statistic = chi2.isf(max(score.p_value, 1e-300), score.size) * TYPICAL_INFLATION / inflation
+        p = min(1.0, float(chi2.sf(statistic, score.size)) * tested)
         if p < SMALL and score.ratio < 1.0 and score.effect.name not in names:
             out.append({"name": score.effect.name, "shrinkage": 1 - score.ratio, "p_value": p})
     return out
 
 
 def _sentence(
-    verdict: str, effects: Sequence[FoundEffect], groups: Sequence[tuple[str, ...]], before: float, left: float, floor: float
+    verdict: str,
+    effects: Sequence[FoundEffect],
+    groups: Sequence[tuple[str, ...]],
+    before: float,
+    left: float,
+    floor: float,
 ) -> str:
-    said = f"The gap on the held-out runs is {1e6 * before:.3g} um, {before / max(floor, 1e-300):.3g} x the noise floor"
+    times = before / max(floor, 1e-300)
+    said = f"The gap on the held-out runs is {1e6 * before:.3g} um, {times:.3g} x the noise floor"
     if verdict == "no gap":
-        return f"No gap: {1e6 * before:.3g} um on the held-out runs is what noise leaves ({1e6 * floor:.3g} um)."
+        return (
+            f"No gap: {1e6 * before:.3g} um on the held-out runs is what noise leaves ({1e6 * floor:.3g} um)."
+        )
     if not effects:
         return f"{said}; no known effect explains it."
     named = " and ".join(next((" or ".join(g) for g in groups if e.name in g), e.name) for e in effects)
@@ -429,7 +473,13 @@ def _sentence(
 
 def _source(result: Fit) -> str:
     sources = {s.source for s in result.noise.sigmas.values()}
-    return "stated" if sources == {"given"} else "estimated" if sources == {"estimated"} else "stated and estimated"
+    return (
+        "stated"
+        if sources == {"given"}
+        else "estimated"
+        if sources == {"estimated"}
+        else "stated and estimated"
+    )
 
 
 def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ RESAMPLED = 1000
 
 @dataclass(frozen=True, eq=False)
 class BlockErrors:
-    """Squared decoded errors by block of consecutive samples: `count` (b,), `squares` (b, pose), `peak` (pose,)."""
+    """Decoded errors by block of samples: `count` (b,), sums of `squares` (b, pose), `peak` (pose,)."""
 
     pose: tuple[str, ...]
     length_m: float
@@ -100,7 +100,11 @@ def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None)
                 squares.append((part**2).sum(axis=1))
                 peak = np.maximum(peak, np.abs(part).max(axis=1, initial=0.0))
     return BlockErrors(
-        model.pose, base.length_m, np.array(count, float), np.array(squares).reshape(-1, len(model.pose)), peak
+        model.pose,
+        base.length_m,
+        np.array(count, float),
+        np.array(squares).reshape(-1, len(model.pose)),
+        peak,
     )
 
 

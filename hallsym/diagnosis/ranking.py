@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -86,7 +85,9 @@ def _lacking(model: Model, facts: Facts) -> str | None:
 def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, list[str]]:
     wide = variant.make(model)
     if not isinstance(wide, Model):
-        raise InputError(f"Effect {effect.name} must return a Model; instead it returned {type(wide).__name__}.")
+        raise InputError(
+            f"Effect {effect.name} must return a Model; instead it returned {type(wide).__name__}."
+        )
     new = [p.name for p in wide.parameters if p.name not in model.names]
     if not new:
         raise InputError(f"Effect {effect.name} adds no parameter, so there is nothing to test.")
@@ -101,7 +102,7 @@ def scores(
 ) -> tuple[list[Score], Tangents]:
     """Score every candidate on `runs`; best first (by BIC), one pass over the log."""
     t = tangents(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
-    tried = _finite(t, tried)
+    tried = {key: entry for key, entry in tried.items() if key not in t.spoiled}
     units = t.units(runs)
     n_base, K = t.span[""].stop, len(base.model.channels)
     basis = np.arange(n_base)
@@ -136,17 +137,6 @@ def scores(
     return sorted(out, key=lambda s: s.bic), t
 
 
-def _finite(t: Tangents, tried: dict[str, Any]) -> dict[str, Any]:
-    """Take out candidates whose readings are not finite somewhere, in place, so that they spoil nothing."""
-    bad = ~np.isfinite(t.likelihood).all(axis=(0, 1)) & ~np.isfinite(np.einsum("uii->ui", t.likelihood)).all(axis=0)
-    if not bad.any():
-        return tried
-    for products in (t.likelihood, t.output):
-        products[:, bad] = 0.0
-        products[:, :, bad] = 0.0
-    return {key: entry for key, entry in tried.items() if not bad[t.span[key]].any()}
-
-
 def _bic(cost: float, effective: float, size: int, N: float) -> float:
     return float(effective * np.log(max(cost, 1e-300) / N) + size * np.log(max(effective, 2.0)))
 
@@ -163,7 +153,9 @@ def _projector(M: np.ndarray, basis: np.ndarray) -> np.ndarray:
     return T
 
 
-def _fold(t: Tangents, units: np.ndarray, fold: np.ndarray, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _fold(
+    t: Tangents, units: np.ndarray, fold: np.ndarray, basis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Training products with the basis taken out, and the output products of the fold, alike."""
     train = t.likelihood[np.setdiff1d(units, fold)].sum(axis=0)
     T = _projector(train, basis)
@@ -171,7 +163,11 @@ def _fold(t: Tangents, units: np.ndarray, fold: np.ndarray, basis: np.ndarray) -
 
 
 def _cross_validated(
-    parts: list[tuple[np.ndarray, np.ndarray]], at: np.ndarray, lower: np.ndarray, upper: np.ndarray, plain: float
+    parts: list[tuple[np.ndarray, np.ndarray]],
+    at: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    plain: float,
 ) -> float:
     total = 0.0
     for train, test in parts:
@@ -222,7 +218,8 @@ def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, inflatio
     effect, shape = score.effect, score.variant.shape
     if effect.refine is None or shape is None:
         return score
-    finer = replace(effect, variants=lambda m, f: effect.refine(m, f, shape))
+    refine, width = effect.refine, float(shape)
+    finer = replace(effect, variants=lambda m, f: refine(m, f, width))
     tried, _ = candidates(base, [finer], facts)
     ranked, _ = scores(base, tried, runs, inflation)
     best = min([score, *ranked], key=lambda s: s.bic)

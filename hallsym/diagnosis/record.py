@@ -64,9 +64,9 @@ class Diagnosis:
     """The answer of `diagnose`: verdict, where, which, how far the gap shrinks. SI units throughout.
 
     `noise_floor`: `{"x_m": .., "source": "stated" or "estimated"}`. `ranked`: names that carry evidence, best
-    first. `groups`: names that this log cannot tell apart. `metric`: the scalar gap metric before, after and of
-    the floor. `smaller_findings`: significant but not worth the threshold. `remaining`: where what no effect
-    explains lies.
+    first. `groups`: names that this log cannot tell apart. `metric`: the scalar gap metric [m] before,
+    after, and of the floor. `smaller_findings`: significant but not worth the threshold. `remaining`: where
+    what no effect explains lies.
     """
 
     verdict: str

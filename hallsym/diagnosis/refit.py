@@ -109,5 +109,7 @@ def _moved(base: Base, t: Tangents, step: np.ndarray) -> Base:
     if not len(base.model.zeros):
         return replace(base, p=p)
     # the residual is r = v-combination of the columns: zeros take -follow of it
-    zeros = {run: base.zeros.get(run, 0.0) - follow @ v for run, follow in zip(t.order, t.follow, strict=True)}
+    zeros = {
+        run: base.zeros.get(run, 0.0) - follow @ v for run, follow in zip(t.order, t.follow, strict=True)
+    }
     return replace(base, p=p, zeros=zeros)

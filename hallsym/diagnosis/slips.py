@@ -16,7 +16,9 @@ def instants(base: Base, runs: Sequence[int], rows: int) -> tuple[tuple[int, flo
     names = [f"eta_{probe.label}" for probe in base.model.layout]
     if not base.model.zeros or any(n not in base.model.names for n in names):
         return ()
-    places = [base.free.index(base.model.names.index(n)) for n in names if base.model.names.index(n) in base.free]
+    places = [
+        base.free.index(base.model.names.index(n)) for n in names if base.model.names.index(n) in base.free
+    ]
     if len(places) < len(names):
         return ()
     segments = _segments(base, set(runs), max(SEGMENT, -(-rows // MAX_SEGMENTS)))
@@ -36,9 +38,9 @@ def _best(segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z:
     """Instant at which a step of probe k's gain and offset lowers the squares most."""
     order = list(dict.fromkeys(run for run, _, _ in segments))
     by_run = {run: [s for s in segments if s[0] == run] for run in order}
-    whole = {run: sum(s[2] for s in parts) for run, parts in by_run.items()}
+    whole = {run: np.sum([s[2] for s in parts], axis=0) for run, parts in by_run.items()}
     reduced = {run: _reduced(M, z) for run, M in whole.items()}
-    total = sum(reduced.values())
+    total = np.sum(list(reduced.values()), axis=0)
     n = len(total) - 1
     JJ = inverse(total[:n, :n])
     after = np.zeros_like(total)
@@ -49,7 +51,10 @@ def _best(segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z:
         for j in range(len(parts) - 1, -1, -1):
             late = late + parts[j][2]
             if j == 0:  # between runs: the offset is the zero's
-                step = (after + reduced[run])[:, [column]], (after + reduced[run])[[column], [column]][:, None]
+                step = (
+                    (after + reduced[run])[:, [column]],
+                    (after + reduced[run])[[column], [column]][:, None],
+                )
             else:
                 step = _split(whole[run], late, after, k, column, z)
             gain = _gain(total, JJ, *step)

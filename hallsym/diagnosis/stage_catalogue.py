@@ -1,11 +1,23 @@
 """The catalogue of the stage: the field's names, each with the ways in which it may act."""
 
+from collections.abc import Callable
+
+import casadi as ca
+
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.families import stage_effects as se
-from hallsym.model import Model
+from hallsym.model import Model, Signals
 
 WIDTHS = (2e-6, 6e-6, 1.5e-5, 4e-5, 1e-4, 2.5e-4)
 """Half-widths of the play that are tried [m]; refined around the best."""
+
+
+ARMS = ((0, "ry_rad"), (1, "rx_rad"))
+ALL_ARMS = tuple((i, c) for i in (0, 1) for c in ("z_m", "rx_rad", "ry_rad"))
+
+
+def _warm(facts: Facts) -> tuple[list[str], Callable[[Signals], list[ca.SX]]]:
+    return se.temperature(facts.temperature or 0.0)
 
 
 def _one(label: str, make: se.Make) -> list[Variant]:
@@ -36,10 +48,14 @@ def _offset_time(model: Model, facts: Facts) -> list[Variant]:
     T, out = facts.duration_s, []
     for degree in (1, 2, 3):
         columns, read = se.powers_of_time(T, degree)
-        out.append(Variant(f"polynomial of degree {degree}", se.offset_drift("offset_time_drift", columns, read)))
+        out.append(
+            Variant(f"polynomial of degree {degree}", se.offset_drift("offset_time_drift", columns, read))
+        )
     for tau in (T / 16, T / 5):
         columns, read = se.settling(tau)
-        out.append(Variant(f"settling, {tau:.3g} s", se.offset_drift("offset_time_drift", columns, read), 1, tau))
+        out.append(
+            Variant(f"settling, {tau:.3g} s", se.offset_drift("offset_time_drift", columns, read), 1, tau)
+        )
     return out
 
 
@@ -50,13 +66,17 @@ def _slips(model: Model, facts: Facts) -> list[Variant]:
 
 def _hums(model: Model, facts: Facts) -> list[Variant]:
     out = [Variant(f"{f:.5g} Hz", se.mains_hum(f), 1, f) for f in facts.lines_hz]
-    return out + [Variant(f"{f:.5g} Hz and harmonics", se.mains_hum(f, (1, 2, 3)), 1, f) for f in facts.lines_hz]
+    return out + [
+        Variant(f"{f:.5g} Hz and harmonics", se.mains_hum(f, (1, 2, 3)), 1, f) for f in facts.lines_hz
+    ]
 
 
 def _clipping(model: Model, facts: Facts) -> list[Variant]:
     out = []
     for high, low in zip(facts.extremes[0::2], facts.extremes[1::2], strict=True):
-        out.append(Variant("both rails", se.saturation([max(h, -v) for h, v in zip(high, low, strict=True)], 0), 1))
+        out.append(
+            Variant("both rails", se.saturation([max(h, -v) for h, v in zip(high, low, strict=True)], 0), 1)
+        )
     return out
 
 
@@ -83,7 +103,8 @@ CATALOGUE: tuple[Effect, ...] = (
            "x and y moved together, and each alone"),
     Effect("second_order_rotation", "mechanics", "finite rotation that the small-angle model drops",
            lambda m, f: [] if "exact_rotation" in m.effects else
-           [Variant("rigid stage", se.second_order_rotation), Variant("term by term", se.second_order_rotation_body)],
+           [Variant("rigid stage", se.second_order_rotation),
+            Variant("term by term", se.second_order_rotation_body)],
            "large Rz while x and y are off centre"),
     Effect("vertical_offset_coupling", "mechanics", "reading follows Z, Rx, Ry whatever the stroke",
            lambda m, f: _one("nine lever arms", se.vertical_offset_coupling),
@@ -97,12 +118,14 @@ CATALOGUE: tuple[Effect, ...] = (
                          Variant("a time constant per probe", se.delayed("first_order_lag", False))],
            "the same motion at higher frequencies: a lag lowers the amplitude, a delay does not"),
     Effect("hysteresis", "field", "memory of the direction of motion", _hysteresis,
-           "the same stroke at several speeds: a loop keeps its width, a delay does not", refine=_finer_hysteresis),
+           "the same stroke at several speeds: a loop keeps its width, a delay does not",
+           refine=_finer_hysteresis),
     Effect("gain_temperature_drift", "transducer", "gain follows the logged temperature",
-           lambda m, f: _one("linear", se.gain_drift("gain_temperature_drift", *se.temperature(f.temperature or 0.0))),
-           "warm up and cool down, so that temperature is not a function of time", needs=("temperature_degc",)),
+           lambda m, f: _one("linear", se.gain_drift("gain_temperature_drift", *_warm(f))),
+           "warm up and cool down, so that temperature is not a function of time",
+           needs=("temperature_degc",)),
     Effect("offset_temperature_drift", "transducer", "offset follows the logged temperature",
-           lambda m, f: _one("linear", se.offset_drift("offset_temperature_drift", *se.temperature(f.temperature or 0.0))),
+           lambda m, f: _one("linear", se.offset_drift("offset_temperature_drift", *_warm(f))),
            "long runs over which the temperature changes", needs=("temperature_degc",)),
     Effect("gain_time_drift", "transducer", "gain drifts smoothly over the campaign", _gain_time,
            "the first setting again at the end; log the temperature"),
@@ -117,12 +140,12 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("saturation", "electronics", "readings stop at a rail", _clipping, "strokes of several lengths"),
     Effect("mains_hum", "electronics", "50 or 60 Hz pick-up", _hums, "a run at rest on the full clock"),
     Effect("reference_scale_error", "reference", "scale factor of a reference axis",
-           lambda m, f: _one("three factors", se.reference_scale_error()), "a known length beside the reference"),
+           lambda m, f: _one("three factors", se.reference_scale_error()),
+           "a known length beside the reference"),
     Effect("reference_abbe_error", "reference", "the reference reads tilt times an Abbe arm",
-           lambda m, f: [Variant("x with Ry, y with Rx", se.reference_abbe_error(((0, "ry_rad"), (1, "rx_rad")))),
-                         Variant("x and y with Z, Rx, Ry", se.reference_abbe_error(
-                             tuple((i, c) for i in (0, 1) for c in ("z_m", "rx_rad", "ry_rad"))))],
-           "Rx and Ry moved within a run while the rest stands still, with a second reference at another height"),
+           lambda m, f: [Variant("x with Ry, y with Rx", se.reference_abbe_error(ARMS)),
+                         Variant("x and y with Z, Rx, Ry", se.reference_abbe_error(ALL_ARMS))],
+           "Rx and Ry moved within a run while the rest stands still, beside a second reference"),
     Effect("reference_drift", "reference", "the reference creeps within a run",
            lambda m, f: _one("one rate per axis", se.reference_drift()), "a long run at rest"),
 )  # fmt: skip

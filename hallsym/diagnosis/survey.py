@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.stats import chi2
 
 from hallsym.arrays import on_arrays
 from hallsym.batches import batches
@@ -21,13 +23,14 @@ MAINS = ((46.0, 54.0), (56.0, 64.0))
 SEGMENT = 64
 """Samples of a segment between two instants at which a slip is looked for."""
 LAGS = 64
+WINDOW = 9
 SPIKE = 6.0
 """Standard deviations beyond which a sample counts as a spike."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A stretch of one run: times, whitened residual (K, samples), what a second of delay does to it, readings.
+    """A stretch of one run: times, whitened residual (K, samples), its slope with time shift, readings.
 
     `data` holds the model's columns and the rates of the reference; `used` says which samples count.
     """
@@ -48,7 +51,8 @@ class Survey:
     `inflation`: variance of a slow average of the residual over that of white noise of the same size.
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
     `jitter_s`: rms sampling-instant error that explains residual growing with speed, with `jitter_z` its
-    significance. `stale_share`, `spike_share`: share of samples. `adc_step`: (K,) step seen, 0 for none.
+    significance. `stale_share`, `spike_share`: share of samples, `one_sided` the mean sign of the stale ones'
+    delay, `quiet` the whitened variance of all others. `adc_step`: (K,) step seen, 0 for none.
     `lines_hz`: mains lines; `line_power`: their share of the residual's power.
     """
 
@@ -67,6 +71,7 @@ class Survey:
     spike_share: float = 0.0
     spike_power: float = 0.0
     one_sided: float = 0.0
+    quiet: float = 1.0
     adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
     lines_hz: tuple[float, ...] = ()
     line_power: float = 0.0
@@ -104,7 +109,9 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
             if block.run in runs:
                 used = np.ones(at.stop - at.start, bool) if weights is None else weights[at] > 0
                 data = {c: v[at] for c, v in batch.data.items()}
-                yield Piece(block.run, data["t_s"], residual[:, at], speed[:, at], readings[:, at], used, data)
+                yield Piece(
+                    block.run, data["t_s"], residual[:, at], speed[:, at], readings[:, at], used, data
+                )
 
 
 def survey(base: Base, runs: frozenset[int]) -> Survey:
@@ -174,12 +181,16 @@ class _Work:
             self.wave.append((t, smooth))
 
     def _instants(self, piece: Piece) -> None:
-        """Time shift of each sample that its residual asks for, in standard deviations."""
+        """Time shift of each sample that its residual asks for, in standard deviations.
+
+        What changes smoothly is a gap of the model and not of samples: a running median takes it out.
+        """
+        quick = piece.residual - median_filter(piece.residual, size=(1, WINDOW), mode="nearest")
         information = np.einsum("ks,ks->s", piece.speed, piece.speed)
-        along = np.einsum("ks,ks->s", piece.speed, piece.residual)
+        along = np.einsum("ks,ks->s", piece.speed, quick)
         size = np.sqrt(np.maximum(information, 1e-300))
         z = along / size
-        rest = np.einsum("ks,ks->s", piece.residual, piece.residual) - z**2
+        rest = np.einsum("ks,ks->s", quick, quick) - z**2
         self.shift.append(np.array([z, size, rest, piece.used]))
 
     def finish(self) -> Survey:
@@ -196,25 +207,30 @@ class _Work:
         return f
 
     def _judge_instants(self) -> None:
-        f, (z, size, rest, used) = self.found, np.hstack(self.shift)
-        scale = 1.4826 * np.median(np.abs(z)) if len(z) else 1.0
-        scale = max(scale, 0.5)
-        level = max(float(np.median(rest)) / max(1.386, 0.45 * (self.K - 1)), 0.25) if self.K > 1 else 1.0
-        spikes = rest > SPIKE**2 * level + 12
-        late = (np.abs(z) > SPIKE * scale) & ~spikes
-        f.spike_share = float(spikes.mean())
-        f.spike_power = float((rest[spikes] + z[spikes] ** 2).sum()) / (f.count * self.K)
-        quiet = ~spikes
-        x, y = size[quiet] ** 2, z[quiet] ** 2
-        clipped = np.minimum(y, (4 * SPIKE * scale) ** 2)
-        slope, base = np.polyfit(x / max(x.mean(), 1e-300), clipped, 1) if len(x) > 100 else (0.0, 1.0)
-        spread = float(np.std(clipped)) / max(np.sqrt(len(x)) * float(np.std(x / max(x.mean(), 1e-300))), 1e-12)
-        f.jitter_z = float(slope / max(spread, 1e-300))
-        f.jitter_s = float(np.sqrt(max(slope, 0.0) / max(x.mean(), 1e-300)))
-        f.jitter_power = float(max(slope, 0.0)) / self.K
-        f.stale_share = float(late.mean())
-        f.stale_power = float((z[late] ** 2).sum()) / (f.count * self.K)
+        """Split the residual into what a time shift explains (z) and the rest, each into body and tail.
+
+        The body is judged by medians, which rare samples do not move: its growth with speed is jitter. What
+        the mean of squares has beyond that is the tail: samples that are late, or spikes.
+        """
+        f, (z, size, rest, _) = self.found, np.hstack(self.shift)
+        if len(z) < 200:
+            return
+        body, slope, error = _growth(z, size)
+        f.jitter_z = slope / max(error, 1e-300)
+        slope = max(slope, 0.0) if f.jitter_z > 0 else 0.0
+        f.jitter_s = float(np.sqrt(slope))
+        f.jitter_power = float(slope * np.mean(size**2)) / self.K
+        expected = body + slope * size**2
+        quiet = max(float(np.median(rest)) / float(chi2.median(max(self.K - 1, 1))), 0.25)
+        spikes = rest > quiet * (SPIKE**2 + 12)
+        late = (z**2 > SPIKE**2 * expected) & ~spikes
+        f.spike_share, f.stale_share = float(spikes.mean()), float(late.mean())
+        normal = ~spikes & ~late
+        tail_z = max(0.0, float(np.mean(np.where(spikes, 0.0, z**2 - expected))))
+        f.spike_power = float((rest[spikes] + z[spikes] ** 2).sum()) / (len(z) * self.K)
+        f.stale_power = tail_z / self.K if late.any() else 0.0
         f.one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
+        f.quiet = float((rest + z**2)[normal].mean()) / self.K
 
     def _judge_lines(self) -> None:
         f = self.found
@@ -237,7 +253,12 @@ class _Work:
         span = max(times[-1] - times[0], longest)
         best = (peak, -1.0)
         for centre in peak + np.linspace(-0.5, 0.5, 9) / longest:
-            a = np.array([s @ np.exp(-2j * np.pi * centre * (t - m)) for (t, s), m in zip(self.wave, times, strict=True)])
+            a = np.array(
+                [
+                    s @ np.exp(-2j * np.pi * centre * (t - m))
+                    for (t, s), m in zip(self.wave, times, strict=True)
+                ]
+            )
             offsets = np.arange(-0.07 / longest, 0.07 / longest, 0.2 / span)
             turn = np.exp(-2j * np.pi * np.outer(centre + offsets, times - times[0]))
             together = (np.abs(turn @ a) ** 2).sum(axis=1) / total
@@ -245,6 +266,20 @@ class _Work:
             if together[k] > best[1]:
                 best = (float(centre + offsets[k]), float(together[k]))
         return best
+
+
+def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
+    """Variance of z at rest, its growth with size^2 and the standard error of that, from medians in bins."""
+    order = np.argsort(size)
+    bins = np.array_split(order, 12)
+    x = np.array([np.mean(size[b] ** 2) for b in bins])
+    y = np.array([np.median(z[b] ** 2) for b in bins]) / 0.4549
+    error = np.maximum(y, 0.3) * 2.4 / np.sqrt([len(b) for b in bins])
+    A = np.column_stack([np.ones(len(x)), x]) / error[:, None]
+    scale = np.linalg.norm(A, axis=0)
+    covariance = np.linalg.pinv((A / scale).T @ (A / scale)) / np.outer(scale, scale)
+    body, slope = covariance @ A.T @ (y / error)
+    return float(np.clip(body, 0.2, None)), float(slope), float(np.sqrt(covariance[1, 1]))
 
 
 def _step(values: set[float]) -> float:

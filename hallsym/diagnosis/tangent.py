@@ -65,6 +65,8 @@ class Tangents:
     """(runs, zeros, c): how the zeros of a run follow the other columns."""
     order: tuple[int, ...]
     """The runs of `follow`."""
+    spoiled: frozenset[str] = frozenset()
+    """Candidates whose slope is not finite somewhere; their columns are 0."""
 
     def units(self, runs: Sequence[int]) -> np.ndarray:
         """Return the index of the units whose runs are all among `runs`."""
@@ -94,7 +96,9 @@ def _base_functions(model: Model) -> tuple[Signature, Signature]:
 
 
 def tangents(
-    base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]], on_rows: Callable[[int], None] | None = None
+    base: Base,
+    candidates: Mapping[str, tuple[Model, Sequence[str]]],
+    on_rows: Callable[[int], None] | None = None,
 ) -> Tangents:
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
@@ -102,7 +106,9 @@ def tangents(
     """
     work = Products(base, candidates)
     log = extended(base.log, _with_rules(base.model, [m for m, _ in candidates.values()]), base.sigma)
-    columns = tuple(dict.fromkeys(c for m in (base.model, *(m for m, _ in candidates.values())) for c in columns_of(m)))
+    columns = tuple(
+        dict.fromkeys(c for m in (base.model, *(m for m, _ in candidates.values())) for c in columns_of(m))
+    )
     for batch in batches(log, columns, on_rows):
         work.add(batch, batch.weights(base.keep))
     return work.result()
@@ -117,7 +123,9 @@ def _with_rules(model: Model, others: Sequence[Model]) -> Model:
 class Products:
     """Accumulates the products of each run."""
 
-    def __init__(self, base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None) -> None:
+    def __init__(
+        self, base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
+    ) -> None:
         self.base = base
         self.read, self.gain = _base_functions(base.model)
         self.z, self.n = len(base.model.zeros), len(base.free)
@@ -125,7 +133,7 @@ class Products:
         self.span, at = {"": slice(0, self.n)}, self.n
         for key, (model, new) in (candidates or {}).items():
             p = model.vector(dict(zip(base.model.names, base.p.tolist(), strict=True)))
-            self.signatures.append((signature(model, new), model, p, len(new)))
+            self.signatures.append((key, signature(model, new), model, p, len(new)))
             self.span[key] = slice(at, at + len(new))
             at += len(new)
         self.size = self.z + at + 1
@@ -134,6 +142,7 @@ class Products:
         self.run: int | None = None
         self.done: list[tuple[int, np.ndarray, np.ndarray, float]] = []
         self.follow: list[np.ndarray] = []
+        self.spoiled: set[str] = set()
 
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
@@ -161,8 +170,11 @@ class Products:
         if self.z:
             A[: self.z] = slopes[1].reshape(-1, K, samples)
         at = self.z + self.n
-        for run, extended_model, p, new in self.signatures:
+        for key, run, extended_model, p, new in self.signatures:
             (slope,) = run(p, zeros, pose, batch.columns(extended_model.state))
+            if not np.isfinite(slope).all():
+                self.spoiled.add(key)
+                slope = np.zeros_like(slope)
             A[at : at + new] = slope.reshape(new, K, samples)
             at += new
         A[-1] = np.array(batch.columns(model.channels)) - reading
@@ -195,7 +207,9 @@ class Products:
         if len(self.done) > len(self.follow) + 1:
             self.done[-2] = self._reduced(self.done[-2])
 
-    def _reduced(self, entry: tuple[int, np.ndarray, np.ndarray, float]) -> tuple[int, np.ndarray, np.ndarray, float]:
+    def _reduced(
+        self, entry: tuple[int, np.ndarray, np.ndarray, float]
+    ) -> tuple[int, np.ndarray, np.ndarray, float]:
         """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
         run, white, out, count = entry
         z = self.z
@@ -208,6 +222,7 @@ class Products:
         return run, T.T @ white @ T, T.T @ out @ T, count
 
     def result(self) -> Tangents:
+        """Return what has been gathered."""
         if len(self.done) > len(self.follow):
             self.done[-1] = self._reduced(self.done[-1])
         return Tangents(
@@ -218,4 +233,5 @@ class Products:
             self.span,
             np.array(self.follow),
             tuple(run for run, *_ in self.done),
+            frozenset(self.spoiled),
         )

@@ -12,11 +12,12 @@ def diagnosis_text(d: Diagnosis) -> str:
     source = d.noise_floor["source"]
     floor = {c: v for c, v in d.noise_floor.items() if c != "source"}
     rows = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"held out": d.gap_before}
+    judged = f"judged on {len(d.validation_runs)} runs that were neither fitted nor chosen on"
     parts = [
         d.sentence,
         "",
-        f"verdict: {d.verdict} ({d.model}, threshold {100 * d.threshold:g} %, judged on {len(d.validation_runs)} "
-        f"runs that were neither fitted nor chosen on; noise floor from {source} noise; {d.seconds:.1f} s)",
+        f"verdict: {d.verdict} ({d.model}, threshold {100 * d.threshold:g} %, {judged}; "
+        f"noise floor from {source} noise; {d.seconds:.1f} s)",
         "",
         error_rows(tuple(floor), rows, floor),
     ]
@@ -24,7 +25,8 @@ def diagnosis_text(d: Diagnosis) -> str:
         parts += ["", effect_text(d.effects), "", *(_parameters(e) for e in d.effects if e.parameters)]
         low, high = d.shrinkage["interval"]
         parts.append(
-            f"the gap shrinks by {100 * d.shrinkage['value']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f}); "
+            f"the gap shrinks by {100 * d.shrinkage['value']:.1f} % "
+            f"(95 %: {100 * low:.1f} to {100 * high:.1f}); "
             f"{100 * d.shrinkage['share_closed']:.0f} % of what is above the floor is closed with "
             f"{d.shrinkage['parameters_added']} parameters"
         )

@@ -10,7 +10,7 @@ from hallsym.model import Model
 
 
 def user_effect(make: Callable[[Model], Model]) -> Effect:
-    """Return a plain function `Model -> Model` as an effect of the catalogue; its docstring is its meaning."""
+    """Return a plain function `Model -> Model` as an effect; its docstring is its meaning."""
     meaning = (make.__doc__ or "").strip().split("\n")[0]
 
     def variants(model: Model, facts: Facts) -> list[Variant]:
@@ -34,6 +34,10 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     except Exception as error:
         raise InputError(f"Effects file {path} cannot be run: {type(error).__name__}: {error}.") from error
     listed = getattr(module, "EFFECTS", None)
-    if not isinstance(listed, Sequence) or not listed or not all(isinstance(e, Effect) or callable(e) for e in listed):
+    if (
+        not isinstance(listed, Sequence)
+        or not listed
+        or not all(isinstance(e, Effect) or callable(e) for e in listed)
+    ):
         raise InputError(f"Effects file {path} must define EFFECTS, a tuple of functions Model -> Model.")
     return tuple(e if isinstance(e, Effect) else user_effect(e) for e in listed)

@@ -17,7 +17,8 @@ BANDS = (0.0, 0.5, 2.0, 5.0, 10.0, 20.0, 45.0, 55.0, 65.0)
 
 NAMES = {
     "x_ref_m": "place in the stroke of x", "y_ref_m": "place in the stroke of y", "rz_ref_rad": "rotation Rz",
-    "z_m": "height Z", "rx_rad": "tilt Rx", "ry_rad": "tilt Ry", "temperature_degc": "temperature", "t_s": "time",
+    "z_m": "height Z", "rx_rad": "tilt Rx", "ry_rad": "tilt Ry",
+    "temperature_degc": "temperature", "t_s": "time",
     "d1_x_ref_m": "velocity of x", "d1_y_ref_m": "velocity of y", "d1_rz_ref_rad": "velocity of Rz",
 }  # fmt: skip
 
@@ -54,14 +55,16 @@ def where(base: Base, runs: Sequence[int], inflation: float) -> tuple[Statement,
     out = [_of_channel(base, k, channel[k] - count, excess, count * inflation) for k in range(K)]
     for c, parts in sums.items():
         out.append(_of_bins(NAMES.get(c, c), "offset or gain in bins", parts, K, excess, inflation))
-    out.append(_of_bins("run", "offset or gain of its own", np.array(list(by_run.values())), K, excess, inflation))
+    out.append(
+        _of_bins("run", "offset or gain of its own", np.array(list(by_run.values())), K, excess, inflation)
+    )
     out += _of_bands(bands, excess, inflation)
     kept = [s for s in out if s.p_value < LEVEL and s.share > LEAST]
     return tuple(sorted(kept, key=lambda s: -s.share))
 
 
 def _edges(base: Base, runs: frozenset[int]) -> dict[str, np.ndarray]:
-    """Inner bin edges of each coordinate: quantiles of a sample of the log; direction splits a velocity at 0."""
+    """Inner bin edges of each coordinate: quantiles of a sample of the log."""
     seen: dict[str, list[np.ndarray]] = {}
     for piece in pieces(base, runs):
         for c in NAMES:

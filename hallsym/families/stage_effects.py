@@ -5,6 +5,7 @@ its sensing axis, v the motion across it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from math import pi
 
 import casadi as ca
@@ -34,7 +35,12 @@ def _column(p: Mapping[str, ca.SX], names: Sequence[str]) -> ca.SX:
 
 
 def _add(
-    model: Model, link: str, effect: str, parameters: tuple[Parameter, ...], step: Step, *columns: str | Computed
+    model: Model,
+    link: str,
+    effect: str,
+    parameters: tuple[Parameter, ...],
+    step: Step,
+    *columns: str | Computed,
 ) -> Model:
     return model.with_columns(*columns).with_step(link, step, effect=effect, parameters=parameters)
 
@@ -90,7 +96,9 @@ def cross_axis_sensitivity(terms: Sequence[str]) -> Make:
             u, v = s["displacement"], _across(model, s, p)
             for t in terms:
                 i, j = CROSS[t]
-                s["displacement"] = s["displacement"] + _column(p, names[t]) * u**i * v**j / UNIT ** (i + j - 1)
+                s["displacement"] = s["displacement"] + _column(p, names[t]) * u**i * v**j / UNIT ** (
+                    i + j - 1
+                )
 
         new = _free([n for row in names.values() for n in row], 0.5, "1", "share of 0.5 mm at 0.5 mm")
         return _add(model, "field", "cross_axis_sensitivity", new, step)
@@ -144,7 +152,9 @@ def height_quadratic(model: Model) -> Model:
     return _add(model, "transducer", "height_quadratic", new, step)
 
 
-def gain_drift(effect: str, columns: Sequence[Computed | str], read: Callable[[Signals], list[ca.SX]]) -> Make:
+def gain_drift(
+    effect: str, columns: Sequence[Computed | str], read: Callable[[Signals], list[ca.SX]]
+) -> Make:
     """Gain times 1 + sum of g f(t), g per probe; f are data-only functions of the columns."""
 
     def make(model: Model) -> Model:
@@ -162,7 +172,9 @@ def gain_drift(effect: str, columns: Sequence[Computed | str], read: Callable[[S
     return make
 
 
-def offset_drift(effect: str, columns: Sequence[Computed | str], read: Callable[[Signals], list[ca.SX]]) -> Make:
+def offset_drift(
+    effect: str, columns: Sequence[Computed | str], read: Callable[[Signals], list[ca.SX]]
+) -> Make:
     """Reading plus sum of o f(t), o per probe."""
 
     def make(model: Model) -> Model:
@@ -253,7 +265,9 @@ def second_order_rotation_body(model: Model) -> Model:
     return _add(model, "mechanics", "second_order_rotation", _free(names, 3.0, "1", "share"), step)
 
 
-def _reference(effect: str, terms: Sequence[tuple[int, str]], limit: float, unit: str, *columns: Computed) -> Make:
+def _reference(
+    effect: str, terms: Sequence[tuple[int, str]], limit: float, unit: str, *columns: Computed
+) -> Make:
     """Logged pose coordinate i = true + e column: each probe is expected to feel less by that much."""
 
     def make(model: Model) -> Model:
@@ -265,7 +279,9 @@ def _reference(effect: str, terms: Sequence[tuple[int, str]], limit: float, unit
                 error[i] = error[i] + p[name] * s[c]
             s["displacement"] = s["displacement"] - _along(model, p, *error)
 
-        return _add(model, "reference", effect, _free(names, limit, unit, "error of the reference"), step, *columns)
+        return _add(
+            model, "reference", effect, _free(names, limit, unit, "error of the reference"), step, *columns
+        )
 
     return make
 
@@ -311,7 +327,9 @@ def delayed(effect: str, shared: bool) -> Make:
                 moved = _along(model, p, *(s[f"d{n}_{c}"] for c in AXES))
                 s["displacement"] = s["displacement"] + factor * tau**n * moved
 
-        return _add(model, "reference" if effect == "time_skew" else "transducer", effect, new, step, *columns)
+        return _add(
+            model, "reference" if effect == "time_skew" else "transducer", effect, new, step, *columns
+        )
 
     return make
 
@@ -335,7 +353,7 @@ def stop_operator(u: np.ndarray, width: float) -> np.ndarray:
     turns = np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1
     edges = [0, *turns.tolist(), len(u) - 1]
     z[0] = state
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in pairwise(edges):
         z[a + 1 : b + 1] = np.clip(state + (u[a + 1 : b + 1] - u[a]) / width, -1.0, 1.0)
         state = z[b]
     return z
@@ -348,8 +366,31 @@ def first_travel(u: np.ndarray, width: float) -> np.ndarray:
     return ahead * np.maximum(0.0, 1.0 - travel / width)
 
 
+def _memory(
+    name: str, rule: Callable[[np.ndarray, float], np.ndarray], model: Model, k: int, width: float
+) -> Computed:
+    """Return `rule` of what probe k feels, as a column."""
+
+    def column(s: Stretch) -> np.ndarray:
+        return rule(_felt(model, k, s), width)
+
+    return Computed(f"{name}_{_labels(model)[k]}_{width:.6g}", AXES, column)
+
+
+def _wave(kind: str, frequency_hz: float) -> Computed:
+    """Return a sine or cosine of campaign time, as a column."""
+    wave = np.sin if kind == "sin" else np.cos
+
+    def column(s: Stretch) -> np.ndarray:
+        return np.asarray(wave(2 * pi * frequency_hz * (s.data["t_s"] - s.origin_s)))
+
+    return Computed(f"{kind}_{frequency_hz:.9g}", (), column)
+
+
 def hysteresis(width_m: float, gains: Sequence[float] = ()) -> Make:
-    """Displacement plus h z, z the elastic part of a play of the given half-width [m of reading]; h per probe.
+    """Displacement plus h z, z the elastic part of a play of half-width `width_m`; h per probe.
+
+    The width is in m of reading.
 
     A run starts in a state nobody knows: a second parameter per probe is what of it fades along first travel.
     """
@@ -357,14 +398,11 @@ def hysteresis(width_m: float, gains: Sequence[float] = ()) -> Make:
     def make(model: Model) -> Model:
         labels = _labels(model)
         names = [f"{what}_{k}" for what in ("loop", "loop_start") for k in labels]
+        widths = [width_m / abs(gains[k] if gains else 1.0) for k in range(len(labels))]
         columns = [
-            Computed(
-                f"{name}_{label}_{width_m / abs(gains[k] if gains else 1.0):.6g}",
-                AXES,
-                lambda s, k=k, rule=rule: rule(_felt(model, k, s), width_m / abs(gains[k] if gains else 1.0)),
-            )
+            _memory(name, rule, model, k, widths[k])
             for name, rule in (("stop", stop_operator), ("first", first_travel))
-            for k, label in enumerate(labels)
+            for k in range(len(labels))
         ]
 
         def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
@@ -382,7 +420,9 @@ def mount_slip(probe: int, instant_s: float) -> Make:
 
     def make(model: Model) -> Model:
         label = _labels(model)[probe]
-        column = Computed(f"after_{instant_s:.9g}", (), lambda s: (s.data["t_s"] - s.origin_s >= instant_s) * 1.0)
+        column = Computed(
+            f"after_{instant_s:.9g}", (), lambda s: (s.data["t_s"] - s.origin_s >= instant_s) * 1.0
+        )
         new = (
             Parameter(f"slip_gain_{label}", 0.0, -0.5, 0.5, "1", "step of the gain"),
             Parameter(f"slip_offset_{label}", 0.0, -1e-3, 1e-3, "m", "step of the offset"),
@@ -405,7 +445,10 @@ def motor_stray_field(positions: Sequence[str] = ()) -> Make:
 
     def make(model: Model) -> Model:
         terms = ["", *positions]
-        names = [[f"stray_{k}_{a}{'_' + q if q else ''}" for q in terms for a in model.pose] for k in _labels(model)]
+        names = [
+            [f"stray_{k}_{a}{'_' + q if q else ''}" for q in terms for a in model.pose]
+            for k in _labels(model)
+        ]
         columns = [rate(c, 2) for c in AXES]
 
         def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
@@ -423,15 +466,7 @@ def mains_hum(frequency_hz: float, harmonics: Sequence[int] = (1,)) -> Make:
     """Reading plus a sine at the mains frequency (and harmonics), amplitude and phase per probe."""
 
     def make(model: Model) -> Model:
-        waves = [
-            Computed(
-                f"{kind}_{n * frequency_hz:.9g}",
-                (),
-                lambda s, n=n, wave=wave: wave(2 * pi * n * frequency_hz * (s.data["t_s"] - s.origin_s)),
-            )
-            for n in harmonics
-            for kind, wave in (("sin", np.sin), ("cos", np.cos))
-        ]
+        waves = [_wave(kind, n * frequency_hz) for n in harmonics for kind in ("sin", "cos")]
         names = [[f"hum_{w.name}_{k}" for w in waves] for k in _labels(model)]
 
         def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
