@@ -108,12 +108,13 @@ def base_of(log: Log, result: Fit) -> Base:
         covariance=point.covariance.mean(axis=0),
         free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
         length_m=log.meta.gap_length_scale_m or 0.35,
+        apart=frozenset(result.log["holdout"]),
         sigma=sigma,
         keep=result.keep,
     )
 
 
-def facts_of(base: Base, runs: Sequence[int], found: Survey) -> Facts:
+def facts_of(base: Base, found: Survey) -> Facts:
     """Return what effects may know of the log; numbers searched for in the residual of `base`."""
     model, log = base.model, base.log
     temperature = _mean(log, "temperature_degc") if "temperature_degc" in log.columns else None
@@ -124,7 +125,8 @@ def facts_of(base: Base, runs: Sequence[int], found: Survey) -> Facts:
         temperature=temperature,
         extremes=_extremes(log, model),
         lines_hz=found.lines_hz,
-        instants=instants(base, runs, log.rows),
+        # before or after: a held-out run says it of itself, like its zero deviation
+        instants=instants(base, log.runs, log.rows),
         gains=tuple(float(base.p[model.names.index(f"eta_{p.label}")]) for p in model.layout),
     )
 
@@ -184,7 +186,7 @@ class _Search:
     def step(self, at: Refitted) -> tuple[list[Exact], list[Score]]:
         """Score the catalogue at `at` and refit what is promising."""
         self.survey = survey(at.base, frozenset(self.runs))
-        facts = facts_of(at.base, self.runs, self.survey)
+        facts = facts_of(at.base, self.survey)
         tried, trouble = candidates(at.base, self.catalogue, facts)
         self.not_testable |= {t.name: t.reason for t in trouble}
         ranked, t = scores(at.base, tried, self.runs, TYPICAL_INFLATION)
@@ -269,7 +271,7 @@ def _report(
     drop = 1 - left / before.metric
     verdict = _verdict(bool(effects), drop, before.metric, left, floor_metric, level)
     groups, separate = _groups(search, inflation) if verdict != "no gap" else ([], [])
-    ranked = _ranked(effects, search) if verdict != "no gap" else []
+    ranked = _ranked(effects, groups, search) if verdict != "no gap" else []
     smaller = _smaller(search, inflation)
     if verdict == "no gap":
         smaller = [
@@ -432,10 +434,11 @@ def _groups(search: _Search, inflation: float) -> tuple[list[tuple[str, ...]], l
     return groups, separate
 
 
-def _ranked(effects: Sequence[FoundEffect], search: _Search) -> list[str]:
-    """Names that carry evidence: the effects found by share, then what came close to each."""
+def _ranked(effects: Sequence[FoundEffect], groups: Sequence[tuple[str, ...]], search: _Search) -> list[str]:
+    """Names that carry evidence: the effects by share, what is the same on this log, what came close."""
     rivals = [r.score.effect.name for f in search.found for r in f.rivals]
-    return list(dict.fromkeys([*(e.name for e in effects), *rivals]))
+    grouped = [name for group in groups for name in group]
+    return list(dict.fromkeys([*(e.name for e in effects), *grouped, *rivals]))
 
 
 def _smaller(search: _Search, inflation: float) -> list[dict[str, Any]]:

@@ -23,6 +23,8 @@ MAINS = ((46.0, 54.0), (56.0, 64.0))
 SEGMENT = 64
 """Samples of a segment between two instants at which a slip is looked for."""
 LAGS = 64
+ENOUGH = 1_000_000
+"""Samples that are looked at one by one; of a longer log every 64th block beyond."""
 WINDOW = 9
 SPIKE = 6.0
 """Standard deviations beyond which a sample counts as a spike."""
@@ -132,7 +134,7 @@ class _Work:
         self.spectra: list[tuple[float, float, np.ndarray]] = []
         self.values: list[set[float]] = [set() for _ in range(channels)]
         self.largest: list[np.ndarray] = []
-        self.repeats = 0
+        self.seen = self.skipped = 0
         self.wave: list[tuple[np.ndarray, np.ndarray]] = []
         self.jitter = np.zeros(5)
         self.first: float | None = None
@@ -185,6 +187,11 @@ class _Work:
 
         What changes smoothly is a gap of the model and not of samples: a running median takes it out.
         """
+        if self.seen > ENOUGH:
+            self.skipped = (self.skipped + 1) % 64
+            if self.skipped:
+                return
+        self.seen += len(piece.t)
         quick = piece.residual - median_filter(piece.residual, size=(1, WINDOW), mode="nearest")
         information = np.einsum("ks,ks->s", piece.speed, piece.speed)
         along = np.einsum("ks,ks->s", piece.speed, quick)

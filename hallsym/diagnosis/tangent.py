@@ -29,7 +29,8 @@ class Base:
     """A fitted model on a log: what all tangents are taken at.
 
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
-    parameters that the fit moves; `length_m`: what turns rotation into length in the gap metric.
+    parameters that the fit moves; `length_m`: what turns rotation into length in the gap metric; `apart`:
+    held-out runs.
     """
 
     log: Log
@@ -39,6 +40,7 @@ class Base:
     covariance: np.ndarray
     free: tuple[int, ...]
     length_m: float
+    apart: frozenset[int]
     sigma: Mapping[str, float]
     keep: Weigh | None = None
 
@@ -74,6 +76,8 @@ class Tangents:
         return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
 
 
+Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
+"""Runs, products for the likelihood, products in the output, samples."""
 Signature = Callable[..., list[np.ndarray]]
 
 
@@ -140,7 +144,9 @@ class Products:
         self.whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
         self.scale = np.where(np.arange(len(base.model.pose)) == 2, base.length_m, 1.0)
         self.run: int | None = None
-        self.done: list[tuple[int, np.ndarray, np.ndarray, float]] = []
+        self.done: list[Unit] = []
+        self.order: list[int] = []
+        self.begun = 0
         self.follow: list[np.ndarray] = []
         self.spoiled: set[str] = set()
 
@@ -199,17 +205,34 @@ class Products:
 
     def _gather(self, run: int, white: np.ndarray, out: np.ndarray, count: float) -> None:
         if run != self.run:
-            self.done.append((run, white, out, count))
+            self.done.append(((run,), white, out, count))
+            self.order.append(run)
+            self.begun += 1
             self.run = run
         else:
             _, w, o, c = self.done[-1]
-            self.done[-1] = (run, w + white, o + out, c + count)
-        if len(self.done) > len(self.follow) + 1:
+            self.done[-1] = ((run,), w + white, o + out, c + count)
+        if len(self.done) > 1 and len(self.follow) < self.begun - 1:
             self.done[-2] = self._reduced(self.done[-2])
+            if len(self.done) > 2 * UNITS:
+                self._pool()
 
-    def _reduced(
-        self, entry: tuple[int, np.ndarray, np.ndarray, float]
-    ) -> tuple[int, np.ndarray, np.ndarray, float]:
+    def _pool(self) -> None:
+        """Pool neighbouring units of the same side, all but the last, which is still being read."""
+        sides: dict[bool, list[Unit]] = {True: [], False: []}
+        for unit in self.done[:-1]:
+            sides[unit[0][0] in self.base.apart].append(unit)
+        pooled = []
+        for units in sides.values():
+            for k in range(0, len(units), 2):
+                pair = units[k : k + 2]
+                runs = tuple(run for r, *_ in pair for run in r)
+                white = np.sum([w for _, w, _, _ in pair], axis=0)
+                out = np.sum([o for _, _, o, _ in pair], axis=0)
+                pooled.append((runs, white, out, float(sum(count for *_, count in pair))))
+        self.done[:-1] = pooled
+
+    def _reduced(self, entry: Unit) -> Unit:
         """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
         run, white, out, count = entry
         z = self.z
@@ -223,15 +246,15 @@ class Products:
 
     def result(self) -> Tangents:
         """Return what has been gathered."""
-        if len(self.done) > len(self.follow):
+        if self.done and len(self.follow) < self.begun:
             self.done[-1] = self._reduced(self.done[-1])
         return Tangents(
             np.array([w for _, w, _, _ in self.done]),
             np.array([o for _, _, o, _ in self.done]),
             np.array([c for *_, c in self.done]),
-            tuple((run,) for run, *_ in self.done),
+            tuple(runs for runs, *_ in self.done),
             self.span,
             np.array(self.follow),
-            tuple(run for run, *_ in self.done),
+            tuple(self.order),
             frozenset(self.spoiled),
         )
