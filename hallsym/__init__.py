@@ -10,6 +10,7 @@
 from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign
 from hallsym.decoding import ErrorTable, judge
+from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.fitting import fit, refit
@@ -20,6 +21,7 @@ from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
 
 __all__ = [
     "Campaign",
+    "Diagnosis",
     "ErrorTable",
     "Fit",
     "InputError",
@@ -32,6 +34,7 @@ __all__ = [
     "Parameter",
     "build",
     "bundled_campaign",
+    "diagnose",
     "fit",
     "judge",
     "load_fit",

@@ -5,17 +5,18 @@ promising ones are refitted exactly, the best is kept if it lowers the gap metri
 within the fit runs. Only the final set is judged, once, on the held-out runs.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from hallsym import fitting
 from hallsym.calibration import Fit
 from hallsym.cost import cost_of
+from hallsym.decoding import columns_of
+from hallsym.diagnosis.chance import chance, statistic_at
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
@@ -28,7 +29,8 @@ from hallsym.diagnosis.survey import Survey, survey
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.where import where
 from hallsym.errors import InputError
-from hallsym.log import Log
+from hallsym.families import build
+from hallsym.log import Log, clean_log
 from hallsym.model import Model
 from hallsym.summary import summarise
 from hallsym.wiring import Wiring, rewired
@@ -72,16 +74,7 @@ def diagnose(
     apart = _holdout(log, holdout)
     level = _threshold(log, threshold)
     say("fitting the model")
-    chosen_model = model.model if isinstance(model, Fit) else model
-    result = fitting.fit(
-        log,
-        chosen_model,
-        solver="direct",
-        holdout=apart,
-        resolve_wiring=True,
-        drop_bad=drop_bad,
-        on_progress=say,
-    )
+    log, result = _fitted(log, model, apart, drop_bad, say)
     if result.model.family != "stage":
         raise InputError(
             f"Model {result.model.name} has no catalogue of effects yet; only stage models have."
@@ -92,6 +85,36 @@ def diagnose(
     search = _Search(base, runs, (*CATALOGUE, *effects), level, say)
     search.run()
     return _report(search, log, result, apart, wiring, level, perf_counter() - began)
+
+
+def _fitted(
+    log: Log,
+    model: str | Model | Fit | None,
+    apart: tuple[int, ...],
+    drop_bad: bool,
+    say: Callable[[str], None],
+) -> tuple[Log, Fit]:
+    """Fit the model; samples that no fit can use are left out, which is then noted."""
+    if isinstance(model, Fit):
+        model = model.model
+    if not isinstance(model, Model):
+        model = build(model or log.meta.base_model or "stage31", meta=log.meta)
+
+    def fitted(source: Log) -> Fit:
+        return fitting.fit(
+            source, model, solver="direct", holdout=apart, resolve_wiring=True, on_progress=say
+        )
+
+    if not drop_bad:
+        try:
+            return log, fitted(log)
+        except InputError as error:
+            refused = error
+    cleaned = clean_log(log, columns_of(model))
+    if not drop_bad and cleaned.rows == log.rows:
+        raise refused
+    result = fitted(cleaned)
+    return cleaned, replace(result, notes=(*cleaned.notes, *result.notes))
 
 
 def base_of(log: Log, result: Fit) -> Base:
@@ -310,7 +333,7 @@ def _report(
         threshold=level,
         model=result.model.name,
         log={**result.log, "runs_fitted": len(search.runs)},
-        notes=result.notes,
+        notes=tuple(dict.fromkeys(result.notes)),
         seconds=seconds,
         versions=dict(result.versions),
     )
@@ -356,7 +379,7 @@ def _effects(
         errors = block_errors(replace(without.base, keep=None), apart, rows, None) if others else before
         score = found.exact.score
         gain = max(without.cost - search.now.cost, 0.0)
-        p = float(chi2.sf(gain / (noise * inflation), score.size))
+        p = chance(gain / (noise * inflation), score.size)
         new = [n for n in score.model.names if n not in without.base.model.names]
         model = search.now.base.model
         values = {
@@ -446,8 +469,8 @@ def _smaller(search: _Search, inflation: float) -> list[dict[str, Any]]:
     out, tested = [], len(search.catalogue)
     names = {f.exact.score.effect.name for f in search.found}
     for score in by_name(search.last):
-        statistic = chi2.isf(max(score.p_value, 1e-300), score.size) * TYPICAL_INFLATION / inflation
-        p = min(1.0, float(chi2.sf(statistic, score.size)) * tested)
+        statistic = statistic_at(max(score.p_value, 1e-300), score.size) * TYPICAL_INFLATION / inflation
+        p = min(1.0, chance(statistic, score.size) * tested)
         if p < SMALL and score.ratio < 1.0 and score.effect.name not in names:
             out.append({"name": score.effect.name, "shrinkage": 1 - score.ratio, "p_value": p})
     return out
@@ -502,7 +525,3 @@ def _threshold(log: Log, threshold: float | None) -> float:
     if not 0 < level < 1:
         raise InputError(f"Input threshold of diagnose must be between 0 and 1; instead received {level:g}.")
     return float(level)
-
-
-__all__: Sequence[str] = ("base_of", "diagnose", "facts_of")
-_Values = Mapping[str, float]

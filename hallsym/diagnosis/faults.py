@@ -6,9 +6,9 @@ They are judged on what the best model leaves. What each costs is what the gap w
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from hallsym.batches import Weigh
+from hallsym.diagnosis.chance import statistic_at
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.survey import Survey
 from hallsym.diagnosis.tangent import Base
@@ -81,7 +81,7 @@ def without_tail(base: Base) -> Weigh:
 
     def weigh(block: Block) -> np.ndarray:
         distance = ((whiten @ residual(block)) ** 2).sum(axis=0)
-        typical = max(float(np.median(distance)) / float(chi2.median(len(whiten))), 0.5)
+        typical = max(float(np.median(distance)) / statistic_at(0.5, len(whiten)), 0.5)
         near = (distance < FAR * typical).astype(float)
         return near if base.keep is None else near * base.keep(block)
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from hallsym.decoding import columns_of
+from hallsym.diagnosis.chance import chance
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.refit import Refitted, inverse, refit, solve, with_model
 from hallsym.diagnosis.tangent import Base, Tangents, tangents
@@ -131,7 +131,7 @@ def scores(
             Score(
                 effect, variant, model, gain, len(new) + variant.shapes,
                 _bic(cost, N / inflation, len(new) + variant.shapes, N), ratio,
-                float(chi2.sf(gain / (noise * inflation), len(new) + variant.shapes)), absorbed,
+                chance(gain / (noise * inflation), len(new) + variant.shapes), absorbed,
             )
         )  # fmt: skip
     return sorted(out, key=lambda s: s.bic), t

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.stats import chi2
 
 from hallsym.arrays import on_arrays
 from hallsym.batches import batches
 from hallsym.computed import extended, rate
 from hallsym.decoding import columns_of
+from hallsym.diagnosis.chance import statistic_at
 from hallsym.diagnosis.tangent import Base
 
 MAINS = ((46.0, 54.0), (56.0, 64.0))
@@ -228,7 +228,7 @@ class _Work:
         f.jitter_s = float(np.sqrt(slope))
         f.jitter_power = float(slope * np.mean(size**2)) / self.K
         expected = body + slope * size**2
-        quiet = max(float(np.median(rest)) / float(chi2.median(max(self.K - 1, 1))), 0.25)
+        quiet = max(float(np.median(rest)) / statistic_at(0.5, max(self.K - 1, 1)), 0.25)
         spikes = rest > quiet * (SPIKE**2 + 12)
         late = (z**2 > SPIKE**2 * expected) & ~spikes
         f.spike_share, f.stale_share = float(spikes.mean()), float(late.mean())

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
 
+from hallsym.diagnosis.chance import chance
 from hallsym.diagnosis.record import Statement
 from hallsym.diagnosis.survey import pieces
 from hallsym.diagnosis.tangent import Base
@@ -80,7 +80,7 @@ def _edges(base: Base, runs: frozenset[int]) -> dict[str, np.ndarray]:
 
 def _of_channel(base: Base, k: int, part: float, excess: float, N: float) -> Statement:
     name, share = base.model.channels[k], part / excess
-    p = float(chi2.sf(max(part, 0.0) ** 2 / (2 * N), 1))
+    p = chance(max(part, 0.0) ** 2 / (2 * N), 1)
     return Statement("sensor", name, share, p, f"{100 * share:.0f} % of the excess is seen by {name}")
 
 
@@ -101,7 +101,7 @@ def _of_bins(by: str, what: str, parts: np.ndarray, K: int, excess: float, infla
         if own > strongest:
             strongest, where_ = own, b
     share = max(0.0, (explained - inflation * size) / excess)
-    p = float(chi2.sf(explained / inflation, max(size, 1)))
+    p = chance(explained / inflation, max(size, 1))
     text = f"{100 * share:.0f} % of the excess is an {what} of {by}" if by != "run" else (
         f"{100 * share:.0f} % of the excess is an {what} in every run")  # fmt: skip
     return Statement(by, f"bin {where_ + 1} of {len(parts)} most", share, p, text)
@@ -126,7 +126,7 @@ def _of_bands(bands: np.ndarray, excess: float, inflation: float) -> list[Statem
             continue
         high = f"{BANDS[k + 1]:g}" if k + 1 < len(BANDS) else "..."
         share = float(power - white) / excess
-        p = float(chi2.sf(power, max(white, 1.0)))
+        p = chance(power, max(white, 1.0))
         text = f"{100 * share:.0f} % of the excess lies at {BANDS[k]:g} to {high} Hz"
         out.append(Statement("frequency", f"{BANDS[k]:g} to {high} Hz", share, p, text))
     return out
