@@ -22,7 +22,9 @@ def instants(base: Base, runs: Sequence[int], rows: int) -> tuple[tuple[int, flo
     if len(places) < len(names):
         return ()
     segments = _segments(base, set(runs), max(SEGMENT, -(-rows // MAX_SEGMENTS)))
-    return tuple(_best(segments, k, column, len(base.model.zeros)) for k, column in enumerate(places))
+    return tuple(
+        _best(segments, k, column, len(base.model.zeros), base.apart) for k, column in enumerate(places)
+    )
 
 
 def _segments(base: Base, runs: set[int], size: int) -> list[tuple[int, float, np.ndarray]]:
@@ -34,8 +36,13 @@ def _segments(base: Base, runs: set[int], size: int) -> list[tuple[int, float, n
     return out
 
 
-def _best(segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z: int) -> tuple[int, float]:
-    """Instant at which a step of probe k's gain and offset lowers the squares most."""
+def _best(
+    segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z: int, apart: frozenset[int]
+) -> tuple[int, float]:
+    """Instant at which a step of probe k's gain and offset lowers the squares most.
+
+    Within a held-out run there is none: nothing that is fitted would know its offset.
+    """
     order = list(dict.fromkeys(run for run, _, _ in segments))
     by_run = {run: [s for s in segments if s[0] == run] for run in order}
     whole = {run: np.sum([s[2] for s in parts], axis=0) for run, parts in by_run.items()}
@@ -50,6 +57,8 @@ def _best(segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z:
         late = np.zeros_like(whole[run])
         for j in range(len(parts) - 1, -1, -1):
             late = late + parts[j][2]
+            if j and run in apart:
+                continue
             if j == 0:  # between runs: the offset is the zero's
                 step = (
                     (after + reduced[run])[:, [column]],
