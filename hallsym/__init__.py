@@ -11,6 +11,7 @@ from hallsym.budget import Budget, Source, position_budget, read_budget, uncerta
 from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign, write_campaign
 from hallsym.decoding import ErrorTable, judge
+from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.fitting import fit, refit
@@ -25,6 +26,7 @@ from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
 __all__ = [
     "Budget",
     "Campaign",
+    "Diagnosis",
     "ErrorTable",
     "Fit",
     "Identifiability",
@@ -42,6 +44,7 @@ __all__ = [
     "Tolerances",
     "build",
     "bundled_campaign",
+    "diagnose",
     "fit",
     "identify",
     "judge",

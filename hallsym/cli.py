@@ -18,6 +18,7 @@ examples:
   hallsym demo                                    the paper's calibration on the bundled campaign
   hallsym fit LOG --model stage31 -o calib.json   calibrate a stage from your own log
   hallsym evaluate calib.json OTHER_LOG           errors of that calibration on another log
+  hallsym diagnose LOG --model stage31            where the gap lies, why, and how far it shrinks
   hallsym info LOG                                what a log holds, and what is wrong with it
 """
 
@@ -43,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+
     parser = argparse.ArgumentParser(
         prog="hallsym",
         description="From a log of Hall readings beside a reference to a calibrated position sensor.",

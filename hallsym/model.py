@@ -15,6 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from hallsym.computed import Computed
 from hallsym.errors import InputError, nearest
 
 LINKS = ("clock", "mechanics", "reference", "field", "transducer", "electronics")
@@ -93,6 +94,8 @@ class Model:
     layout: tuple = ()
     closed_form: "Callable[[Model, Mapping[str, np.ndarray]], np.ndarray] | None" = None
     """Start from unconstrained feature coefficients, if the family has one; nominal values otherwise."""
+    computed: tuple[Computed, ...] = ()
+    """How to make the columns among `state` that are not logged (`hallsym.computed.extended` serves them)."""
 
     def with_step(
         self,
@@ -121,6 +124,16 @@ class Model:
             combinations=self.combinations + combinations,
             effects=(*self.effects, effect),
         )
+
+    def with_columns(self, *columns: "str | Computed") -> "Model":
+        """Return a model whose steps may read further columns, logged ones by name or computed ones."""
+        state, computed = list(self.state), list(self.computed)
+        for column in columns:
+            name = column if isinstance(column, str) else column.name
+            if name not in state:
+                state.append(name)
+                computed += [] if isinstance(column, str) else [column]
+        return replace(self, state=tuple(state), computed=tuple(computed))
 
     def with_parameters(self, changes: Mapping[str, Mapping[str, Any]]) -> "Model":
         """Return a model with other nominal values or bounds: `{"H1x": {"nominal": .2, "lower": .1}}`."""

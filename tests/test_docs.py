@@ -23,7 +23,18 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 LISTED = ("README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.md")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-COMMANDS = ("demo", "fit", "evaluate", "budget", "sensitivity", "tolerances", "info", "simulate", "plan")
+COMMANDS = (
+    "demo",
+    "fit",
+    "evaluate",
+    "diagnose",
+    "sensitivity",
+    "budget",
+    "plan",
+    "tolerances",
+    "simulate",
+    "info",
+)
 
 
 @dataclass(frozen=True)

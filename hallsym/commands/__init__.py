@@ -1,6 +1,17 @@
 """The commands of the command line, one file each: `add(sub)` describes it, `run(options)` carries it out."""
 
-from hallsym.commands import budget, demo, evaluate, fit, info, plan, sensitivity, simulate, tolerances
+from hallsym.commands import (
+    budget,
+    demo,
+    diagnose,
+    evaluate,
+    fit,
+    info,
+    plan,
+    sensitivity,
+    simulate,
+    tolerances,
+)
 
-COMMANDS = (demo, fit, evaluate, budget, sensitivity, plan, tolerances, info, simulate)
+COMMANDS = (demo, fit, evaluate, diagnose, sensitivity, budget, plan, tolerances, simulate, info)
 """In the order of `hallsym --help`."""

@@ -1,0 +1,27 @@
+"""Where the gap between model and machine lies, which effect makes it, and how far it shrinks.
+
+>>> import hallsym
+>>> from hallsym.diagnosis import diagnose
+>>> diagnose(hallsym.bundled_campaign(), "stage31").verdict
+'no gap'
+"""
+
+from hallsym.diagnosis.effect import Effect, Facts, Variant
+from hallsym.diagnosis.engine import diagnose
+from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation, Statement
+from hallsym.diagnosis.text import diagnosis_text
+from hallsym.diagnosis.user import load_effects, user_effect
+
+__all__ = [
+    "Diagnosis",
+    "Effect",
+    "Facts",
+    "FoundEffect",
+    "Separation",
+    "Statement",
+    "Variant",
+    "diagnose",
+    "diagnosis_text",
+    "load_effects",
+    "user_effect",
+]

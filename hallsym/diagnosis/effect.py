@@ -1,0 +1,62 @@
+"""What an effect is to the diagnosis: a name, its link, and the ways in which it may act."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hallsym.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What effects may know of a log before they are tried: its length, temperature, readings, hum.
+
+    `duration_s`: of the campaign. `temperature`: mean logged temperature, None where none is logged.
+    `extremes`: quantiles of each reading, (n_quantiles, n_channels). `lines_hz`: mains frequencies seen in
+    the residual. `instants`: probe and moment [s] at which it may have slipped. `step_s`: sampling interval.
+    `gains`: of the probes at rest.
+    """
+
+    duration_s: float
+    step_s: float
+    columns: tuple[str, ...]
+    temperature: float | None = None
+    extremes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    lines_hz: tuple[float, ...] = ()
+    instants: tuple[tuple[int, float], ...] = ()
+    gains: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """One way in which an effect may act: `make(model) -> model`, new parameters at 0 for no effect.
+
+    `label` tells variants of an effect apart; `shapes` counts numbers that were searched to get here (a
+    width, an instant, a frequency) and are not among the parameters of the model.
+    """
+
+    label: str
+    make: Callable[[Model], Model]
+    shapes: int = 0
+    shape: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """A named cause of a gap.
+
+    `needs`: logged columns without which it cannot be tested. `variants(model, facts)`: from plain to
+    general. `refine(model, facts, shape)`: finer variants around a searched shape. `record`: what to record
+    so that it shows by itself. `plausible`: the size above which it would be unusual, as text.
+    """
+
+    name: str
+    link: str
+    meaning: str
+    variants: Callable[[Model, Facts], list[Variant]]
+    record: str
+    plausible: str = ""
+    needs: tuple[str, ...] = ()
+    refine: Callable[[Model, Facts, float], list[Variant]] | None = None
+    runtime: str = "a few multiplications per sample"

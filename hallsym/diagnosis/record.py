@@ -1,0 +1,109 @@
+"""What a diagnosis says, as data: frozen, and JSON as documented."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+Gap = Mapping[str, Mapping[str, float]]
+"""`{"rmse": {"x_m": ..}, "peak": {..}}` on the held-out runs."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of an effect: value and standard uncertainty in SI; None where there is none to give."""
+
+    value: float
+    std: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that lowers the gap, with all others of the list in place.
+
+    `shrinkage`: 1 - gap with it / gap without it, on the held-out runs, and its 95 % interval from resampled
+    blocks. `share`: part of the gap above the noise floor that it closes. `p_value`: of its absence, honest
+    for correlated residuals and corrected for the size of the catalogue. `cost`: what it adds to the model.
+    """
+
+    name: str
+    link: str
+    variant: str
+    parameters: dict[str, Estimate]
+    p_value: float
+    shrinkage: float
+    interval: tuple[float, float]
+    share: float
+    cost: str
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Where the gap lives: `share` of the excess above the noise floor that goes with `by` (at `at`)."""
+
+    by: str
+    at: str
+    share: float
+    p_value: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Separation:
+    """The recording that would tell the members of a group apart, and by what factor (of what)."""
+
+    group: tuple[str, ...]
+    recording: str
+    distance: float
+    needed: float
+    factor: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer of `diagnose`: verdict, where, which, how far the gap shrinks. SI units throughout.
+
+    `noise_floor`: `{"x_m": .., "source": "stated" or "estimated"}`. `ranked`: names that carry evidence, best
+    first. `groups`: names that this log cannot tell apart. `metric`: the scalar gap metric [m] before,
+    after, and of the floor. `smaller_findings`: significant but not worth the threshold. `remaining`: where
+    what no effect explains lies.
+    """
+
+    verdict: str
+    sentence: str
+    noise_floor: dict[str, Any]
+    gap_before: Gap
+    gap_after: Gap
+    metric: dict[str, float]
+    shrinkage: dict[str, Any]
+    ranked: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    effects: tuple[FoundEffect, ...]
+    where: tuple[Statement, ...]
+    remaining: tuple[Statement, ...]
+    separate_by: tuple[Separation, ...]
+    validation_runs: tuple[int, ...]
+    not_testable: dict[str, str]
+    smaller_findings: tuple[dict[str, Any], ...]
+    threshold: float
+    model: str
+    log: dict[str, Any]
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the diagnosis as plain JSON data."""
+        return _plain(asdict(self))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float):
+        return value if value == value and abs(value) != float("inf") else None
+    if hasattr(value, "item"):
+        return _plain(value.item())
+    return value

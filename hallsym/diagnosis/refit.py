@@ -1,0 +1,115 @@
+"""Fit a model with effects, exact and non-linear, by Gauss-Newton steps on passes over the log."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hallsym.diagnosis.tangent import Base, Tangents, tangents
+from hallsym.model import Model
+
+STEPS = 8
+CLOSE = 1e-5
+"""Relative decrease of the cost below which Gauss-Newton has converged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refitted:
+    """A model fitted on some runs: where it is, its tangents there, and what it leaves.
+
+    `cost`: whitened squares over the fitted runs. `output`: (units,) sums of squared decoded errors.
+    `covariance`: of the free parameters if the residual is white and of unit variance.
+    """
+
+    base: Base
+    tangents: Tangents
+    fitted: np.ndarray
+    cost: float
+
+    @property
+    def output(self) -> np.ndarray:
+        """Sum of squared decoded errors of each unit, rotation as length."""
+        return self.tangents.output[:, -1, -1]
+
+    def gap(self, units: np.ndarray) -> float:
+        """Return the gap metric over some units."""
+        return float(np.sqrt(self.output[units].sum() / max(self.tangents.count[units].sum(), 1.0)))
+
+    def covariance(self) -> np.ndarray:
+        """Covariance of all parameters (0 where not free) for a residual of unit variance."""
+        n = len(self.base.free)
+        M = self.tangents.likelihood[self.fitted].sum(axis=0)[:n, :n]
+        full = np.zeros((len(self.base.p),) * 2)
+        full[np.ix_(self.base.free, self.base.free)] = inverse(M)
+        return full
+
+
+def solve(M: np.ndarray, columns: np.ndarray, target: int = -1) -> np.ndarray:
+    """Least squares from products: coefficients of `columns` that explain column `target`."""
+    A, b = M[np.ix_(columns, columns)], M[columns, target]
+    d = _sizes(A)
+    x, *_ = np.linalg.lstsq(A / np.outer(d, d), b / d, rcond=1e-11)
+    return x / d
+
+
+def inverse(M: np.ndarray) -> np.ndarray:
+    """Pseudo-inverse of a matrix of products whose columns differ in size."""
+    d = _sizes(M)
+    return np.linalg.pinv(M / np.outer(d, d), rcond=1e-11, hermitian=True) / np.outer(d, d)
+
+
+def _sizes(M: np.ndarray) -> np.ndarray:
+    """Lengths of columns from their products; a column that is nil against the longest counts as 1."""
+    size = np.sqrt(np.maximum(np.diag(M), 0.0))
+    return np.where(size > 0, size, 1.0)
+
+
+def with_model(base: Base, model: Model) -> Base:
+    """Return `base` with an extended model, new parameters at their nominal values."""
+    p = model.vector(dict(zip(base.model.names, base.p.tolist(), strict=True)))
+    held = {base.model.names[k] for k in range(len(base.p)) if k not in base.free}
+    free = tuple(k for k, q in enumerate(model.parameters) if q.name not in held and q.width > 0)
+    return replace(base, model=model, p=p, free=free)
+
+
+def refit(base: Base, runs: Sequence[int], steps: int = STEPS) -> Refitted:
+    """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples."""
+    now, at = tangents(base, {}), base
+    units = now.units(runs)
+    cost = _cost(now, units)
+    for _ in range(steps):
+        step = solve(now.likelihood[units].sum(axis=0), np.arange(len(base.free)))
+        share = 1.0
+        for _ in range(6):
+            trial = _moved(at, now, step * share)
+            there = tangents(trial, {})
+            lower = _cost(there, units)
+            if lower <= cost:
+                break
+            share *= 0.3
+        else:
+            break
+        gained, at, now, cost = cost - lower, trial, there, lower
+        if gained <= CLOSE * cost:
+            break
+    return Refitted(at, now, units, cost)
+
+
+def _cost(t: Tangents, units: np.ndarray) -> float:
+    return float(t.likelihood[units, -1, -1].sum())
+
+
+def _moved(base: Base, t: Tangents, step: np.ndarray) -> Base:
+    """Take a step inside the bounds and let the zeros follow."""
+    p = base.p.copy()
+    free = list(base.free)
+    lower, upper = base.model.bounds
+    p[free] = np.clip(p[free] + step, np.minimum(lower, base.p)[free], np.maximum(upper, base.p)[free])
+    v = np.concatenate([-(p[free] - base.p[free]), [1.0]])
+    if not len(base.model.zeros):
+        return replace(base, p=p)
+    # the residual is r = v-combination of the columns: zeros take -follow of it
+    zeros = {
+        run: base.zeros.get(run, 0.0) - follow @ v for run, follow in zip(t.order, t.follow, strict=True)
+    }
+    return replace(base, p=p, zeros=zeros)

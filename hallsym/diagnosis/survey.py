@@ -1,0 +1,306 @@
+"""What the residual of a model shows by itself: spectrum, memory, spikes, jitter, ADC steps, slips.
+
+One pass over the log, block by block. The findings here are no effects that a model could hold (an outlier
+has no equation), or the searched numbers that effects start from (a mains frequency, the instant of a slip).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+from scipy.ndimage import median_filter
+
+from hallsym.arrays import on_arrays
+from hallsym.batches import batches
+from hallsym.computed import extended, rate
+from hallsym.decoding import columns_of
+from hallsym.diagnosis.chance import statistic_at
+from hallsym.diagnosis.tangent import Base
+
+MAINS = ((46.0, 54.0), (56.0, 64.0))
+"""Bands [Hz] in which mains lines are looked for."""
+SEGMENT = 64
+"""Samples of a segment between two instants at which a slip is looked for."""
+LAGS = 64
+ENOUGH = 1_000_000
+"""Samples that are looked at one by one; of a longer log every 64th block beyond."""
+WINDOW = 9
+SPIKE = 6.0
+"""Standard deviations beyond which a sample counts as a spike."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A stretch of one run: times, whitened residual (K, samples), its slope with time shift, readings.
+
+    `data` holds the model's columns and the rates of the reference; `used` says which samples count.
+    """
+
+    run: int
+    t: np.ndarray
+    residual: np.ndarray
+    speed: np.ndarray
+    readings: np.ndarray
+    used: np.ndarray
+    data: dict[str, np.ndarray]
+
+
+@dataclass(eq=False)
+class Survey:
+    """Sums over the log; `finish` turns them into findings.
+
+    `inflation`: variance of a slow average of the residual over that of white noise of the same size.
+    `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
+    `jitter_s`: rms sampling-instant error that explains residual growing with speed, with `jitter_z` its
+    significance. `stale_share`, `spike_share`: share of samples, `one_sided` the mean sign of the stale ones'
+    delay, `quiet` the whitened variance of all others. `adc_step`: (K,) step seen, 0 for none.
+    `lines_hz`: mains lines; `line_power`: their share of the residual's power.
+    """
+
+    step_s: float = 0.0
+    origin_s: float = 0.0
+    duration_s: float = 0.0
+    count: int = 0
+    variance: float = 1.0
+    fast: float = 1.0
+    inflation: float = 1.0
+    jitter_s: float = 0.0
+    jitter_z: float = 0.0
+    jitter_power: float = 0.0
+    stale_share: float = 0.0
+    stale_power: float = 0.0
+    spike_share: float = 0.0
+    spike_power: float = 0.0
+    one_sided: float = 0.0
+    quiet: float = 1.0
+    adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    lines_hz: tuple[float, ...] = ()
+    line_power: float = 0.0
+    extremes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    temperature: float | None = None
+
+
+def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
+    """Yield the whitened residual of some runs with what moves it."""
+    model = base.model
+    s = model.symbols
+    reading = s.full(s.reading)
+    axes = [rate(c) for c in model.references]
+    velocity = ca.SX.sym("velocity", len(axes))
+    slope = ca.jacobian(reading, s.pose) @ velocity
+    inputs = [s.parameters, s.zeros, s.pose, s.state, velocity]
+    function = ca.Function("survey", inputs, [ca.densify(reading), ca.densify(slope)])
+    run = on_arrays(function)
+    log = extended(base.log, model.with_columns(*axes), base.sigma)
+    wanted = (*columns_of(model), *(a.name for a in axes), "t_s", "temperature_degc")
+    columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
+    whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
+    for batch in batches(log, columns):
+        weights = batch.weights(base.keep)
+        own = np.array([base.zeros.get(b.run, np.zeros(len(model.zeros))) for b in batch.blocks])
+        zeros = np.repeat(own, np.diff(batch.edges), axis=0).T
+        names = [a.name for a in axes]
+        expected, moved = run(
+            base.p, zeros, batch.columns(model.references), batch.columns(model.state), batch.columns(names)
+        )
+        readings = np.array(batch.columns(model.channels))
+        residual = whiten @ (readings - expected)
+        speed = whiten @ moved
+        for block, at in batch.parts():
+            if block.run in runs:
+                used = np.ones(at.stop - at.start, bool) if weights is None else weights[at] > 0
+                data = {c: v[at] for c, v in batch.data.items()}
+                yield Piece(
+                    block.run, data["t_s"], residual[:, at], speed[:, at], readings[:, at], used, data
+                )
+
+
+def survey(base: Base, runs: frozenset[int]) -> Survey:
+    """Read the log once and return what the residual of `base` on `runs` shows by itself."""
+    work = _Work(len(base.model.channels))
+    for piece in pieces(base, runs):
+        work.add(piece)
+    return work.finish()
+
+
+class _Work:
+    def __init__(self, channels: int) -> None:
+        self.K = channels
+        self.found = Survey()
+        self.squares = self.differences = 0.0
+        self.correlation = np.zeros(LAGS)
+        self.shift: list[np.ndarray] = []
+        self.spectra: list[tuple[float, float, np.ndarray]] = []
+        self.values: list[set[float]] = [set() for _ in range(channels)]
+        self.largest: list[np.ndarray] = []
+        self.seen = self.skipped = 0
+        self.wave: list[tuple[np.ndarray, np.ndarray]] = []
+        self.jitter = np.zeros(5)
+        self.first: float | None = None
+
+    def add(self, piece: Piece) -> None:
+        f = self.found
+        r = np.where(piece.used, piece.residual, 0.0)
+        n = len(piece.t)
+        if self.first is None:
+            self.first = float(piece.t[0])
+            f.origin_s = self.first
+        f.duration_s = float(piece.t[-1]) - self.first
+        if n > 1 and f.step_s == 0.0:
+            f.step_s = float(np.median(np.diff(piece.t)))
+        f.count += n
+        self.squares += float((r**2).sum())
+        if n > 8:
+            second = r[:, 2:] - 2 * r[:, 1:-1] + r[:, :-2]
+            self.differences += float((second**2).sum()) / 6 * n / (n - 2)
+            self._correlate(r)
+            self._spectrum(piece.t, r)
+        self._instants(piece)
+        for k in range(self.K):
+            if len(self.values[k]) < 20000:
+                self.values[k].update(piece.readings[k].tolist())
+
+    def _correlate(self, r: np.ndarray) -> None:
+        n = r.shape[1]
+        x = r - r.mean(axis=1, keepdims=True)
+        spectrum = np.abs(np.fft.rfft(x, 2 * n, axis=1)) ** 2
+        products = np.fft.irfft(spectrum, axis=1)[:, :LAGS].sum(axis=0)
+        self.correlation[: len(products)] += products
+
+    def _spectrum(self, t: np.ndarray, r: np.ndarray) -> None:
+        """Fourier amplitudes of the mains bands, kept per block with its middle time (blocks <= 8192)."""
+        grid = np.concatenate([np.arange(a, b, 0.125) for a, b in MAINS])
+        middle = 0.5 * (t[0] + t[-1])
+        if len(t) < 16:
+            return
+        x = np.arange(len(t)) / len(t) - 0.5
+        basis = np.linalg.qr(np.vander(x, 6))[0]
+        smooth = r - (r @ basis) @ basis.T
+        if len(self.spectra) < 256:
+            phase = np.exp(-2j * np.pi * np.outer(grid, t - middle))
+            self.spectra.append((middle, len(t), smooth @ phase.T))
+            self.wave.append((t, smooth))
+
+    def _instants(self, piece: Piece) -> None:
+        """Time shift of each sample that its residual asks for, in standard deviations.
+
+        What changes smoothly is a gap of the model and not of samples: a running median takes it out.
+        """
+        if self.seen > ENOUGH:
+            self.skipped = (self.skipped + 1) % 64
+            if self.skipped:
+                return
+        self.seen += len(piece.t)
+        quick = piece.residual - median_filter(piece.residual, size=(1, WINDOW), mode="nearest")
+        information = np.einsum("ks,ks->s", piece.speed, piece.speed)
+        along = np.einsum("ks,ks->s", piece.speed, quick)
+        size = np.sqrt(np.maximum(information, 1e-300))
+        z = along / size
+        rest = np.einsum("ks,ks->s", quick, quick) - z**2
+        self.shift.append(np.array([z, size, rest, piece.used]))
+
+    def finish(self) -> Survey:
+        f = self.found
+        total = max(f.count * self.K, 1)
+        f.variance, f.fast = self.squares / total, self.differences / total
+        rho = self.correlation / max(self.correlation[0], 1e-300)
+        stop = next((k for k in range(1, LAGS) if rho[k] < 0.02), LAGS)
+        f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
+        if self.shift:
+            self._judge_instants()
+        f.adc_step = np.array([_step(v) for v in self.values])
+        self._judge_lines()
+        return f
+
+    def _judge_instants(self) -> None:
+        """Split the residual into what a time shift explains (z) and the rest, each into body and tail.
+
+        The body is judged by medians, which rare samples do not move: its growth with speed is jitter. What
+        the mean of squares has beyond that is the tail: samples that are late, or spikes.
+        """
+        f, (z, size, rest, _) = self.found, np.hstack(self.shift)
+        if len(z) < 200:
+            return
+        body, slope, error = _growth(z, size)
+        f.jitter_z = slope / max(error, 1e-300)
+        slope = max(slope, 0.0) if f.jitter_z > 0 else 0.0
+        f.jitter_s = float(np.sqrt(slope))
+        f.jitter_power = float(slope * np.mean(size**2)) / self.K
+        expected = body + slope * size**2
+        quiet = max(float(np.median(rest)) / statistic_at(0.5, max(self.K - 1, 1)), 0.25)
+        spikes = rest > quiet * (SPIKE**2 + 12)
+        late = (z**2 > SPIKE**2 * expected) & ~spikes
+        f.spike_share, f.stale_share = float(spikes.mean()), float(late.mean())
+        normal = ~spikes & ~late
+        tail_z = max(0.0, float(np.mean(np.where(spikes, 0.0, z**2 - expected))))
+        f.spike_power = float((rest[spikes] + z[spikes] ** 2).sum()) / (len(z) * self.K)
+        f.stale_power = tail_z / self.K if late.any() else 0.0
+        f.one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
+        f.quiet = float((rest + z**2)[normal].mean()) / self.K
+
+    def _judge_lines(self) -> None:
+        f = self.found
+        if not self.spectra:
+            return
+        grid = np.concatenate([np.arange(a, b, 0.125) for a, b in MAINS])
+        power = sum((np.abs(a) ** 2).sum(axis=0) / n for _, n, a in self.spectra)
+        lines = []
+        for low, high in MAINS:
+            band = (grid >= low) & (grid < high)
+            peak = grid[band][np.argmax(power[band])]
+            lines.append(self._refined(float(peak)))
+        f.lines_hz = tuple(x for x, _ in lines)
+
+    def _refined(self, peak: float) -> tuple[float, float]:
+        """Frequency at which all blocks are in phase, near the peak of their mean power."""
+        times = np.array([m for m, _, _ in self.spectra])
+        total = sum(n for _, n, _ in self.spectra)
+        longest = max(t[-1] - t[0] for t, _ in self.wave) or 1.0
+        span = max(times[-1] - times[0], longest)
+        best = (peak, -1.0)
+        for centre in peak + np.linspace(-0.5, 0.5, 9) / longest:
+            a = np.array(
+                [
+                    s @ np.exp(-2j * np.pi * centre * (t - m))
+                    for (t, s), m in zip(self.wave, times, strict=True)
+                ]
+            )
+            offsets = np.arange(-0.07 / longest, 0.07 / longest, 0.2 / span)
+            turn = np.exp(-2j * np.pi * np.outer(centre + offsets, times - times[0]))
+            together = (np.abs(turn @ a) ** 2).sum(axis=1) / total
+            k = int(np.argmax(together))
+            if together[k] > best[1]:
+                best = (float(centre + offsets[k]), float(together[k]))
+        return best
+
+
+def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
+    """Variance of z at rest, its growth with size^2 and the standard error of that, from medians in bins."""
+    order = np.argsort(size)
+    bins = np.array_split(order, 12)
+    x = np.array([np.mean(size[b] ** 2) for b in bins])
+    y = np.array([np.median(z[b] ** 2) for b in bins]) / 0.4549
+    error = np.maximum(y, 0.3) * 2.4 / np.sqrt([len(b) for b in bins])
+    A = np.column_stack([np.ones(len(x)), x]) / error[:, None]
+    scale = np.linalg.norm(A, axis=0)
+    covariance = np.linalg.pinv((A / scale).T @ (A / scale)) / np.outer(scale, scale)
+    body, slope = covariance @ A.T @ (y / error)
+    return float(np.clip(body, 0.2, None)), float(slope), float(np.sqrt(covariance[1, 1]))
+
+
+def _step(values: set[float]) -> float:
+    """Step between the values that a channel takes; 0 when it takes no steps."""
+    v = np.sort(np.fromiter(values, float))
+    if len(v) < 8:
+        return 0.0
+    gaps = np.diff(v)
+    gaps = gaps[gaps > 1e-13]
+    if len(gaps) < 8:
+        return 0.0
+    q = float(np.quantile(gaps, 0.05))
+    near = gaps[gaps < 1.5 * q]
+    q = float(np.median(near))
+    ratio = gaps / q
+    off = np.abs(ratio - np.round(ratio))
+    return q if np.mean(off < 0.02) > 0.95 else 0.0
