@@ -1,6 +1,6 @@
 """The commands of the command line, one file each: `add(sub)` describes it, `run(options)` carries it out."""
 
-from hallsym.commands import demo, evaluate, fit, info, simulate
+from hallsym.commands import demo, evaluate, fit, info, report, simulate
 
-COMMANDS = (demo, fit, evaluate, info, simulate)
+COMMANDS = (demo, fit, evaluate, report, info, simulate)
 """In the order of `hallsym --help`."""
