@@ -18,6 +18,7 @@ examples:
   hallsym demo                                    the paper's calibration on the bundled campaign
   hallsym fit LOG --model stage31 -o calib.json   calibrate a stage from your own log
   hallsym evaluate calib.json OTHER_LOG           errors of that calibration on another log
+  hallsym report calib.json LOG -o report.html    one HTML page of a calibration
   hallsym info LOG                                what a log holds, and what is wrong with it
 """
 

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 LISTED = ("README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.md")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-COMMANDS = ("demo", "fit", "evaluate", "info", "simulate")
+COMMANDS = ("demo", "fit", "evaluate", "report", "info", "simulate")
 
 
 @dataclass(frozen=True)

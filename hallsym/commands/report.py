@@ -19,7 +19,7 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "report", run, "one HTML page of a saved calibration",
         "Write one self-contained HTML page of a calibration and a log: verdict, errors against the noise\n"
-        "floor, maps of the error, series to zoom, parameters. It opens from disk without a network and prints.\n"
+        "floor, maps of the error, series to zoom, parameters. It opens from disk without a network.\n"
         "The log is the one that was fitted, or another one of the same machine.",
         "example:\n  hallsym report calib.json campaign.parquet -o report.html",
     )  # fmt: skip

@@ -5,9 +5,9 @@ reads the log in blocks; `fit_page` and `diagnosis_page` put the sections togeth
 same bytes.
 """
 
+from hallsym.page.cells import Cells
 from hallsym.page.diagnosis_page import diagnosis_page
 from hallsym.page.fit_page import fit_page
-from hallsym.page.cells import Cells
 from hallsym.page.gather import Gathered, gather
 from hallsym.page.series import RunSeries, run_series
 

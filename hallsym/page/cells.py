@@ -8,17 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 STEP, HALF = 0.02, 520
-"""Bins are equally wide in arcsinh(error / fine): 2 % of a large error, `STEP` x fine of a small one."""
+"""Bins are equally wide in arcsinh(error / fine): 2 % of a large error, `STEP` x fine of a small one; the
+outermost begin at sinh(STEP x HALF) = 16 000 x fine."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Errors of the decoded pose by cell, in SI.
 
-    `by`: what the cells are along, with the unit of `edges`. `median`, `rms`: (n_pose, cells), nan in an empty
-    cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`; `marked`
-    are held out. Over two coordinates `across` holds the edges of the second, `up` its name, and cell
-    `i + columns * j` lies at column i, row j.
+    `by`: what the cells are along, with the unit of `edges`. `median`, `rms`: (n_pose, cells), nan in an
+    empty cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`;
+    `marked` are held out. Over two coordinates `across` holds the edges of the second, `up` its name, and
+    cell `i + columns * j` lies at column i, row j.
     """
 
     by: str

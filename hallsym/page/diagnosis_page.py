@@ -32,9 +32,9 @@ def diagnosis_page(
     """Return the page of a diagnosis as HTML.
 
     `record`: `Diagnosis.to_dict()`; entries that are missing or None leave their place out. `maps`, `series`:
-    of the errors before (and after), from `gather` or `run_series`. `fit`: the calibration that was diagnosed,
-    for its parameter table. `command`: what was typed. How long it took is not shown, so that the page of the
-    same data is the same.
+    of the errors before (and after), from `gather` or `run_series`. `fit`: the calibration that was
+    diagnosed, for its parameter table. `command`: what was typed. How long it took is not shown, so that the
+    page of the same data is the same.
     """
     floor = _floor(record)
     sections = [
@@ -60,10 +60,8 @@ def _sentence(record: Record) -> str:
         return str(record["sentence"])
     ranked = record.get("ranked") or []
     found = f"The evidence names {', '.join(ranked)}" if ranked else "No effect of the catalogue is named"
-    before, after = record.get("gap_before"), record.get("gap_after")
-    if not (before and after):
-        return f"{found}."
-    return f"{found}; rmse {parts.each(before['rmse'])} before, {parts.each(after['rmse'])} after."
+    said = [f"{parts.each(gap['rmse'])} {when}" for when, gap in _gaps(record).items()]
+    return f"{found}; rmse {', '.join(said)}." if said else f"{found}."
 
 
 def _floor(record: Record) -> dict[str, float]:
@@ -87,14 +85,16 @@ def _asked(record: Record, floor: Mapping[str, float]) -> Markup:
             ("model", record.get("model")),
             ("judged on runs", f"{len(runs)} ({parts.numbers(runs)}), which {apart}" if runs else None),
             ("noise floor", parts.each(floor) + (f"; {source}" if source else "") if floor else None),
-            ("worth reporting", f"what lowers the gap by at least {100 * threshold:g} %" if threshold else None),
+            (
+                "worth reporting",
+                f"what lowers the gap by at least {100 * threshold:g} %" if threshold else None,
+            ),
         ]
     )
 
 
 def _errors(record: Record, floor: Mapping[str, float]) -> Markup:
-    rows = {"before": record.get("gap_before"), "after": record.get("gap_after")}
-    shown = {k: v for k, v in rows.items() if v}
+    shown = _gaps(record)
     if not shown:
         return Markup("")
     drawn = {k: ("before" if k == "before" else "after", gap) for k, gap in shown.items()}
@@ -107,6 +107,21 @@ def _errors(record: Record, floor: Mapping[str, float]) -> Markup:
             parts.gap_table(shown, floor),
         ]
     )
+
+
+def _gaps(record: Record) -> dict[str, Any]:
+    """Return the gaps that there are, with the outputs for which each of them has a number."""
+    gaps = {k: record[f"gap_{k}"] for k in ("before", "after") if record.get(f"gap_{k}")}
+    if not gaps:
+        return {}
+    outputs = [
+        c
+        for c in next(iter(gaps.values()))["rmse"]
+        if all(isinstance(g[what].get(c), int | float) for g in gaps.values() for what in ("rmse", "peak"))
+    ]
+    if not outputs:
+        return {}
+    return {k: {what: {c: g[what][c] for c in outputs} for what in ("rmse", "peak")} for k, g in gaps.items()}
 
 
 def _shrinks(shrinkage: Record) -> str | None:
@@ -142,7 +157,9 @@ def _ranked(record: Record, effects: Sequence[Record], groups: Sequence[Sequence
     head = ["effect", "link", "form", "shrinks the gap by", "share of the gap", "p", "not told apart from"]
     rows: list[list[object]] = []
     for e in effects:
-        shrinks = "" if e.get("shrinkage") is None else _percent(e["shrinkage"]) + _interval(e.get("interval"))
+        shrinks = (
+            "" if e.get("shrinkage") is None else _percent(e["shrinkage"]) + _interval(e.get("interval"))
+        )
         share = "" if e.get("share") is None else _percent(e["share"], 0)
         row = [e["name"], e.get("link") or "", e.get("variant") or "", shrinks, share, _p(e.get("p_value"))]
         rows.append([*row, _others(e["name"], groups)])
@@ -166,7 +183,11 @@ def _groups(record: Record, groups: Sequence[Sequence[str]]) -> Markup:
         text: list[object] = [tag("strong", ", ".join(group)), ": this log cannot tell them apart."]
         if s.get("recording"):
             text.append(f" Record {s['recording']}")
-            text.append(f": the difference must show {s['factor']:.3g} times more than here." if s.get("factor") else ".")
+            text.append(
+                f": the difference must show {s['factor']:.3g} times more than here."
+                if s.get("factor")
+                else "."
+            )
         lines.append(join(text))
     return join([tag("h3", "Groups"), items(lines)]) if lines else Markup("")
 
@@ -211,18 +232,24 @@ def _parameters(record: Record, fit: Fit | None) -> Markup:
             rows.append([e["name"], name, value, p.get("unit") or "", e.get("cost") or ""])
     head = ["effect", "parameter", "value (std)", "unit", "adds to the model"]
     added = table(head, rows, left=2, wordy=(4,), caption="parameters of the effects")
-    own = join([tag("h3", f"Of {fit.model.name}"), parts.parameter_table(fit), parts.combinations(fit)]) if fit else None
+    own = (
+        join([tag("h3", f"Of {fit.model.name}"), parts.parameter_table(fit), parts.combinations(fit)])
+        if fit
+        else None
+    )
     return join([added, own])
 
 
 def _notes(record: Record) -> Markup:
     smaller = [
-        f"{f['name']}: significant, lowers the gap by {_percent(f['shrinkage'])}, less than what is worth reporting"
+        f"{f['name']}: significant, lowers the gap by {_percent(f['shrinkage'])}, less than the threshold"
         if f.get("shrinkage") is not None
-        else f"{f['name']}: significant, less than what is worth reporting"
+        else f"{f['name']}: significant, less than the threshold"
         for f in record.get("smaller_findings") or []
     ]
-    untested = [f"{name}: not testable, {reason}" for name, reason in (record.get("not_testable") or {}).items()]
+    untested = [
+        f"{name}: not testable, {reason}" for name, reason in (record.get("not_testable") or {}).items()
+    ]
     return items([*smaller, *untested, *(record.get("notes") or [])])
 
 

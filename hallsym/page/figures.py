@@ -1,6 +1,6 @@
-"""Charts of a page as inline SVG: bars against the noise floor, profiles, maps, intervals, shares.
+"""Charts of a page as inline SVG: bars against the noise floor, intervals, shares.
 
-Nothing is told by colour alone: bars carry their names, signs are filled or hollow, sizes are areas.
+Bars carry their names and numbers, so that nothing is told by colour alone.
 """
 
 from __future__ import annotations
@@ -8,27 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from hallsym.page.cells import Cells
 from hallsym.page.html import Markup, join, tag
-from hallsym.page.svg import (
-    Scale,
-    below,
-    beside,
-    chart,
-    dot,
-    label,
-    line,
-    polyline,
-    px,
-    rect,
-    text,
-)
-from hallsym.plots.names import largest, name, scale, three, thinned
+from hallsym.page.svg import NARROW, WIDE, Scale, below, chart, dot, line, rect, text
+from hallsym.plots.names import name, scale, three
 
-WIDE, NARROW = 740.0, 240.0
-RIM = 14.0  # px: half a number at the right end of an axis
 FAR = 12.0
 """Bars that differ by more than this factor are drawn on a logarithmic scale, as dots."""
 
@@ -77,124 +60,12 @@ def _bars(what: str, output: str, rows: Rows, floor: float) -> Markup:
     return chart(NARROW, height, f"{what} of {name(output)}: {said}", *parts)
 
 
-def profile(cells: Cells, output: int, floor: float = 0.0) -> Markup:
-    """Draw median (line) and rms (band of plus and minus rms) of one output by cell; `floor` [SI] is dashed."""
-    factor, unit = scale(cells.pose[output], max(largest(cells.rms[output]), largest(cells.median[output])))
-    median, rms = factor * cells.median[output], factor * cells.rms[output]
-    width = WIDE if cells.labels else NARROW
-    turned = bool(cells.labels) and max(map(len, cells.labels)) > 4
-    left, top, bottom = 40.0, 22.0, 112.0
-    reach = 1.08 * max(largest(rms), largest(median), factor * floor) or 1.0
-    y = Scale(-reach, reach, bottom, top)
-    parts = [text(0, 11, f"{name(cells.pose[output])} [{unit}]", look="title"), *beside(y, left, width - RIM)]
-    height = bottom + 34
-    if cells.labels:
-        at = np.linspace(left, width - RIM, 2 * len(cells.labels) + 1)[1::2]
-        half = min(12.0, 0.4 * (width - left) / len(at))
-        longest = max(map(len, cells.labels))
-        parts += _words(cells, at, bottom, turned)
-        height = bottom + (6.2 * longest + 12 if turned else 22)
-    else:
-        edges = np.asarray(cells.edges)
-        x = Scale(float(edges[0]), float(edges[-1]), left, width - RIM)
-        parts += below(x, bottom, cells.by)
-        at = np.array([x(v) for v in 0.5 * (edges[1:] + edges[:-1])])
-        half = 0.5 * (width - RIM - left) / len(at)
-    for k, (px_, m, r) in enumerate(zip(at, median, rms, strict=True)):
-        if not math.isfinite(r):
-            continue
-        parts.append(rect(px_ - half, y(r), 2 * half, y(-r) - y(r), "band", _cell_title(cells, output, k)))
-    for px_, m in zip(at, median, strict=True):
-        if math.isfinite(m):
-            parts.append(line(px_ - half, y(m), px_ + half, y(m), "median"))
-    if floor > 0:
-        parts += [line(left, y(v), width - RIM, y(v), "level") for v in (factor * floor, -factor * floor)]
-    if cells.labels and cells.marked:
-        for k in cells.marked:
-            parts.append(text(at[k], top - 2, "h", "middle", "soft"))
-    joined = [(float(a), y(m) if math.isfinite(m) else float("nan")) for a, m in zip(at, median, strict=True)]
-    if not cells.labels:
-        parts.append(polyline(joined, "median"))
-    worst = int(np.nanargmax(rms)) if np.isfinite(rms).any() else 0
-    says = f"{name(cells.pose[output])} by {cells.by}: largest rms {_cell_title(cells, output, worst)}"
-    return chart(width, height, says, *parts)
-
-
-def _words(cells: Cells, at: np.ndarray, bottom: float, turned: bool) -> list[Markup]:
-    parts = []
-    for k in thinned(len(at), 60 if turned else 30):
-        x, y = float(at[k]), bottom + 14
-        if turned:
-            turn = f"rotate(-90 {px(x + 4)} {px(y - 6)})"
-            words = tag(
-                "text", cells.labels[k], x=px(x + 4), y=px(y - 6), text_anchor="end", transform=turn
-            )
-            parts.append(words)
-        else:
-            parts.append(text(x, y, cells.labels[k], "middle"))
-    return parts
-
-
-def _cell_title(cells: Cells, output: int, k: int) -> str:
-    factor, unit = scale(cells.pose[output], largest(cells.rms[output]))
-    where = cells.labels[k] if cells.labels else f"{label(cells.edges[k])} to {label(cells.edges[k + 1])}"
-    median, rms = factor * cells.median[output][k], factor * cells.rms[output][k]
-    return f"{where}: median {label(_three(median))}, rms {label(_three(rms))} {unit}, {cells.count[k]:d} samples"
-
-
-def _three(value: float) -> float:
-    return float(f"{value:.3g}") if math.isfinite(value) else value
-
-
-def plane(cells: Cells, output: int, floor: float = 0.0) -> Markup:
-    """Draw the median of one output over two coordinates: squares whose area is its size, hollow if negative.
-
-    A full cell is the largest median, or `floor` [SI] where that is more, so that mere noise stays small.
-    """
-    full = max(largest(cells.median[output]), floor) or 1e-12
-    factor, unit = scale(cells.pose[output], full)
-    median, n = factor * cells.median[output], len(cells.edges) - 1
-    left, top, right = 40.0, 24.0, NARROW - RIM
-    x = Scale(float(cells.edges[0]), float(cells.edges[-1]), left, right)
-    bottom = top + (right - left)
-    other = np.asarray(cells.across)
-    y = Scale(float(other[0]), float(other[-1]), bottom, top)
-    side = (right - left) / n, (bottom - top) / (len(other) - 1)
-    parts = [text(0, 12, f"{name(cells.pose[output])}, full cell: {three(factor * full)} {unit}", look="title")]
-    parts += below(x, bottom, cells.by)
-    parts += [line(left, top, left, bottom, "axis")]
-    for value in y.ticks():
-        parts += [line(left - 4, y(value), left, y(value), "tick")]
-        parts.append(text(left - 6, y(value) + 4, label(value), "end"))
-    for k, m in enumerate(median):
-        if not math.isfinite(m):
-            continue
-        i, j = k % n, k // n
-        cx, cy = left + (i + 0.5) * side[0], bottom - (j + 0.5) * side[1]
-        parts.append(rect(cx - side[0] / 2, cy - side[1] / 2, side[0], side[1], "cell"))
-        half = 0.46 * math.sqrt(abs(m) / (factor * full))
-        look = "plus" if m > 0 else "minus"
-        title = (
-            f"{label(cells.edges[i])} to {label(cells.edges[i + 1])}, {label(other[j])} to {label(other[j + 1])}: "
-            f"median {label(_three(m))}, rms {label(_three(factor * cells.rms[output][k]))} {unit}, "
-            f"{cells.count[k]:d} samples"
-        )
-        parts.append(
-            rect(cx - half * side[0], cy - half * side[1], 2 * half * side[0], 2 * half * side[1], look, title)
-        )
-    says = (
-        f"median error of {name(cells.pose[output])} over {cells.by} and {cells.up}: "
-        f"{label(_three(largest(median)))} {unit} at most"
-    )
-    return chart(NARROW, bottom + 34, says, *parts)
-
-
 def intervals(rows: Sequence[tuple[str, float, tuple[float, float] | None]], title: str) -> Markup:
     """Draw a dot and its interval per row, in per cent."""
     left, top, step = _room([r[0] for r in rows]), 8.0, 22.0
     bottom = top + step * len(rows)
     ends = [v for _, value, span in rows for v in (value, *(span or ())) if math.isfinite(v)]
-    x = Scale(min(0.0, *ends), max(1.05 * max(ends, default=1.0), 0.01), left, WIDE - 70)
+    x = Scale(min([0.0, *ends]), max([0.01, *(1.05 * v for v in ends)]), left, WIDE - 70)
     scaled = Scale(100 * x.low, 100 * x.high, left, WIDE - 70)
     parts = below(scaled, bottom, title, most=6, top=top)
     parts.append(line(x(0), top, x(0), bottom, "axis"))
@@ -215,7 +86,7 @@ def shares(rows: Sequence[tuple[str, float]], title: str) -> Markup:
     """Draw one bar per row, in per cent, longest first as given."""
     left, top, step = _room([r[0] for r in rows]), 6.0, 19.0
     bottom = top + step * len(rows)
-    x = Scale(0.0, 100 * max(0.01, *(v for _, v in rows)) * 1.02, left, WIDE - 60)
+    x = Scale(0.0, 102 * max([0.01, *(v for _, v in rows)]), left, WIDE - 60)
     parts = below(x, bottom, title, most=6, top=top)
     for k, (words, value) in enumerate(rows):
         y = top + step * (k + 0.5)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.calibration import Fit
+from hallsym.calibration import Fit, added_effects
 from hallsym.cost import cost_of
 from hallsym.decoding import ErrorTable
 from hallsym.log import Log
@@ -53,7 +53,9 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
         Section(
             "origin",
             "Origin",
-            parts.provenance({"path": log.path and str(log.path), "sha256": log.sha256}, fit.versions, command),
+            parts.provenance(
+                {"path": log.path and str(log.path), "sha256": log.sha256}, fit.versions, command
+            ),
         ),
     ]
     title = f"Calibration of {fit.model.name}: {parts.called(log.path)}"
@@ -74,8 +76,8 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
         text += ", no more than the noise floor explains."
     else:
         text += (
-            f"; the noise floor is {parts.each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, so there is "
-            "more in the machine than in this model, or more noise than stated."
+            f"; the noise floor is {parts.each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
+            "so there is more in the machine than in this model, or more noise than stated."
         )
     return " ".join(filter(None, (_unfinished(fit), text, _determined(fit))))
 
@@ -116,17 +118,25 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
     runs, apart = found.survey.runs, [r for r in fit.log["holdout"] if same]
     fitted = [r for r in runs if r not in apart]
     count = int(np.diff(found.survey.edges).sum())
-    used = f"{len(fitted)} ({parts.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
-    added = [e for e in fit.to_dict()["added"]]
+    used = (
+        f"{len(fitted)} ({parts.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
+    )
+    added = list(added_effects(fit.model))
     return facts(
         [
             ("log", tag("code", str(log.path) if log.path else "a log in memory")),
             ("samples", f"{count} in {len(runs)} runs"),
             ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
             ("runs fitted", used),
-            ("runs held out", (f"{len(apart)} ({parts.numbers(apart)})" if apart else "none") if same else None),
+            (
+                "runs held out",
+                (f"{len(apart)} ({parts.numbers(apart)})" if apart else "none") if same else None,
+            ),
             ("calibrated on", None if same else tag("code", fit.log["path"] or "a log in memory")),
-            ("noise floor", f"{parts.each(fit.noise_floor)}: what the noise of readings and reference alone leaves"),
+            (
+                "noise floor",
+                f"{parts.each(fit.noise_floor)}: what the noise of readings and reference alone leaves",
+            ),
         ]
     )
 
@@ -149,8 +159,8 @@ def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:
     notes = list(fit.notes)
     if not same:
         notes.append(
-            f"This log is not the one that was fitted (sha256 {fit.to_dict()['log']['sha256']}): the zero deviations of "
-            "each run were estimated from that run, and the noise floor is that of the fitted log."
+            "This log is not the one that was fitted: the zero deviations of each run were estimated from "
+            "that run, and the noise floor is that of the fitted log."
         )
     elif fit.error_rows and _outliers_back(found.survey.fitted, fit.error_rows):
         notes.append("Maps and series show every sample, also the outliers that the fit left out.")

@@ -81,7 +81,7 @@ def gather(log: Log, fits: Mapping[str, Fit], *, most_runs: int = 3) -> Gathered
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:
-    """Maps over the plane of the first two outputs, each output, the vertical settings or states, and runs."""
+    """Maps over two outputs together, each output, the vertical settings or states, and runs."""
     model = fit.model
     floor = np.array([fit.noise_floor.get(c) or 0.0 for c in model.pose])
     fine = np.maximum(floor / 20, survey.fitted.peak.max(axis=0) / 1e4)
@@ -103,7 +103,7 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
 
 
 def _along(column: str, reach: Sequence[float], fit: Fit, fine: np.ndarray) -> _Map:
-    edges = np.linspace(*reach, ALONG + 1)
+    edges = np.linspace(reach[0], reach[1], ALONG + 1)
     factor, unit = scale(column, float(np.abs(edges).max()))
     by, pose = f"{_name(column)} [{unit}]", fit.model.pose
 
@@ -113,10 +113,8 @@ def _along(column: str, reach: Sequence[float], fit: Fit, fine: np.ndarray) -> _
     return _Map(lambda block: _cell(block.data[column], edges), Tally(ALONG, fine), named)
 
 
-def _plane(
-    columns: Sequence[str], reach: Mapping[str, Sequence[float]], fit: Fit, fine: np.ndarray
-) -> _Map:
-    edges = [np.linspace(*reach[c], PLANE + 1) for c in columns]
+def _plane(columns: Sequence[str], reach: Mapping[str, Sequence[float]], fit: Fit, fine: np.ndarray) -> _Map:
+    edges = [np.linspace(reach[c][0], reach[c][1], PLANE + 1) for c in columns]
     scales = [scale(c, float(np.abs(e).max())) for c, e in zip(columns, edges, strict=True)]
     by, up = (f"{_name(c)} [{unit}]" for c, (_, unit) in zip(columns, scales, strict=True))
     pose = fit.model.pose

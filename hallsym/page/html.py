@@ -14,7 +14,7 @@ class Markup(str):
 
 
 def escape(value: object) -> Markup:
-    """Return text as HTML; what HTML cannot hold (control characters, broken UTF-8 of a file name) shows as �."""
+    """Return text as HTML; control characters and broken UTF-8 of a file name show as �."""
     if isinstance(value, Markup):
         return value
     return Markup(_escape("".join(c if _shows(c) else "�" for c in str(value)), quote=True))
@@ -47,7 +47,7 @@ def table(
 ) -> Markup:
     """Return a table that scrolls by itself where it is too wide; nothing for no rows.
 
-    Numbers stand to the right, except in the first `left` columns and in the columns `wordy`, which hold text.
+    Numbers stand to the right, except in the first `left` columns and in `wordy`, which hold text.
     """
     if not rows:
         return Markup("")

@@ -9,13 +9,22 @@ from typing import Any
 import numpy as np
 
 from hallsym.calibration import Fit
-from hallsym.page import figures
+from hallsym.page import figures, maps
 from hallsym.page.cells import Cells
 from hallsym.page.html import Markup, facts, join, table, tag
 from hallsym.plots.names import MINUS, largest, name, scale, three
 from hallsym.tables import concise, remark
 
-FEW = 6
+PLANES = (
+    "Median error over the stroke. The area of a square is its size; how much a full cell is stands above. "
+    "Filled: positive, hollow: negative; no cell: no samples."
+)
+BANDS = "Line: median; band: plus and minus the rms."
+VALUES = (
+    "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
+    "not determined. In its bounds: dot and line are the value with two standard uncertainties, the small "
+    "stroke the nominal value; a hollow dot is not determined."
+)
 
 
 def numbers(runs: Sequence[int]) -> str:
@@ -63,37 +72,41 @@ def gap_table(rows: Mapping[str, Mapping[str, Mapping[str, float]]], floor: Mapp
         body.append(
             [
                 "noise floor",
-                *(three(f * floor[c]) if w == "rmse" and c in floor else "" for (w, c), (f, _) in scales.items()),
+                *(
+                    three(f * floor[c]) if w == "rmse" and c in floor else ""
+                    for (w, c), (f, _) in scales.items()
+                ),
             ]
         )
     return table(head, body, caption="errors of the decoded pose")
 
 
-def maps_section(maps: Sequence[Cells], floor: Mapping[str, float], note: object = None) -> Markup:
+def maps_section(found: Sequence[Cells], floor: Mapping[str, float], note: object = None) -> Markup:
     """Return the maps of the error with how to read them; nothing without maps."""
-    if not maps:
+    if not found:
         return Markup("")
-    outputs, dashed = range(len(maps[0].pose)), " Dashed: noise floor." if floor else ""
-    level = [floor.get(c) or 0.0 for c in maps[0].pose]
+    outputs, dashed = range(len(found[0].pose)), " Dashed: noise floor." if floor else ""
+    level = [floor.get(c) or 0.0 for c in found[0].pose]
     parts: list[object] = [note]
-    flat = [m for m in maps if len(m.across)]
-    lines = [m for m in maps if not len(m.across) and not m.labels]
+    flat = [m for m in found if len(m.across)]
+    lines = [m for m in found if not len(m.across) and not m.labels]
     if flat:
-        parts.append(tag("p", "Median error over the stroke. The area of a square is its size, a full cell is written "
-                         "above; filled: positive, hollow: negative; no cell: no samples.",
-                         class_="note"))  # fmt: skip
-        parts += [figure([figures.plane(m, k, level[k]) for k in outputs], "panels", _title(m)) for m in flat]
+        parts.append(_note(PLANES))
+        parts += [figure([maps.plane(m, k, level[k]) for k in outputs], "panels", _title(m)) for m in flat]
     if lines:
-        parts.append(tag("p", f"Along one coordinate. Line: median in a cell; band: plus and minus the rms.{dashed}",
-                         class_="note"))  # fmt: skip
-        parts += [figure([figures.profile(m, k, level[k]) for k in outputs], "panels", _title(m)) for m in lines]
-    for m in (m for m in maps if m.labels):
+        parts.append(_note(f"Along one coordinate. {BANDS}{dashed}"))
+        parts += [figure([maps.profile(m, k, level[k]) for k in outputs], "panels", _title(m)) for m in lines]
+    for m in (m for m in found if m.labels):
         held = " An h marks runs that were held out." if m.marked else ""
         parts.append(tag("h3", f"By {m.by}"))
-        parts.append(tag("p", f"Line: median; band: plus and minus the rms.{dashed}{held}", class_="note"))
-        parts.append(tag("figure", figures.stacked([figures.profile(m, k, level[k]) for k in outputs])))
+        parts.append(_note(f"{BANDS}{dashed}{held}"))
+        parts.append(tag("figure", figures.stacked([maps.profile(m, k, level[k]) for k in outputs])))
         parts.append(_cell_table(m))
     return join(parts)
+
+
+def _note(words: str) -> Markup:
+    return tag("p", words, class_="note")
 
 
 def figure(pictures: Sequence[Markup], look: str, caption: str) -> Markup:
@@ -109,7 +122,11 @@ def _cell_table(cells: Cells) -> Markup:
     """Return the numbers behind a picture, folded away."""
     scales = [scale(c, largest(r)) for c, r in zip(cells.pose, cells.rms, strict=True)]
     head = [cells.by, "samples"]
-    head += [f"{what} {name(c)} [{u}]" for c, (_, u) in zip(cells.pose, scales, strict=True) for what in ("median", "rms")]
+    head += [
+        f"{what} {name(c)} [{u}]"
+        for c, (_, u) in zip(cells.pose, scales, strict=True)
+        for what in ("median", "rms")
+    ]
     rows = []
     for k, label in enumerate(cells.labels):
         row: list[object] = [label + (" (held out)" if k in cells.marked else ""), f"{cells.count[k]:d}"]
@@ -127,14 +144,7 @@ def parameter_table(fit: Fit) -> Markup:
     """Return the parameters: value, standard uncertainty, bounds, and whether the data determine them."""
     head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "verdict"]
     rows = [_parameter(fit, k) for k in range(len(fit.model.parameters))]
-    note = tag(
-        "p",
-        "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is not "
-        "determined. In its bounds: dot and line are the value with two standard uncertainties, the small stroke the "
-        "nominal value; a hollow dot is not determined.",
-        class_="note",
-    )
-    return join([note, table(head, rows, wordy=(6,), caption="parameters")])
+    return join([_note(VALUES), table(head, rows, wordy=(6,), caption="parameters")])
 
 
 def _parameter(fit: Fit, k: int) -> list[object]:
@@ -159,7 +169,11 @@ def _verdict(fit: Fit, k: int) -> str:
 def combinations(fit: Fit) -> Markup:
     """Return what the data determine instead of parameters that they do not."""
     rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
-    return join([tag("h3", "Determined instead"), table(["combination", "value", "unit"], rows)]) if rows else Markup("")
+    return (
+        join([tag("h3", "Determined instead"), table(["combination", "value", "unit"], rows)])
+        if rows
+        else Markup("")
+    )
 
 
 def versions(found: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Errors over time that can be zoomed: a static chart that a script rescales, so that it stays without one."""
+"""Errors over time that can be zoomed: a static chart that a script rescales; it stays without one."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ from hallsym.page.svg import Scale, below, beside, chart, px, text
 from hallsym.plots.names import largest, name, scale
 from hallsym.plots.trace import Trace
 
+HOW = (
+    "Drag over a stretch to zoom in. With the keyboard: + and - zoom, arrows move, 0 shows all. Without "
+    "JavaScript the whole run is shown."
+)
 ACROSS, UP = 20_000, 10_000
 """A path's own units: time runs from 0 to `ACROSS`, values from -`UP` to `UP`."""
 WIDTH, LEFT, TOP, HIGH = 740.0, 46.0, 20.0, 92.0
@@ -136,7 +140,5 @@ def all_series(series: Sequence[RunSeries]) -> Markup:
     """Return the charts of several runs with what can be done with them."""
     if not series:
         return Markup("")
-    how = tag("p", "Drag over a stretch to zoom in; with the keyboard: ", tag("kbd", "+"), " ", tag("kbd", "-"),
-              " zoom, arrow keys move, ", tag("kbd", "0"), " shows all. Without JavaScript the whole run is shown.",
-              class_="note zoomhelp")  # fmt: skip
+    how = tag("p", HOW, class_="note zoomhelp")
     return join([how, *(figure(s) for s in series)])

@@ -11,10 +11,14 @@ import numpy as np
 from hallsym.page.html import Markup, tag
 from hallsym.plots.names import MINUS
 
+WIDE, NARROW = 740.0, 240.0
+RIM = 14.0
+"""Width of pictures, and what half a number at the right end of an axis needs [px]."""
+
 
 @dataclass(frozen=True)
 class Scale:
-    """Values `low` to `high` drawn at px `start` to `end`, linear or logarithmic; values beyond stay at the end."""
+    """Values `low` to `high` drawn at px `start` to `end`; values beyond stay at the end."""
 
     low: float
     high: float
@@ -96,7 +100,9 @@ def rect(x: float, y: float, width: float, height: float, look: str, title: str 
 
 def dot(x: float, y: float, radius: float, look: str, title: str = "") -> Markup:
     """Return a disc; `title` shows when pointed at."""
-    return tag("circle", tag("title", title) if title else None, cx=px(x), cy=px(y), r=px(radius), class_=look)
+    return tag(
+        "circle", tag("title", title) if title else None, cx=px(x), cy=px(y), r=px(radius), class_=look
+    )
 
 
 def polyline(points: Sequence[tuple[float, float]], look: str) -> Markup:

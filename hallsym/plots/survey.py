@@ -34,9 +34,10 @@ class Survey:
     """A log as its pictures need it, for any number of samples.
 
     `edges`: (runs + 1,) sample numbers where runs begin. `travel`: (runs, n_pose) reference's least to
-    greatest value. `state`: (runs, n_state) mean vertical state, `drift` its travel. `reach`: (n_pose + n_state,
-    2) least and greatest value of reference and state over all runs. `errors`: traces of the
-    designed and the fitted model, `time`: trace of `t_s` if it is logged, `rejected`: 1 where samples were.
+    greatest value. `state`: (runs, n_state) mean vertical state, `drift` its travel.
+    `reach`: (n_pose + n_state, 2) least and greatest value of reference and state over all runs. `errors`:
+    traces of the designed and the fitted model, `time`: trace of `t_s` if it is logged, `rejected`: 1 where
+    samples were.
     """
 
     runs: tuple[int, ...]
