@@ -176,6 +176,35 @@ def test_names_are_escaped_everywhere(tmp_path, capsys):
     assert path.name in outline.text
 
 
+def test_spikes_that_the_fit_left_out_stay_out_of_maps_and_series(tmp_path):
+    spiky = with_noise(record(seed=4, samples=100, outlier_share=0.005, outlier_size=1e-3))
+    result = fit(spiky, "stage31", solver="direct", holdout=HOLDOUT)
+    text = fit_page(spiky, result)
+    (count,) = re.findall(r"Maps and series leave (\d+) isolated spikes out", text)
+    (left_out,) = re.findall(r"(\d+) of \d+ samples .* are isolated spikes", " ".join(result.notes))
+    assert int(count) == int(left_out)
+    assert "show samples that the fit gave little" not in text
+    for size in re.findall(r"decoded up to ([\d.e+]+) µ", text):
+        assert float(size) < 20
+
+
+def test_a_fit_that_kept_its_spikes_shows_them():
+    spiky = with_noise(record(seed=4, samples=100, outlier_share=0.005, outlier_size=1e-3))
+    text = fit_page(spiky, fit(spiky, "stage31", solver="direct", loss="none"))
+    assert "isolated spikes" not in text
+    assert any(float(v) > 100 for v in re.findall(r"decoded up to ([\d.e+]+) µ", text))
+
+
+def test_a_rewired_fit_is_decoded_with_its_wiring():
+    columns = record(seed=5)
+    columns["hall_a_m"], columns["hall_b_m"] = columns["hall_b_m"], -columns["hall_a_m"]
+    swapped = with_noise(columns)
+    result = fit(swapped, "stage31", solver="direct", loss="none", resolve_wiring=True)
+    sizes = [float(v) for v in re.findall(r"decoded up to ([\d.e+]+) µ", fit_page(swapped, result))]
+    assert len(sizes) == 9
+    assert max(sizes) < 20
+
+
 def test_another_log_is_named_as_such_and_gets_its_own_zeros(fitted: Fit, log: Log):
     other = with_noise(record(seed=9))
     text = Outline(fit_page(other, fitted)).text

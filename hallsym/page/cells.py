@@ -44,15 +44,24 @@ class Tally:
         self.squares = np.zeros((len(self.fine), cells))
         self.bins = np.zeros((len(self.fine), cells, 2 * HALF), dtype=np.int64)
 
-    def add(self, cell: np.ndarray, errors: np.ndarray) -> None:
-        """Add samples: `cell` (samples,), negative for none of the cells; `errors` (series, samples)."""
+    def bin_of(self, errors: np.ndarray) -> np.ndarray:
+        """Return the bin of each error, (series, samples); it is the same for tallies of equal `fine`."""
+        at = np.floor(np.arcsinh(errors / self.fine[:, None]) / STEP) + HALF
+        return np.clip(np.nan_to_num(at), 0, 2 * HALF - 1).astype(np.int64)
+
+    def add(self, cell: np.ndarray, errors: np.ndarray, bin_of: np.ndarray | None = None) -> None:
+        """Add samples: `cell` (samples,), negative for none of the cells; `errors` (series, samples).
+
+        An error that is nan takes no part. `bin_of(errors)` may be given where it is known.
+        """
+        at = self.bin_of(errors) if bin_of is None else bin_of
         inside = (cell >= 0) & np.isfinite(errors).all(axis=0)
-        cell, errors = cell[inside], errors[:, inside]
-        np.add.at(self.count, cell, 1)
-        for squares, bins, fine, error in zip(self.squares, self.bins, self.fine, errors, strict=True):
-            np.add.at(squares, cell, error**2)
-            at = np.floor(np.arcsinh(error / fine) / STEP).astype(np.int64) + HALF
-            np.add.at(bins, (cell, np.clip(at, 0, 2 * HALF - 1)), 1)
+        if not inside.all():
+            cell, errors, at = cell[inside], errors[:, inside], at[:, inside]
+        self.count += np.bincount(cell, minlength=len(self.count))
+        for squares, bins, where, error in zip(self.squares, self.bins, at, errors, strict=True):
+            squares += np.bincount(cell, weights=error**2, minlength=len(squares))
+            np.add.at(bins.reshape(-1), cell * (2 * HALF) + where, 1)
 
     @property
     def rms(self) -> np.ndarray:

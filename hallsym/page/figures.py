@@ -22,20 +22,26 @@ Rows = Mapping[str, tuple[str, Mapping[str, Mapping[str, float]]]]
 def against_floor(rows: Rows, floor: Mapping[str, float]) -> Markup:
     """Draw rmse and peak of every output: one bar per entry of `rows`, the noise floor as a dashed line."""
     first = next(iter(rows.values()))[1]
+    places = [(what, output) for what in ("rmse", "peak") for output in first[what]]
+    far = any(_far([gap[what][output] for _, gap in rows.values()]) for what, output in places)
     panels = [
-        _bars(what, output, rows, floor.get(output, 0.0) if what == "rmse" else 0.0)
-        for what in ("rmse", "peak")
-        for output in first[what]
+        _bars(what, output, rows, floor.get(output, 0.0) if what == "rmse" else 0.0, far)
+        for what, output in places
     ]
     return tag("div", *panels, class_="panels")
 
 
-def _bars(what: str, output: str, rows: Rows, floor: float) -> Markup:
+def _far(sizes: Sequence[float]) -> bool:
+    positive = [v for v in sizes if v > 0]
+    return len(positive) > 1 and max(positive) > FAR * min(positive)
+
+
+def _bars(what: str, output: str, rows: Rows, floor: float, far: bool) -> Markup:
     values = {label_: (look, gap[what][output]) for label_, (look, gap) in rows.items()}
     sizes = [v for _, v in values.values()] + ([floor] if floor > 0 else [])
     factor, unit = scale(output, max(sizes))
     positive = [factor * v for v in sizes if v > 0]
-    log = len(positive) > 1 and max(positive) > FAR * min(positive)
+    log = far and len(positive) > 1 and max(positive) > min(positive)
     left, top, step = 64.0, 24.0, 19.0
     bottom = top + step * len(values) + 2
     high = 1.02 * max(positive, default=1.0)

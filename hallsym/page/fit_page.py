@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from hallsym.batches import Weigh
 from hallsym.calibration import Fit, added_effects
-from hallsym.cost import cost_of
-from hallsym.decoding import ErrorTable
+from hallsym.cost import Cost, cost_of
 from hallsym.log import Log
+from hallsym.outliers import reject_spikes, residuals
 from hallsym.page import figures, parts
 from hallsym.page.gather import Gathered, gather
 from hallsym.page.html import Markup, facts, items, join, tag
 from hallsym.page.page import Section, document
 from hallsym.page.series import all_series
 from hallsym.plots.names import name
+from hallsym.plots.survey import Decode
 from hallsym.summary import summarise
 from hallsym.tables import evidence
 from hallsym.wiring import rewired
@@ -40,6 +41,8 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
     log = rewired(log, fit.model.channels, fit.wiring)
     fit = fit if same else _elsewhere(log, fit)
     found = gather(log, {"decoded": fit})
+    if same and _above_recorded(found, fit):
+        found = gather(log, {"decoded": fit}, keep=_spikes(log, fit))
     rows = _rows(fit, found) if same else {"this log": found.survey.fitted.over()}
     shown = {k: v for k, v in rows.items() if v is not None}
     notes = _notes(log, fit, found, same)
@@ -162,26 +165,47 @@ def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:
             "This log is not the one that was fitted: the zero deviations of each run were estimated from "
             "that run, and the noise floor is that of the fitted log."
         )
-    elif fit.error_rows and _outliers_back(found.survey.fitted, fit.error_rows):
-        notes.append("Maps and series show every sample, also the outliers that the fit left out.")
+    gone = found.survey.n_rejected
+    if gone:
+        notes.append(f"Maps and series leave {gone} isolated spikes out, as the fit did.")
+    if same and _above_recorded(found, fit):
+        notes.append("Maps and series show samples that the fit gave little or no weight, as outliers.")
     return notes + [note for note in log.notes if note not in notes]
 
 
-def _outliers_back(table: ErrorTable, rows: Mapping[str, Any]) -> bool:
-    known = [row["peak"] for k, row in rows.items() if k != "designed" and row]
-    peak = table.over()
-    return peak is not None and any(
-        v > 1.001 * max(row[c] for row in known) for c, v in peak["peak"].items() if known
+def _above_recorded(found: Gathered, fit: Fit) -> bool:
+    """Whether peaks are larger than the fit recorded: it left outliers out, but its record names none."""
+    known = [row["peak"] for k, row in fit.error_rows.items() if k != "designed" and row]
+    peak = found.survey.fitted.over()
+    if not known or peak is None:
+        return False
+    return any(v > 1.001 * max(row[c] for row in known) for c, v in peak["peak"].items())
+
+
+def _spikes(log: Log, fit: Fit) -> Weigh:
+    """Return what leaves out isolated spikes by the rule of the fit."""
+    model, cost = fit.model, _cost(log, fit)
+    place = Decode(fit)
+    zeros = {
+        run: place.zeros(run, state)
+        for run, state in zip(cost.summary.runs, cost.summary.first_state, strict=True)
+    }
+    columns = (*model.references, *model.channels)
+    return reject_spikes(
+        residuals(model, fit.values, zeros), cost.at(fit.values).covariance.mean(axis=0), columns
     )
+
+
+def _cost(log: Log, fit: Fit) -> Cost:
+    return cost_of(summarise(log, fit.model), {c: s.value for c, s in fit.noise.sigmas.items()})
 
 
 def _elsewhere(log: Log, fit: Fit) -> Fit:
     """Return the fit with the zero deviations of another log's runs; none of them is held out."""
-    summary = summarise(log, fit.model)
-    cost = cost_of(summary, {c: s.value for c, s in fit.noise.sigmas.items()})
+    cost = _cost(log, fit)
     zeros = cost.at(fit.values).zeros
     if zeros.shape[1]:
-        gain = [np.asarray(fit.model.gain(fit.values, s)).ravel() for s in summary.first_state]
+        gain = [np.asarray(fit.model.gain(fit.values, s)).ravel() for s in cost.summary.first_state]
         zeros = zeros * np.array(gain)
-    own = dict(zip(summary.runs, zeros, strict=True))
+    own = dict(zip(cost.summary.runs, zeros, strict=True))
     return replace(fit, zeros=own, errors=None, log={**fit.log, "holdout": []}, source=None)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.batches import SIZE
+from hallsym.batches import SIZE, Weigh
 from hallsym.calibration import Fit
 from hallsym.decoding import columns_of
 from hallsym.log import Block, Log
@@ -45,13 +45,14 @@ class _Map:
     named: Callable[[Tally], Cells]
 
 
-def gather(log: Log, fits: Mapping[str, Fit], *, most_runs: int = 3) -> Gathered:
+def gather(log: Log, fits: Mapping[str, Fit], *, keep: Weigh | None = None, most_runs: int = 3) -> Gathered:
     """Read `log` twice, in blocks: maps are of the first of `fits`, series of all of them by their names.
 
-    Channels of the log are those of the model (`wiring.rewired`).
+    Channels of the log are those of the model (`wiring.rewired`). Samples to which `keep` gives weight 0
+    (outliers) take no part and interrupt the series.
     """
     first = next(iter(fits.values()))
-    survey = look_over(log, first)
+    survey = look_over(log, first, keep)
     maps = _maps(first, survey)
     decode = [Decode(fit) for fit in fits.values()]
     chosen = representative(survey, most_runs)
@@ -65,8 +66,13 @@ def gather(log: Log, fits: Mapping[str, Fit], *, most_runs: int = 3) -> Gathered
         reference = np.array([block.data[c] for c in first.model.references])
         shown = decode if block.run in chosen else decode[:1]
         errors = [d(block, z)[1] - reference for d, z in zip(shown, zeros, strict=False)]
+        if keep is not None:
+            gone = keep(block) <= 0
+            for error in errors:
+                error[:, gone] = np.nan
+        at = maps[0].tally.bin_of(errors[0]) if maps else None
         for m in maps:
-            m.tally.add(m.place(block), errors[0])
+            m.tally.add(m.place(block), errors[0], at)
         if block.run in chosen:
             time = block.data["t_s"] if survey.time is not None else np.zeros(reference.shape[1])
             trace = traces.setdefault(block.run, Trace(1 + len(reference) * len(decode)))

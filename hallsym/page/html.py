@@ -17,7 +17,10 @@ def escape(value: object) -> Markup:
     """Return text as HTML; control characters and broken UTF-8 of a file name show as �."""
     if isinstance(value, Markup):
         return value
-    return Markup(_escape("".join(c if _shows(c) else "�" for c in str(value)), quote=True))
+    text = str(value)
+    if not text.isprintable():
+        text = "".join(c if _shows(c) else "�" for c in text)
+    return Markup(_escape(text, quote=True))
 
 
 def tag(name: str, /, *children: object, **attributes: object) -> Markup:

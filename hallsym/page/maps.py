@@ -100,7 +100,7 @@ def _groups(cells: Cells, right: float) -> tuple[list[tuple[float, float]], list
         _upright(float(at[k]) + 4, BOTTOM + 8, cells.labels[k])
         if upright
         else text(float(at[k]), BOTTOM + 14, cells.labels[k], "middle")
-        for k in thinned(len(at), 60 if upright else 30)
+        for k in thinned(len(at), 40 if upright else 30)
     ]
     height = BOTTOM + (6.4 * longest + 12 if upright else 22)
     return [(v - half, v + half) for v in at.tolist()], words, height
@@ -111,27 +111,28 @@ def _upright(x: float, y: float, words: str) -> Markup:
     return tag("text", words, x=px(x), y=px(y), text_anchor="end", transform=turn)
 
 
-def plane(cells: Cells, output: int, floor: float = 0.0) -> Markup:
-    """Draw the median of one output over two coordinates: squares whose area is its size, hollow if negative.
+def plane(cells: Cells, output: int, floor: float = 0.0, what: str = "median") -> Markup:
+    """Draw median or rms of one output over two coordinates: squares of its size, hollow if negative.
 
-    A full cell is the largest median, or `floor` [SI] where that is more, so that mere noise stays small.
+    A full cell is the largest value, or `floor` [SI] where that is more, so that mere noise stays small.
     """
-    full = max(largest(cells.median[output]), floor) or 1e-12
+    full = max(largest(getattr(cells, what)[output]), floor) or 1e-12
     shown = _shown(cells, output, floor, full)
+    values = shown.median if what == "median" else shown.rms
     right, bottom = NARROW - RIM, TOP + NARROW - RIM - LEFT
     x = Scale(float(cells.edges[0]), float(cells.edges[-1]), LEFT, right)
     y = Scale(float(cells.across[0]), float(cells.across[-1]), bottom, TOP)
     largest_shown = scale(cells.pose[output], full)[0] * full
-    title = f"{shown.name}, full cell: {three(largest_shown)} {shown.unit}"
+    title = f"{what} {shown.name}, full cell: {three(largest_shown)} {shown.unit}"
     parts = [text(0, 12, title, look="title"), *beside(y, LEFT, LEFT, 4), *below(x, bottom, cells.by)]
     columns = len(cells.edges) - 1
     for k in np.flatnonzero(cells.count).tolist():
         i, j = k % columns, k // columns
         box = x(cells.edges[i]), y(cells.across[j + 1]), x(cells.edges[i + 1]), y(cells.across[j])
-        part = math.sqrt(abs(shown.median[k]) / largest_shown)
-        parts += _square(box, part, shown.median[k] > 0, _says(cells, shown, k))
-    most = _number(largest(shown.median))
-    says = f"median error of {shown.name} over {cells.by} and {cells.up}: {most} {shown.unit} at most"
+        part = math.sqrt(abs(values[k]) / largest_shown)
+        parts += _square(box, part, values[k] > 0, _says(cells, shown, k))
+    most = _number(largest(values))
+    says = f"{what} error of {shown.name} over {cells.by} and {cells.up}: {most} {shown.unit} at most"
     return chart(NARROW, bottom + 34, says, *parts)
 
 

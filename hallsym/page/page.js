@@ -2,10 +2,11 @@
 (function () {
   const NS = "http://www.w3.org/2000/svg", ACROSS = 20000, UP = 10000;
   function ticks(low, high, most) {
-    const raw = (high - low) / most, unit = 10 ** Math.floor(Math.log10(raw));
-    const step = [1, 2, 5, 10].map((s) => s * unit).find((s) => s >= raw * (1 - 1e-9));
-    const found = [];
-    for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9); k++) found.push(k * step);
+    const unit = 10 ** Math.floor(Math.log10((high - low) / most)), found = [];
+    const range = (step) => [Math.ceil(low / step - 1e-9), Math.floor(high / step + 1e-9)];
+    const fits = (step) => range(step)[1] - range(step)[0] <= most;
+    const step = [0.5, 1, 2, 5, 10].map((s) => s * unit).find(fits), [first, last] = range(step);
+    for (let k = first; k <= last; k++) found.push(k * step);
     return { found, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
   }
   function put(parent, name, attributes, words) {

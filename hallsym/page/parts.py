@@ -16,7 +16,7 @@ from hallsym.plots.names import MINUS, largest, name, scale, three
 from hallsym.tables import concise, remark
 
 PLANES = (
-    "Median error over the stroke. The area of a square is its size; how much a full cell is stands above. "
+    "Median and rms over the stroke. The area of a square is its size; how much a full cell is stands above. "
     "Filled: positive, hollow: negative; no cell: no samples."
 )
 BANDS = "Line: median; band: plus and minus the rms."
@@ -92,7 +92,9 @@ def maps_section(found: Sequence[Cells], floor: Mapping[str, float], note: objec
     lines = [m for m in found if not len(m.across) and not m.labels]
     if flat:
         parts.append(_note(PLANES))
-        parts += [figure([maps.plane(m, k, level[k]) for k in outputs], "panels", _title(m)) for m in flat]
+        for m in flat:
+            both = [maps.plane(m, k, level[k], what) for what in ("median", "rms") for k in outputs]
+            parts.append(figure(both, "panels", _title(m)))
     if lines:
         parts.append(_note(f"Along one coordinate. {BANDS}{dashed}"))
         parts += [figure([maps.profile(m, k, level[k]) for k in outputs], "panels", _title(m)) for m in lines]

@@ -69,7 +69,7 @@ def figure(series: RunSeries) -> Markup:
     if series.per_column > 1:
         caption.append(f"; each column of the line holds {series.per_column} samples, least to greatest")
     if len(series.lines) > 1:
-        caption.append("; orange: " + "; blue, drawn over it: ".join(series.lines))
+        caption.append("; light: " + "; dark, drawn over it: ".join(series.lines))
     return tag(
         "figure",
         tag("figcaption", *caption),

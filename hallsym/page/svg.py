@@ -41,13 +41,14 @@ class Scale:
 
 
 def ticks(low: float, high: float, most: int = 4) -> list[float]:
-    """Return multiples of 1, 2 or 5 times a power of ten from `low` to `high`."""
+    """Return multiples of 1, 2 or 5 times a power of ten from `low` to `high`, at most `most` + 1."""
     if not high > low:
         return [low]
-    raw = (high - low) / most
-    unit = 10.0 ** math.floor(math.log10(raw))
-    step = next(s * unit for s in (1, 2, 5, 10) if s * unit >= raw * (1 - 1e-9))
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    unit = 10.0 ** math.floor(math.log10((high - low) / most))
+    for step in (s * unit for s in (0.5, 1, 2, 5, 10)):
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        if last - first <= most:
+            break
     return [k * step for k in range(first, last + 1)]
 
 
