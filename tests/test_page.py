@@ -417,3 +417,14 @@ def test_unknown_columns_raise_input_error(log: Log, fitted: Fit):
     columns = {c: log.array(c) for c in log.columns if c != "x_ref_m"}
     with pytest.raises(InputError):
         fit_page(Log.from_arrays(columns), fitted)
+
+
+def test_a_zoom_stops_where_columns_would_pass_for_samples():
+    time = np.linspace(0, 20, 40_000)
+    long, short = (
+        figure(run_series("r", ("x_m",), t, {"a": 1e-6 * np.sin(t)[None]})) for t in (time, time[:200])
+    )
+    columns = len(_points(re.search(r'<path d="([^"]*)" class="line line0">', long)[1])[0]) / 2
+    least = [int(re.search(r'data-least="(\d+)"', text)[1]) for text in (long, short)]
+    assert least[0] * columns / ACROSS == pytest.approx(200, abs=1)
+    assert least[1] * 200 / ACROSS == pytest.approx(4, abs=0.1)

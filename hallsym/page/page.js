@@ -62,7 +62,7 @@
     bar.className = "zoom";
     output.setAttribute("aria-live", "polite");
     function go(a, b) {
-      const size = Math.min(ACROSS, Math.max(ACROSS / 500, b - a));
+      const size = Math.min(ACROSS, Math.max(Number(figure.dataset.least), b - a));
       from = Math.min(Math.max(0, (a + b - size) / 2), ACROSS - size);
       to = from + size;
       for (const p of panels) p.show(from, to);
