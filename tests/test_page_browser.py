@@ -68,9 +68,11 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     errors = {"before": 3e-6 * np.sin(2 * t) + 1e-6 * noise, "after": 1e-6 * noise}
     found = gather(log, {"before": fitted})
     series = [run_series("run 2, held out", POSE, t, errors)]
+    wordy = a_record()
+    wordy["effects"][0]["name"] = wordy["where"][0]["by"] = "a_long_name_of_an_effect_that_a_user_wrote" * 3
     texts = {
         "fit": fit_page(log, fitted, command="hallsym report calib.json log.csv"),
-        "diagnosis": diagnosis_page(a_record(), maps=found.maps, series=series, fit=fitted),
+        "diagnosis": diagnosis_page(wordy, maps=found.maps, series=series, fit=fitted),
     }
     for name, text in texts.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")

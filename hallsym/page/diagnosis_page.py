@@ -101,12 +101,18 @@ def _errors(record: Record, floor: Mapping[str, float]) -> Markup:
     note = "On runs that took part in neither the fit nor the choice of effects. Dashed line: noise floor."
     return join(
         [
-            tag("p", _shrinks(record.get("shrinkage") or {})),
+            tag("p", _shrinks(record.get("shrinkage") or {}), _metric(record.get("metric") or {})),
             tag("p", note, class_="note"),
             tag("figure", figures.against_floor(drawn, floor)),
             parts.gap_table(shown, floor),
         ]
     )
+
+
+def _metric(metric: Record) -> str | None:
+    """Return the one number over all outputs [m] that shrinkage is measured by."""
+    said = [f"{parts.amount('x_m', v)} {when}" for when, v in metric.items() if isinstance(v, int | float)]
+    return f" One number over all outputs: {', '.join(said)}." if said else None
 
 
 def _gaps(record: Record) -> dict[str, Any]:
@@ -220,8 +226,7 @@ def _statements(statements: Sequence[Record], title: str) -> Markup:
 
 def _place(statement: Record) -> str:
     by, at = str(statement.get("by") or ""), str(statement.get("at") or "")
-    text = f"{by}: {at}" if at else by
-    return text if len(text) <= 48 else f"{text[:47]}…"
+    return f"{by}: {at}" if at else by
 
 
 def _parameters(record: Record, fit: Fit | None) -> Markup:

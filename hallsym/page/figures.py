@@ -15,6 +15,9 @@ from hallsym.plots.names import name, scale, three
 FAR = 12.0
 """Bars that differ by more than this factor are drawn on a logarithmic scale, as dots."""
 
+LONGEST = 44
+"""Characters of a label beside a chart; the table under it has all of them."""
+
 Rows = Mapping[str, tuple[str, Mapping[str, Mapping[str, float]]]]
 """Name -> (look, `{"rmse": {x_m: ..}, "peak": {..}}`)."""
 
@@ -77,7 +80,7 @@ def intervals(rows: Sequence[tuple[str, float, tuple[float, float] | None]], tit
     parts.append(line(x(0), top, x(0), bottom, "axis"))
     for k, (words, value, span) in enumerate(rows):
         y = top + step * (k + 0.5)
-        parts.append(text(left - 8, y + 4, words, "end"))
+        parts.append(text(left - 8, y + 4, _brief(words), "end"))
         if span is not None:
             low, high = x(span[0]), x(span[1])
             parts += [line(low, y, high, y, "whisker")]
@@ -96,14 +99,21 @@ def shares(rows: Sequence[tuple[str, float]], title: str) -> Markup:
     parts = below(x, bottom, title, most=6, top=top)
     for k, (words, value) in enumerate(rows):
         y = top + step * (k + 0.5)
-        parts += [text(left - 8, y + 4, words, "end"), rect(left, y - 6, x(100 * value) - left, 12, "before")]
+        parts += [
+            text(left - 8, y + 4, _brief(words), "end"),
+            rect(left, y - 6, x(100 * value) - left, 12, "before"),
+        ]
         parts.append(text(x(100 * value) + 6, y + 4, f"{100 * value:.0f} %"))
     said = "; ".join(f"{words} {100 * value:.0f} %" for words, value in rows)
     return tag("div", chart(WIDE, bottom + 34, f"{title}: {said}", *parts), class_="scroll", tabindex="0")
 
 
 def _room(labels: Sequence[str]) -> float:
-    return min(320.0, 20.0 + 6.4 * max(map(len, labels), default=0))
+    return 20.0 + 6.6 * max((len(_brief(words)) for words in labels), default=0)
+
+
+def _brief(words: str) -> str:
+    return words if len(words) <= LONGEST else f"{words[: LONGEST - 1]}…"
 
 
 def in_bounds(value: float, std: float, lower: float, upper: float, nominal: float) -> Markup:
