@@ -12,7 +12,7 @@ PIP       := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 SLOW := $(if $(filter true,$(CI)),-m "slow or not slow")
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test bench lint clean
+.PHONY: help install demo test bench lint clean browser
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -24,8 +24,16 @@ install: $(INSTALLED) ## environment with hallsym, its tests and linters (again 
 demo: install ## the guided demonstration
 	$(BIN)/python -m hallsym demo
 
-test: install lint ## lint, then pytest (with the slow tests when CI=true)
+test: install lint browser ## lint, then pytest (with the slow tests when CI=true)
 	$(BIN)/python -m pytest $(SLOW)
+
+# Tests look at HTML pages in Chromium. Debian's root installs it; others run without it, or with their own.
+browser:
+	@command -v chromium >/dev/null 2>&1 || [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null 2>&1 || { \
+	    echo "installing chromium, which the tests of HTML pages use"; \
+	    { apt-get update && DEBIAN_FRONTEND=noninteractive \
+	        apt-get install --yes --no-install-recommends chromium; } >/dev/null 2>&1 || \
+	    echo "chromium could not be installed: tests that need it are skipped" >&2; }
 
 bench: $(BENCHABLE) ## the benchmarks in tests/benchmarks
 	@set -e; for script in tests/benchmarks/*.py; do \

@@ -19,6 +19,7 @@ examples:
   hallsym fit LOG --model stage31 -o calib.json   calibrate a stage from your own log
   hallsym evaluate calib.json OTHER_LOG           errors of that calibration on another log
   hallsym diagnose LOG --model stage31            where the gap lies, why, and how far it shrinks
+  hallsym report calib.json LOG -o report.html    one HTML page of a calibration
   hallsym info LOG                                what a log holds, and what is wrong with it
 """
 

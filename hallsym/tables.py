@@ -108,7 +108,7 @@ def parameter_text(fit: Fit) -> str:
             concise(fit.values[k] * factor, std) if fit.determined[k] else f"({fit.values[k] * factor:.4g})"
         )
         bounds = "fixed" if p.width == 0 else f"{p.lower * factor:.4g} .. {p.upper * factor:.4g}"
-        rows.append([p.name, value, unit, f"{p.nominal * factor:.4g}", bounds, _remark(fit, k)])
+        rows.append([p.name, value, unit, f"{p.nominal * factor:.4g}", bounds, remark(fit, k)])
     return _remarks_left(rows)
 
 
@@ -120,7 +120,8 @@ def _remarks_left(rows: list[list[str]]) -> str:
     )
 
 
-def _remark(fit: Fit, k: int) -> str:
+def remark(fit: Fit, k: int) -> str:
+    """Return what is to be said of parameter `k`; nothing where it is determined inside its bounds."""
     p = fit.model.parameters[k]
     if p.width == 0:
         return ""

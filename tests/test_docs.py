@@ -28,6 +28,7 @@ COMMANDS = (
     "fit",
     "evaluate",
     "diagnose",
+    "report",
     "sensitivity",
     "budget",
     "plan",

@@ -8,10 +8,11 @@ from hallsym.commands import (
     fit,
     info,
     plan,
+    report,
     sensitivity,
     simulate,
     tolerances,
 )
 
-COMMANDS = (demo, fit, evaluate, diagnose, sensitivity, budget, plan, tolerances, simulate, info)
+COMMANDS = (demo, fit, evaluate, diagnose, report, sensitivity, budget, plan, tolerances, simulate, info)
 """In the order of `hallsym --help`."""

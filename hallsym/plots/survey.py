@@ -1,6 +1,6 @@
 """One pass over a log: what its pictures show, for any number of samples."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,8 +34,10 @@ class Survey:
     """A log as its pictures need it, for any number of samples.
 
     `edges`: (runs + 1,) sample numbers where runs begin. `travel`: (runs, n_pose) reference's least to
-    greatest value. `state`: (runs, n_state) mean vertical state, `drift` its travel. `errors`: traces of the
-    designed and the fitted model, `time`: trace of `t_s` if it is logged, `rejected`: 1 where samples were.
+    greatest value. `state`: (runs, n_state) mean vertical state, `drift` its travel.
+    `reach`: (n_pose + n_state, 2) least and greatest value of reference and state over all runs. `errors`:
+    traces of the designed and the fitted model, `time`: trace of `t_s` if it is logged, `rejected`: 1 where
+    samples were.
     """
 
     runs: tuple[int, ...]
@@ -43,6 +45,7 @@ class Survey:
     travel: np.ndarray
     state: np.ndarray
     drift: np.ndarray
+    reach: np.ndarray
     designed: ErrorTable
     fitted: ErrorTable
     errors: tuple[Trace, Trace]
@@ -138,6 +141,7 @@ def _survey(
         travel=np.array([r.pose[1] - r.pose[0] if r.kept else np.zeros(n) for r in found]),
         state=np.array([r.state_sum / r.kept if r.kept else r.first_state for r in found]),
         drift=np.array([r.state[1] - r.state[0] if r.kept else np.zeros(k) for r in found]),
+        reach=_reach([r for r in found if r.kept], n + k),
         designed=tables[0],
         fitted=tables[1],
         errors=errors,
@@ -145,6 +149,13 @@ def _survey(
         rejected=rejected,
         n_rejected=int(total - count.sum()),
     )
+
+
+def _reach(runs: Sequence[_Run], size: int) -> np.ndarray:
+    if not runs:
+        return np.zeros((size, 2))
+    low, high = (np.array([np.append(r.pose[end], r.state[end]) for r in runs]) for end in (0, 1))
+    return np.column_stack([low.min(axis=0), high.max(axis=0)])
 
 
 def held_out(fit: Fit) -> tuple[int, ...]:

@@ -1,0 +1,14 @@
+"""One self-contained HTML page for a fit or a diagnosis: opens from disk, prints, needs no network.
+
+`html` escapes, `page` is the skeleton, `svg` and `figures` draw, `series` draws what can be zoomed, `gather`
+reads the log in blocks; `fit_page` and `diagnosis_page` put the sections together. The same input gives the
+same bytes.
+"""
+
+from hallsym.page.cells import Cells
+from hallsym.page.diagnosis_page import diagnosis_page
+from hallsym.page.fit_page import fit_page
+from hallsym.page.gather import Gathered, gather
+from hallsym.page.series import RunSeries, run_series
+
+__all__ = ["Cells", "Gathered", "RunSeries", "diagnosis_page", "fit_page", "gather", "run_series"]
