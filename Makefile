@@ -24,8 +24,8 @@ install: $(INSTALLED) ## environment with hallsym, its tests and linters (again 
 demo: install ## the guided demonstration
 	$(BIN)/python -m hallsym demo
 
-test: install lint browser ## lint, then pytest (with the slow tests when CI=true)
-	$(BIN)/python -m pytest $(SLOW)
+test: install lint browser ## lint, then pytest on all cores (with the slow tests when CI=true)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(SLOW)
 
 # Tests look at HTML pages in Chromium. Debian's root installs it; others run without it, or with their own.
 browser:
