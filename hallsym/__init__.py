@@ -12,6 +12,7 @@ from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign, write_campaign
 from hallsym.decoding import ErrorTable, judge
 from hallsym.diagnosis import Diagnosis, diagnose
+from hallsym.diagnosis.selftest import SelfTest, selftest
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.fitting import fit, refit
@@ -40,6 +41,7 @@ __all__ = [
     "Parameter",
     "Plan",
     "Ranges",
+    "SelfTest",
     "Source",
     "Tolerances",
     "build",
@@ -59,6 +61,7 @@ __all__ = [
     "read_ranges",
     "read_tolerances",
     "refit",
+    "selftest",
     "simulate",
     "simulate_blocks",
     "table8_noise",

@@ -94,7 +94,15 @@ def _triangle(phase: np.ndarray) -> np.ndarray:
     return 1 - 4 * np.abs(np.mod(phase, 1) - 0.5)
 
 
-CAMPAIGNS = {"grid": grid, "multisine": multisine, "raster": raster}
+def turning(rng: np.random.Generator) -> list[Motion]:
+    """The multisine with thirty times the rotation, so that finite rotation shows."""
+    runs = multisine(rng)
+    for run in runs:
+        run.pose[2] *= 30
+    return runs
+
+
+CAMPAIGNS = {"grid": grid, "multisine": multisine, "raster": raster, "turning": turning}
 
 
 def _run(t: np.ndarray, start: float, pose: np.ndarray, state: np.ndarray, share: float) -> Motion:
@@ -235,6 +243,20 @@ def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
         m.reference[0] += arms[0] * m.state[2]
         m.reference[1] += arms[1] * m.state[1]
 
+    def drift(m: Motion, _: np.random.Generator) -> None:
+        m.reference += 4e-6 * c3[:, :1] / 4 * m.t
+
+    def turned(m: Motion) -> np.ndarray:
+        """What a rigid rotation adds to the small-angle displacement."""
+        v = TRUTH
+        px = np.array([v["H1x"], -v["H2x"], v["H3x"]])[:, None]
+        py = np.array([v["H1y"], v["H2y"], v["H3y"]])[:, None]
+        angle = np.array([v["theta_A"] + np.pi / 2, v["theta_B"] + np.pi / 2, v["theta_C"]])[:, None]
+        x, y, rz = m.pose
+        dx = (px + x) * (np.cos(rz) - 1) - (py + y) * np.sin(rz) + py * rz
+        dy = (py + y) * (np.cos(rz) - 1) + (px + x) * np.sin(rz) - px * rz
+        return gains(m.state) * (np.cos(angle) * dx + np.sin(angle) * dy)
+
     def lag(tau: float) -> Callable[[Motion], np.ndarray]:
         def filtered(m: Motion) -> np.ndarray:
             memory, state, out = (
@@ -272,6 +294,8 @@ def listed(rng: np.random.Generator) -> Mapping[str, Inject]:
         "mains_hum": add(lambda m: 0.9e-6 * np.sin(2 * np.pi * hum * (m.start + m.t) + phase)),
         "saturation": add(lambda m: np.clip(m.reading, -2.4e-4, 2.4e-4) - m.reading),
         "reference_abbe_error": abbe,
+        "reference_drift": drift,
+        "second_order_rotation": add(turned),
     }
 
 

@@ -28,6 +28,7 @@ COMMANDS = (
     "fit",
     "evaluate",
     "diagnose",
+    "selftest",
     "report",
     "sensitivity",
     "budget",

@@ -9,10 +9,24 @@ from hallsym.commands import (
     info,
     plan,
     report,
+    selftest,
     sensitivity,
     simulate,
     tolerances,
 )
 
-COMMANDS = (demo, fit, evaluate, diagnose, report, sensitivity, budget, plan, tolerances, simulate, info)
+COMMANDS = (
+    demo,
+    fit,
+    evaluate,
+    diagnose,
+    selftest,
+    report,
+    sensitivity,
+    budget,
+    plan,
+    tolerances,
+    simulate,
+    info,
+)
 """In the order of `hallsym --help`."""

@@ -1,6 +1,7 @@
 """Chi-square probabilities without the import time of scipy.stats."""
 
-from scipy.special import chdtrc, chdtri
+import numpy as np
+from scipy.special import chdtrc, chdtri, stdtr
 
 
 def chance(statistic: float, freedom: float) -> float:
@@ -11,3 +12,21 @@ def chance(statistic: float, freedom: float) -> float:
 def statistic_at(p: float, freedom: float) -> float:
     """Return the value that chi-square with `freedom` degrees exceeds with probability `p`."""
     return float(chdtri(freedom, min(max(p, 1e-300), 1.0)))
+
+
+def beyond(values: np.ndarray, noise: np.ndarray | None = None) -> float:
+    """Return the one-sided p-value of the sum of independent `values` being above 0 (Student's t).
+
+    The values are one number per run or block of runs, so that what happens within a run may be correlated.
+    `noise`: what of each value the effect itself does not explain, where that is known: a strong effect in
+    few runs scatters and is no less certain for it.
+    """
+    n = len(values)
+    if n < 2:
+        return 1.0
+    rest = values - np.mean(values) if noise is None else noise
+    error = float(np.sqrt((rest**2).sum() * n / (n - 1)))
+    total = float(np.sum(values))
+    if error <= 0.0:
+        return 1.0 if total <= 0 else 0.0
+    return float(stdtr(n - 1, -total / error))

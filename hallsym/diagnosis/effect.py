@@ -13,9 +13,10 @@ class Facts:
     """What effects may know of a log before they are tried: its length, temperature, readings, hum.
 
     `duration_s`: of the campaign. `temperature`: mean logged temperature, None where none is logged.
-    `extremes`: quantiles of each reading, (n_quantiles, n_channels). `lines_hz`: mains frequencies seen in
-    the residual. `instants`: probe and moment [s] at which it may have slipped. `step_s`: sampling interval.
-    `gains`: of the probes at rest.
+    `extremes`: quantiles of each reading, (n_quantiles, n_channels). `rails`: lowest
+    and highest value of each channel where it repeats, else -inf and inf. `lines_hz`: mains frequencies seen
+    in the residual. `instants`: probe and moment [s] at which it may have slipped. `step_s`: sampling
+    interval. `gains`: of the probes at rest. `instants_tried`: moments that were compared to find those.
     """
 
     duration_s: float
@@ -23,8 +24,10 @@ class Facts:
     columns: tuple[str, ...]
     temperature: float | None = None
     extremes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    rails: tuple[tuple[float, float], ...] = ()
     lines_hz: tuple[float, ...] = ()
     instants: tuple[tuple[int, float], ...] = ()
+    instants_tried: int = 1
     gains: tuple[float, ...] = ()
 
 
@@ -40,6 +43,8 @@ class Variant:
     make: Callable[[Model], Model]
     shapes: int = 0
     shape: float | None = None
+    tried: int = 1
+    """Values of those numbers that were compared, for the significance."""
 
 
 @dataclass(frozen=True, eq=False)

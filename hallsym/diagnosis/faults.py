@@ -23,6 +23,10 @@ CERTAIN = 8.0
 """Standard deviations that jitter must show by."""
 RARE = 2e-5
 """Share of samples from which on a tail is more than chance."""
+BURSTS = 0.5
+"""Share of far samples that crowd together from which on they are no faults of single samples."""
+SMOOTH = 0.25
+"""Correlation of neighbouring time shifts from which on they are no jitter, which has none."""
 ONE_SIDED = 0.5
 """Mean sign of samples that are late from which on they count as stale: jitter is early as often as late."""
 
@@ -44,17 +48,18 @@ def faults(base: Base, found: Survey) -> list[Fault]:
     out = []
     variance = max(found.variance, 1e-12)
     tail = found.spike_power + found.stale_power
-    if found.spike_share > RARE and found.spike_power > 0.3 * tail:
+    rare = found.bursts < BURSTS
+    if rare and found.spike_share > RARE and found.spike_power > 0.3 * tail:
         out.append(
             Fault("outliers", "electronics", f"{100 * found.spike_share:.2g} % of the samples are spikes",
                   tail / variance, {"share": Estimate(found.spike_share, None, "1")}, 0.0)
         )  # fmt: skip
-    elif found.stale_share > RARE and abs(found.one_sided) > ONE_SIDED:
+    elif rare and found.stale_share > RARE and abs(found.one_sided) > ONE_SIDED:
         out.append(
             Fault("dropped_samples", "clock", f"{100 * found.stale_share:.2g} % of the samples are old",
                   tail / variance, {"share": Estimate(found.stale_share, None, "1")}, 0.0)
         )  # fmt: skip
-    elif found.jitter_z > CERTAIN:
+    elif found.jitter_z > CERTAIN and found.smooth < SMOOTH:
         out.append(
             Fault("clock_jitter", "clock", f"sampling instants scatter by {1e6 * found.jitter_s:.3g} us rms",
                   found.jitter_power / variance, {"jitter": Estimate(found.jitter_s, None, "s")}, 1e-12)

@@ -39,24 +39,45 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Statement:
-    """Where the gap lives: `share` of the excess above the noise floor that goes with `by` (at `at`)."""
+    """Where the gap lives: `share` of the excess above the noise floor that goes with `by` (at `at`).
+
+    `share`: 0 to 1, on fitted runs; statements on coordinates count only what those before leave, so that
+    their shares add up to at most 1. `held_out`: the same on held-out runs, with what was fitted on the
+    others; None where it is not asked.
+    """
 
     by: str
     at: str
     share: float
     p_value: float
     text: str
+    held_out: float | None = None
 
 
 @dataclass(frozen=True)
 class Separation:
-    """The recording that would tell the members of a group apart, and by what factor (of what)."""
+    """The recording that would tell the members of a group apart, and by how much.
+
+    `distance`, `needed`: whitened squared distance between what the members leave on this log, and the one
+    that 5 sigma take; `factor`: how many times larger the difference must be, sqrt(needed / distance).
+    `simulated`: whether `recording` comes from the members' own models; then one such run of `run_s` seconds
+    adds `sigma` standard deviations to the `sigma_now` of this log, and `runs` of them (`seconds` in all)
+    reach 5. `tried`: every simulated recording, with its sigma per run. Where no recording can be simulated,
+    or none separates, `recording` is what the catalogue says.
+    """
 
     group: tuple[str, ...]
     recording: str
     distance: float
     needed: float
     factor: float
+    simulated: bool = False
+    sigma_now: float | None = None
+    sigma: float | None = None
+    run_s: float | None = None
+    runs: int | None = None
+    seconds: float | None = None
+    tried: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -66,7 +87,8 @@ class Diagnosis:
     `noise_floor`: `{"x_m": .., "source": "stated" or "estimated"}`. `ranked`: names that carry evidence, best
     first. `groups`: names that this log cannot tell apart. `metric`: the scalar gap metric [m] before,
     after, and of the floor. `smaller_findings`: significant but not worth the threshold. `remaining`: where
-    what no effect explains lies.
+    what no effect explains lies. `unexplained`: its share of the gap, what it goes with and how, see `shape`;
+    empty unless that is the verdict. `residual`: rms of readings and outputs on fitted and held-out runs.
     """
 
     verdict: str
@@ -91,6 +113,8 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
+    unexplained: dict[str, Any] = field(default_factory=dict)
+    residual: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""

@@ -78,7 +78,7 @@ def refit(base: Base, runs: Sequence[int], steps: int = STEPS) -> Refitted:
     units = now.units(runs)
     cost = _cost(now, units)
     for _ in range(steps):
-        step = solve(now.likelihood[units].sum(axis=0), np.arange(len(base.free)))
+        step = inside_bounds(at, now.likelihood[units].sum(axis=0))
         share = 1.0
         for _ in range(6):
             trial = _moved(at, now, step * share)
@@ -93,6 +93,27 @@ def refit(base: Base, runs: Sequence[int], steps: int = STEPS) -> Refitted:
         if gained <= CLOSE * cost:
             break
     return Refitted(at, now, units, cost)
+
+
+def inside_bounds(base: Base, M: np.ndarray) -> np.ndarray:
+    """Return the step to the minimum inside the bounds: parameters that would leave stop there."""
+    free = np.array(base.free, dtype=int)
+    lower, upper = (b[free] - base.p[free] for b in base.model.bounds)
+    lower, upper = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
+    step, moving = np.zeros(len(free)), np.arange(len(free))
+    for _ in range(len(free)):
+        stopped = np.setdiff1d(np.arange(len(free)), moving)
+        left = M.copy()
+        left[:, -1] -= M[:, stopped] @ step[stopped]
+        step[moving] = solve(left, moving)
+        beyond = (step[moving] < lower[moving]) | (step[moving] > upper[moving])
+        step = np.clip(step, lower, upper)
+        if not beyond.any():
+            break
+        moving = moving[~beyond]
+        if not len(moving):
+            break
+    return step
 
 
 def _cost(t: Tangents, units: np.ndarray) -> float:

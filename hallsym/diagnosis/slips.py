@@ -9,10 +9,15 @@ from hallsym.diagnosis.survey import SEGMENT
 from hallsym.diagnosis.tangent import Base, Products
 
 MAX_SEGMENTS = 1200
+SAME = 1e-9
+"""Relative difference below which two instants are the same to the fitted runs."""
 
 
 def instants(base: Base, runs: Sequence[int], rows: int) -> tuple[tuple[int, float], ...]:
-    """Return, for each probe, the instant [s since the log began] at which a step explains most."""
+    """Return, for each probe, the instant [s since the log began] at which a step explains most.
+
+    Runs that are held out take no part, but for the side of it on which they lie.
+    """
     names = [f"eta_{probe.label}" for probe in base.model.layout]
     if not base.model.zeros or any(n not in base.model.names for n in names):
         return ()
@@ -39,38 +44,45 @@ def _segments(base: Base, runs: set[int], size: int) -> list[tuple[int, float, n
 def _best(
     segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z: int, apart: frozenset[int]
 ) -> tuple[int, float]:
-    """Instant at which a step of probe k's gain and offset lowers the squares most.
+    """Instant at which a step of probe k's gain and offset lowers the squares of the fitted runs most.
 
-    Within a held-out run there is none: nothing that is fitted would know its offset.
+    Where those leave open on which side of it a held-out run lies, that run says it of itself, like its zero
+    deviation. Within a held-out run there is no instant: nothing that is fitted would know its offset.
     """
-    order = list(dict.fromkeys(run for run, _, _ in segments))
-    by_run = {run: [s for s in segments if s[0] == run] for run in order}
+    runs = {run for run, _, _ in segments}
+    gains = _gains(segments, k, column, z, runs - apart)
+    most = max((gain for _, gain in gains), default=0.0)
+    equal = {t for t, gain in gains if gain >= most * (1 - SAME)}
+    if len(equal) > 1:
+        gains = [(t, gain) for t, gain in _gains(segments, k, column, z, runs) if t in equal]
+    return k, max(gains, key=lambda g: g[1])[0] if gains else 0.0
+
+
+def _gains(
+    segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z: int, counted: set[int]
+) -> list[tuple[float, float]]:
+    """Every instant with what a step lowers the squares of the `counted` runs by."""
+    by_run: dict[int, list[tuple[int, float, np.ndarray]]] = {}
+    for segment in segments:
+        by_run.setdefault(segment[0], []).append(segment)
     whole = {run: np.sum([s[2] for s in parts], axis=0) for run, parts in by_run.items()}
-    reduced = {run: _reduced(M, z) for run, M in whole.items()}
+    reduced = {run: _reduced(M, z) * (run in counted) for run, M in whole.items()}
     total = np.sum(list(reduced.values()), axis=0)
     n = len(total) - 1
     JJ = inverse(total[:n, :n])
-    after = np.zeros_like(total)
-    best = (-1.0, 0.0)
-    for run in reversed(order):
+    after, out = np.zeros_like(total), []
+    for run in reversed(by_run):
         parts = by_run[run]
         late = np.zeros_like(whole[run])
-        for j in range(len(parts) - 1, -1, -1):
+        for j in range(len(parts) - 1, 0, -1) if run in counted else ():
             late = late + parts[j][2]
-            if j and run in apart:
-                continue
-            if j == 0:  # between runs: the offset is the zero's
-                step = (
-                    (after + reduced[run])[:, [column]],
-                    (after + reduced[run])[[column], [column]][:, None],
-                )
-            else:
-                step = _split(whole[run], late, after, k, column, z)
-            gain = _gain(total, JJ, *step)
-            if gain > best[0]:
-                best = (gain, parts[j][1])
+            step = _split(whole[run], late, after, k, column, z)
+            out.append((parts[j][1], _gain(total, JJ, *step)))
         after = after + reduced[run]
-    return k, best[1]
+        # between runs: the offset is the zero's
+        step = after[:, [column]], after[[column], [column]][:, None]
+        out.append((parts[0][1], _gain(total, JJ, *step)))
+    return out
 
 
 def _reduced(M: np.ndarray, z: int) -> np.ndarray:

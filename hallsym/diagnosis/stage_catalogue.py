@@ -3,8 +3,10 @@
 from collections.abc import Callable
 
 import casadi as ca
+import numpy as np
 
 from hallsym.diagnosis.effect import Effect, Facts, Variant
+from hallsym.diagnosis.survey import MAINS
 from hallsym.families import stage_effects as se
 from hallsym.model import Model, Signals
 
@@ -25,7 +27,10 @@ def _one(label: str, make: se.Make) -> list[Variant]:
 
 
 def _hysteresis(model: Model, facts: Facts) -> list[Variant]:
-    return [Variant(f"half-width {1e6 * w:.3g} um", se.hysteresis(w, facts.gains), 1, w) for w in WIDTHS]
+    return [
+        Variant(f"half-width {1e6 * w:.3g} um", se.hysteresis(w, facts.gains), 1, w, len(WIDTHS))
+        for w in WIDTHS
+    ]
 
 
 def _finer_hysteresis(model: Model, facts: Facts, width: float) -> list[Variant]:
@@ -61,22 +66,28 @@ def _offset_time(model: Model, facts: Facts) -> list[Variant]:
 
 def _slips(model: Model, facts: Facts) -> list[Variant]:
     labels = [probe.label for probe in model.layout]
-    return [Variant(f"probe {labels[k]} at {t:.6g} s", se.mount_slip(k, t), 1, t) for k, t in facts.instants]
+    return [
+        Variant(f"probe {labels[k]} at {t:.6g} s", se.mount_slip(k, t), 1, t, facts.instants_tried)
+        for k, t in facts.instants
+    ]
 
 
 def _hums(model: Model, facts: Facts) -> list[Variant]:
-    out = [Variant(f"{f:.5g} Hz", se.mains_hum(f), 1, f) for f in facts.lines_hz]
+    tried = max(1, round(sum(b - a for a, b in MAINS) * facts.duration_s))  # independent frequencies
+    out = [Variant(f"{f:.5g} Hz", se.mains_hum(f), 1, f, tried) for f in facts.lines_hz]
     return out + [
-        Variant(f"{f:.5g} Hz and harmonics", se.mains_hum(f, (1, 2, 3)), 1, f) for f in facts.lines_hz
+        Variant(f"{f:.5g} Hz and harmonics", se.mains_hum(f, (1, 2, 3)), 1, f, tried) for f in facts.lines_hz
     ]
 
 
 def _clipping(model: Model, facts: Facts) -> list[Variant]:
     out = []
-    for high, low in zip(facts.extremes[0::2], facts.extremes[1::2], strict=True):
-        out.append(
-            Variant("both rails", se.saturation([max(h, -v) for h, v in zip(high, low, strict=True)], 0), 1)
-        )
+    if np.isfinite(facts.rails).any():
+        low, high = np.array(facts.rails).T.tolist()
+        out.append(Variant("where readings repeat", se.clipping(low, high), 1))
+    for k, (high, low) in enumerate(zip(facts.extremes[0::2], facts.extremes[1::2], strict=True)):
+        levels = [max(h, -v) for h, v in zip(high, low, strict=True)]
+        out.append(Variant(f"rails, try {k + 1}", se.clipping([-v for v in levels], levels), 1, None, 4))
     return out
 
 

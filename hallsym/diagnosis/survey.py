@@ -4,7 +4,7 @@ One pass over the log, block by block. The findings here are no effects that a m
 has no equation), or the searched numbers that effects start from (a mains frequency, the instant of a slip).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -13,7 +13,7 @@ from scipy.ndimage import median_filter
 
 from hallsym.arrays import on_arrays
 from hallsym.batches import batches
-from hallsym.computed import extended, rate
+from hallsym.computed import Computed, extended, rate
 from hallsym.decoding import columns_of
 from hallsym.diagnosis.chance import statistic_at
 from hallsym.diagnosis.tangent import Base
@@ -26,6 +26,8 @@ LAGS = 64
 ENOUGH = 1_000_000
 """Samples that are looked at one by one; of a longer log every 64th block beyond."""
 WINDOW = 9
+FILTERED, FILTERED_QUARTILE = 0.945, 0.917
+"""What a running median of 9 leaves of white noise: mean square and upper quartile of squares, simulated."""
 SPIKE = 6.0
 """Standard deviations beyond which a sample counts as a spike."""
 
@@ -54,8 +56,9 @@ class Survey:
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
     `jitter_s`: rms sampling-instant error that explains residual growing with speed, with `jitter_z` its
     significance. `stale_share`, `spike_share`: share of samples, `one_sided` the mean sign of the stale ones'
-    delay, `quiet` the whitened variance of all others. `adc_step`: (K,) step seen, 0 for none.
-    `lines_hz`: mains lines; `line_power`: their share of the residual's power.
+    delay, `smooth` the correlation of neighbouring time shifts (0 for jitter), `bursts` the share of spikes
+    and stale samples that are within one of many, `quiet` the whitened variance of all others. `adc_step`:
+    (K,) step seen, 0 for none. `lines_hz`: mains lines; `line_power`: their share of the residual's power.
     """
 
     step_s: float = 0.0
@@ -73,6 +76,8 @@ class Survey:
     spike_share: float = 0.0
     spike_power: float = 0.0
     one_sided: float = 0.0
+    smooth: float = 0.0
+    bursts: float = 0.0
     quiet: float = 1.0
     adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
     lines_hz: tuple[float, ...] = ()
@@ -81,8 +86,8 @@ class Survey:
     temperature: float | None = None
 
 
-def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
-    """Yield the whitened residual of some runs with what moves it."""
+def pieces(base: Base, runs: frozenset[int], extra: Sequence[Computed] = ()) -> Iterator[Piece]:
+    """Yield the whitened residual of some runs with what moves it, and `extra` columns."""
     model = base.model
     s = model.symbols
     reading = s.full(s.reading)
@@ -92,8 +97,9 @@ def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     inputs = [s.parameters, s.zeros, s.pose, s.state, velocity]
     function = ca.Function("survey", inputs, [ca.densify(reading), ca.densify(slope)])
     run = on_arrays(function)
-    log = extended(base.log, model.with_columns(*axes), base.sigma)
-    wanted = (*columns_of(model), *(a.name for a in axes), "t_s", "temperature_degc")
+    log = extended(base.log, model.with_columns(*axes, *extra), base.sigma)
+    made = [a.name for a in (*axes, *extra)]
+    wanted = (*columns_of(model), *made, "t_s", "temperature_degc")
     columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
     whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
     for batch in batches(log, columns):
@@ -136,7 +142,7 @@ class _Work:
         self.largest: list[np.ndarray] = []
         self.seen = self.skipped = 0
         self.wave: list[tuple[np.ndarray, np.ndarray]] = []
-        self.jitter = np.zeros(5)
+        self.neighbours, self.crowd = np.zeros(2), np.zeros(2)
         self.first: float | None = None
 
     def add(self, piece: Piece) -> None:
@@ -198,6 +204,12 @@ class _Work:
         size = np.sqrt(np.maximum(information, 1e-300))
         z = along / size
         rest = np.einsum("ks,ks->s", quick, quick) - z**2
+        if len(z) > 1:
+            self.neighbours += np.array([float(z[1:] @ z[:-1]), float(z @ z) * (len(z) - 1) / len(z)])
+        far = (rest > 40 * max(np.median(rest), 0.25)) | (z**2 > 40 * max(np.median(z**2), 0.25))
+        if far.any():
+            near = np.convolve(far, np.ones(2 * WINDOW + 1), "same") > WINDOW
+            self.crowd += np.array([float((far & near).sum()), float(far.sum())])
         self.shift.append(np.array([z, size, rest, piece.used]))
 
     def finish(self) -> Survey:
@@ -216,7 +228,7 @@ class _Work:
     def _judge_instants(self) -> None:
         """Split the residual into what a time shift explains (z) and the rest, each into body and tail.
 
-        The body is judged by medians, which rare samples do not move: its growth with speed is jitter. What
+        The body is judged by quartiles, which rare samples do not move: its growth with speed is jitter. What
         the mean of squares has beyond that is the tail: samples that are late, or spikes.
         """
         f, (z, size, rest, _) = self.found, np.hstack(self.shift)
@@ -227,10 +239,12 @@ class _Work:
         slope = max(slope, 0.0) if f.jitter_z > 0 else 0.0
         f.jitter_s = float(np.sqrt(slope))
         f.jitter_power = float(slope * np.mean(size**2)) / self.K
-        expected = body + slope * size**2
+        expected = FILTERED * (body + slope * size**2)
         quiet = max(float(np.median(rest)) / statistic_at(0.5, max(self.K - 1, 1)), 0.25)
         spikes = rest > quiet * (SPIKE**2 + 12)
         late = (z**2 > SPIKE**2 * expected) & ~spikes
+        f.smooth = float(self.neighbours[0] / max(self.neighbours[1], 1e-300))
+        f.bursts = float(self.crowd[0] / max(self.crowd[1], 1.0))
         f.spike_share, f.stale_share = float(spikes.mean()), float(late.mean())
         normal = ~spikes & ~late
         tail_z = max(0.0, float(np.mean(np.where(spikes, 0.0, z**2 - expected))))
@@ -276,11 +290,11 @@ class _Work:
 
 
 def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
-    """Variance of z at rest, its growth with size^2 and the standard error of that, from medians in bins."""
+    """Variance of z at rest, its growth with size^2 and the error of that, from quartiles in bins."""
     order = np.argsort(size)
     bins = np.array_split(order, 12)
     x = np.array([np.mean(size[b] ** 2) for b in bins])
-    y = np.array([np.median(z[b] ** 2) for b in bins]) / 0.4549
+    y = np.array([np.quantile(z[b] ** 2, 0.75) for b in bins]) / (1.3233 * FILTERED_QUARTILE)
     error = np.maximum(y, 0.3) * 2.4 / np.sqrt([len(b) for b in bins])
     A = np.column_stack([np.ones(len(x)), x]) / error[:, None]
     scale = np.linalg.norm(A, axis=0)

@@ -64,7 +64,7 @@ class Tangents:
     runs: tuple[tuple[int, ...], ...]
     span: dict[str, slice]
     follow: np.ndarray
-    """(runs, zeros, c): how the zeros of a run follow the other columns."""
+    """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
     order: tuple[int, ...]
     """The runs of `follow`."""
     spoiled: frozenset[str] = frozenset()
@@ -156,12 +156,29 @@ class Products:
         for block, part in batch.parts():
             a = A[:, :, part]
             white = self._whitened(a)
-            out = np.einsum("jks,cks->cjs", D[:, :, part], a, optimize=True).reshape(self.size, -1)
+            out = _mapped(D[:, :, part], a)
             count = float(part.stop - part.start if weights is None else weights[part].sum())
-            self._gather(block.run, white @ white.T, out @ out.T, count)
+            self._gather(block.run, self._products(white), self._products(out), count)
+
+    def _products(self, rows: np.ndarray) -> np.ndarray:
+        """Products of all columns with zeros, parameters and residual, and of each candidate with itself.
+
+        Those between two candidates are nobody's business and stay 0.
+        """
+        own = self.z + self.n
+        near = np.vstack([rows[:own], rows[-1:]])
+        M = np.zeros((self.size, self.size))
+        across = rows @ near.T
+        M[:, :own], M[:, -1] = across[:, :own], across[:, -1]
+        M[:own], M[-1] = M[:, :own].T, M[:, -1]
+        for span in self.span.values():
+            k = slice(self.z + span.start, self.z + span.stop)
+            if span.start >= self.n:
+                M[k, k] = rows[k] @ rows[k].T
+        return M
 
     def _whitened(self, a: np.ndarray) -> np.ndarray:
-        return np.einsum("jk,cks->cjs", self.whiten, a, optimize=True).reshape(self.size, -1)
+        return _mapped(self.whiten[:, :, None], a)
 
     def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns, (c, K, samples), and what turns them into decoded pose, (pose, K, samples)."""
@@ -240,9 +257,11 @@ class Products:
             self.follow.append(np.zeros((0, self.size)))
             return entry
         follow = -np.linalg.lstsq(white[:z, :z], white[:z, z:], rcond=1e-12)[0]
-        self.follow.append(follow)
-        T = np.vstack([follow, np.eye(self.size - z)])
-        return run, T.T @ white @ T, T.T @ out @ T, count
+        # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
+        self.follow.append(follow[:, :0] if self.signatures else follow)
+        half = out[z:, :z] @ follow
+        half += half.T + follow.T @ out[:z, :z] @ follow
+        return run, white[z:, z:] + white[z:, :z] @ follow, out[z:, z:] + half, count
 
     def result(self) -> Tangents:
         """Return what has been gathered."""
@@ -258,3 +277,13 @@ class Products:
             tuple(self.order),
             frozenset(self.spoiled),
         )
+
+
+def _mapped(D: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Apply (J, K, samples or 1) to columns (c, K, samples); entries that are nil throughout cost nothing."""
+    out = np.zeros((len(a), len(D), a.shape[2]))
+    for j, row in enumerate(D):
+        for k, factor in enumerate(row):
+            if np.any(factor):
+                out[:, j] += factor * a[:, k]
+    return out.reshape(len(a), -1)

@@ -1,67 +1,159 @@
-"""The diagnosis as a person reads it in a terminal."""
+"""The diagnosis as a person reads it in a terminal: at most 110 characters wide, um and urad."""
 
 from collections.abc import Mapping
+from textwrap import fill
 from typing import Any
 
-from hallsym.diagnosis.record import Diagnosis, FoundEffect, Statement
-from hallsym.tables import concise, error_rows, grid
+from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
+from hallsym.tables import concise, error_rows, grid, readable
+
+WIDTH = 110
+MOST = 10
+"""Statements on where a gap lies that are printed."""
+LEAST_P = 1e-6
+"""Probabilities below this are only said to be below it: no test is better than its assumptions."""
+UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""),
+         "m s2/m": (1e6, "um per m/s2")}  # fmt: skip
+"""How parameters are shown: unit -> factor and unit for reading."""
 
 
 def diagnosis_text(d: Diagnosis) -> str:
     """Return what `hallsym diagnose` prints: verdict, errors, effects, where, what could not be tested."""
-    source = d.noise_floor["source"]
+    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d)]
+    if d.effects:
+        parts += ["", effect_text(d.effects), "", *(_parameters(e) for e in d.effects)]
+        parts.append(_wrapped(_shrinks(d)))
+    for s in d.separate_by:
+        parts += ["", separation_text(s)]
+    above = "where what is above the noise lies" if d.verdict == "no gap" else "where the gap lies"
+    parts += _statements(above, d.where)
+    parts += _statements("where the rest lies", d.remaining) if d.remaining != d.where else []
+    parts += _curve(d.unexplained)
+    if d.smaller_findings:
+        parts += ["", _wrapped(f"smaller findings (significant, below the threshold): {_smaller(d)}", "  ")]
+    parts += _untested(d.not_testable)
+    if d.notes:
+        parts += ["", *(_wrapped(f"note: {note}", "  ") for note in d.notes)]
+    return "\n".join(parts)
+
+
+def p_text(p: float | None) -> str:
+    """Return a probability for reading: never 0, never more digits than it is worth."""
+    if p is None:
+        return ""
+    return f"< {LEAST_P:.0e}".replace("e-0", "e-") if p < LEAST_P else f"{p:.1g}"
+
+
+def _wrapped(text: str, indent: str = "") -> str:
+    return fill(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def _basis(d: Diagnosis) -> str:
+    return (
+        f"verdict: {d.verdict}. {d.model}; judged on {len(d.validation_runs)} runs neither fitted nor "
+        f"chosen on; worth reporting from {100 * d.threshold:g} %; noise floor from {d.noise_floor['source']}"
+        f" noise; {d.seconds:.1f} s."
+    )
+
+
+def _errors(d: Diagnosis) -> str:
+    """The errors on held-out runs, before and after, with the noise floor."""
     floor = {c: v for c, v in d.noise_floor.items() if c != "source"}
     rows = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"held out": d.gap_before}
-    judged = f"judged on {len(d.validation_runs)} runs that were neither fitted nor chosen on"
-    parts = [
-        d.sentence,
-        "",
-        f"verdict: {d.verdict} ({d.model}, threshold {100 * d.threshold:g} %, {judged}; "
-        f"noise floor from {source} noise; {d.seconds:.1f} s)",
-        "",
-        error_rows(tuple(floor), rows, floor),
-    ]
-    if d.effects:
-        parts += ["", effect_text(d.effects), "", *(_parameters(e) for e in d.effects if e.parameters)]
-        low, high = d.shrinkage["interval"]
-        parts.append(
-            f"the gap shrinks by {100 * d.shrinkage['value']:.1f} % "
-            f"(95 %: {100 * low:.1f} to {100 * high:.1f}); "
-            f"{100 * d.shrinkage['share_closed']:.0f} % of what is above the floor is closed with "
-            f"{d.shrinkage['parameters_added']} parameters"
-        )
-    for group, sep in zip(d.groups, d.separate_by, strict=False):
-        parts += ["", f"this log cannot tell apart: {', '.join(group)}", f"  record: {sep.recording}"]
-        parts.append(f"  the difference must show {sep.factor:.3g} x more than here")
-    parts += _statements("where the gap lies", d.where)
-    parts += _statements("where the rest lies", d.remaining)
-    if d.smaller_findings:
-        parts += ["", "smaller findings (significant, below the threshold): " + _smaller(d.smaller_findings)]
-    if d.not_testable:
-        parts += ["", *(f"not testable: {name}: {reason}" for name, reason in d.not_testable.items())]
-    return "\n".join([*parts, *(f"note: {note}" for note in d.notes)])
+    return error_rows(tuple(floor), rows, floor)
 
 
 def effect_text(effects: tuple[FoundEffect, ...]) -> str:
     """Return the table of effects, best first."""
-    rows = [["effect", "link", "form", "gap without it shrinks by", "of the excess", "p"]]
+    rows = [["effect", "link", "gap shrinks by (95 %)", "of the gap", "p"]]
     for e in effects:
         low, high = e.interval
         shrinks = f"{100 * e.shrinkage:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-        rows.append([e.name, e.link, e.variant, shrinks, f"{100 * e.share:.0f} %", f"{e.p_value:.1g}"])
-    return grid(rows, left=3)
+        rows.append([e.name, e.link, shrinks, f"{100 * e.share:.0f} %", p_text(e.p_value)])
+    return grid(rows, left=2)
 
 
 def _parameters(effect: FoundEffect) -> str:
-    values = (f"{n} {concise(p.value, p.std)} {p.unit}" for n, p in effect.parameters.items())
-    return f"{effect.name}: {', '.join(values)}"
+    """What an effect is on this machine, and what it costs."""
+    values = ", ".join(f"{n} {_estimate(p)}" for n, p in effect.parameters.items())
+    form = f" ({effect.variant})" if effect.variant else ""
+    text = f"{effect.name}{form}: {values + '; ' if values else ''}{effect.cost}"
+    return _wrapped(text, "  ")
+
+
+def _estimate(p: Estimate) -> str:
+    factor, unit = UNITS.get(p.unit, (1.0, p.unit))
+    std = None if p.std is None else p.std * factor
+    return f"{concise(p.value * factor, std)} {unit}".strip()
+
+
+def _shrinks(d: Diagnosis) -> str:
+    low, high = d.shrinkage["interval"]
+    added = d.shrinkage["parameters_added"]
+    return (
+        f"The gap shrinks by {100 * d.shrinkage['value']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f}), "
+        f"{100 * d.shrinkage['share_closed']:.0f} % of what is above the floor, for "
+        f"{added} parameter{'s' if added != 1 else ''} more."
+    )
+
+
+def separation_text(s: Separation) -> str:
+    """Return what a log cannot tell apart, what would, and by how much."""
+    text = f"This log cannot tell apart: {', '.join(s.group)}"
+    text += f" ({s.sigma_now:.2g} sigma)." if s.sigma_now is not None else "."
+    if s.simulated and s.sigma is not None and s.runs is not None and s.seconds is not None:
+        many = "one such run is enough" if s.runs == 1 else f"{s.runs} such runs are enough"
+        each = f"a run tells them apart by {s.sigma:.3g} sigma (simulated), {many} for 5 sigma"
+        total = f", {s.seconds:.3g} s in all" if s.runs > 1 else ""
+        return _wrapped(f"{text} Record {s.recording}: {each}{total}.", "  ")
+    none = " None of the recordings that were simulated does it." if s.tried else ""
+    more = f" The difference must show {s.factor:.3g} times more than here."
+    return _wrapped(f"{text}{none} Record {s.recording}.{more}", "  ")
 
 
 def _statements(title: str, statements: tuple[Statement, ...]) -> list[str]:
     if not statements:
         return []
-    return ["", f"{title}:", *(f"  {s.text} (p {s.p_value:.1g})" for s in statements[:10])]
+    return ["", f"{title}:", *(_wrapped(f"  {_statement(s)}", "    ") for s in statements[:MOST])]
 
 
-def _smaller(findings: tuple[Mapping[str, Any], ...]) -> str:
-    return ", ".join(f"{f['name']} {100 * f['shrinkage']:.1f} %" for f in findings)
+def _statement(s: Statement) -> str:
+    held = "" if s.held_out is None else f"; held-out runs {100 * max(s.held_out, 0.0):.0f} %"
+    return f"{s.text} (p {p_text(s.p_value)}{held})"
+
+
+def _curve(rest: Mapping[str, Any]) -> list[str]:
+    """One line on the shape of the rest: its largest value over its coordinate, for each reading."""
+    curve = rest.get("curve")
+    if not curve or not curve["line"]:
+        return []
+    said = []
+    for channel, c in curve["readings"].items():
+        half_of = [(high - low) / 2 for low, high in zip(c["low"], c["high"], strict=True)]
+        k = max(range(len(half_of)), key=lambda j: abs(c["value"][j]) - half_of[j])
+        value, half = c["value"][k], half_of[k]
+        if curve["kind"] == "gain":
+            shown = f"{100 * value:+.2g} +- {100 * half:.1g} %"
+        else:
+            shown = f"{1e6 * value:+.2g} +- {1e6 * half:.1g} um"
+        said.append(f"{readable(channel)[2]} {shown} at {_at(curve, k)}")
+    what = "change of gain" if curve["kind"] == "gain" else "error"
+    return [_wrapped(f"  shape over {curve['coordinate']}, largest {what}: {'; '.join(said)}", "    ")]
+
+
+def _at(curve: Mapping[str, Any], k: int) -> str:
+    factor, unit = UNITS.get(curve["unit"], (1.0, curve["unit"])) if curve["unit"] != "s" else (1.0, "s")
+    return f"{curve['grid'][k] * factor:.3g} {unit}".strip()
+
+
+def _smaller(d: Diagnosis) -> str:
+    return ", ".join(f"{f['name']} {100 * f['shrinkage']:.1f} %" for f in d.smaller_findings)
+
+
+def _untested(reasons: Mapping[str, str]) -> list[str]:
+    """What could not be tested, names with the same reason together."""
+    together: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        together.setdefault(reason, []).append(name)
+    lines = [_wrapped(f"not testable: {', '.join(n)}: {reason}", "  ") for reason, n in together.items()]
+    return ["", *lines] if lines else []

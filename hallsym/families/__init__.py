@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import stage
+from hallsym.families import stage, stage_effects
 from hallsym.log import Meta
 from hallsym.model import Model
 
@@ -20,7 +20,8 @@ def models() -> dict[str, Callable[..., Model]]:
 
 def effects() -> dict[str, Callable[[Model], Model]]:
     """Return every effect by name."""
-    return {effect.__name__: effect for family in FAMILIES for effect in family.EFFECTS}
+    own = {effect.__name__: effect for family in FAMILIES for effect in family.EFFECTS}
+    return own | stage_effects.EFFECTS
 
 
 def build(

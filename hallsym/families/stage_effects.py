@@ -479,24 +479,45 @@ def mains_hum(frequency_hz: float, harmonics: Sequence[int] = (1,)) -> Make:
     return make
 
 
-def saturation(levels: Sequence[float], side: int) -> Make:
-    """Readings beyond a level lose the share that is the parameter (1: hard clipping).
-
-    `levels`: one per probe, [m]; `side`: +1, -1 or 0 for both rails.
-    """
+def clipping(low: Sequence[float], high: Sequence[float]) -> Make:
+    """Readings beyond `low` and `high` [m, one per probe] lose the share that is the parameter (1: hard)."""
 
     def make(model: Model) -> Model:
         names = [f"clipped_{k}" for k in _labels(model)]
 
         def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
             rows = []
-            for k, (name, level) in enumerate(zip(names, levels, strict=True)):
+            for k, name in enumerate(names):
                 m = s["reading"][k]
-                over = ca.fmax(m - level, 0) if side >= 0 else 0
-                under = ca.fmax(-m - level, 0) if side <= 0 else 0
+                over = ca.fmax(m - high[k], 0) if np.isfinite(high[k]) else 0
+                under = ca.fmax(low[k] - m, 0) if np.isfinite(low[k]) else 0
                 rows.append(m - p[name] * (over - under))
             s["reading"] = ca.vertcat(*rows)
 
         return _add(model, "electronics", "saturation", _free(names, 1.5, "1", "share clipped"), step)
 
     return make
+
+
+# -- what a calibration can hold ----------------------------------------------------------------------------
+
+
+def cross_axis(model: Model) -> Model:
+    """Leakage of the motion across the sensing axis, to second order."""
+    return cross_axis_sensitivity(("uv", "vv"))(model)
+
+
+def abbe_error(model: Model) -> Model:
+    """The reference reads Ry times an arm in x and Rx times an arm in y."""
+    return reference_abbe_error(((0, "ry_rad"), (1, "rx_rad")))(model)
+
+
+EFFECTS = {
+    "height_quadratic": height_quadratic,
+    "cross_axis_sensitivity": cross_axis,
+    "second_order_rotation": second_order_rotation,
+    "vertical_offset_coupling": vertical_offset_coupling,
+    "reference_abbe_error": abbe_error,
+}
+"""Effects by name whose readings stay linear in the zero deviations and need no computed column: a fit from
+run summaries can hold them. The others are functions of a log (a frequency, an instant) or of its history."""

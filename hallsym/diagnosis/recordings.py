@@ -1,0 +1,156 @@
+"""Recordings that could be made next: short runs on the same machine, inside the ranges of its log."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.campaign import AtTimes, Run, multi_sine, sine
+from hallsym.diagnosis.survey import pieces
+from hallsym.diagnosis.tangent import Base
+
+LONGEST = 2000
+"""Samples of a simulated run, at most."""
+LENGTH = 8.0
+"""Seconds of a simulated run, where that is no more samples."""
+PER_PERIOD = 12
+"""Samples per period of the fastest motion that is proposed."""
+BETWEEN = 1.0
+"""Seconds between runs."""
+WARM = 5.0
+"""Kelvin by which a temperature cycle goes up and down."""
+
+
+@dataclass(frozen=True, eq=False)
+class Range:
+    """What a log moved: amplitude and typical frequency by axis, clock, temperature.
+
+    `amplitude`: half the range of each pose and vertical column [m, rad]; `frequency_hz` of the pose;
+    `start_s`, `end_s`: of the log.
+    """
+
+    pose: tuple[str, ...]
+    vertical: tuple[str, ...]
+    amplitude: dict[str, float]
+    centre: dict[str, float]
+    frequency_hz: float
+    step_s: float
+    start_s: float
+    end_s: float
+    temperature: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A run that could be recorded: in words, as motion, and with a temperature over its time [degC]."""
+
+    text: str
+    run: Run
+    temperature: AtTimes | None = None
+
+
+def range_of(base: Base) -> Range:
+    """Return what the log of `base` moved, from a sample of it."""
+    model = base.model
+    vertical = tuple(c for c in ("z_m", "rx_rad", "ry_rad") if c in model.state)
+    columns = (*model.references, *vertical, "temperature_degc")
+    seen: dict[str, list[np.ndarray]] = {}
+    slopes: dict[str, list[np.ndarray]] = {}
+    step, first, last = [], None, 0.0
+    for piece in pieces(base, frozenset(base.log.runs)):
+        thin = slice(None, None, max(1, len(piece.t) // 256))
+        for c in columns:
+            if c in piece.data:
+                seen.setdefault(c, []).append(piece.data[c][thin])
+        for c in model.references:
+            slopes.setdefault(c, []).append(piece.data[f"d1_{c}"][thin])
+        step.append(float(np.median(np.diff(piece.t))) if len(piece.t) > 1 else np.nan)
+        first = float(piece.t[0]) if first is None else first
+        last = float(piece.t[-1])
+    values = {c: np.concatenate(v) for c, v in seen.items()}
+    half, middle = {}, {}
+    for c, v in values.items():
+        low, high = np.quantile(v, [0.005, 0.995])
+        half[c], middle[c] = float(high - low) / 2, float(high + low) / 2
+    typical = [
+        float(np.std(np.concatenate(slopes[c])) / np.std(values[c])) / (2 * np.pi)
+        for c in model.references
+        if np.std(values[c]) > 0
+    ]
+    names = dict(zip(model.references, model.pose, strict=True))
+    return Range(
+        model.pose, vertical, {names.get(c, c): v for c, v in half.items()},
+        {names.get(c, c): v for c, v in middle.items()}, max(typical, default=1.0), float(np.nanmedian(step)),
+        first or 0.0, last, middle.get("temperature_degc"),
+    )  # fmt: skip
+
+
+def recordings(r: Range) -> list[Recording]:
+    """Return what could be recorded, from the plain to the elaborate."""
+    fastest = 1.0 / (PER_PERIOD * r.step_s)
+    seconds = min(LENGTH, LONGEST * r.step_s)
+    f = min(max(r.frequency_hz, 2.0 / seconds), fastest)
+    out: list[Recording] = []
+
+    def add(text: str, motion: dict[str, AtTimes], setting: dict[str, float] | None = None,
+            temperature: AtTimes | None = None) -> None:  # fmt: skip
+        level = {c: r.centre[c] for c in r.vertical} | (setting or {})
+        out.append(Recording(f"{text} ({seconds:.3g} s)", Run(seconds, level, motion), temperature))
+
+    all_axes = _names(r.pose)
+    for times in (1.0, 2.0, 4.0, 8.0):
+        if times * f <= fastest:
+            add(f"{all_axes} together at {_hz(times * f)}", _sines(r, times * f))
+    if f > 8.0 / seconds:
+        add(f"{all_axes} together, slowly, at {_hz(f / 4)}", _sines(r, f / 4))
+    add(f"{all_axes} together over a fifth of the stroke at {_hz(f)}", _sines(r, f, 0.2))
+    tones = [x for x in f * np.array([0.5, 1.0, 2.0, 4.0, 8.0]) if x <= fastest]
+    add(f"{all_axes} with {len(tones)} frequencies at once, up to {_hz(tones[-1])}",
+        {c: multi_sine(2 * r.amplitude[c], [x * s for x in tones])
+         for c, s in zip(r.pose, SPREAD, strict=False)})  # fmt: skip
+    add(f"{all_axes} at constant speed to and fro, at {_hz(f)}",
+        {c: _to_and_fro(r.amplitude[c], f * s) for c, s in zip(r.pose, SPREAD, strict=False)})  # fmt: skip
+    for c in r.pose:
+        add(f"{_names((c,))} alone at {_hz(f)}", {c: sine(r.amplitude[c], f)})
+    add("everything at rest", {})
+    for c in r.vertical:
+        if r.amplitude[c] > 0:
+            add(f"{_names((c,))} moved within the run while {all_axes} stand still",
+                {c: sine(r.amplitude[c], 2.0 / seconds)})  # fmt: skip
+    if all(r.amplitude[c] > 0 for c in r.vertical) and r.vertical:
+        slow = {c: sine(r.amplitude[c], (2.0 + k) / seconds) for k, c in enumerate(r.vertical)}
+        add(f"{_names(r.vertical)} moved within the run while {all_axes} move at {_hz(f)}",
+            {**_sines(r, f), **slow})  # fmt: skip
+    if r.temperature is not None:
+        middle = r.temperature
+        add(f"{all_axes} at {_hz(f)} through a temperature cycle of +-{WARM:g} K", _sines(r, f), None,
+            lambda t: middle + WARM * np.sin(2 * np.pi * t / seconds))  # fmt: skip
+    return out
+
+
+SPREAD = (1.0, 0.83, 0.69)
+"""Frequencies of the axes over each other, so that no two move alike."""
+
+
+def _to_and_fro(amplitude: float, frequency_hz: float) -> AtTimes:
+    """Return a triangle with rounded turning points: its first four harmonics, which any stage can follow."""
+
+    def at(t: np.ndarray) -> np.ndarray:
+        x = 2 * np.pi * frequency_hz * t
+        waves = [(-1) ** k * np.sin((2 * k + 1) * x) / (2 * k + 1) ** 2 for k in range(4)]
+        return amplitude * 8 / np.pi**2 * np.sum(waves, axis=0)
+
+    return at
+
+
+def _sines(r: Range, frequency_hz: float, part: float = 1.0) -> dict[str, AtTimes]:
+    return {c: sine(part * r.amplitude[c], frequency_hz * s) for c, s in zip(r.pose, SPREAD, strict=False)}
+
+
+def _hz(value: float) -> str:
+    return f"{value:.2g} Hz"
+
+
+def _names(columns: Sequence[str]) -> str:
+    shown = [c.rpartition("_")[0].capitalize() if c != "x_m" and c != "y_m" else c[0] for c in columns]
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"

@@ -1,0 +1,190 @@
+"""What a model leaves on a log, sample by sample, beside the coordinates that it may go with.
+
+At most `ROOM` samples are held, evenly thinned, so that memory does not grow with the log.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hallsym.arrays import on_arrays
+from hallsym.computed import campaign_time, rate, run_time
+from hallsym.diagnosis.spectrum import Spectrum
+from hallsym.diagnosis.survey import pieces
+from hallsym.diagnosis.tangent import Base
+
+ROOM = 60_000
+"""Samples that are held."""
+FOLDS = 64
+"""Groups of neighbouring runs that are left out in turn, at most."""
+BLOCKS = 48
+"""Blocks that significance rests on, at least: runs, or stretches of runs where there are fewer runs."""
+FEWEST = 24
+"""Runs from which on a run is a block."""
+STILL = 5.0
+"""An axis that moves less than this many sigma of its noise (rms) stands still."""
+PARTS = 4
+SHORTEST = 20
+"""A run is cut into that many parts at least, of that many samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residue:
+    """Residual of the readings on some runs and what it may go with.
+
+    `residual`, `felt`, `speed`: (K, n) residual, expected reading at the smoothed reference, its rate [m, m,
+    m/s]. `columns`: (n,) each. `precision`: (K, K) inverse covariance of one residual. `fold`, `block`,
+    `part`: (n,) index of the group of runs, of the block for significance, of the stretch of a run.
+    `output`: (n_pose, K) turns a residual into decoded pose.
+    """
+
+    channels: tuple[str, ...]
+    pose: tuple[str, ...]
+    run: np.ndarray
+    residual: np.ndarray
+    felt: np.ndarray
+    speed: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    precision: np.ndarray
+    fold: np.ndarray
+    block: np.ndarray
+    part: np.ndarray
+    output: np.ndarray
+    sigma: Mapping[str, float]
+    spectrum: Spectrum = field(default_factory=Spectrum)
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Whitened square of each sample, (n,); K on average where there is noise only."""
+        return np.einsum("kn,kl,ln->n", self.residual, self.precision, self.residual)
+
+    def run_of(self, group: np.ndarray) -> np.ndarray:
+        """Return the run in which each of the consecutive groups begins."""
+        first = np.flatnonzero(np.diff(group, prepend=group[0] - 1))
+        return self.run[first]
+
+    @property
+    def excess(self) -> float:
+        """Sum of the whitened squares above what the noise explains."""
+        return float(self.squares.sum()) - self.residual.size
+
+
+def residue(base: Base, runs: Sequence[int]) -> Residue | None:
+    """Return what `base` leaves on `runs`; None where no sample of them counts."""
+    model, wanted = base.model, frozenset(runs)
+    extra = [rate(c, order) for order in (0, 1, 2) for c in model.references]
+    wide = replace(base, model=model.with_columns(*extra, campaign_time(), run_time()))
+    read, none = on_arrays(model.reading), np.zeros(len(model.zeros))
+    back = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(base.covariance)).T)
+    stride = max(1, -(-base.log.rows // ROOM))
+    out: dict[str, list[np.ndarray]] = {}
+    spectrum = Spectrum()
+    for piece in pieces(wide, wanted):
+        spectrum.add(piece)
+        at = np.flatnonzero(piece.used)[::stride]
+        data = {c: v[at] for c, v in piece.data.items()}
+        for c in model.references:
+            data[f"d0_{c}"] = _moved(data[f"d0_{c}"], base.sigma.get(c, 0.0))
+        smooth = [data[f"d0_{c}"] for c in model.references]
+        (felt,) = read(base.p, base.zeros.get(piece.run, none), smooth, [data[c] for c in model.state])
+        rows = {"residual": back @ piece.residual[:, at], "speed": back @ piece.speed[:, at], "felt": felt}
+        for name, values in {**data, **rows, "run": np.full(len(at), piece.run)}.items():
+            out.setdefault(name, []).append(values)
+    if not out or sum(len(v) for v in out["run"]) == 0:
+        return None
+    joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
+    run = joined.pop("run")
+    spread = np.asarray(model.noise_gain(base.p, [float(joined[c].mean()) for c in model.state], base.weight))
+    fold, block, part = _blocks(run)
+    return Residue(
+        model.channels, model.pose, run, joined.pop("residual"), joined.pop("felt"), joined.pop("speed"),
+        joined, np.linalg.inv(base.covariance), fold, block, part, spread, base.sigma, spectrum,
+    )  # fmt: skip
+
+
+def _moved(x: np.ndarray, sigma: float) -> np.ndarray:
+    """Return where an axis was: its mean where all that moved it is noise, which is part of the residual."""
+    return x if len(x) == 0 or np.std(x) > STILL * sigma else np.full(len(x), x.mean())
+
+
+def _blocks(run: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Group of runs to leave out, block for significance and stretch of a run of each sample."""
+    _, first, order, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
+    fold = order * min(FOLDS, len(first)) // len(first)
+    parts = max(PARTS, -(-BLOCKS // len(first)))
+    place = np.arange(len(run)) - first[order]
+    each = np.clip(counts // SHORTEST, 1, parts)[order]
+    part = order * parts + place * each // counts[order]
+    return fold, (fold if len(first) >= FEWEST else part), part
+
+
+# -- coordinates -------------------------------------------------------------------------------------------
+
+KNOTS = 9
+"""Knots of a smooth curve."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinate:
+    """What a residual may go with: `name`, the `column` behind it, its unit.
+
+    `gain`: it may also change the gain. `own`: every sensor has its own, made from `felt` or `speed`.
+    """
+
+    name: str
+    column: str
+    unit: str
+    gain: bool = True
+    own: bool = False
+
+    def values(self, r: Residue) -> np.ndarray | None:
+        """Return (n,) values, (K, n) for each sensor's own; None where there are none or they do not vary."""
+        if self.own:
+            x = r.felt if self.column == "felt" else r.speed
+        elif self.column in r.columns:
+            x = r.columns[self.column]
+        else:
+            return None
+        spread = float(np.std(x))
+        return x if spread > max(5 * r.sigma.get(self.column, 0.0), 1e-15) else None
+
+
+COORDINATES = (
+    Coordinate("temperature", "temperature_degc", "degC"),
+    Coordinate("height Z", "z_m", "m"),
+    Coordinate("tilt Rx", "rx_rad", "rad"),
+    Coordinate("tilt Ry", "ry_rad", "rad"),
+    Coordinate("height Z and tilts Rx, Ry", "vertical", "1", gain=False),
+    Coordinate("the reading itself", "felt", "m", gain=False, own=True),
+    Coordinate("direction of motion", "direction", "1", gain=False, own=True),
+    Coordinate("velocity", "speed", "m/s", own=True),
+    Coordinate("acceleration", "acceleration", "m/s2", gain=False),
+    Coordinate("place in the stroke of x", "d0_x_ref_m", "m"),
+    Coordinate("place in the stroke of y", "d0_y_ref_m", "m"),
+    Coordinate("rotation Rz", "d0_rz_ref_rad", "rad"),
+    Coordinate("time in the campaign", "campaign_s", "s"),
+    Coordinate("time since the start of the run", "run_s", "s", gain=False),
+)
+"""From the most telling to the least: of two that explain the same the first is named."""
+
+
+def knots(x: np.ndarray) -> np.ndarray:
+    """Return ends and inner knots of a smooth curve over x: quantiles, none closer than 2 % of the range."""
+    wanted = np.quantile(x, np.linspace(0.0, 1.0, KNOTS))
+    low, high = wanted[0], wanted[-1]
+    kept = [low]
+    for k in wanted[1:-1]:
+        if k - kept[-1] > 0.02 * (high - low) and high - k > 0.02 * (high - low):
+            kept.append(k)
+    return np.array([*kept, high])
+
+
+def hats(x: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return linear interpolation between `at` as features, (len(at), n)."""
+    k = np.clip(np.searchsorted(at, x, side="right") - 1, 0, len(at) - 2)
+    share = np.clip((x - at[k]) / (at[k + 1] - at[k]), 0.0, 1.0)
+    out = np.zeros((len(at), len(x)))
+    columns = np.arange(len(x))
+    out[k, columns], out[k + 1, columns] = 1.0 - share, share
+    return out

@@ -1,0 +1,226 @@
+"""The greedy search: score the catalogue, refit what is promising, keep the best, and ask again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hallsym.calibration import Fit
+from hallsym.cost import cost_of
+from hallsym.diagnosis.effect import Effect, Facts
+from hallsym.diagnosis.ranking import Exact, Score, by_name, candidates, refitted, scores
+from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
+from hallsym.diagnosis.structure import structure
+from hallsym.diagnosis.survey import SEGMENT, Survey, survey
+from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.verdict import ALLOWANCE, USED_UP, Floor, remains, slow_share, used_up
+from hallsym.log import Log
+from hallsym.model import Model
+from hallsym.summary import summarise
+from hallsym.wiring import rewired
+
+MOST = 3
+"""Effects that are added at most."""
+REPEATS = 4
+"""Times that a channel must take its very highest or lowest value for that to be a rail."""
+SURE = 0.01
+"""Significance, corrected for all that was tried, of an effect beside others."""
+TYPICAL_INFLATION = 2.0
+"""Assumed while searching; the effects that are found are judged by what the final residual shows."""
+
+
+def base_of(log: Log, result: Fit) -> Base:
+    """Return a fit as the point at which tangents are taken."""
+    wired = rewired(log, result.model.channels, result.wiring)
+    sigma = {c: s.value for c, s in result.noise.sigmas.items()}
+    cost = cost_of(summarise(wired, result.model, result.keep), sigma)
+    point = cost.at(result.values)
+    return Base(
+        log=wired,
+        model=result.model,
+        p=np.array(result.values, dtype=float),
+        zeros=dict(zip(cost.summary.runs, point.zeros, strict=True)),
+        covariance=point.covariance.mean(axis=0),
+        free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
+        length_m=log.meta.gap_length_scale_m or 0.35,
+        apart=frozenset(result.log["holdout"]),
+        sigma=sigma,
+        keep=result.keep,
+    )
+
+
+def floor_of(result: Fit, length_m: float) -> Floor:
+    """Return the gap metric that noise alone leaves."""
+    floor = result.noise_floor.items()
+    metric = float(np.sqrt(sum((length_m * v if c.startswith("r") else v) ** 2 for c, v in floor)))
+    return Floor(metric, all(s.source == "given" for s in result.noise.sigmas.values()))
+
+
+def facts_of(base: Base, found: Survey) -> Facts:
+    """Return what effects may know of the log; numbers searched for in the residual of `base`."""
+    model, log = base.model, base.log
+    temperature = _mean(log, "temperature_degc") if "temperature_degc" in log.columns else None
+    return Facts(
+        duration_s=max(found.duration_s, 1e-6),
+        step_s=found.step_s,
+        columns=log.columns,
+        temperature=temperature,
+        extremes=_extremes(log, model),
+        rails=rails_of(log, model),
+        lines_hz=found.lines_hz,
+        instants=instants(base, log.runs, log.rows),
+        instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
+        gains=tuple(float(base.p[model.names.index(f"eta_{p.label}")]) for p in model.layout),
+    )
+
+
+def _mean(log: Log, column: str) -> float:
+    sums = [(b.data[column].sum(), len(b.data[column])) for b in log.blocks((column,))]
+    return float(sum(s for s, _ in sums) / sum(n for _, n in sums))
+
+
+def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
+    """Return the extreme values of each channel that come again and again, exactly: its rails."""
+    low, high = np.full(len(model.channels), np.inf), np.full(len(model.channels), -np.inf)
+    at_low, at_high = np.zeros(len(low)), np.zeros(len(low))
+    for block in log.blocks(model.channels):
+        values = np.array([block.data[c] for c in model.channels])
+        lowest, highest = values.min(axis=1), values.max(axis=1)
+        at_low = np.where(lowest < low, 0, at_low)
+        at_high = np.where(highest > high, 0, at_high)
+        low, high = np.minimum(low, lowest), np.maximum(high, highest)
+        at_low += (values == low[:, None]).sum(axis=1)
+        at_high += (values == high[:, None]).sum(axis=1)
+    return tuple(
+        (a if n >= REPEATS else -np.inf, b if m >= REPEATS else np.inf)
+        for a, b, n, m in zip(low.tolist(), high.tolist(), at_low, at_high, strict=True)
+    )
+
+
+def _extremes(log: Log, model: Model) -> np.ndarray:
+    """Quantiles of a sample of the readings, high and low in turn: rails that are tried."""
+    parts = [np.array([b.data[c] for c in model.channels])[:, :: max(1, log.rows // 50_000)]
+             for b in log.blocks(model.channels)]  # fmt: skip
+    values = np.hstack(parts)
+    return np.vstack([np.quantile(values, [a, 1 - a], axis=1) for a in (0.998, 0.99, 0.97, 0.93)])
+
+
+@dataclass(eq=False)
+class Found:
+    """An effect in the set: how it was fitted when it came in, and what else came close."""
+
+    exact: Exact
+    rivals: list[Exact] = field(default_factory=list)
+
+
+class Search:
+    """The greedy search; after `run`, what it found."""
+
+    def __init__(
+        self,
+        base: Base,
+        runs: list[int],
+        catalogue: Sequence[Effect],
+        level: float,
+        floor: Floor,
+        say: Callable[[str], None],
+    ) -> None:
+        self.floor = floor
+        self.runs, self.catalogue, self.level, self.say = runs, tuple(catalogue), level, say
+        self.start = refit(base, runs)
+        self.now = self.start
+        self.found: list[Found] = []
+        self.not_testable: dict[str, str] = {}
+        self.last: list[Score] = []
+        self.survey = Survey()
+
+    def run(self) -> None:
+        """Add effects while they lower the gap metric by the threshold; then ask of each again."""
+        for count in range(MOST + 1):
+            self.say(f"testing {len(self.catalogue)} effects" + (f" beside {count}" if count else ""))
+            exact, ranked = self.step(self.now)
+            self.last = ranked
+            if count == MOST or not exact or not self.worth(exact[0].score, count):
+                break
+            self.found.append(Found(exact[0], exact[1:]))
+            self.now = exact[0].fit
+        if self.found:
+            self.prune()
+        if len(self.found) > 1:
+            self.reconsider()
+
+    def worth(self, score: Score, beside: int) -> bool:
+        """Return whether an effect lowers the gap enough; one `beside` others must be needed and certain.
+
+        A first effect that is certain is taken up from half the threshold on: on the held-out runs, which
+        decide, it may be worth more (a temperature that only they reach).
+        """
+        certain = score.corrected(len(self.catalogue)) < SURE
+        if not beside:
+            return score.ratio <= 1 - self.level or (certain and score.ratio <= 1 - self.level / 2)
+        needed = not self.floor.stated or self.gap(self.now) > self.floor.metric * (1 + ALLOWANCE)
+        return needed and certain and score.ratio <= 1 - self.level
+
+    def gap(self, at: Refitted) -> float:
+        """Gap metric on the fitted runs."""
+        return at.gap(at.fitted)
+
+    def prune(self) -> None:
+        """Where a gap remains, drop effects that only resemble what makes it: they leave its shape behind."""
+        rest = structure(self.now.base, self.runs)
+        seen = survey(self.now.base, frozenset(self.runs))
+        gap = self.gap(self.now)
+        if not remains(rest, slow_share(seen.variance, seen.fast), gap, self.floor, self.level):
+            return
+        kept = []
+        for k, found in enumerate(self.found):
+            others = [f.exact for j, f in enumerate(self.found) if j != k]
+            without = self.rebuilt(others) if others else self.start
+            before = structure(without.base, self.runs)
+            if used_up(before, self.gap(without), rest, gap) >= USED_UP:
+                kept.append(found)
+        if len(kept) < len(self.found):
+            self.found = kept
+            self.now = self.rebuilt([f.exact for f in kept]) if kept else self.start
+            if kept:
+                self.prune()
+
+    def step(self, at: Refitted) -> tuple[list[Exact], list[Score]]:
+        """Score the catalogue at `at` and refit what is promising."""
+        self.survey = survey(at.base, frozenset(self.runs))
+        facts = facts_of(at.base, self.survey)
+        tried, trouble = candidates(at.base, self.catalogue, facts)
+        self.not_testable |= {t.name: t.reason for t in trouble}
+        ranked, t = scores(at.base, tried, self.runs, TYPICAL_INFLATION)
+        for key in t.spoiled:
+            self.not_testable[key.split("|")[0]] = "its readings are not finite on this log"
+        for score in by_name(ranked):
+            if score.absorbed:
+                self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
+        return refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION), ranked
+
+    def reconsider(self) -> None:
+        """Ask of each effect again, with the others in place, which one it should be."""
+        for k in range(len(self.found) - 1):  # the last was chosen with the others in place
+            others = [f.exact for j, f in enumerate(self.found) if j != k]
+            without = self.rebuilt(others)
+            exact, _ = self.step(without)
+            if not exact:
+                continue
+            self.found[k] = Found(exact[0], exact[1:])
+            self.now = exact[0].fit
+
+    def rebuilt(self, exact: Sequence[Exact]) -> Refitted:
+        """Fit the base model with some of the effects."""
+        base = self.start.base
+        for e in exact:
+            base = _with_effect(base, e)
+        return refit(base, self.runs)
+
+
+def _with_effect(base: Base, exact: Exact) -> Base:
+    wide = with_model(base, exact.score.variant.make(base.model))
+    known = dict(zip(exact.fit.base.model.names, exact.fit.base.p, strict=True))
+    p = np.array([known.get(n, v) for n, v in zip(wide.model.names, wide.p, strict=True)])
+    return replace(wide, p=p)
