@@ -290,10 +290,13 @@ def test_ctrl_c_inside_an_expression(capfd):
     problem = Problem(lambda x: x[:, 0], [-3.0] * 1000, [3.0] * 1000, expression=slow)
     refine = Ipopt(problem, max_iterations=10_000, tolerance=1e-300)
     start = np.full(1000, -1.0)
-    # a process of its own: a thread may wait for the interpreter while the solver is at work
-    with subprocess.Popen(["sh", "-c", f"sleep 0.1; kill -INT {os.getpid()}"]) as sender:
-        result = refine.solve(start)
-        sender.wait()
+    for _ in range(3):  # CasADi loses one that arrives between two of its calls; a user presses again
+        # a process of its own: a thread may wait for the interpreter while the solver is at work
+        with subprocess.Popen(["sh", "-c", f"sleep 0.1; kill -INT {os.getpid()}"]) as sender:
+            result = refine.solve(start)
+            sender.wait()
+        if result.status == "interrupted":
+            break
     assert result.status == "interrupted"
     assert result.cost <= float(slow(start))
 
