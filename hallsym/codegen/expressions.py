@@ -1,0 +1,556 @@
+"""The decoupled pose as few steps over few table entries, taken from the model's own expressions.
+
+A family leaves `displacement`, `gain` and `reading` = gain * displacement + offset. With the gain of probe k
+written as eta_k phi_k, phi_k = 1 + small terms, and displacement = M pose + h(pose, state), the reading m gives
+
+    pose = zero + D (m' - eta h),   m'_k = (m_k - offset_k) / phi_k,   D = (M^T W M)^-1 M^T W diag(1 / eta)
+
+which for the small-angle stage (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
+deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. The coefficients of phi,
+h and offset are found by differentiation and are functions of the parameters; their values are the table.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from hallsym.arrays import on_arrays
+from hallsym.calibration import Fit
+from hallsym.codegen.box import Box
+from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.polynomials import NEGLIGIBLE, Polynomial, Row, polynomial, without_derived
+from hallsym.errors import InputError
+from hallsym.model import Model
+
+ENOUGH = 2e-11
+"""Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
+MOST_ITERATIONS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One number of the parameter table: `value` in SI, and what it means."""
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """`name` = `expression` of the symbols of inputs, table entries and earlier steps."""
+
+    name: str
+    expression: ca.SX
+    remark: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Decoupler:
+    """The arithmetic from inputs to pose: `steps` in order; the last `len(pose)` of them are the pose.
+
+    `inputs`: readings, then state. `table`: coefficients; `limits`: ends of the box of each input; `zero`: what a
+    reset adds to each pose coordinate. `exact`: `(inputs, zero) -> pose` of the model itself in double.
+    """
+
+    model: Model
+    inputs: tuple[str, ...]
+    table: tuple[Entry, ...]
+    limits: tuple[Entry, ...]
+    zeros: tuple[Entry, ...]
+    steps: tuple[Step, ...]
+    at_pose: tuple[Step, ...]
+    """Non-linear models: the same with the pose given, for the zero; empty for the others."""
+    phi: tuple[Polynomial, ...]
+    box: Box
+    exact: Callable[[np.ndarray], np.ndarray]
+    symbols: Mapping[str, ca.SX]
+
+    @property
+    def pose(self) -> tuple[str, ...]:
+        """Columns of the output."""
+        return self.model.pose
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Coefficients, limits and zeros, in the order of the table."""
+        return (*self.table, *self.limits, *self.zeros)
+
+    def ends(self, column: str) -> tuple[float, float]:
+        """Return least and greatest value of an input."""
+        return self.box.ends[column]
+
+    @cached_property
+    def folded(self) -> ca.SX:
+        """The pose as one expression of inputs, table and zeros."""
+        done: dict[str, ca.SX] = {}
+        for step in self.steps:
+            earlier = {n: (self.symbols[n], e) for n, e in done.items() if n in self.symbols}
+            done[step.name] = _replaced(step.expression, earlier)
+        return ca.vertcat(*(done[step.name] for step in self.steps[-len(self.pose) :]))
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """`(inputs, coefficients and zeros) -> pose`."""
+        table = [*self.table, *self.zeros]
+        given = [ca.vertcat(*(self.symbols[n] for n in names)) for names in (self.inputs, [e.name for e in table])]
+        return ca.Function("folded", given, [ca.densify(self.folded)])
+
+    @property
+    def constants(self) -> list[float]:
+        """Values of coefficients and zeros."""
+        return [e.value for e in (*self.table, *self.zeros)]
+
+
+def decoupler(fit: Fit, box: Box) -> Decoupler:
+    """Return the decoupler of a calibration over a box (readings are added to it where it has none)."""
+    return _Maker(fit.model, fit.values, _weights(fit), box).make()
+
+
+def short(column: str) -> str:
+    """Return `hall_a` of `hall_a_m`."""
+    return column.rpartition("_")[0] or column
+
+
+def unit(column: str) -> str:
+    """Return the SI unit of a column."""
+    return {"m": "m", "rad": "rad", "degc": "degC", "s": "s", "v": "V"}.get(column.rpartition("_")[2], "1")
+
+
+def _weights(fit: Fit) -> np.ndarray:
+    sigma = [fit.noise.sigmas[c].value for c in fit.model.channels]
+    return 1.0 / np.array(sigma) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Maker:
+    """Takes one model apart at one set of parameters."""
+
+    model: Model
+    p: np.ndarray
+    weight: np.ndarray
+    box: Box
+
+    def make(self) -> Decoupler:
+        model = self.model
+        _check_columns(model)
+        phi, eta = self._gains()
+        h, matrix = self._displacement()
+        offset = self._offset()
+        inverse = self._inverse(matrix, eta)
+        inputs = (*model.channels, *model.state)
+        symbols = {c: ca.SX.sym(short(c)) for c in (*inputs, *model.pose)}
+        table: list[Entry] = []
+        add = _adder(table, symbols)
+        labels = [short(c) for c in model.channels]
+        steps: list[Step] = []
+        monomials = _Monomials(symbols, steps)
+        for k, label in enumerate(labels):  # phi = 1 + small terms
+            small = self._sum(phi[k], f"phi_{label}", 1 / eta[k], "1", add, monomials)
+            symbols[f"phi_{label}"] = ca.SX.sym(f"phi_{label}")
+            one = ca.SX(1) if small is None else 1 + small
+            steps.append(Step(f"phi_{label}", one, f"gain of {model.channels[k]} over its gain at rest"))
+        for k, label in enumerate(labels):
+            reading = symbols[model.channels[k]]
+            level = self._sum(offset[k], f"offset_{label}", 1.0, "m", add, monomials, constant=True)
+            value = (reading if level is None else reading - level) / symbols[f"phi_{label}"]
+            steps.append(Step(f"u_{label}", value, f"displacement at {label} times its gain at rest [m]"))
+            symbols[f"u_{label}"] = ca.SX.sym(f"u_{label}")
+        rows = self._order()
+        for i, column in enumerate(model.pose):
+            for k in rows[i]:
+                about = f"{column} per reading of {model.channels[k]}"
+                add(f"{short(column)}_{labels[k]}", inverse[i, k], f"{unit(column)}/m", about)
+        zeros = tuple(
+            Entry(f"zero_{short(c)}", 0.0, unit(c), f"added to {c}; set by decoupler_zero()")
+            for c in model.pose
+        )
+        symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
+        bends = [self._bend(h[k], labels[k], eta[k], add) for k in range(len(labels))]
+        at_pose = self._solve(steps, symbols, labels, rows, bends, monomials)
+        box = Box({**self._readings(), **dict(self.box.ends)})
+        found = Decoupler(
+            model=model,
+            inputs=inputs,
+            table=tuple(table),
+            limits=_limits(inputs, box),
+            zeros=zeros,
+            steps=tuple(steps),
+            at_pose=at_pose,
+            phi=tuple(phi),
+            box=box,
+            exact=self._exact(eta),
+            symbols=symbols,
+        )
+        return found
+
+    # -- parts of the model ------------------------------------------------------------------------------
+
+    def _polynomials(self, expression: ca.SX, what: str) -> list[Polynomial]:
+        s, model = self.model.symbols, self.model
+        zeros = ca.SX.zeros(s.zeros.numel())
+        plain = ca.substitute(expression, s.zeros, zeros)
+        plain = without_derived(model, plain, self.box.reach())
+        symbols = ca.vertcat(s.pose, s.state)
+        names = (*model.pose, *model.state)
+        return [
+            polynomial(plain[k], symbols, names, f"the {what} of {model.name}") for k in range(plain.numel())
+        ]
+
+    def _number(self, expression: ca.SX) -> float:
+        f = ca.Function("number", [self.model.symbols.parameters], [expression])
+        return float(f(self.p))
+
+    def _gains(self) -> tuple[list[Polynomial], np.ndarray]:
+        n = len(self.model.pose)
+        phi = self._polynomials(self.model.symbols.gain, "gain")
+        if any(sum(row[:n]) for poly in phi for row in poly.terms):
+            raise InputError(f"C is generated for gains that do not depend on the pose; that of {self.model.name} does.")
+        eta = np.array([self._number(poly.constant) for poly in phi])
+        for channel, value in zip(self.model.channels, eta, strict=True):
+            if not abs(value) > 1e-6:
+                raise InputError(f"The gain of {channel} at rest is {value:g}: nothing can be decoded from it.")
+        return phi, eta
+
+    def _displacement(self) -> tuple[list[Polynomial], np.ndarray]:
+        """Return the polynomials of the displacement and its linear part M, (n_channels, n_pose)."""
+        n = len(self.model.pose)
+        polys = [self._pruned(poly) for poly in self._polynomials(self.model.symbols.displacement, "displacement")]
+        matrix = np.zeros((len(polys), n))
+        rest = []
+        for k, poly in enumerate(polys):
+            terms = dict(poly.terms)
+            for i in range(n):
+                row = tuple(int(v == i) for v in range(len(poly.variables)))
+                matrix[k, i] = self._number(terms.pop(row, ca.SX(0)))
+            rest.append(Polynomial(poly.variables, terms))
+        return rest, matrix
+
+    def _pruned(self, poly: Polynomial) -> Polynomial:
+        """Leave out terms of higher degree that count for nothing anywhere in the bounds of the parameters."""
+        reach = [self.box.reach()[c] for c in poly.variables]
+        lower, upper = np.nan_to_num(self.model.bounds, posinf=1.0, neginf=-1.0)
+        trials = [self.model.nominal, *np.random.default_rng(0).uniform(lower, upper, (8, len(lower)))]
+        kept = {}
+        for row, coefficient in poly.terms.items():
+            f = ca.Function("number", [self.model.symbols.parameters], [coefficient])
+            most = max(abs(float(f(p))) for p in trials) * np.prod(np.power(reach, row))
+            if sum(row) < 2 or most > NEGLIGIBLE:
+                kept[row] = coefficient
+        return Polynomial(poly.variables, kept)
+
+    def _offset(self) -> list[Polynomial]:
+        s = self.model.symbols
+        polys = self._polynomials(s.reading - s.gain * s.displacement, "offset")
+        n = len(self.model.pose)
+        rng = np.random.default_rng(0)
+        kept = []
+        for poly in polys:
+            real = {row: c for row, c in poly.terms.items() if self._counts(c, rng)}
+            if any(sum(row[:n]) for row in real):
+                raise InputError(
+                    f"C is generated for readings gain * displacement + offset with an offset that does not "
+                    f"depend on the pose; those of {self.model.name} are not."
+                )
+            kept.append(Polynomial(poly.variables, real))
+        return kept
+
+    def _counts(self, coefficient: ca.SX, rng: np.random.Generator) -> bool:
+        """Whether a coefficient is not zero for all parameters (a difference of equal terms is)."""
+        f = ca.Function("number", [self.model.symbols.parameters], [coefficient])
+        trials = [self.p, *(self.model.nominal + rng.standard_normal(len(self.p)) for _ in range(3))]
+        return any(abs(float(f(p))) > 1e-9 for p in trials)
+
+    def _inverse(self, matrix: np.ndarray, eta: np.ndarray) -> np.ndarray:
+        """D = (M^T W M)^-1 M^T W / eta with W = weight eta^2: the least-squares inverse at rest."""
+        scaled = matrix.T * (self.weight * eta**2 / np.max(self.weight * eta**2))
+        return np.linalg.solve(scaled @ matrix, scaled) / eta
+
+    def _order(self) -> list[list[int]]:
+        """Channels of each pose coordinate, the least influence first, by the design: it outlasts a fit."""
+        nominal = _Maker(self.model, self.model.nominal, self.weight, self.box)
+        _, matrix = nominal._displacement()
+        _, eta = nominal._gains()
+        inverse = np.round(nominal._inverse(matrix, eta), 6)
+        return [np.argsort(np.abs(row), kind="stable").tolist() for row in inverse]
+
+    # -- steps -------------------------------------------------------------------------------------------
+
+    def _sum(
+        self,
+        poly: Polynomial,
+        name: str,
+        scale: float,
+        base: str,
+        add: Callable[..., ca.SX],
+        monomials: "_Monomials",
+        constant: bool = False,
+    ) -> ca.SX | None:
+        """Sum of coefficient * monomial, smallest first; None without terms."""
+        rows = [*poly.rest, *([(0,) * len(poly.variables)] if constant and not poly.constant.is_zero() else [])]
+        total = None
+        for row in rows:
+            label = poly.label(row)
+            entry = add(
+                "_".join([name, *(short(c) for c in label.split("*") if c)]),
+                scale * self._number(poly.terms[row]),
+                _per(base, label),
+                f"{name} per {label}" if label else f"{name} at rest",
+            )
+            term = entry * monomials(poly, row) if label else entry
+            total = term if total is None else total + term
+        return total
+
+    def _bend(
+        self, poly: Polynomial, label: str, eta: float, add: Callable[..., ca.SX]
+    ) -> Callable[["_Monomials"], ca.SX] | None:
+        """eta h of one probe as a function of where its monomials are taken from."""
+        rows = [*poly.rest, *([(0,) * len(poly.variables)] if not poly.constant.is_zero() else [])]
+        if not rows:
+            return None
+        entries = []
+        for row in rows:
+            name = poly.label(row)
+            entries.append(
+                add(
+                    "_".join(["bend", label, *(short(c) for c in name.split("*") if c)]),
+                    eta * self._number(poly.terms[row]),
+                    _per("m", name),
+                    f"displacement at {label} beyond the linear one, per {name or '1'}",
+                )
+            )
+
+        def at(monomials: "_Monomials") -> ca.SX:
+            total = None
+            for entry, row in zip(entries, rows, strict=True):
+                term = entry * monomials(poly, row) if sum(row) else entry
+                total = term if total is None else total + term
+            return total
+
+        return at
+
+    def _solve(
+        self,
+        steps: list[Step],
+        symbols: dict[str, ca.SX],
+        labels: list[str],
+        rows: list[list[int]],
+        bends: list,
+        monomials: "_Monomials",
+    ) -> tuple[Step, ...]:
+        """Add the steps from u to the pose; returns those of `decoupler_zero` for a non-linear model."""
+        pose = self.model.pose
+        curved = any(
+            sum(row[: len(pose)]) for k, poly in enumerate(self._displacement()[0]) if bends[k] for row in poly.terms
+        )
+
+        def product(felt: Mapping[str, ca.SX], tag: str, zero: bool = True) -> list[Step]:
+            out = []
+            for i, column in enumerate(pose):
+                total = symbols[f"zero_{short(column)}"] if zero else None
+                for k in rows[i]:
+                    term = symbols[f"{short(column)}_{labels[k]}"] * felt[labels[k]]
+                    total = term if total is None else total + term
+                out.append(Step(f"{short(column)}{tag}", total))
+            return out
+
+        felt = {label: symbols[f"u_{label}"] for label in labels}
+        if not any(bends):
+            steps += product(felt, "")
+            return ()
+        if not curved:
+            for k, label in enumerate(labels):
+                if bends[k]:
+                    symbols[f"w_{label}"] = ca.SX.sym(f"w_{label}")
+                    steps.append(Step(f"w_{label}", felt[label] - bends[k](monomials)))
+                    felt[label] = symbols[f"w_{label}"]
+            steps += product(felt, "")
+            return ()
+        before = tuple(steps)
+        count = self._iterations()
+        source: dict[str, ca.SX] = {}
+        for n in range(count + 1):
+            if n:
+                felt = self._felt(steps, symbols, labels, bends, source, f"_{n}")
+            made = product(felt, f"_{n + 1}" if n < count else "")
+            steps += made
+            source = {c: symbols.setdefault(m.name, ca.SX.sym(m.name)) for c, m in zip(pose, made, strict=True)}
+        known = {c: symbols[c] for c in pose}
+        at_pose = list(before)
+        felt = self._felt(at_pose, symbols, labels, bends, known, "_known")
+        at_pose += product(felt, "_seen", zero=False)
+        return tuple(at_pose)
+
+    def _felt(
+        self,
+        steps: list[Step],
+        symbols: dict[str, ca.SX],
+        labels: list[str],
+        bends: list,
+        pose: Mapping[str, ca.SX],
+        tag: str,
+    ) -> dict[str, ca.SX]:
+        """Take h at `pose` off what each probe sees."""
+        local, felt = _Monomials(symbols, steps, pose, tag), {}
+        for k, label in enumerate(labels):
+            felt[label] = symbols[f"u_{label}"]
+            if bends[k]:
+                key = f"w_{label}{tag}"
+                steps.append(Step(key, felt[label] - bends[k](local)))
+                felt[label] = symbols.setdefault(key, ca.SX.sym(key))
+        return felt
+
+    def _iterations(self) -> int:
+        """How often h must be taken off until the pose stands still, wherever the inputs are in their box."""
+        model, s = self.model, self.model.symbols
+        rest, matrix = self._displacement()
+        h = ca.vertcat(*(_evaluated(poly, ca.vertcat(s.pose, s.state)) for poly in rest))
+        run = on_arrays(ca.Function("h", [s.parameters, s.pose, s.state], [ca.densify(h)]))
+        _, eta = self._gains()
+        inverse = self._inverse(matrix, np.ones_like(eta))
+        ends = {**self._readings(), **self.box.ends}
+        low, high = np.array([ends[c] for c in (*model.channels, *model.state)]).T[:, :, None]
+        rng = np.random.default_rng(0)
+        share = np.hstack([rng.choice([0.0, 1.0], (len(low), 256)), rng.random((len(low), 256))])
+        inputs = low + (high - low) * share
+        readings, state = inputs[: len(eta)], list(inputs[len(eta) :])
+        u = readings / on_arrays(model.gain)(self.p, state)[0]
+        pose = inverse @ u
+        for n in range(1, MOST_ITERATIONS + 1):
+            new = inverse @ (u - run(self.p, list(pose), state)[0])
+            change, pose = np.abs(new - pose).max(), new
+            if change < ENOUGH:
+                return n - 1 or 1
+        raise InputError(
+            f"Iterations of {model.name} do not settle over the box within {MOST_ITERATIONS} rounds; "
+            "give a smaller one with --range."
+        )
+
+    # -- numbers -----------------------------------------------------------------------------------------
+
+    def _readings(self) -> dict[str, tuple[float, float]]:
+        """Ends of the readings over the box of pose and state, symmetric where they nearly are."""
+        model, s = self.model, self.model.symbols
+        symbols = ca.vertcat(s.pose, s.state)
+        gain, shift = self._polynomials(s.gain, "gain"), self._polynomials(s.displacement, "displacement")
+        offset = self._offset()
+        ends = {}
+        variables = [Enclosure(*self.box.ends[c]) for c in (*model.pose, *model.state)]
+        for k, channel in enumerate(model.channels):
+            parts = [_evaluated(poly[k], symbols) for poly in (gain, shift, offset)]
+            numeric = ca.Function("n", [s.parameters, symbols], [parts[0] * parts[1] + parts[2]])
+            symbol = [ca.SX.sym(f"v{i}") for i in range(symbols.numel())]
+            value = numeric(self.p, ca.vertcat(*symbol))
+            (found,) = enclose(ca.Function("n", symbol, [value]), variables, digits=53)
+            zero = max((abs(z.upper) for z in model.zeros if np.isfinite(z.upper)), default=0.0)
+            low, high = float(f"{found.low - zero:.3g}"), float(f"{found.high + zero:.3g}")
+            most = max(abs(low), abs(high))
+            ends[channel] = (-most, most) if min(-low, high) > 0.5 * most else (low, high)
+        return ends
+
+    def _exact(self, eta: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """`inputs (n_inputs, s) -> pose (n_pose, s)` by the model's own decoded form, zeros 0.
+
+        The weight of a reading is held in units of its displacement, as the table holds it.
+        """
+        model = self.model
+        gain, run = on_arrays(model.gain), on_arrays(model.decoded)
+        n = len(model.channels)
+
+        def exact(inputs: np.ndarray) -> np.ndarray:
+            readings, state = list(inputs[:n]), list(inputs[n:])
+            phi = gain(self.p, state)[0] / eta[:, None]
+            weight = self.weight[:, None] / phi**2
+            return run(self.p, np.zeros(len(model.zeros)), readings, state, list(weight))[0]
+
+        return exact
+
+
+class _Monomials:
+    """Products of columns: one step each, made where first used; `pose` stands in for the pose columns."""
+
+    def __init__(
+        self, symbols: dict[str, ca.SX], steps: list[Step], pose: Mapping[str, ca.SX] | None = None, tag: str = ""
+    ) -> None:
+        self.symbols, self.steps, self.pose, self.tag = symbols, steps, pose or {}, tag
+        self.made: set[str] = set()
+
+    def __call__(self, poly: Polynomial, row: Row) -> ca.SX:
+        names = poly.label(row).split("*")
+        column = {name: self.pose.get(name, self.symbols[name]) for name in names}
+        product = column[names[0]]
+        for k in range(1, len(names)):
+            tag = self.tag if any(name in self.pose for name in names[: k + 1]) else ""
+            key = "_".join(short(c) for c in names[: k + 1]) + tag
+            if key not in self.made:
+                self.steps.append(Step(key, product * column[names[k]]))
+                self.symbols.setdefault(key, ca.SX.sym(key))
+                self.made.add(key)
+            product = self.symbols[key]
+        return product
+
+
+def _adder(table: list[Entry], symbols: dict[str, ca.SX]) -> Callable[..., ca.SX]:
+    def add(name: str, value: float, unit: str, meaning: str) -> ca.SX:
+        table.append(Entry(name, float(value), unit, meaning))
+        symbols[name] = ca.SX.sym(name)
+        return symbols[name]
+
+    return add
+
+
+def _limits(inputs: Sequence[str], box: Box) -> tuple[Entry, ...]:
+    out = []
+    for column in inputs:
+        low, high = box.ends[column]
+        if box.symmetric(column):
+            out.append(Entry(f"limit_{short(column)}", high, unit(column), f"largest |{column}| of the box"))
+        else:
+            out.append(Entry(f"low_{short(column)}", low, unit(column), f"least {column} of the box"))
+            out.append(Entry(f"high_{short(column)}", high, unit(column), f"greatest {column} of the box"))
+    return tuple(out)
+
+
+def _per(base: str, label: str) -> str:
+    """Unit of a coefficient: base per unit of the monomial."""
+    powers: dict[str, int] = {}
+    for column in filter(None, label.split("*")):
+        powers[unit(column)] = powers.get(unit(column), 0) + 1
+    if base in powers:
+        powers[base] -= 1
+        base = "1"
+    below = "*".join(f"{u}{n if n > 1 else ''}" for u, n in powers.items() if n)
+    return f"{base}/({below})" if "*" in below else f"{base}/{below}" if below else base
+
+
+def _evaluated(poly: Polynomial, symbols: ca.SX) -> ca.SX:
+    total = ca.SX(0)
+    for row, coefficient in poly.terms.items():
+        term = coefficient
+        for v, power in enumerate(row):
+            for _ in range(power):
+                term = term * symbols[v]
+        total = total + term
+    return total
+
+
+def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca.SX:
+    if not pairs:
+        return expression
+    return ca.substitute(
+        expression, ca.vertcat(*(a for a, _ in pairs.values())), ca.vertcat(*(b for _, b in pairs.values()))
+    )
+
+
+def _check_columns(model: Model) -> None:
+    for column in model.computed:
+        raise InputError(
+            f"Model {model.name} needs {column.name}, which is computed from a whole log; a controller does not "
+            "have it. Generate from a calibration without that effect."
+        )
+    if len(model.channels) < len(model.pose):
+        raise InputError(f"Model {model.name} has fewer readings than pose coordinates; nothing can be decoded.")
