@@ -6,8 +6,10 @@ written as eta_k phi_k, phi_k = 1 + small terms, and displacement = M pose + h(p
     pose = zero + D (m' - eta h),   m'_k = (m_k - offset_k) / phi_k,   D = (M^T W M)^-1 M^T W diag(1 / eta)
 
 which for the small-angle stage (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
-deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. The coefficients of phi,
-h and offset are found by differentiation and are functions of the parameters; their values are the table.
+deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. One entry of D per probe
+is folded into its gain, phi_k / D_ik, so that column k of D holds a 1: one product and one rounding less. The
+coefficients of phi, h and offset are found by differentiation and are functions of the parameters; their values
+are the table.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -149,28 +151,36 @@ class _Maker:
         labels = [short(c) for c in model.channels]
         steps: list[Step] = []
         monomials = _Monomials(symbols, steps)
-        for k, label in enumerate(labels):  # phi = 1 + small terms
-            small = self._sum(phi[k], f"phi_{label}", 1 / eta[k], "1", add, monomials)
-            symbols[f"phi_{label}"] = ca.SX.sym(f"phi_{label}")
-            one = ca.SX(1) if small is None else 1 + small
-            steps.append(Step(f"phi_{label}", one, f"gain of {model.channels[k]} over its gain at rest"))
+        rows, own = self._design()
+        scale = np.array([inverse[i, k] for k, i in enumerate(own)])
+        for k, label in enumerate(labels):  # small terms first
+            column = model.pose[own[k]]
+            base = _per("m", column)
+            about = f"gain of {model.channels[k]} for its share of {column}"
+            small = self._sum(phi[k], f"gain_{label}", 1 / eta[k] / scale[k], base, about, add, monomials)
+            rest = add(f"gain_{label}", 1 / scale[k], base, f"{about}, at rest")
+            symbols[f"now_{label}"] = ca.SX.sym(f"now_{label}")
+            steps.append(Step(f"now_{label}", rest if small is None else small + rest, f"[{base}] {about}"))
         for k, label in enumerate(labels):
             reading = symbols[model.channels[k]]
-            level = self._sum(offset[k], f"offset_{label}", 1.0, "m", add, monomials, constant=True)
-            value = (reading if level is None else reading - level) / symbols[f"phi_{label}"]
-            steps.append(Step(f"u_{label}", value, f"displacement at {label} times its gain at rest [m]"))
+            about = f"offset of {model.channels[k]}"
+            level = self._sum(offset[k], f"offset_{label}", 1.0, "m", about, add, monomials, constant=True)
+            value = (reading if level is None else reading - level) / symbols[f"now_{label}"]
+            column = model.pose[own[k]]
+            steps.append(Step(f"u_{label}", value, f"[{unit(column)}] share of {column} that {label} sees"))
             symbols[f"u_{label}"] = ca.SX.sym(f"u_{label}")
-        rows = self._order()
         for i, column in enumerate(model.pose):
             for k in rows[i]:
-                about = f"{column} per reading of {model.channels[k]}"
-                add(f"{short(column)}_{labels[k]}", inverse[i, k], f"{unit(column)}/m", about)
+                if i != own[k]:
+                    per = f"{column} per share of {model.pose[own[k]]} that {labels[k]} sees"
+                    units = _per(unit(column), model.pose[own[k]])
+                    add(f"{short(column)}_{labels[k]}", inverse[i, k] / scale[k], units, per)
         zeros = tuple(
             Entry(f"zero_{short(c)}", 0.0, unit(c), f"added to {c}; set by decoupler_zero()")
             for c in model.pose
         )
         symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
-        bends = [self._bend(h[k], labels[k], eta[k], add) for k in range(len(labels))]
+        bends = [self._bend(h[k], labels[k], eta[k] * scale[k], add) for k in range(len(labels))]
         at_pose = self._solve(steps, symbols, labels, rows, bends, monomials)
         box = Box({**self._readings(), **dict(self.box.ends)})
         found = Decoupler(
@@ -270,13 +280,19 @@ class _Maker:
         scaled = matrix.T * (self.weight * eta**2 / np.max(self.weight * eta**2))
         return np.linalg.solve(scaled @ matrix, scaled) / eta
 
-    def _order(self) -> list[list[int]]:
-        """Channels of each pose coordinate, the least influence first, by the design: it outlasts a fit."""
+    def _design(self) -> tuple[list[list[int]], list[int]]:
+        """Return the channels of each pose coordinate, least influence first, and the own row of each channel.
+
+        By the nominal values, not the fitted ones: so code outlasts a calibration. The own row is the coordinate
+        that the channel counts for most, among the channels.
+        """
         nominal = _Maker(self.model, self.model.nominal, self.weight, self.box)
         _, matrix = nominal._displacement()
         _, eta = nominal._gains()
-        inverse = np.round(nominal._inverse(matrix, eta), 6)
-        return [np.argsort(np.abs(row), kind="stable").tolist() for row in inverse]
+        influence = np.abs(nominal._inverse(matrix, eta))
+        rows = [np.argsort(row, kind="stable").tolist() for row in np.round(influence, 6)]
+        share = np.round(influence / influence.max(axis=1, keepdims=True), 3)
+        return rows, share.argmax(axis=0).tolist()
 
     # -- steps -------------------------------------------------------------------------------------------
 
@@ -286,6 +302,7 @@ class _Maker:
         name: str,
         scale: float,
         base: str,
+        about: str,
         add: Callable[..., ca.SX],
         monomials: "_Monomials",
         constant: bool = False,
@@ -299,7 +316,7 @@ class _Maker:
                 "_".join([name, *(short(c) for c in label.split("*") if c)]),
                 scale * self._number(poly.terms[row]),
                 _per(base, label),
-                f"{name} per {label}" if label else f"{name} at rest",
+                f"{about}, per {label}" if label else f"{about}, at rest",
             )
             term = entry * monomials(poly, row) if label else entry
             total = term if total is None else total + term
@@ -353,7 +370,8 @@ class _Maker:
             for i, column in enumerate(pose):
                 total = symbols[f"zero_{short(column)}"] if zero else None
                 for k in rows[i]:
-                    term = symbols[f"{short(column)}_{labels[k]}"] * felt[labels[k]]
+                    entry = symbols.get(f"{short(column)}_{labels[k]}")
+                    term = felt[labels[k]] if entry is None else entry * felt[labels[k]]
                     total = term if total is None else total + term
                 out.append(Step(f"{short(column)}{tag}", total))
             return out

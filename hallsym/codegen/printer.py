@@ -50,8 +50,8 @@ def statements(steps: Sequence[Step], names: Mapping[str, str], real: Real, resu
         before, text = _text(step, names, real)
         lines += before
         left = results.get(step.name, f"const {real.name} {step.name}")
-        remark = f" /* {step.remark} */" if step.remark else ""
-        lines.append(f"{left} = {text};{remark}")
+        lines += [f"/* {step.remark} */"] if step.remark else []
+        lines.append(f"{left} = {text};")
     return lines
 
 
@@ -84,7 +84,7 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
         if code == ca.OP_CONST:
             text[k] = real.constant(function.instruction_constant(k))
             continue
-        text[k] = operation(code, [text[j] for j in sources])
+        text[k] = operation(code, [text[j] for j in sources], real)
         if uses.get(k, 0) > 1 or (code == ca.OP_SQ and "(" in text[sources[0]]):
             name = f"{step.name}_t{len(before)}"
             before.append(f"const {real.name} {name} = {_bare(text[k])};")
@@ -92,7 +92,7 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
     return before, _bare(result)
 
 
-def operation(code: int, a: Sequence[str]) -> str:
+def operation(code: int, a: Sequence[str], real: Real) -> str:
     """Return the C text of one operation, in parentheses where it needs them."""
     if code in _SIGNS:
         return f"({a[0]} {_SIGNS[code]} {a[1]})"
@@ -105,7 +105,7 @@ def operation(code: int, a: Sequence[str]) -> str:
     if code == ca.OP_NEG:
         return f"(-{a[0]})"
     if code == ca.OP_INV:
-        return f"(1.0f / {a[0]})"
+        return f"({real.constant(1.0)} / {a[0]})"
     raise InputError(f"Operation {code} of the model has no C without libm; write it as a polynomial.")
 
 
