@@ -18,8 +18,8 @@ class ErrorTable:
     """Errors of the decoded pose, run by run: reference subtracted, one column per pose coordinate.
 
     `count`: (runs,) samples. `squares`: (runs, n_pose) sums of squares. `peak`: (runs, n_pose) largest
-    absolute error. Units are those of `pose` (m, rad). `span`: least and greatest value by column of reference
-    and state, over the samples that took part.
+    absolute error. Units are those of `pose` (m, rad). `span`: least and greatest value by column of
+    reference and state, over the samples that took part.
     """
 
     pose: tuple[str, ...]

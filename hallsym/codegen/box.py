@@ -31,7 +31,7 @@ class Box:
 def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> Box:
     """Return the box of a calibration: what its log recorded, `given` columns in its place.
 
-    Raises `InputError` for unknown columns, empty ranges and a calibration that does not know what it recorded.
+    Raises `InputError` for unknown columns, empty ranges, and a calibration that knows no ranges.
     """
     model = fit.model
     columns = (*model.pose, *model.state, *model.channels)
@@ -59,7 +59,7 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
 
 
 def _rounded(low: float, high: float) -> tuple[float, float]:
-    """Recorded ends to three digits; nearly symmetric ones as one limit. Never wider than three digits say."""
+    """Recorded ends to three digits; nearly symmetric ones as one limit."""
     low, high = float(f"{low:.3g}"), float(f"{high:.3g}")
     if low < 0 < high and min(-low, high) >= NEARLY * max(-low, high):
         return -min(-low, high), min(-low, high)

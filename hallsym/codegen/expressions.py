@@ -1,18 +1,18 @@
 """The decoupled pose as few steps over few table entries, taken from the model's own expressions.
 
 A family leaves `displacement`, `gain` and `reading` = gain * displacement + offset. With the gain of probe k
-written as eta_k phi_k, phi_k = 1 + small terms, and displacement = M pose + h(pose, state), the reading m gives
+as eta_k phi_k, phi_k = 1 + small terms, and displacement = M pose + h(pose, state), the reading m gives
 
     pose = zero + D (m' - eta h),   m'_k = (m_k - offset_k) / phi_k,   D = (M^T W M)^-1 M^T W diag(1 / eta)
 
 which for the small-angle stage (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
-deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. One entry of D per probe
-is folded into its gain, phi_k / D_ik, so that column k of D holds a 1: one product and one rounding less. The
-coefficients of phi, h and offset are found by differentiation and are functions of the parameters; their values
-are the table.
+deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. One entry of D per
+probe is folded into its gain, phi_k / D_ik, so that column k of D holds a 1: one product and one rounding
+less. The coefficients of phi, h and offset are found by differentiation and are functions of the parameters; their
+values are the table.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -55,8 +55,9 @@ class Step:
 class Decoupler:
     """The arithmetic from inputs to pose: `steps` in order; the last `len(pose)` of them are the pose.
 
-    `inputs`: readings, then state. `table`: coefficients; `limits`: ends of the box of each input; `zero`: what a
-    reset adds to each pose coordinate. `exact`: `(inputs, zero) -> pose` of the model itself in double.
+    `inputs`: readings, then state. `table`: coefficients; `limits`: ends of the box of each input; `zeros`:
+    what a reset adds to each pose coordinate. `exact`: inputs (n_inputs, s) -> pose (n_pose, s) of the model
+    itself in double, zeros 0.
     """
 
     model: Model
@@ -99,7 +100,9 @@ class Decoupler:
     def function(self) -> ca.Function:
         """`(inputs, coefficients and zeros) -> pose`."""
         table = [*self.table, *self.zeros]
-        given = [ca.vertcat(*(self.symbols[n] for n in names)) for names in (self.inputs, [e.name for e in table])]
+        given = [
+            ca.vertcat(*(self.symbols[n] for n in names)) for names in (self.inputs, [e.name for e in table])
+        ]
         return ca.Function("folded", given, [ca.densify(self.folded)])
 
     @property
@@ -219,17 +222,23 @@ class _Maker:
         n = len(self.model.pose)
         phi = self._polynomials(self.model.symbols.gain, "gain")
         if any(sum(row[:n]) for poly in phi for row in poly.terms):
-            raise InputError(f"C is generated for gains that do not depend on the pose; that of {self.model.name} does.")
+            raise InputError(
+                f"C is generated for gains that do not depend on the pose; that of {self.model.name} does."
+            )
         eta = np.array([self._number(poly.constant) for poly in phi])
         for channel, value in zip(self.model.channels, eta, strict=True):
             if not abs(value) > 1e-6:
-                raise InputError(f"The gain of {channel} at rest is {value:g}: nothing can be decoded from it.")
+                raise InputError(
+                    f"The gain of {channel} at rest is {value:g}: nothing can be decoded from it."
+                )
         return phi, eta
 
     def _displacement(self) -> tuple[list[Polynomial], np.ndarray]:
         """Return the polynomials of the displacement and its linear part M, (n_channels, n_pose)."""
         n = len(self.model.pose)
-        polys = [self._pruned(poly) for poly in self._polynomials(self.model.symbols.displacement, "displacement")]
+        polys = [
+            self._pruned(poly) for poly in self._polynomials(self.model.symbols.displacement, "displacement")
+        ]
         matrix = np.zeros((len(polys), n))
         rest = []
         for k, poly in enumerate(polys):
@@ -241,7 +250,7 @@ class _Maker:
         return rest, matrix
 
     def _pruned(self, poly: Polynomial) -> Polynomial:
-        """Leave out terms of higher degree that count for nothing anywhere in the bounds of the parameters."""
+        """Leave out terms of higher degree that count nowhere in the bounds of the parameters."""
         reach = [self.box.reach()[c] for c in poly.variables]
         lower, upper = np.nan_to_num(self.model.bounds, posinf=1.0, neginf=-1.0)
         trials = [self.model.nominal, *np.random.default_rng(0).uniform(lower, upper, (8, len(lower)))]
@@ -281,10 +290,10 @@ class _Maker:
         return np.linalg.solve(scaled @ matrix, scaled) / eta
 
     def _design(self) -> tuple[list[list[int]], list[int]]:
-        """Return the channels of each pose coordinate, least influence first, and the own row of each channel.
+        """Return the channels of each pose coordinate, least influence first, and each channel's own row.
 
-        By the nominal values, not the fitted ones: so code outlasts a calibration. The own row is the coordinate
-        that the channel counts for most, among the channels.
+        By the nominal values, not the fitted ones: so code outlasts a calibration. The own row is the
+        coordinate that the channel counts for most, among the channels.
         """
         nominal = _Maker(self.model, self.model.nominal, self.weight, self.box)
         _, matrix = nominal._displacement()
@@ -308,8 +317,11 @@ class _Maker:
         constant: bool = False,
     ) -> ca.SX | None:
         """Sum of coefficient * monomial, smallest first; None without terms."""
-        rows = [*poly.rest, *([(0,) * len(poly.variables)] if constant and not poly.constant.is_zero() else [])]
-        total = None
+        rows = [
+            *poly.rest,
+            *([(0,) * len(poly.variables)] if constant and not poly.constant.is_zero() else []),
+        ]
+        total: ca.SX | None = None
         for row in rows:
             label = poly.label(row)
             entry = add(
@@ -342,11 +354,10 @@ class _Maker:
             )
 
         def at(monomials: "_Monomials") -> ca.SX:
-            total = None
-            for entry, row in zip(entries, rows, strict=True):
-                term = entry * monomials(poly, row) if sum(row) else entry
-                total = term if total is None else total + term
-            return total
+            return _total(
+                entry * monomials(poly, row) if sum(row) else entry
+                for entry, row in zip(entries, rows, strict=True)
+            )
 
         return at
 
@@ -362,18 +373,20 @@ class _Maker:
         """Add the steps from u to the pose; returns those of `decoupler_zero` for a non-linear model."""
         pose = self.model.pose
         curved = any(
-            sum(row[: len(pose)]) for k, poly in enumerate(self._displacement()[0]) if bends[k] for row in poly.terms
+            sum(row[: len(pose)])
+            for k, poly in enumerate(self._displacement()[0])
+            if bends[k]
+            for row in poly.terms
         )
 
         def product(felt: Mapping[str, ca.SX], tag: str, zero: bool = True) -> list[Step]:
             out = []
             for i, column in enumerate(pose):
-                total = symbols[f"zero_{short(column)}"] if zero else None
+                terms = [symbols[f"zero_{short(column)}"]] if zero else []
                 for k in rows[i]:
                     entry = symbols.get(f"{short(column)}_{labels[k]}")
-                    term = felt[labels[k]] if entry is None else entry * felt[labels[k]]
-                    total = term if total is None else total + term
-                out.append(Step(f"{short(column)}{tag}", total))
+                    terms.append(felt[labels[k]] if entry is None else entry * felt[labels[k]])
+                out.append(Step(f"{short(column)}{tag}", _total(terms)))
             return out
 
         felt = {label: symbols[f"u_{label}"] for label in labels}
@@ -396,7 +409,9 @@ class _Maker:
                 felt = self._felt(steps, symbols, labels, bends, source, f"_{n}")
             made = product(felt, f"_{n + 1}" if n < count else "")
             steps += made
-            source = {c: symbols.setdefault(m.name, ca.SX.sym(m.name)) for c, m in zip(pose, made, strict=True)}
+            source = {
+                c: symbols.setdefault(m.name, ca.SX.sym(m.name)) for c, m in zip(pose, made, strict=True)
+            }
         known = {c: symbols[c] for c in pose}
         at_pose = list(before)
         felt = self._felt(at_pose, symbols, labels, bends, known, "_known")
@@ -492,7 +507,11 @@ class _Monomials:
     """Products of columns: one step each, made where first used; `pose` stands in for the pose columns."""
 
     def __init__(
-        self, symbols: dict[str, ca.SX], steps: list[Step], pose: Mapping[str, ca.SX] | None = None, tag: str = ""
+        self,
+        symbols: dict[str, ca.SX],
+        steps: list[Step],
+        pose: Mapping[str, ca.SX] | None = None,
+        tag: str = "",
     ) -> None:
         self.symbols, self.steps, self.pose, self.tag = symbols, steps, pose or {}, tag
         self.made: set[str] = set()
@@ -545,6 +564,12 @@ def _per(base: str, label: str) -> str:
     return f"{base}/({below})" if "*" in below else f"{base}/{below}" if below else base
 
 
+def _total(terms: Iterable[ca.SX]) -> ca.SX:
+    """Sum from left to right, without a 0 before it."""
+    first, *others = terms
+    return sum(others, start=first)
+
+
 def _evaluated(poly: Polynomial, symbols: ca.SX) -> ca.SX:
     total = ca.SX(0)
     for row, coefficient in poly.terms.items():
@@ -567,8 +592,10 @@ def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca
 def _check_columns(model: Model) -> None:
     for column in model.computed:
         raise InputError(
-            f"Model {model.name} needs {column.name}, which is computed from a whole log; a controller does not "
-            "have it. Generate from a calibration without that effect."
+            f"Model {model.name} needs {column.name}, which is computed from a whole log; a controller does "
+            "not have it. Generate from a calibration without that effect."
         )
     if len(model.channels) < len(model.pose):
-        raise InputError(f"Model {model.name} has fewer readings than pose coordinates; nothing can be decoded.")
+        raise InputError(
+            f"Model {model.name} has fewer readings than pose coordinates; nothing can be decoded."
+        )

@@ -56,9 +56,7 @@ def _apply(code: int, a: list[Enclosure], digits: int) -> Enclosure:
         return Enclosure(-a[0].high, -a[0].low, a[0].error)
     if code in (ca.OP_FMIN, ca.OP_FMAX):
         pick = min if code == ca.OP_FMIN else max
-        return Enclosure(
-            pick(a[0].low, a[1].low), pick(a[0].high, a[1].high), max(a[0].error, a[1].error)
-        )
+        return Enclosure(pick(a[0].low, a[1].low), pick(a[0].high, a[1].high), max(a[0].error, a[1].error))
     if code == ca.OP_SQ:
         ends = sorted((a[0].low ** 2, a[0].high ** 2))
         low = 0.0 if a[0].low <= 0 <= a[0].high else ends[0]

@@ -1,4 +1,4 @@
-"""Polynomials of a model's columns: coefficients as expressions of the parameters, found by differentiation."""
+"""Polynomials of a model's columns: coefficients as expressions of the parameters, by differentiation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Polynomial:
 def polynomial(expression: ca.SX, symbols: ca.SX, variables: Sequence[str], what: str) -> Polynomial:
     """Return the terms of a scalar `expression` of `symbols` (v,), named `variables`.
 
-    Raises `InputError` where there is no end to them; whether they reproduce it, the caller checks by numbers.
+    Raises `InputError` where there is no end to them; whether they reproduce it is for the caller to check.
     """
     origin = ca.SX.zeros(symbols.numel())
     level: dict[Row, ca.SX] = {(0,) * len(variables): expression}
@@ -85,9 +85,7 @@ def without_derived(model: Model, expression: ca.SX, reach: Mapping[str, float])
     return expression
 
 
-def _taylor(
-    expression: ca.SX, columns: Mapping[str, ca.SX], reach: Mapping[str, float], name: str
-) -> ca.SX:
+def _taylor(expression: ca.SX, columns: Mapping[str, ca.SX], reach: Mapping[str, float], name: str) -> ca.SX:
     of = [column for column, symbol in columns.items() if ca.depends_on(expression, symbol)]
     if len(of) != 1:
         raise InputError(

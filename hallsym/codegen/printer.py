@@ -39,11 +39,13 @@ FLOAT = Real("float", "f", 24, np.float32)
 DOUBLE = Real("double", "", 53, np.float64)
 
 
-def statements(steps: Sequence[Step], names: Mapping[str, str], real: Real, results: Mapping[str, str]) -> list[str]:
+def statements(
+    steps: Sequence[Step], names: Mapping[str, str], real: Real, results: Mapping[str, str]
+) -> list[str]:
     """Return one C statement per step, and one per value that a step uses twice.
 
-    `names`: C text of each symbol by its SX name (others stand for themselves). `results`: C lvalue of the steps
-    that are results; the others become constants.
+    `names`: C text of each symbol by its SX name (others stand for themselves). `results`: C lvalue of the
+    steps that are results; the others become constants.
     """
     lines = []
     for step in steps:

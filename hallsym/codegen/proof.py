@@ -13,7 +13,8 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.expressions import short
+from hallsym.codegen.expressions import Step, short
+from hallsym.codegen.printer import DOUBLE, statements
 from hallsym.codegen.source import BANNER, Source, bit, ends
 
 
@@ -28,12 +29,11 @@ def exhaustive(source: Source) -> str:
     tests = []
     for c in d.inputs:
         low, high = (text.replace("p->", "decoupler_params.") for text in ends(d, c))
-        by = "within" if source.by_size(c) else "limited"
-        arguments = f"{high}, 1U" if source.by_size(c) else f"{low}, {high}, 1U"
-        tests += [
-            f"    bad += all_{by}({low}, {high});" if by == "limited" else f"    bad += all_{by}({high});",
-        ]
-        del arguments
+        tests.append(
+            f"    bad += all_within({high});"
+            if source.by_size(c)
+            else f"    bad += all_limited({low}, {high});"
+        )
     both = []
     if any(source.by_size(c) for c in d.inputs):
         both.append(_every(t, "within", f"{t} high", f"{t} low = -high;", "high, 1U, &status"))
@@ -123,7 +123,7 @@ def cbmc(source: Source, found: Bounds) -> str:
         inside.append(f"    wanted |= ((in.{c} >= {low}) && (in.{c} <= {high})) ? 0U : {bit(c)};")
     said = "\n".join(
         f"    __CPROVER_assert((out.{c} >= {_outward(found.low[c], source)}) && "
-        f"(out.{c} <= {_outward(found.high[c], source)}), \"{c} bounded\");"
+        f'(out.{c} <= {_outward(found.high[c], source)}), "{c} bounded");'
         for c in d.pose
     )
     return f"""{BANNER}/* CBMC: for every bit pattern of every input, NaN and infinity included. */
@@ -154,7 +154,7 @@ def gappa(source: Source, found: Bounds) -> str:
     lines = [f"@rnd = float<{kind}, ne>;", ""]
     for e in (*d.table, *d.zeros):
         lines.append(f"{_name(e.name)} = {_decimal(float(real.dtype(e.value)))};")
-        lines.append(f"{_name(e.name)}_exact = {_decimal(e.value)};")
+        lines.append(f"{_name(e.name)}_exact = {e.value:.12e};")
     lines.append("")
     inputs = {d.symbols[c].name(): _name(short(c)) for c in d.inputs}
     lines += [f"{name} = rnd({name}_in);" for name in inputs.values()]
@@ -163,7 +163,9 @@ def gappa(source: Source, found: Bounds) -> str:
         tail = "_exact" if exact else ""
         names |= {e.name: f"{_name(e.name)}{tail}" for e in (*d.table, *d.zeros)}
         for step in d.steps:
-            lines.append(f"{_name(step.name)}{tail} {'' if exact else 'rnd'}= {_gappa_text(step.expression, names)};")
+            lines.append(
+                f"{_name(step.name)}{tail} {'' if exact else 'rnd'}= {_gappa_text(step.expression, names)};"
+            )
             names[step.name] = f"{_name(step.name)}{tail}"
     lines.append("")
     hypotheses = []
@@ -187,8 +189,5 @@ def _decimal(value: float) -> str:
 
 
 def _gappa_text(expression: ca.SX, names: dict[str, str]) -> str:
-    from hallsym.codegen.printer import DOUBLE, statements
-    from hallsym.codegen.expressions import Step
-
     (line,) = statements([Step("g", expression)], names, DOUBLE, {"g": "g"})
     return line.removeprefix("g = ").removesuffix(";")

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from hallsym.codegen.expressions import short
 from hallsym.codegen.source import BANNER, Source, ends
 from hallsym.codegen.vectors import Emulator, vectors
 
@@ -10,38 +9,6 @@ HASHED = (4096, 1_000_000)
 """Samples in the hash of the self-test, and in the long one."""
 REFERENCE = 1e-15
 """Rounding [m, rad] of the reference itself, as it is computed in double and written with 13 digits."""
-
-
-def selftest_header() -> str:
-    """Return the interface of the self-test."""
-    return (
-        BANNER
-        + """\
-#ifndef DECOUPLER_SELFTEST_H
-#define DECOUPLER_SELFTEST_H
-
-#include <stdint.h>
-
-/** Largest deviation that the self-test met, and how many of its vectors failed. */
-typedef struct
-{
-    uint32_t vectors;  /**< run */
-    uint32_t failures; /**< wrong status, not finite, or further from the model than the stated bound */
-    double worst;      /**< largest deviation from the model in double [m, rad] */
-} decoupler_selftest_t;
-
-/** Run the listed vectors. */
-decoupler_selftest_t decoupler_selftest(void);
-
-/** Hash of status and bits of the pose over `count` samples that include any bit pattern. */
-uint32_t decoupler_hash(uint32_t count);
-
-extern const uint32_t decoupler_hash_short; /**< expected of decoupler_hash(4096) */
-extern const uint32_t decoupler_hash_long;  /**< expected of decoupler_hash(1000000) */
-
-#endif /* DECOUPLER_SELFTEST_H */
-"""
-    )
 
 
 def selftest(source: Source) -> str:

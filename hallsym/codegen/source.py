@@ -1,8 +1,8 @@
 """The C files: scaffolding as text, every line of mathematics printed from expressions."""
 
 from collections.abc import Sequence
-from functools import cached_property
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
@@ -42,9 +42,7 @@ class Source:
         ]
         table = [f"    {t} {e.name}; /**< [{e.unit}] {e.meaning} */" for e in d.entries]
         pad = ["    uint32_t reserved; /**< 0 */"] if self.real.size == 8 else []
-        columns = {
-            c: ("reading" if c in d.model.channels else "measured state") for c in d.inputs
-        }
+        columns = {c: ("reading" if c in d.model.channels else "measured state") for c in d.inputs}
         jacobian = [
             f"    {t} {short(c)}_{short(m)}; /**< [{unit(c)}/m] d {c} / d {m} */"
             for c in d.pose
@@ -74,7 +72,7 @@ class Source:
             "/** @name Status of decoupler_step(): 0, or the inputs that were brought back into their range */",
             "/** @{ */",
             *bits,
-            f"#define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose not within 1 m, 1 rad */",
+            "#define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose not within 1 m, 1 rad */",
             "/** @} */",
             "",
             "/** @name Findings of decoupler_check(): 0, or what is wrong with a table */",
@@ -237,10 +235,14 @@ class Source:
         d, real = self.d, self.real
         results = {s.name: f"out->{c}" for s, c in zip(d.steps[-len(d.pose) :], d.pose, strict=True)}
         loads = [f"const {real.name} {short(c)} = in->{c};" for c in d.inputs]
-        signature = "void decoupler_bare(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)"
+        signature = (
+            "void decoupler_bare(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)"
+        )
         prototype = signature.replace("void", "extern void") + ";"
         body = [*loads, *statements(d.steps, self._names, real, results)]
-        return _lines('#include "decoupler.h"', prototype, _function(signature, body))
+        return _lines(
+            BANNER.rstrip(), '#include "decoupler.h"', "", prototype, "", _function(signature, body)
+        )
 
     @cached_property
     def _names(self) -> dict[str, str]:
@@ -279,7 +281,9 @@ class Source:
         test = "\n    && ".join(f"({x})" for x in tests)
         zeros = [f"p->{z.name}" for z in d.zeros]
         if not d.at_pose:
-            before = [f"const {real.name} before_{short(c)} = {z};" for c, z in zip(d.pose, zeros, strict=True)]
+            before = [
+                f"const {real.name} before_{short(c)} = {z};" for c, z in zip(d.pose, zeros, strict=True)
+            ]
             inner = [
                 *before,
                 "decoupler_out_t seen;",

@@ -49,7 +49,7 @@ class Emulator:
         with np.errstate(all="ignore"):
             above, below = ~(inputs <= high), inputs < low
         status = ((above | below) * (1 << np.arange(len(inputs), dtype=np.uint32))[:, None]).sum(axis=0)
-        held = np.where(above, high, np.where(below, low, inputs)).astype(self.real.dtype)
+        held: np.ndarray = np.where(above, high, np.where(below, low, inputs)).astype(self.real.dtype)
         with np.errstate(under="ignore"):
             pose = self._run(held, [np.array([c], dtype=self.real.dtype) for c in self.d.constants])[0]
         return pose.astype(self.real.dtype), status.astype(np.uint32)
@@ -105,7 +105,11 @@ def vectors(d: Decoupler, real: Real) -> Vectors:
     rng = np.random.default_rng(1)
     share = np.hstack([np.zeros((len(low), 1)) + 0.5, rng.random((len(low), COUNT - 1))])
     share[:, 1:9] = rng.choice([0.0, 1.0], (len(low), 8))
-    inputs = [np.clip((low[:, None] + (high - low)[:, None] * share).astype(real.dtype), low[:, None], high[:, None])]
+    inputs = [
+        np.clip(
+            (low[:, None] + (high - low)[:, None] * share).astype(real.dtype), low[:, None], high[:, None]
+        )
+    ]
     bad = []
     for k in range(len(low)):
         for value in (np.nan, np.inf, -np.inf, 2 * low[k], 2 * high[k], np.finfo(real.dtype).max):

@@ -2,6 +2,7 @@
 
 from hallsym.commands import (
     budget,
+    codegen,
     demo,
     diagnose,
     evaluate,
@@ -13,5 +14,5 @@ from hallsym.commands import (
     tolerances,
 )
 
-COMMANDS = (demo, fit, evaluate, diagnose, sensitivity, budget, plan, tolerances, simulate, info)
+COMMANDS = (demo, fit, evaluate, diagnose, sensitivity, budget, codegen, plan, tolerances, simulate, info)
 """In the order of `hallsym --help`."""
