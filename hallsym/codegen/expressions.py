@@ -8,8 +8,8 @@ as eta_k phi_k, phi_k = 1 + small terms, and displacement = M pose + h(pose, sta
 which for the small-angle stage (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
 deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. One entry of D per
 probe is folded into its gain, phi_k / D_ik, so that column k of D holds a 1: one product and one rounding
-less. The coefficients of phi, h and offset are found by differentiation and are functions of the parameters; their
-values are the table.
+less. The coefficients of phi, h and offset are found by differentiation and are functions of the parameters;
+their values are the table.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -79,6 +79,11 @@ class Decoupler:
         return self.model.pose
 
     @property
+    def slack(self) -> float:
+        """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
+        return ENOUGH if self.at_pose else 0.0
+
+    @property
     def entries(self) -> tuple[Entry, ...]:
         """Coefficients, limits and zeros, in the order of the table."""
         return (*self.table, *self.limits, *self.zeros)
@@ -142,7 +147,6 @@ class _Maker:
 
     def make(self) -> Decoupler:
         model = self.model
-        _check_columns(model)
         phi, eta = self._gains()
         h, matrix = self._displacement()
         offset = self._offset()
@@ -589,7 +593,8 @@ def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca
     )
 
 
-def _check_columns(model: Model) -> None:
+def check_columns(model: Model) -> None:
+    """Refuse a model whose columns a controller does not have, or that nothing can be decoded from."""
     for column in model.computed:
         raise InputError(
             f"Model {model.name} needs {column.name}, which is computed from a whole log; a controller does "

@@ -13,7 +13,7 @@ from hallsym.calibration import Fit
 from hallsym.codegen import proof, selftest
 from hallsym.codegen.bounds import LEAST_PHI, Bounds, bounds
 from hallsym.codegen.box import box_of
-from hallsym.codegen.expressions import Decoupler, decoupler
+from hallsym.codegen.expressions import Decoupler, check_columns, decoupler
 from hallsym.codegen.folder import BINARY, replace_params, write_folder
 from hallsym.codegen.printer import DOUBLE, FLOAT, Real
 from hallsym.codegen.project import count, makefile, template
@@ -93,6 +93,7 @@ def generate(
     `jacobian`: with `decoupler_jacobian()`. Raises `InputError` for a calibration that cannot be trusted on a
     controller.
     """
+    check_columns(fit.model)
     _check(fit, allow_undetermined)
     found = decoupler(fit, box_of(fit, ranges))
     real = DOUBLE if double else FLOAT

@@ -156,7 +156,7 @@ def selftest_vectors(source: Source, bound: dict[str, float]) -> str:
         pose = ", ".join(f"{v:.12e}" for v in found.pose[:, k])
         rows.append(f"    {{{{{inputs}}}, {{{pose}}}, 0x{int(found.status[k]):X}UL}},")
     digest = {n: emulator.hash(n) for n in HASHED}
-    limits = ", ".join(f"{bound[c] + REFERENCE:.3e}" for c in d.pose)
+    limits = ", ".join(f"{bound[c] + d.slack + REFERENCE:.3e}" for c in d.pose)
     return "\n".join(
         [
             BANNER.rstrip(),

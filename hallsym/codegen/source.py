@@ -484,7 +484,11 @@ _LIKELY = """\
 def graph(expression: ca.SX, names: dict[str, str], real: Real, results: Sequence[str]) -> list[str]:
     """Return statements of a vector whose rows share subexpressions: a value used twice becomes a constant."""
     (rest,), symbols, values = ca.shared([expression], "shared_", "")
-    steps = [Step(s.name(), e) for s, e in zip(symbols, values, strict=True)]
+    steps: list[Step] = []
+    waiting = {s.name(): e for s, e in zip(symbols, values, strict=True)}
+    while waiting:  # CasADi lists them in any order; C needs a value before its use
+        ready = [n for n, e in waiting.items() if not {v.name() for v in ca.symvar(e)} & waiting.keys()]
+        steps += [Step(name, waiting.pop(name)) for name in ready]
     steps += [Step(f"result_{k}", rest[k]) for k in range(rest.numel())]
     return statements(steps, names, real, {f"result_{k}": name for k, name in enumerate(results)})
 
