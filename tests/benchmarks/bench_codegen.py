@@ -22,7 +22,15 @@ from hallsym.codegen.printer import FLOAT
 from hallsym.codegen.project import template
 from hallsym.codegen.vectors import worst
 
-FLAGS = "-std=c99 -O2 -ffp-contract=off -mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16".split()
+FLAGS = [
+    "-std=c99",
+    "-O2",
+    "-ffp-contract=off",
+    "-mcpu=cortex-m4",
+    "-mthumb",
+    "-mfloat-abi=hard",
+    "-mfpu=fpv4-sp-d16",
+]
 SAMPLES = 100_000
 CALLER = """
 typedef {real} real;
@@ -112,9 +120,10 @@ def _instructions(elf: Path, name: str, log: Path) -> int:
     symbols = _run("arm-none-eabi-nm", str(elf)).splitlines()
     start = next(int(line.split()[0], 16) for line in symbols if line.endswith(f" {name}"))
     back = re.search(rf"bl\s+\w+ <{name}>\n\s*(\w+):", _run("arm-none-eabi-objdump", "-d", str(elf)))
-    qemu = "qemu-system-arm -M mps2-an386 -nographic -monitor none -serial none -singlestep -d exec,nochain".split()
-    semi = "enable=on,target=native"
-    subprocess.run([*qemu, "-semihosting-config", semi, "-D", str(log), "-kernel", str(elf)], check=False)
+    qemu = ("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none")
+    step = ("-singlestep", "-d", "exec,nochain", "-D", str(log))
+    semihosting = ("-semihosting-config", "enable=on,target=native")
+    subprocess.run([*qemu, *step, *semihosting, "-kernel", str(elf)], check=False)
     pcs = [int(m[1], 16) for m in re.finditer(r"\[[0-9a-f]+/([0-9a-f]+)/", log.read_text())]
     first = pcs.index(start)
     if back is None:
