@@ -94,17 +94,17 @@ def generate(
     controller.
     """
     check_columns(fit.model)
-    _check(fit, allow_undetermined)
+    check(fit, allow_undetermined)
     found = decoupler(fit, box_of(fit, ranges))
     real = DOUBLE if double else FLOAT
     said = bounds(found, real.digits)
-    _check_gains(said)
-    digest = calibration_sha256 or sha256(json.dumps(fit.to_dict(), sort_keys=True).encode())
+    check_gains(said)
+    digest = calibration_sha256 or digest_of(fit)
     table = Table(found, real, {"model": fit.model.name, "calibration_sha256": digest})
     source = Source(table, jacobian)
     errors = worst(found, real)
     _check_errors(found, real, errors, said)
-    notes = _notes(fit)
+    notes = notes_of(fit)
     return Generated(source, _files(source, said, errors, notes), said, errors, notes)
 
 
@@ -121,10 +121,16 @@ def decouple(fit: Fit) -> ca.Function:
     return ca.Function("decouple", [reading, state], [pose], ["reading", "state"], ["pose"])
 
 
+def digest_of(fit: Fit) -> str:
+    """Return the SHA-256 of a calibration that is in no file."""
+    return sha256(json.dumps(fit.to_dict(), sort_keys=True).encode())
+
+
 # -- checks ------------------------------------------------------------------------------------------------
 
 
-def _check(fit: Fit, allow_undetermined: bool) -> None:
+def check(fit: Fit, allow_undetermined: bool) -> None:
+    """Refuse a calibration that a controller cannot trust."""
     if fit.status != "converged":
         raise InputError(
             f"The fit did not converge ({fit.status}); a controller needs one that did: fit the log again."
@@ -140,7 +146,8 @@ def _check(fit: Fit, allow_undetermined: bool) -> None:
         )
 
 
-def _check_gains(found: Bounds) -> None:
+def check_gains(found: Bounds) -> None:
+    """Refuse a box within which a gain comes near zero."""
     for channel, share in found.least_phi.items():
         if not share >= LEAST_PHI:
             raise InputError(
@@ -159,7 +166,8 @@ def _check_errors(d: Decoupler, real: Real, errors: Mapping[str, float], found: 
             )
 
 
-def _notes(fit: Fit) -> tuple[str, ...]:
+def notes_of(fit: Fit) -> tuple[str, ...]:
+    """Return what a user of the code should know of the calibration."""
     notes = []
     if fit.structural:
         notes.append(

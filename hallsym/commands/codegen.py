@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.budget.settings import column_value
 from hallsym.calibration import Fit, load_fit
-from hallsym.codegen import Generated, generate
+from hallsym.codegen import Generated, Integers, generate, generate_q31
 from hallsym.codegen.table import sha256
 from hallsym.commands.common import NOT_DETERMINED, OK, command, noted, say
 from hallsym.errors import InputError
@@ -42,6 +42,10 @@ def add(sub: Any) -> None:
         "--range", action="append", default=[], metavar="COLUMN=LOW:HIGH",
         help="box of a pose, state or reading column: --range z_um=-200:200 (repeat; default: as recorded)",
     )  # fmt: skip
+    parser.add_argument(
+        "--arithmetic", choices=("float", "q31"), default="float",
+        help="q31: 32-bit integers, for a controller without a floating-point unit",
+    )  # fmt: skip
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
     parser.add_argument("--jacobian", action="store_true", help="with d pose / d reading, for Kalman filters")
     parser.add_argument(
@@ -52,30 +56,38 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     fit = load_fit(options.calibration)
-    made = generate(
-        fit,
-        ranges=_ranges(options.range, fit),
-        double=options.double,
-        jacobian=options.jacobian,
-        allow_undetermined=options.allow_undetermined,
-        calibration_sha256=sha256(Path(options.calibration).read_bytes()),
-    )
+    made = _made(fit, options)
     made.write(options.output, force=options.force, params_only=options.params_only)
     say(options, made.to_dict(), lambda: "\n".join([*_text(made, options), *noted(made.notes)]))
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
-def _text(made: Generated, options: Namespace) -> list[str]:
-    d = made.source.d
-    lines = [f"{d.model.name} in {made.source.real.name}, table of {len(made.source.table.binary)} bytes"]
-    for c in d.pose:
-        lines.append(
-            f"  {c}: error at most {1e9 * made.bounds.error[c]:.3g} n{c.rpartition('_')[2]} over the box, "
-            f"{1e9 * made.errors[c]:.3g} met over 100000 random inputs"
-        )
-    for c in d.inputs:
-        low, high = d.ends(c)
-        lines.append(f"  {c}: {low:g} to {high:g}")
+def _made(fit: Fit, options: Namespace) -> Generated | Integers:
+    digest = sha256(Path(options.calibration).read_bytes())
+    ranges, allow = _ranges(options.range, fit), options.allow_undetermined
+    if options.arithmetic == "q31":
+        for name in ("double", "jacobian"):
+            if getattr(options, name):
+                raise InputError(f"--{name} belongs to --arithmetic float; leave it out, or the integers.")
+        return generate_q31(fit, ranges=ranges, allow_undetermined=allow, calibration_sha256=digest)
+    return generate(
+        fit,
+        ranges=ranges,
+        double=options.double,
+        jacobian=options.jacobian,
+        allow_undetermined=allow,
+        calibration_sha256=digest,
+    )
+
+
+def _text(made: Generated | Integers, options: Namespace) -> list[str]:
+    record = made.to_dict()
+    lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
+    for c, met in record["error_met"].items():
+        unit, bound = c.rpartition("_")[2], record.get("error_bound", {}).get(c)
+        most = "" if bound is None else f"error at most {1e9 * bound:.3g} n{unit} over the box, "
+        lines.append(f"  {c}: {most}{1e9 * met:.3g} n{unit} met over 100000 random inputs")
+    lines += [f"  {c}: {low:g} to {high:g}" for c, (low, high) in record["box"].items()]
     wrote = sorted(made.params) if options.params_only else sorted(made.files)
     lines += [f"wrote {Path(options.output) / name}" for name in wrote]
     return lines
