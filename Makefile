@@ -27,7 +27,7 @@ install: $(INSTALLED) ## environment with hallsym, its tests and linters (again 
 demo: install ## the guided demonstration
 	$(BIN)/python -m hallsym demo
 
-tools: # as root on Debian and Ubuntu: only what is missing, quietly
+tools: ## compilers, QEMU and provers that the tests of generated C use (as root on Debian, Ubuntu)
 	@command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ] || exit 0; \
 	missing=$$(for name in $(FIRMWARE); do \
 	    dpkg-query -W -f '$${Status}' $$name 2>/dev/null | grep -q '^install ok installed' || echo $$name; done); \
