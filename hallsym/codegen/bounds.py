@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.expressions import Decoupler, Step, short
 from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.parts import Decoupler, Step, short
 
 LEAST_PHI = 0.1
 """Share of its gain at rest below which a probe must not fall within the box."""

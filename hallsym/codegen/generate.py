@@ -13,8 +13,9 @@ from hallsym.calibration import Fit
 from hallsym.codegen import proof, selftest
 from hallsym.codegen.bounds import LEAST_PHI, Bounds, bounds
 from hallsym.codegen.box import box_of
-from hallsym.codegen.expressions import Decoupler, check_columns, decoupler
+from hallsym.codegen.expressions import check_columns, decoupler
 from hallsym.codegen.folder import BINARY, replace_params, write_folder
+from hallsym.codegen.parts import Decoupler
 from hallsym.codegen.printer import DOUBLE, FLOAT, Real
 from hallsym.codegen.project import count, makefile, template
 from hallsym.codegen.report import report

@@ -8,9 +8,10 @@ from typing import Any
 from hallsym.calibration import Fit
 from hallsym.codegen.bounds import bounds
 from hallsym.codegen.box import box_of
-from hallsym.codegen.expressions import check_columns, decoupler, short, unit
+from hallsym.codegen.expressions import check_columns, decoupler
 from hallsym.codegen.folder import BINARY, replace_params, write_folder
 from hallsym.codegen.generate import check, check_gains, digest_of, notes_of
+from hallsym.codegen.parts import short, unit
 from hallsym.codegen.printer import FLOAT
 from hallsym.codegen.project import MARK, template
 from hallsym.codegen.q31 import program

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.expressions import Step
+from hallsym.codegen.parts import Step
 from hallsym.errors import InputError
 
 _SIGNS = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.expressions import Step, short
+from hallsym.codegen.parts import Step, short
 from hallsym.codegen.printer import DOUBLE, statements
 from hallsym.codegen.source import BANNER, Source, bit, ends
 

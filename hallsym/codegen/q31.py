@@ -14,7 +14,7 @@ from math import ceil, log2
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.expressions import Decoupler, short
+from hallsym.codegen.parts import Decoupler, short
 from hallsym.errors import InputError
 
 ROOM = 30

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.codegen.bounds import LEAST_PHI
-from hallsym.codegen.expressions import short, unit
+from hallsym.codegen.parts import short, unit
 from hallsym.codegen.project import MARK, template
 from hallsym.codegen.q31 import UPPER, Program
 from hallsym.codegen.source import BANNER, _function, _lines, bit, ends

@@ -1,7 +1,7 @@
 """doc/report.md of a generated folder: what is computed, how exactly, and what was proved."""
 
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.expressions import unit
+from hallsym.codegen.parts import unit
 from hallsym.codegen.project import MARK, template
 from hallsym.codegen.source import Source
 

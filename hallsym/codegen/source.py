@@ -7,7 +7,7 @@ from functools import cached_property
 import casadi as ca
 
 from hallsym.codegen.bounds import LEAST_PHI, spreads
-from hallsym.codegen.expressions import Decoupler, Step, short, unit
+from hallsym.codegen.parts import Decoupler, Step, short, unit
 from hallsym.codegen.printer import Real, statements
 from hallsym.codegen.table import VERSION, Table
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hallsym.codegen.expressions import Decoupler
+from hallsym.codegen.parts import Decoupler
 from hallsym.codegen.printer import Real, statements
 
 VERSION = 1

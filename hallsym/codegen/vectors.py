@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from hallsym.arrays import on_arrays
-from hallsym.codegen.expressions import Decoupler
+from hallsym.codegen.parts import Decoupler
 from hallsym.codegen.printer import Real
 
 COUNT = 48
