@@ -55,6 +55,22 @@ class Statement:
 
 
 @dataclass(frozen=True)
+class Share:
+    """What one coordinate, link, output, sensor, frequency or run takes of the excess by itself.
+
+    `kind`: "coordinate", "link", "output", "sensor", "frequency" or "run". `share`: 0 to 1 on fitted runs;
+    shares of different rows overlap. None where it cannot be said, then `text` says why. `p_value`: of no
+    such share, all that was tried counted; above 0.01 a share is no evidence. `text`: what it rests on.
+    """
+
+    kind: str
+    name: str
+    share: float | None
+    p_value: float | None
+    text: str = ""
+
+
+@dataclass(frozen=True)
 class Separation:
     """The recording that would tell the members of a group apart, and by how much.
 
@@ -88,7 +104,9 @@ class Diagnosis:
     first. `groups`: names that this log cannot tell apart. `metric`: the scalar gap metric [m] before,
     after, and of the floor. `smaller_findings`: significant but not worth the threshold. `remaining`: where
     what no effect explains lies. `unexplained`: its share of the gap, what it goes with and how, see `shape`;
-    empty unless that is the verdict. `residual`: rms of readings and outputs on fitted and held-out runs.
+    empty unless that is the verdict. `size`: how large the gap is, per output and per sensor, on fitted and
+    on held-out runs, see `size.sizes`. `shares`: what each coordinate, link, output, sensor, frequency and
+    run takes of the excess by itself; empty where noise explains it.
     """
 
     verdict: str
@@ -114,7 +132,8 @@ class Diagnosis:
     seconds: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     unexplained: dict[str, Any] = field(default_factory=dict)
-    residual: dict[str, Any] = field(default_factory=dict)
+    size: dict[str, Any] = field(default_factory=dict)
+    shares: tuple[Share, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""

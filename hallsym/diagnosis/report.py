@@ -16,11 +16,12 @@ from hallsym.diagnosis.refit import refit
 from hallsym.diagnosis.search import Search
 from hallsym.diagnosis.separate import separation
 from hallsym.diagnosis.shape import unexplained
+from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, remains, shaped, slow_share
-from hallsym.diagnosis.where import NOTHING, located
+from hallsym.diagnosis.where import Located, both, located
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.wiring import Wiring
@@ -104,10 +105,10 @@ def report(
             noted.append(_shapeless(before.metric / floor_metric, search.floor.stated))
         gap_after, left, effects = before.gap(), before.metric, []
     low, high = interval(before, after)
-    gap = located(plain, log.runs) if before.metric > floor_metric * (1 + ALLOWANCE) else NOTHING
-    remainder = NOTHING
+    gap = _gap(search, plain, log, spoiled, final.variance, before.metric > floor_metric * (1 + ALLOWANCE))
+    remainder = None
     if verdict == "unexplained":
-        remainder = gap if now is start else located(now, log.runs)
+        remainder = gap if now is start else located(now, log.runs, search.scores_at(now))
     return Diagnosis(
         verdict=verdict,
         sentence=_sentence(verdict, effects, groups, before.metric, left, floor_metric),
@@ -125,9 +126,11 @@ def report(
         groups=tuple(groups),
         effects=tuple(effects),
         where=gap.statements,
-        remaining=remainder.statements,
+        shares=gap.shares,
+        size=_size(search, plain, log, gap, before, result, rows),
+        remaining=remainder.statements if remainder else (),
         unexplained=unexplained(remainder, 1 - _closed(before.metric, left, floor_metric))
-        if verdict == "unexplained"
+        if remainder
         else {},
         separate_by=tuple(separate),
         validation_runs=apart,
@@ -140,6 +143,27 @@ def report(
         seconds=seconds,
         versions=dict(result.versions),
     )
+
+
+def _gap(
+    search: Search, plain: Base, log: Log, spoiled: Sequence[Fault], variance: float, above: bool
+) -> Located:
+    """Where the gap lies; faults of samples by their power over all of the excess."""
+    if not above:
+        return Located((), (), *both(plain, log.runs))
+    return located(plain, log.runs, search.scores_at(search.start.base), spoiled, variance)
+
+
+def _size(
+    search: Search, plain: Base, log: Log, gap: Located, before: BlockErrors, result: Fit, rows: int
+) -> dict[str, Any]:
+    """How large the gap is, on the readings as they were wired."""
+    fitted, held = gap.fitted, gap.held
+    if result.wiring is not None and _miswired(result.model, result.wiring):
+        plain = replace(plain, log=log)
+        fitted, held = both(plain, log.runs)
+    errors = {"fitted": block_errors(plain, search.runs, rows, None), "held_out": before}
+    return sizes({"fitted": fitted, "held_out": held}, errors, result.noise_floor)
 
 
 def _before(plain: Base, log: Log, apart: tuple[int, ...], rows: int, result: Fit) -> BlockErrors:

@@ -13,6 +13,7 @@ from hallsym.computed import campaign_time, rate, run_time
 from hallsym.diagnosis.spectrum import Spectrum
 from hallsym.diagnosis.survey import pieces
 from hallsym.diagnosis.tangent import Base
+from hallsym.tables import readable
 
 ROOM = 60_000
 """Samples that are held."""
@@ -36,11 +37,14 @@ class Residue:
     `residual`, `felt`, `speed`: (K, n) residual, expected reading at the smoothed reference, its rate [m, m,
     m/s]. `columns`: (n,) each. `precision`: (K, K) inverse covariance of one residual. `fold`, `block`,
     `part`: (n,) index of the group of runs, of the block for significance, of the stretch of a run.
-    `output`: (n_pose, K) turns a residual into decoded pose.
+    `output`: (n_pose, K) turns a residual into decoded pose. `state`: logged columns that the model reads.
+    `length`: (n_pose,) what turns an output into length in the gap metric.
     """
 
     channels: tuple[str, ...]
     pose: tuple[str, ...]
+    references: tuple[str, ...]
+    state: tuple[str, ...]
     run: np.ndarray
     residual: np.ndarray
     felt: np.ndarray
@@ -51,6 +55,7 @@ class Residue:
     block: np.ndarray
     part: np.ndarray
     output: np.ndarray
+    length: np.ndarray
     sigma: Mapping[str, float]
     spectrum: Spectrum = field(default_factory=Spectrum)
 
@@ -97,9 +102,13 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
     run = joined.pop("run")
     spread = np.asarray(model.noise_gain(base.p, [float(joined[c].mean()) for c in model.state], base.weight))
     fold, block, part = _blocks(run)
+    length = np.array([base.length_m if _unit(c) == "rad" else 1.0 for c in model.pose])
+    made = {c.name for c in model.computed}
+    logged = tuple(c for c in model.state if c not in made)
     return Residue(
-        model.channels, model.pose, run, joined.pop("residual"), joined.pop("felt"), joined.pop("speed"),
-        joined, np.linalg.inv(base.covariance), fold, block, part, spread, base.sigma, spectrum,
+        model.channels, model.pose, model.references, logged, run, joined.pop("residual"),
+        joined.pop("felt"), joined.pop("speed"), joined,
+        np.linalg.inv(base.covariance), fold, block, part, spread, length, base.sigma, spectrum,
     )  # fmt: skip
 
 
@@ -129,7 +138,8 @@ KNOTS = 9
 class Coordinate:
     """What a residual may go with: `name`, the `column` behind it, its unit.
 
-    `gain`: it may also change the gain. `own`: every sensor has its own, made from `felt` or `speed`.
+    `gain`: it may also change the gain. `own`: every sensor has its own, made from `felt` or `speed`. `fine`:
+    the residual may have fine structure over it.
     """
 
     name: str
@@ -137,6 +147,7 @@ class Coordinate:
     unit: str
     gain: bool = True
     own: bool = False
+    fine: bool = False
 
     def values(self, r: Residue) -> np.ndarray | None:
         """Return (n,) values, (K, n) for each sensor's own; None where there are none or they do not vary."""
@@ -146,27 +157,51 @@ class Coordinate:
             x = r.columns[self.column]
         else:
             return None
+        if self.fine and self.unit == "rad" and np.ptp(x) > TURN:
+            x = np.mod(x, TURN)
         spread = float(np.std(x))
         return x if spread > max(5 * r.sigma.get(self.column, 0.0), 1e-15) else None
 
 
-COORDINATES = (
-    Coordinate("temperature", "temperature_degc", "degC"),
-    Coordinate("height Z", "z_m", "m"),
-    Coordinate("tilt Rx", "rx_rad", "rad"),
-    Coordinate("tilt Ry", "ry_rad", "rad"),
-    Coordinate("height Z and tilts Rx, Ry", "vertical", "1", gain=False),
-    Coordinate("the reading itself", "felt", "m", gain=False, own=True),
-    Coordinate("direction of motion", "direction", "1", gain=False, own=True),
-    Coordinate("velocity", "speed", "m/s", own=True),
-    Coordinate("acceleration", "acceleration", "m/s2", gain=False),
-    Coordinate("place in the stroke of x", "d0_x_ref_m", "m"),
-    Coordinate("place in the stroke of y", "d0_y_ref_m", "m"),
-    Coordinate("rotation Rz", "d0_rz_ref_rad", "rad"),
-    Coordinate("time in the campaign", "campaign_s", "s"),
-    Coordinate("time since the start of the run", "run_s", "s", gain=False),
-)
-"""From the most telling to the least: of two that explain the same the first is named."""
+NAMES = {"z_m": "height Z", "rx_rad": "tilt Rx", "ry_rad": "tilt Ry", "rz_ref_rad": "rotation Rz"}
+TOGETHER: dict[tuple[str, ...], str] = {("z_m", "rx_rad", "ry_rad"): "height Z and tilts Rx, Ry"}
+TURN = 2 * np.pi
+"""An angle that goes further than this is taken within the turn."""
+
+
+def coordinates(r: Residue) -> tuple[Coordinate, ...]:
+    """Return what the residual of a model may go with: from the most telling to the least.
+
+    Of two that explain the same the first is named.
+    """
+    states = [Coordinate(NAMES.get(c, readable(c)[2].replace("_", " ")), c, _unit(c)) for c in r.state]
+    reading = _unit(r.channels[0])
+    together = TOGETHER.get(r.state, ", ".join(s.name for s in states) + " together")
+    return (
+        Coordinate("temperature", "temperature_degc", "degC"),
+        *states,
+        *([Coordinate(together, "states", "1", gain=False)] if len(states) > 1 else []),
+        Coordinate("the reading itself", "felt", reading, gain=False, own=True, fine=True),
+        Coordinate("direction of motion", "direction", "1", gain=False, own=True),
+        Coordinate("velocity", "speed", f"{reading}/s", own=True),
+        Coordinate("acceleration", "acceleration", "m/s2", gain=False),
+        *(Coordinate(_place(c, r), f"d0_{c}", _unit(c), fine=True) for c in r.references),
+        Coordinate("time in the campaign", "campaign_s", "s"),
+        Coordinate("time since the start of the run", "run_s", "s", gain=False),
+    )
+
+
+def _place(reference: str, r: Residue) -> str:
+    if reference in NAMES:
+        return NAMES[reference]
+    stem = readable(reference)[2].removesuffix("_ref").replace("_", " ")
+    if _unit(reference) != "rad":
+        return f"place in the stroke of {stem}"
+    return f"place in the turn of {stem}" if np.ptp(r.columns[f"d0_{reference}"]) > TURN else f"angle {stem}"
+
+
+def _unit(column: str) -> str:
+    return {"degc": "degC", "1": "1"}.get(unit := column.rpartition("_")[2], unit)
 
 
 def knots(x: np.ndarray) -> np.ndarray:

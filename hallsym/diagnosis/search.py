@@ -133,6 +133,7 @@ class Search:
         self.found: list[Found] = []
         self.not_testable: dict[str, str] = {}
         self.last: list[Score] = []
+        self.scored: list[tuple[Refitted, list[Score]]] = []
         self.survey = Survey()
 
     def run(self) -> None:
@@ -149,6 +150,10 @@ class Search:
             self.prune()
         if len(self.found) > 1:
             self.reconsider()
+
+    def scores_at(self, base: Base) -> list[Score]:
+        """Return how the catalogue scored at a fit that was asked about; nothing elsewhere."""
+        return next((ranked for at, ranked in self.scored if at.base is base), [])
 
     def worth(self, score: Score, beside: int) -> bool:
         """Return whether an effect lowers the gap enough; one `beside` others must be needed and certain.
@@ -193,6 +198,7 @@ class Search:
         tried, trouble = candidates(at.base, self.catalogue, facts)
         self.not_testable |= {t.name: t.reason for t in trouble}
         ranked, t = scores(at.base, tried, self.runs, TYPICAL_INFLATION)
+        self.scored.append((at, ranked))
         for key in t.spoiled:
             self.not_testable[key.split("|")[0]] = "its readings are not finite on this log"
         for score in by_name(ranked):

@@ -22,8 +22,7 @@ BEND = 0.01
 TINY = 1e-6
 MEMORIES = (0.05, 0.15, 0.4, 1.0)
 """Half-widths of the play that is looked for, over the standard deviation of what a sensor feels."""
-VERTICAL = ("z_m", "rx_rad", "ry_rad")
-NO_ORDER = ("direction", "acceleration", "vertical")
+NO_ORDER = ("direction", "acceleration", "states")
 """Coordinates that are several features and no place on a line."""
 FINE = 96
 """Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
@@ -73,17 +72,11 @@ class Smooth:
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
+        if c.column in NO_ORDER:
+            phi = _unordered(r, c, r)
+            at = np.array(MEMORIES) if c.column == "direction" else np.arange(float(phi.shape[1]))
+            return at, phi
         each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
-        if c.name == "direction of motion":
-            size = float(np.std(r.felt))
-            turned = [_memory(r, size * w) for w in MEMORIES]
-            return np.array(MEMORIES), np.stack(turned, axis=1)
-        if c.column == "vertical":
-            return np.arange(6.0), _vertical(r, self.scale)
-        if c.column == "acceleration":
-            axes = [r.columns[f"d2_{p}"] for p in ("x_ref_m", "y_ref_m", "rz_ref_rad")]
-            rows = np.array([a / max(float(np.std(a)), 1e-300) for a in axes])
-            return np.arange(3.0), np.broadcast_to(rows, (len(r.channels), *rows.shape)).copy()
         at = knots(each)
         phi = np.array([hats(row, at) for row in each])
         if c.gain:
@@ -249,21 +242,47 @@ def chance_of_signs(q: np.ndarray, run: np.ndarray) -> float:
 
 def _values(r: Residue, c: Coordinate) -> np.ndarray | None:
     if c.column == "acceleration":
-        return r.columns.get("d2_x_ref_m")
-    if c.column == "vertical":
-        return (
-            r.columns["z_m"] if all(k in r.columns and np.std(r.columns[k]) > 0 for k in VERTICAL) else None
-        )
+        return r.columns.get(f"d2_{r.references[0]}")
+    if c.column == "states":
+        return r.columns[r.state[0]] if all(np.std(r.columns[k]) > 0 for k in r.state) else None
     if c.column == "direction":
         return np.sign(r.speed) if np.std(r.felt) > 0 else None
     return c.values(r)
 
 
-def _vertical(r: Residue, scale: float) -> np.ndarray:
-    """Offset, then gain, in proportion to height and each tilt, (K, 6, n)."""
-    rows = np.array([(x - x.mean()) / max(float(x.std()), 1e-300) for x in (r.columns[c] for c in VERTICAL)])
-    gains = rows * (r.felt / scale)[:, None, :]
+def _unordered(r: Residue, c: Coordinate, like: Residue) -> np.ndarray:
+    """Features of a coordinate that is no place on a line, (K, features, n), scaled as on `like`."""
+    if c.column == "direction":
+        size = float(np.std(like.felt))
+        return np.stack([_memory(r, size * w) for w in MEMORIES], axis=1)
+    names = r.state if c.column == "states" else tuple(f"d2_{p}" for p in r.references)
+    old, new = (np.array([x.columns[n] for n in names]) for x in (like, r))
+    spread = np.maximum(old.std(axis=1), 1e-300)[:, None]
+    if c.column == "acceleration":
+        rows = new / spread
+        return np.broadcast_to(rows, (len(r.channels), *rows.shape)).copy()
+    rows = (new - old.mean(axis=1)[:, None]) / spread
+    gains = rows * (r.felt / (float(np.sqrt(np.mean(like.felt**2))) or 1.0))[:, None, :]
     return np.concatenate([np.broadcast_to(rows, gains.shape), gains], axis=1)
+
+
+def predicted(c: Curve, fitted: Residue, other: Residue) -> np.ndarray | None:
+    """Return what a curve of `fitted` says of other samples, (K, n); None where they lack the coordinate."""
+    x = _values(other, c.coordinate)
+    if x is None:
+        return None
+    if c.coordinate.column in NO_ORDER:
+        return np.asarray(np.einsum("kf,kfn->kn", c.offset, _unordered(other, c.coordinate, fitted)))
+    each = x if x.ndim == 2 else np.broadcast_to(x, other.felt.shape)
+    if c.fine:
+        step = c.at[1] - c.at[0]
+        bins = np.clip(np.rint((each - c.at[0]) / step).astype(int), 0, len(c.at) - 1)
+        return np.take_along_axis(c.offset, bins, axis=1)
+    out = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.offset, strict=True)])
+    if c.gain is not None:
+        gain = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.gain, strict=True)])
+        out = out + gain * other.felt / c.scale
+    return out
 
 
 def _memory(r: Residue, width: float) -> np.ndarray:

@@ -11,19 +11,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.chance import beyond
-from hallsym.diagnosis.record import Statement
-from hallsym.diagnosis.residue import COORDINATES, Residue, residue
-from hallsym.diagnosis.smooth import NO_ORDER, Curve, FineMap, Smooth, own_gains
+from hallsym.diagnosis.faults import Fault
+from hallsym.diagnosis.links import of_links
+from hallsym.diagnosis.marginal import (
+    CERTAIN,
+    LEAST,
+    LEVEL,
+    means,
+    of_frequencies,
+    of_powers,
+    of_runs,
+    outputs,
+    sensors,
+)
+from hallsym.diagnosis.ranking import Score
+from hallsym.diagnosis.record import Share, Statement
+from hallsym.diagnosis.residue import Residue, coordinates, residue
+from hallsym.diagnosis.smooth import NO_ORDER, Curve, FineMap, Smooth, own_gains, predicted
 from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.words import percent, plain, shown
+from hallsym.tables import readable
 
-LEVEL = 0.01
-"""Significance that a statement must have, all that was tried counted."""
 LIKELY = 0.05
 """Significance that is enough for a coordinate that predicts what certainly differs from run to run."""
-CERTAIN = 1e-3
-"""Significance of the excess as a whole, below which nothing is said of where it lies."""
-LEAST = 0.03
-"""Share of the excess that a statement must have."""
 SMALL = 0.02
 """Excess over the noise [share of its power] below which nothing is said."""
 MOST = 5
@@ -31,28 +41,23 @@ NEARLY = 0.92
 """Of coordinates that explain at least this part of what the best one explains the most telling is named."""
 RATHER = 0.6
 """A gain of its own in every run is named only where no coordinate explains this part of what it does."""
-TOLD = 0.8
-HALF = 0.5
-"""Shares that coordinates have told of from which on runs, and bands of frequency, add nothing."""
 ROUGH = 0.4
 """Part of a fine map's power that is short against the range, from which on it counts as fine structure."""
-CLIP = 9.0
-"""Whitened square per reading at which a sample stops counting when runs are compared."""
-PLACES = ("the reading itself", "place in the stroke of x", "place in the stroke of y", "rotation Rz")
-UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s")}
-"""How places are shown to a person."""
 
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Statements on where an excess lies, and the curves behind those that are about coordinates."""
+    """Statements on where an excess lies, what each place takes by itself, and what both rest on.
+
+    `curves`: behind the statements on coordinates. `fitted`, `held`: the residual on fitted and on held-out
+    runs, None where there are no samples.
+    """
 
     statements: tuple[Statement, ...]
     curves: tuple[Curve, ...]
     fitted: Residue | None
-
-
-NOTHING = Located((), (), None)
+    held: Residue | None = None
+    shares: tuple[Share, ...] = ()
 
 
 def where(base: Base, runs: Sequence[int], inflation: float = 1.0) -> tuple[Statement, ...]:
@@ -64,40 +69,62 @@ def where(base: Base, runs: Sequence[int], inflation: float = 1.0) -> tuple[Stat
     return located(base, runs).statements
 
 
-def located(base: Base, runs: Sequence[int]) -> Located:
-    """Return the statements with the curves behind them."""
-    fitted = residue(base, [r for r in runs if r not in base.apart])
+def both(base: Base, runs: Sequence[int]) -> tuple[Residue | None, Residue | None]:
+    """Return the residual on those of `runs` that are fitted and on those that are held out."""
+    apart = (False, True)
+    fitted, held = (residue(base, [r for r in runs if (r in base.apart) == held]) for held in apart)
+    return fitted, held
+
+
+def located(
+    base: Base,
+    runs: Sequence[int],
+    scored: Sequence[Score] = (),
+    faults: Sequence[Fault] = (),
+    variance: float = 1.0,
+) -> Located:
+    """Return the statements with what they rest on.
+
+    `scored`: the catalogue's effects at `base`, for the links of the chain. `faults`: of samples, their power
+    as a part of `variance`, the whitened residual's.
+    """
+    fitted, held = both(base, runs)
     if fitted is None or fitted.excess <= SMALL * fitted.residual.size:
-        return NOTHING
-    statements, curves = _coordinates(fitted)
-    held = residue(base, [r for r in runs if r in base.apart])
+        return Located((), (), fitted, held)
+    statements, curves, alone = _coordinates(fitted)
     if held is not None and held.excess > 0:
-        statements = _confirmed(statements, curves, held)
+        statements = _confirmed(statements, curves, fitted, held)
+    if not statements and not _clear(fitted):
+        return Located((), tuple(curves), fitted, held)
     told = sum(s.share for s in statements)
-    marginal = _marginal(fitted, told) if statements or _clear(fitted) else []
-    if marginal and "mains" in marginal[0].at and marginal[0].share > told:
-        statements, marginal = [marginal[0], *statements], marginal[1:]
-    return Located((*statements, *marginal), tuple(curves), fitted)
+    tones, frequencies = of_frequencies(fitted, told)
+    if frequencies and "mains" in frequencies[0].at and frequencies[0].share > told:
+        statements, frequencies = [frequencies[0], *statements], frequencies[1:]
+    size = variance * fitted.residual.size / fitted.excess
+    bad = [replace(f, power=f.power * size) for f in faults]
+    rest = [of_links(base, scored, fitted, bad)] if scored else []
+    rest += [of_powers(p(fitted), fitted.block) for p in (outputs, sensors)]
+    rest += [(tones, frequencies), of_runs(fitted, told)]
+    said = [s for _, found in rest for s in found]
+    shares = [*alone, *(row for rows, _ in rest for row in rows)]
+    return Located((*statements, *said), tuple(curves), fitted, held, tuple(shares))
 
 
 def _clear(r: Residue) -> bool:
     """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
-    return beyond(_means(r.squares - len(r.residual), r.block)) < CERTAIN
-
-
-def _means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    _, index = np.unique(group, return_inverse=True)
-    return np.bincount(index, values) / np.bincount(index)
+    return beyond(means(r.squares - len(r.residual), r.block)) < CERTAIN
 
 
 # -- coordinates -------------------------------------------------------------------------------------------
 
 
-def _coordinates(r: Residue) -> tuple[list[Statement], list[Curve]]:
-    """Coordinates one after the other, each with what it explains beyond those before."""
-    tried: list[Smooth | FineMap] = [Smooth(r, c) for c in COORDINATES]
-    tried += [FineMap(r, c) for c in COORDINATES if c.name in PLACES]
-    tried = [t for t in tried if t.values is not None]
+def _coordinates(r: Residue) -> tuple[list[Statement], list[Curve], list[Share]]:
+    """Coordinates one after the other, each with what it explains beyond those before; and each by itself."""
+    known = coordinates(r)
+    every: list[Smooth | FineMap] = [Smooth(r, c) for c in known]
+    every += [FineMap(r, c) for c in known if c.fine]
+    tried = [t for t in every if t.values is not None]
+    alone: list[Share] = []
     count, excess = len(tried) + 1, r.excess
     statements: list[Statement] = []
     curves: list[Curve] = []
@@ -105,6 +132,7 @@ def _coordinates(r: Residue) -> tuple[list[Statement], list[Curve]]:
     for _ in range(MOST):
         found = [c for t in tried if (c := t.curve(left)) is not None]
         run = _own_gain(r, left, excess, count)
+        alone = alone or _alone(r, every, found, run, count)
         good = [c for c in found if c.p_value * count < LEVEL and c.explained > LEAST * excess]
         if run:  # a difference from run to run is certain; what predicts most of it on other runs is it
             most = RATHER * run.share * excess
@@ -123,7 +151,31 @@ def _coordinates(r: Residue) -> tuple[list[Statement], list[Curve]]:
         curves.append(first)
         tried = [t for t in tried if t.coordinate.name != first.coordinate.name]
         left = left - first.predicted
-    return statements, curves
+    return statements, curves, alone
+
+
+def _alone(
+    r: Residue,
+    every: Sequence[Smooth | FineMap],
+    found: Sequence[Curve],
+    run: Statement | None,
+    count: int,
+) -> list[Share]:
+    """What each coordinate explains with none before it; of a smooth curve and a fine map the better one."""
+    out = []
+    for c in dict.fromkeys(t.coordinate for t in every):
+        own = [f for f in found if f.coordinate == c]
+        if not own:
+            logged = c.own or c.column in (*r.columns, *NO_ORDER)
+            out.append(
+                Share("coordinate", c.name, None, None, "it does not move" if logged else "not logged")
+            )
+            continue
+        share = max(float(np.clip(f.explained / r.excess, 0.0, 1.0)) for f in own)
+        out.append(Share("coordinate", c.name, share, min(1.0, count * min(f.p_value for f in own))))
+    if run:
+        out.append(Share("run", run.at, run.share, run.p_value))
+    return out
 
 
 def _own_gain(r: Residue, left: np.ndarray, excess: float, count: int) -> Statement | None:
@@ -131,9 +183,7 @@ def _own_gain(r: Residue, left: np.ndarray, excess: float, count: int) -> Statem
     if p * count >= LEVEL or explained <= LEAST * excess:
         return None
     share = min(explained / excess, 1.0)
-    text = (
-        f"{_percent(share)} of the excess is a gain that differs from run to run and follows nothing logged"
-    )
+    text = f"{percent(share)} of the excess is a gain that differs from run to run and follows nothing logged"
     return Statement("run", "gain of its own", share, min(1.0, p * count), text)
 
 
@@ -141,7 +191,7 @@ def _statement(r: Residue, c: Curve, share: float, p: float, further: bool) -> S
     at = "" if c.coordinate.column in NO_ORDER else _most(r, c)
     what = "a further " if further else ""
     form = _form(r, c)
-    text = f"{what}{_percent(share)} of the excess goes with {c.coordinate.name}{form}"
+    text = f"{what}{percent(share)} of the excess goes with {c.coordinate.name}{form}"
     if at:
         text += f", {at}"
     sensor = _mostly(r, c)
@@ -154,13 +204,15 @@ def _form(r: Residue, c: Curve) -> str:
     if c.fine:
         period = _period(c)
         if period:
-            return f", in ripples of {_shown(period, c.coordinate.unit)}"
+            return f", in ripples of {shown(period, c.coordinate.unit)}"
         power = _power(c)
         return ", in fine structure" if power[6:].sum() > ROUGH * power.sum() else ""
-    if c.coordinate.column == "vertical":
-        offset, gain = (float((c.offset[:, k : k + 3] ** 2).sum()) for k in (0, 3))
-        parts = (c.offset**2).sum(axis=0).reshape(2, 3).sum(axis=0)
-        each = (f"{a} {_percent(x)}" for a, x in zip(("Z", "Rx", "Ry"), parts / parts.sum(), strict=True))
+    if c.coordinate.column == "states":
+        k = len(r.state)
+        offset, gain = (float((c.offset[:, at : at + k] ** 2).sum()) for at in (0, k))
+        parts = (c.offset**2).sum(axis=0).reshape(2, k).sum(axis=0)
+        names = (readable(n)[2].capitalize() for n in r.state)
+        each = (f"{a} {percent(x)}" for a, x in zip(names, parts / parts.sum(), strict=True))
         what = "the gain: " if gain > 4 * offset else "the offset: " if offset > 4 * gain else ""
         return f" ({what}{', '.join(each)})"
     if c.gain is None:
@@ -197,13 +249,13 @@ def _most(r: Residue, c: Curve) -> str:
         for a, b in ((-1, 0.25), (0.25, 0.75), (0.75, 2))
     ]
     unit = c.coordinate.unit
-    span = f"({_shown(low, unit, sign=True)} to {_shown(high, unit, sign=True)})"
+    span = f"({shown(low, unit, sign=True)} to {shown(high, unit, sign=True)})"
     if min(parts[0], parts[2]) > 1.5 * parts[1]:
         return f"most at the ends of the range {span}"
     if parts[2] > 2 * max(parts[0], parts[1]):
-        return f"most at the upper end, near {_shown(high, unit, sign=True)}"
+        return f"most at the upper end, near {shown(high, unit, sign=True)}"
     if parts[0] > 2 * max(parts[1], parts[2]):
-        return f"most at the lower end, near {_shown(low, unit, sign=True)}"
+        return f"most at the lower end, near {shown(low, unit, sign=True)}"
     if parts[1] > 1.5 * max(parts[0], parts[2]):
         return f"most in the middle of the range {span}"
     return f"all over the range {span}"
@@ -213,126 +265,21 @@ def _mostly(r: Residue, c: Curve) -> str:
     """The sensor that most of a curve is seen by, if there is one."""
     seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
     k = int(np.argmax(seen))
-    return f"{_plain(r.channels[k])} above all" if seen[k] > 0.7 * seen.sum() else ""
+    return f"{plain(r.channels[k])} above all" if seen[k] > 0.7 * seen.sum() else ""
 
 
-def _confirmed(statements: list[Statement], curves: list[Curve], held: Residue) -> list[Statement]:
+def _confirmed(
+    statements: list[Statement], curves: list[Curve], fitted: Residue, held: Residue
+) -> list[Statement]:
     """Add what each curve, as fitted, explains of the excess on held-out runs."""
     out, left = [], held.residual
     for s, c in zip(statements, curves, strict=False):
-        t = Smooth(held, c.coordinate)
-        if t.values is None or c.fine or c.coordinate.column in NO_ORDER:
+        says = predicted(c, fitted, held)
+        if says is None:
             out.append(s)
             continue
-        rest = left - _predicted(c, t.values, held.felt)
+        rest = left - says
         before, after = (float(np.einsum("kn,kl,ln->", x, held.precision, x)) for x in (left, rest))
         out.append(replace(s, held_out=float(np.clip((before - after) / held.excess, -1.0, 1.0))))
         left = rest
     return [*out, *statements[len(out) :]]
-
-
-def _predicted(c: Curve, x: np.ndarray, felt: np.ndarray) -> np.ndarray:
-    """What a curve says of other samples, (K, n)."""
-    each = x if x.ndim == 2 else np.broadcast_to(x, felt.shape)
-    out = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.offset, strict=True)])
-    if c.gain is not None:
-        gain = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.gain, strict=True)])
-        out = out + gain * felt / c.scale
-    return out
-
-
-# -- sensors, runs, frequencies ----------------------------------------------------------------------------
-
-
-def _marginal(r: Residue, told: float) -> list[Statement]:
-    return [*_of_frequencies(r, told), *_of_sensors(r), *(_of_runs(r) if told < TOLD else [])]
-
-
-def _of_sensors(r: Residue) -> list[Statement]:
-    """Sensors that see more than their part of the excess."""
-    K = len(r.channels)
-    parts = r.residual**2 / np.diag(np.linalg.inv(r.precision))[:, None] - 1.0
-    shares = parts.sum(axis=1) / max(float(parts.sum()), 1e-300)
-    out = []
-    for k, name in enumerate(r.channels):
-        p = K * beyond(_means(parts[k] - parts.mean(axis=0), r.block))
-        if p < LEVEL and shares[k] > 1 / K + 0.1 and parts.sum() > 0:
-            share = float(min(shares[k], 1.0))
-            text = f"{_percent(share)} of the excess is seen by {_plain(name)}, one of {K} sensors"
-            out.append(Statement("sensor", name, share, min(1.0, p), text))
-    return sorted(out, key=lambda s: -s.share)[:1]
-
-
-def _of_runs(r: Residue) -> list[Statement]:
-    """A run that has much more than its part of the excess."""
-    order, index = np.unique(r.run, return_inverse=True)
-    squares = np.minimum(r.squares, CLIP * len(r.residual)) - len(r.residual)
-    sums, counts = np.bincount(index, squares), np.bincount(index)
-    level = np.log(sums / counts + len(r.residual))
-    k, U = int(np.argmax(level)), len(order)
-    if U < 6 or sums[k] <= 0:
-        return []
-    p = U * beyond_one(float(level[k]), np.delete(level, k))
-    share = float(np.clip(sums[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
-    if p >= CERTAIN or share < max(3 / U, 2 * LEAST):
-        return []
-    text = f"{_percent(share)} of the excess lies in run {order[k]}, one of {U} fitted runs"
-    return [Statement("run", f"run {order[k]}", share, min(1.0, p), text)]
-
-
-def beyond_one(value: float, others: np.ndarray) -> float:
-    """Return the probability that one more of the same kind as `others` exceeds `value` (Student's t)."""
-    from scipy.special import stdtr
-
-    n = len(others)
-    spread = float(np.std(others, ddof=1)) * np.sqrt(1 + 1 / n)
-    return float(stdtr(n - 1, -(value - float(others.mean())) / max(spread, 1e-300)))
-
-
-def _of_frequencies(r: Residue, told: float) -> list[Statement]:
-    """Kinds of frequency that hold more than twice their part of what white noise would have."""
-    s = r.spectrum
-    runs = sorted({run for kind in s.white.values() for run in kind})
-    if len(runs) < 4:
-        return []
-    white = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.white.items()}
-    power = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.power.items()}
-    everything = np.sum(list(white.values()), axis=0)
-    excess = float(sum(v.sum() for v in power.values()) - everything.sum())
-    out = []
-    for kind, own in white.items():
-        over, part = power[kind] - own, float(own.sum() / everything.sum())
-        share = float(over.sum()) / max(excess, 1e-300)
-        p = len(white) * beyond(over / everything)
-        if excess <= 0 or p >= LEVEL or share < max(2 * part, part + 0.1):
-            continue
-        if told > HALF and not kind.startswith("the mains"):
-            continue
-        out.append((share, kind, min(1.0, p)))
-    said, rest = [], 1.0
-    for share, kind, p in sorted(out, reverse=True)[:2]:
-        share = min(share, rest)  # bands below the noise make the others more than the whole
-        rest -= share
-        if share >= LEAST:
-            text = f"{_percent(share)} of the excess lies at {kind}"
-            if kind == "the frequencies of the motion" and s.motion_hz:
-                text += f" (strongest near {float(np.median(s.motion_hz)):.3g} Hz)"
-            said.append(Statement("frequency", kind, share, p, text))
-    return said
-
-
-# -- words -------------------------------------------------------------------------------------------------
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
-
-
-def _plain(channel: str) -> str:
-    return channel.rpartition("_")[0] or channel
-
-
-def _shown(value: float, unit: str, *, sign: bool = False) -> str:
-    factor, name = UNITS.get(unit, (1.0, unit))
-    number = f"{value * factor:+.3g}" if sign and unit not in ("s", "degC") else f"{value * factor:.3g}"
-    return f"{number} {name}"

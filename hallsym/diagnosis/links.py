@@ -1,0 +1,279 @@
+"""Which link of the chain the excess lies in: what the testable effects of each link alone can take up of it.
+
+The effects of a link are fitted to the residual together with the model's own parameters and every run's
+zeros, to first order, on some runs; what they take up is counted on the others. Of a link the effect that
+takes up most counts, and a second or third one that adds to it. Links overlap: what a delay of the clock
+does, a lag of the transducer can nearly do too. So beside each share stands what all other links together
+take up.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hallsym.batches import Batch, batches
+from hallsym.computed import extended
+from hallsym.decoding import columns_of
+from hallsym.diagnosis.faults import Fault
+from hallsym.diagnosis.marginal import LEAST, LEVEL, Found
+from hallsym.diagnosis.ranking import Score, by_name
+from hallsym.diagnosis.record import Share, Statement
+from hallsym.diagnosis.refit import inverse, solve
+from hallsym.diagnosis.residue import BLOCKS, FEWEST, FOLDS, SHORTEST, Residue
+from hallsym.diagnosis.smooth import chance_of_signs
+from hallsym.diagnosis.tangent import Base, Products
+from hallsym.diagnosis.words import percent
+from hallsym.model import LINKS, Model
+
+ROOM = 20_000
+"""Samples that are looked at, evenly thinned."""
+PARTS = 11
+"""Groups of runs that are left out in turn."""
+MOST = 3
+"""Effects of a link that are taken together."""
+AS_GOOD = 0.9
+"""Of links that take up at least this part of what the best one does each is named."""
+
+
+def of_links(base: Base, scored: Sequence[Score], r: Residue, faults: Sequence[Fault] = ()) -> Found:
+    """Return what each link can take up of the excess of `r`, and statements on those that surely do.
+
+    `scored`: effects at `base`, of which the best variant of each is taken. `faults`: of single samples, with
+    `power` as part of the excess; they have no equation.
+    """
+    tried = {s.effect.name: s for s in by_name(scored) if not s.absorbed}
+    blocks = _gathered(base, tried)
+    excess = r.excess / r.residual.size * blocks.readings
+    found = {link: _link(blocks, own, excess, len(scored)) for link, own in _by_link(base, tried).items()}
+    every = [name for f in found.values() if f for name in f.names]
+    whole = blocks.takes(every)
+    rows, said = [], []
+    for link in (*LINKS, *(k for k in found if k not in LINKS)):
+        best = found.get(link)
+        if best:
+            others = [name for name in every if name not in best.names]
+            best = replace(
+                best, only=float(np.clip((whole - blocks.takes(others)) / excess, 0.0, best.alone))
+            )
+        best = _with_faults(best, [f for f in faults if f.link == link])
+        if best is None:
+            rows.append(Share("link", link, None, None, "no effect of this link could be tested"))
+            continue
+        rows.append(Share("link", link, best.alone, best.p_value, _beside(best)))
+        said.append((link, best))
+    top = max((b.alone for _, b in said if b.p_value < LEVEL), default=0.0)
+    named = [(link, b) for link, b in said if b.worth(top)]
+    return rows, [_statement(link, b) for link, b in sorted(named, key=lambda x: (-x[1].alone, -x[1].only))]
+
+
+@dataclass(frozen=True)
+class Link:
+    """What the effects `names` of a link take up of the excess `alone`; what all `others` together do.
+
+    `only`: what is lost without this link when all are taken together.
+    """
+
+    names: tuple[str, ...]
+    alone: float
+    p_value: float
+    others: float = 0.0
+    only: float = 0.0
+
+    def worth(self, top: float) -> bool:
+        """Return whether to say so: it is sure, and either nothing else does it or none does more."""
+        sure = self.p_value < LEVEL and self.alone >= LEAST
+        return sure and (self.only >= LEAST or self.alone >= AS_GOOD * top)
+
+
+def _statement(link: str, found: Link) -> Statement:
+    text = f"{percent(found.alone)} of the excess can come from the {link} ({_beside(found)})"
+    return Statement("link", link, found.alone, found.p_value, text)
+
+
+def _beside(found: Link) -> str:
+    return f"{' and '.join(found.names)}; all other links together: {percent(found.others)}"
+
+
+def _with_faults(best: Link | None, faults: Sequence[Fault]) -> Link | None:
+    first = max(faults, key=lambda f: f.power, default=None)
+    if first is None or (best and best.alone >= first.power):
+        return best
+    share = min(first.power, 1.0)
+    return Link((first.name,), share, first.p_value, best.others if best else 0.0, share)
+
+
+def _by_link(base: Base, tried: Mapping[str, Score]) -> dict[str, list[Score]]:
+    """Effects by the link that they act on; one that does not say it is placed by the step that it adds."""
+    out: dict[str, list[Score]] = {}
+    for score in tried.values():
+        link = score.effect.link
+        if link not in LINKS:
+            old = {id(step) for _, step in base.model.steps}
+            link = next((on for on, step in score.model.steps if id(step) not in old), link)
+        out.setdefault(link, []).append(score)
+    return out
+
+
+def _link(blocks: "Blocks", own: Sequence[Score], excess: float, count: int) -> Link | None:
+    """The effects of one link: the best, and others that add to it."""
+    known = [s for s in own if s.effect.name in blocks.span]
+    if not known:
+        return None
+    tried = {s.effect.name: s.variant.tried for s in known}
+    names: list[str] = []
+    taken = 0.0
+    while len(names) < min(MOST, len(known)):
+        left = [s.effect.name for s in known if s.effect.name not in names]
+        more = {name: blocks.takes([*names, name]) for name in left}
+        best = max(more, key=lambda name: more[name])
+        if names and more[best] - taken < LEAST * excess:
+            break
+        names, taken = [*names, best], more[best]
+    p = min(min(1.0, count * tried[name] * blocks.chance(name)) for name in names)
+    return Link(tuple(names), float(np.clip(taken / excess, 0.0, 1.0)), p)
+
+
+# -- products of what each effect does with the residual, block by block -----------------------------------
+
+
+class Blocks:
+    """Products of the columns [parameters | effects | residual] by block of samples, zeros eliminated.
+
+    `span`: columns of each effect. `readings`: whitened readings in all.
+    """
+
+    def __init__(
+        self,
+        M: np.ndarray,
+        readings: np.ndarray,
+        run: np.ndarray,
+        span: Mapping[str, slice],
+        bounds: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        """Take the model's own parameters out: of all for significance, of the others for the shares."""
+        self.run, self.span, self.bounds = run, {k: v for k, v in span.items() if k}, bounds
+        self.readings = float(readings.sum())
+        own = span[""].stop
+        self.offset = own
+        self.all, parts = _without(M.sum(axis=0), own, M)
+        level = np.sqrt(readings / np.maximum(parts[:, -1, -1], 1e-300))
+        self.scores = parts[:, :-1, -1] * level[:, None]
+        order = np.unique(run, return_inverse=True)[1] % PARTS
+        self.folds = []
+        for k in np.unique(order):
+            train, (test,) = _without(M[order != k].sum(axis=0), own, M[order == k].sum(axis=0)[None])
+            self.folds.append((train, test))
+        self.known: dict[tuple[str, ...], float] = {(): 0.0}
+
+    def at(self, names: Sequence[str]) -> np.ndarray:
+        """Return the columns of some effects."""
+        spans = [self.span[n] for n in names]
+        return np.concatenate([np.arange(s.start, s.stop) for s in spans] or [np.zeros(0, int)]) - self.offset
+
+    def takes(self, names: Sequence[str]) -> float:
+        """Return the whitened squares that some effects together take off runs they were not fitted on."""
+        key = tuple(sorted(names))
+        if key not in self.known:
+            at = self.at(key)
+            pick, total = np.append(at, -1), 0.0
+            for train, test in self.folds:
+                theta = solve(train[np.ix_(pick, pick)], np.arange(len(at)))
+                theta = np.clip(theta, self.bounds[0][at], self.bounds[1][at])
+                total += float(2 * theta @ test[at, -1] - theta @ test[np.ix_(at, at)] @ theta)
+            self.known[key] = total
+        return self.known[key]
+
+    def chance(self, name: str) -> float:
+        """Return the p-value of one effect: signs of its scores, block by block."""
+        at = self.at([name])
+        scores = self.scores[:, at]
+        q = scores @ inverse(self.all[np.ix_(at, at)]) @ scores.T
+        return chance_of_signs(q, self.run)
+
+
+def _without(total: np.ndarray, own: int, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return products with the first `own` columns taken out as `total` says: of `total` and of `parts`."""
+    through = np.vstack([-inverse(total[:own, :own]) @ total[:own, own:], np.eye(len(total) - own)])
+    return through.T @ total @ through, through.T @ parts @ through
+
+
+def _gathered(base: Base, tried: Mapping[str, Score]) -> Blocks:
+    candidates = {
+        name: (s.model, [n for n in s.model.names if n not in base.model.names]) for name, s in tried.items()
+    }
+    work = Products(base, candidates)
+    z, wanted = work.z, [run for run in base.log.runs if run not in base.apart]
+    # a fit on many runs has a block for each group of neighbours, one on few runs several blocks in each
+    group = {run: k * min(FOLDS, len(wanted)) // len(wanted) for k, run in enumerate(wanted)}
+    stride = max(1, -(-base.log.rows // ROOM))
+    size = max(SHORTEST, -(-base.log.rows // stride // BLOCKS)) if len(wanted) < FEWEST else base.log.rows
+    sums: dict[tuple[int, int], np.ndarray] = {}
+    count: dict[tuple[int, int], float] = {}
+    run_now, seen = -1, 0
+    parts: dict[int, tuple[np.ndarray, float]] = {}
+
+    def close() -> None:
+        for part, (M, n) in _reduced(parts, z).items():
+            key = group[run_now], part
+            sums[key], count[key] = sums.get(key, 0) + M, count.get(key, 0.0) + n
+
+    for batch in _thinned(base, [m for m, _ in candidates.values()], frozenset(wanted), stride):
+        A, _ = work.columns(batch, None)
+        for block, at in batch.parts():
+            if block.run != run_now:
+                close()
+                run_now, parts, seen = block.run, {}, 0
+            white = np.einsum("jk,cks->cjs", work.whiten, A[:, :, at])
+            for low in range(0, white.shape[2], size):
+                rows = white[:, :, low : low + size]
+                flat, n = rows.reshape(len(rows), -1), float(rows.shape[1] * rows.shape[2])
+                before, m = parts.get((seen + low) // size, (np.zeros((len(rows),) * 2), 0.0))
+                parts[(seen + low) // size] = before + flat @ flat.T, m + n
+            seen += white.shape[2]
+    close()
+    keys = sorted(sums)
+    spoiled = work.spoiled
+    span = {k: v for k, v in work.span.items() if k not in spoiled}
+    return Blocks(
+        np.array([sums[k] for k in keys]), np.array([count[k] for k in keys]), np.array([k[0] for k in keys]),
+        span, _bounds(candidates),
+    )  # fmt: skip
+
+
+def _reduced(parts: Mapping[int, tuple[np.ndarray, float]], z: int) -> dict[int, tuple[np.ndarray, float]]:
+    """Let the zeros of a run follow everything else, as all its parts together say."""
+    if not parts or not z:
+        return dict(parts)
+    total = np.sum([M for M, _ in parts.values()], axis=0)
+    follow = -np.linalg.lstsq(total[:z, :z], total[:z, z:], rcond=1e-12)[0]
+    through = np.vstack([follow, np.eye(len(total) - z)])
+    return {k: (through.T @ M @ through, n) for k, (M, n) in parts.items()}
+
+
+def _bounds(candidates: Mapping[str, tuple[Model, list[str]]]) -> tuple[np.ndarray, np.ndarray]:
+    lower, upper = [], []
+    for model, new in candidates.values():
+        low, high = (b[[model.names.index(n) for n in new]] for b in model.bounds)
+        lower.append(low)
+        upper.append(high)
+    return np.concatenate([*lower, []]), np.concatenate([*upper, []])
+
+
+def _thinned(base: Base, models: Sequence[Model], wanted: frozenset[int], stride: int) -> Iterator[Batch]:
+    """Batches of every `stride`-th sample of the wanted runs."""
+    wide = base.model
+    for model in models:
+        wide = wide.with_columns(*model.computed)
+    log = extended(base.log, wide, base.sigma)
+    columns = tuple(dict.fromkeys(c for m in (base.model, *models) for c in columns_of(m)))
+    for batch in batches(log, columns):
+        blocks = tuple(
+            replace(b, data={c: v[::stride] for c, v in b.data.items()})
+            for b in batch.blocks
+            if b.run in wanted
+        )
+        lengths = [len(b.data[columns[0]]) for b in blocks]
+        if sum(lengths):
+            data = {c: np.concatenate([b.data[c] for b in blocks]) for c in columns}
+            yield Batch(blocks, data, tuple(np.cumsum([0, *lengths]).tolist()))
