@@ -47,8 +47,12 @@ def error_rows(
     pose: Sequence[str],
     rows: Mapping[str, Mapping[str, Mapping[str, float]] | None],
     floor: Mapping[str, float] | None,
+    source: str = "",
 ) -> str:
-    """Return a table of rmse and peak per pose coordinate, one line per entry of `rows`."""
+    """Return a table of rmse and peak per pose coordinate, one line per entry of `rows`.
+
+    `source`: whether the noise floor is stated or estimated, where that is to be said.
+    """
     shown = [readable(c) for c in pose]
     head = ["errors", *(f"{what} {name} [{unit}]" for what in ("rmse", "peak") for _, unit, name in shown)]
     body = [
@@ -65,7 +69,7 @@ def error_rows(
     ]
     if floor:
         noise = [_fixed(floor[c] * factor) for c, (factor, _, _) in zip(pose, shown, strict=True)]
-        body.append(["noise floor", *noise, *[""] * len(noise)])
+        body.append([f"noise floor, {source}" if source else "noise floor", *noise, *[""] * len(noise)])
     return grid([head, *body])
 
 

@@ -155,8 +155,8 @@ def made_up(residual: np.ndarray, x: np.ndarray, runs: int = 30) -> Residue:
     run = np.arange(n) * runs // n
     felt = np.random.default_rng(9).uniform(-1, 1, (1, n))
     return Residue(
-        ("m_m",), ("x_m",), ("x_ref_m",), ("z_m",), run, residual, felt, np.zeros((1, n)), {"z_m": x}, np.eye(1), run, run,
-        np.arange(n) * 4 * runs // n, np.eye(1), np.ones(1), {}, Spectrum(),
+        ("m_m",), ("x_m",), ("x_ref_m",), ("z_m",), run, residual, felt, np.zeros((1, n)),
+        {"z_m": x}, np.eye(1), run, run, np.arange(n) * 4 * runs // n, np.eye(1), np.ones(1), {}, Spectrum(),
     )  # fmt: skip
 
 

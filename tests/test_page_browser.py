@@ -72,7 +72,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     wordy["effects"][0]["name"] = wordy["where"][0]["by"] = "a_long_name_of_an_effect_that_a_user_wrote" * 3
     texts = {
         "fit": fit_page(log, fitted, command="hallsym report calib.json log.csv"),
-        "diagnosis": diagnosis_page(wordy, maps=found.maps, series=series, fit=fitted),
+        "diagnosis": diagnosis_page(wordy, maps=found.maps, after=found.maps, series=series, fit=fitted),
     }
     for name, text in texts.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
@@ -87,6 +87,11 @@ def test_the_script_runs_under_its_own_policy(chromium, pages, name):
     assert shown.count('<div class="zoom">') == figures
     assert shown.count('<button type="button"') == 5 * figures
     assert '<p class="verdict"' in shown
+    if name == "diagnosis":
+        for part in ("asked", "errors", "effects", "where", "rest", "maps", "series", "parameters", "origin"):
+            assert f'<section id="{part}">' in shown
+        assert shown.count('<figure class="shape">') == 1
+        assert shown.count('class="median0"') > 20  # before, under after
 
 
 def test_a_script_that_is_not_its_own_is_refused_and_the_charts_stay_without_it(chromium, pages, tmp_path):

@@ -22,6 +22,32 @@ def gap(size: float) -> dict[str, dict[str, float]]:
     }
 
 
+def side(rms: float, noise: float, share: float | None) -> dict[str, float | None]:
+    above = float(np.sqrt(rms**2 - noise**2))
+    return {"rms": rms, "noise": noise, "above": above, "share": share, "p_value": 1e-4}
+
+
+def a_shape(line: bool = True) -> dict[str, Any]:
+    """A curve as `diagnosis.shape` gives it; nothing is known of the last place of Hall B."""
+    grid = np.linspace(-2.5e-4, 2.5e-4, 9) if line else np.arange(6.0)
+    value = 0.01 * np.cos(np.arange(len(grid)))
+    one = {"value": value.tolist(), "low": (value - 2e-3).tolist(), "high": (value + 2e-3).tolist()}
+    two = {k: [*v[:-1], 0.0] for k, v in one.items()}
+    return {
+        "coordinate": "height Z" if line else "height Z and tilts Rx, Ry",
+        "line": line,
+        "column": "z_m",
+        "unit": "m" if line else "1",
+        "kind": "gain" if line else "offset",
+        "value_unit": "1",
+        "grid": grid.tolist(),
+        "labels": None
+        if line
+        else ["offset, Z", "offset, Rx", "offset, Ry", "gain, Z", "gain, Rx", "gain, Ry"],
+        "readings": {"hall_a_m": one, "hall_b_m": two, "hall_c_m": one},
+    }
+
+
 def a_record() -> dict[str, Any]:
     return {
         "verdict": "explained",
@@ -51,7 +77,7 @@ def a_record() -> dict[str, Any]:
             },
         ],
         "where": [
-            {"by": "height Z", "at": "bin 8 of 8", "share": 0.62, "p_value": 1e-20,
+            {"by": "height Z", "at": "bin 8 of 8", "share": 0.62, "p_value": 1e-20, "held_out": 0.58,
              "text": "62 % lies in height Z"},
             {"by": "sensor", "at": "hall_b_m", "share": 0.41, "p_value": 1e-9,
              "text": "41 % is seen by hall_b_m"},
@@ -64,6 +90,20 @@ def a_record() -> dict[str, Any]:
             {"group": ["time_skew", "lag"], "recording": "y at 4 Hz and at 20 Hz", "distance": 0.4,
              "needed": 3.0, "factor": 7.5}
         ],
+        "size": {
+            "outputs": {"x_m": {"fitted": side(2.5e-6, 1.1e-6, 0.4), "held_out": side(3e-6, 1.1e-6, 0.55)}},
+            "sensors": {
+                "hall_b_m": {"fitted": side(1.2e-6, 6e-7, 0.12), "held_out": side(1.3e-6, 6e-7, None)},
+            },
+        },
+        "shares": [
+            {"kind": "link", "name": "clock", "share": 0.41, "p_value": 2e-3,
+             "text": "time_skew; all other links together: 12 %"},
+            {"kind": "coordinate", "name": "temperature", "share": None, "p_value": None,
+             "text": "not logged"},
+        ],
+        "unexplained": {"share": 0.35, "by": "height Z", "at": "", "of_it": 0.9, "text": "90 % with height Z",
+                        "curve": a_shape()},
         "validation_runs": [2, 7, 12, 13, 14],
         "not_testable": {"gain_temperature": "no temperature logged"},
         "smaller_findings": [{"name": "quantisation", "shrinkage": 0.012}],
@@ -86,12 +126,12 @@ def test_everything_of_a_record_is_said():
         "One number over all outputs: 2.70 µm before, 1.10 µm after, 1.00 µm floor.",
         "before 3.00 4.50 3.60 12.0 18.0 14.4",
         "after 1.20 1.80 1.44 4.80 7.20 5.76",
-        "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−300",
-        "time_skew clock 7.0 % (−1.0 to 12.0) 4 % 3e−09 lag",
+        "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−6",
+        "time_skew clock 7.0 % (−1.0 to 12.0) 4 % < 1e−6 lag",
         "time_skew, lag : this log cannot tell them apart. Record y at 4 Hz and at 20 Hz: "
         "the difference must show 7.5 times more than here.",
         "62 % lies in height Z",
-        "Where the rest lies",
+        "What no effect explains",
         "5 % differs from run to run 0.0002",
         "a_A −131.2(11) 1/m",
         "gain_temperature: not testable, no temperature logged",
@@ -117,13 +157,17 @@ def test_no_gap_needs_no_effects():
     record |= {"verdict": "no gap", "effects": [], "ranked": [], "groups": [], "separate_by": [], "where": []}
     record |= {
         "remaining": [],
+        "shares": [],
+        "unexplained": {},
         "gap_after": record["gap_before"],
         "sentence": "The rmse is at the noise floor.",
     }
     outline = Outline(diagnosis_page(record))
     assert "No gap. The rmse is at the noise floor." in outline.text
     assert "None: no effect of the catalogue lowers the gap" in outline.text
-    assert "where" not in [a["id"] for a in outline.all("section")]
+    assert "Nowhere in particular" in outline.text
+    assert "rest" not in [a["id"] for a in outline.all("section")]
+    assert "after" not in outline.text
 
 
 @pytest.mark.parametrize("missing", [k for k in a_record() if k != "verdict"])
@@ -145,6 +189,33 @@ def test_numbers_that_do_not_exist_leave_their_place_empty():
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!:)", Outline(page).text)
     assert "rmse y" in page
     assert "rmse x" not in page
+
+
+def test_features_that_are_no_line_have_names_and_intervals():
+    record = a_record()
+    record["unexplained"]["curve"] = a_shape(line=False)
+    page = diagnosis_page(record)
+    assert "error of the reading per standard deviation of height Z and tilts Rx, Ry" in Outline(page).text
+    assert page.count(">gain, Rx<") == 3
+
+
+def test_what_was_not_measured_at_a_place_is_not_drawn():
+    page = diagnosis_page(a_record())
+    shapes = page.partition('class="shape"')[2].partition("</figure>")[0]
+    lines = re.findall(r'<path d="([^"]*)" class="median"', shapes)
+    assert [line.count("L") for line in lines] == [8, 7, 8]
+
+
+def test_recordings_that_were_simulated_are_listed_with_what_they_give():
+    record = a_record()
+    record["separate_by"][0] |= {
+        "simulated": True, "sigma_now": 1.2, "sigma": 3.1, "run_s": 8.0, "runs": 3, "seconds": 24.0,
+        "tried": {"slower": 0.4, "faster": 3.1},
+    }  # fmt: skip
+    text = Outline(diagnosis_page(record)).text
+    assert "tell them apart (1.20 sigma)" in text
+    assert "one run of 8 s tells them apart by 3.10 sigma; 5 sigma take 3 runs (24 s in all)" in text
+    assert text.index("faster 3.10") < text.index("slower 0.400")
 
 
 def test_seconds_do_not_change_the_page():

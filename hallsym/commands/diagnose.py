@@ -16,17 +16,20 @@ from hallsym.commands.common import (
     run_numbers,
     say,
 )
-from hallsym.diagnosis import Diagnosis, diagnose, diagnosis_text, load_effects
+from hallsym.computed import extended
+from hallsym.decoding import columns_of
+from hallsym.diagnosis import diagnosis_text, load_effects
 from hallsym.diagnosis.compare import compare
 from hallsym.diagnosis.compare_text import comparison_text
+from hallsym.diagnosis.engine import Examined, examine
+from hallsym.diagnosis.errors import errors_of
+from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.files import atomic_write
-from hallsym.fitting import fit
-from hallsym.log import Log
 from hallsym.machine import read_machine
 from hallsym.model import Model
-from hallsym.page import diagnosis_page, gather
+from hallsym.page import Version, diagnosis_page, gather
 
 
 def add(sub: Any) -> None:
@@ -75,7 +78,7 @@ def run(options: Namespace) -> int:
     else:
         model = build(name, meta=log.meta, added=tuple(options.effect), parameters=machine.parameters)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
-    found = diagnose(
+    seen = examine(
         log,
         model,
         holdout=holdout,
@@ -84,9 +87,10 @@ def run(options: Namespace) -> int:
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),
     )
+    found = seen.diagnosis
     for path in options.output:
         if path.lower().endswith((".html", ".htm")):
-            atomic_write(path, _page(options, log, model, found))
+            atomic_write(path, _page(options, seen))
         else:
             _save(path, found.to_dict())
     written = [f"wrote {path}" for path in options.output]
@@ -98,21 +102,26 @@ def _save(path: str, record: dict[str, Any]) -> None:
     atomic_write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
 
 
-def _page(options: Namespace, log: Log, model: Model | Fit, found: Diagnosis) -> str:
-    """The page of a diagnosis, with maps and series of what the model by itself leaves."""
-    base = model.model if isinstance(model, Fit) else model
-    first = fit(
-        log,
-        base,
-        solver="direct",
-        holdout=found.validation_runs,
-        resolve_wiring=True,
-        drop_bad=options.drop_bad,
+def _page(options: Namespace, seen: Examined) -> str:
+    """The page of a diagnosis, with maps and series of what the model leaves, before and after."""
+    first = seen.fit
+    after = None if seen.after is None else _version(seen.after)
+    shown = gather(seen.before.log, {"before": first}, keep=first.keep, after=after)
+    name = options.model or first.model.name
+    command = shlex.join(["hallsym", "diagnose", options.log, "--model", name])
+    return diagnosis_page(
+        seen.diagnosis.to_dict(),
+        maps=shown.maps,
+        after=shown.after,
+        series=shown.series,
+        fit=first,
+        command=command,
     )
-    source = first.source or log
-    seen = gather(source, {"before": first}, keep=first.keep)
-    command = shlex.join(["hallsym", "diagnose", options.log, "--model", options.model or base.name])
-    return diagnosis_page(found.to_dict(), maps=seen.maps, series=seen.series, fit=first, command=command)
+
+
+def _version(base: Base) -> Version:
+    log = extended(base.log, base.model, base.sigma)
+    return Version("after", log, columns_of(base.model), errors_of(base), base.keep)
 
 
 def _compare(options: Namespace) -> int:

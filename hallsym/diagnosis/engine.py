@@ -6,7 +6,7 @@ within the fit runs. Only the final set is judged, once, on the held-out runs.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 from hallsym import fitting
@@ -17,6 +17,7 @@ from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
+from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.log import Log, clean_log
@@ -25,6 +26,19 @@ from hallsym.model import Model
 THRESHOLD = 0.05
 """Relative decrease of the gap metric from which on a gap is worth reporting."""
 HOLD_EVERY = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """A diagnosis with what it rests on: the `fit` that was diagnosed, the model `before` and `after`.
+
+    `after` holds the effects that were found; it is None where the verdict names none.
+    """
+
+    diagnosis: Diagnosis
+    fit: Fit
+    before: Base
+    after: Base | None
 
 
 def diagnose(
@@ -45,6 +59,23 @@ def diagnose(
 
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
+    return examine(
+        log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
+        on_progress=on_progress,
+    ).diagnosis  # fmt: skip
+
+
+def examine(
+    log: Log,
+    model: str | Model | Fit | None = None,
+    *,
+    holdout: Sequence[int] | None = None,
+    effects: Sequence[Effect] = (),
+    threshold: float | None = None,
+    drop_bad: bool = False,
+    on_progress: Callable[[str], None] | None = None,
+) -> Examined:
+    """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     began, say = perf_counter(), on_progress or (lambda _: None)
     apart = _holdout(log, holdout)
     level = _threshold(log, threshold)
@@ -59,7 +90,8 @@ def diagnose(
     runs = [r for r in base.log.runs if r not in apart]
     search = Search(base, runs, (*CATALOGUE, *effects), level, floor_of(result, base.length_m), say)
     search.run()
-    return report(search, log, result, apart, wiring, level, perf_counter() - began)
+    said = report(search, log, result, apart, wiring, level, perf_counter() - began)
+    return Examined(said, result, base, search.now.base if said.effects else None)
 
 
 def _fitted(

@@ -77,21 +77,26 @@ def _predicted(base: Base) -> Decode:
     return error
 
 
-def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None) -> BlockErrors:
-    """Decode some runs and return their errors; `rows` of the log sets the size of a block.
+def errors_of(base: Base) -> Decode:
+    """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns.
 
     A reading at its rail has lost its pose: with saturation the errors are those of the readings, mapped.
     """
+    return _predicted(base) if "saturation" in base.model.effects else _decoded(base)
+
+
+def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None) -> BlockErrors:
+    """Decode some runs and return their errors, see `errors_of`; `rows` of the log sets a block's size."""
     model, wanted = base.model, set(runs)
     size = max(50, rows // BLOCKS)
-    errors_of = _predicted(base) if "saturation" in model.effects else _decoded(base)
+    decode = errors_of(base)
     count, squares, peak = [], [], np.zeros(len(model.pose))
     for batch in batches(extended(base.log, model, base.sigma), columns_of(model)):
         weights = batch.weights(keep)
         for block, at in batch.parts():
             if block.run not in wanted:
                 continue
-            error = errors_of(block)
+            error = decode(block)
             if weights is not None:
                 error = error[:, weights[at] > 0]
             for low in range(0, error.shape[1], size):

@@ -12,22 +12,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.batches import Batch, batches
-from hallsym.computed import extended
+from hallsym.arrays import on_arrays
+from hallsym.batches import batches
+from hallsym.computed import extended, rate
 from hallsym.decoding import columns_of
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.marginal import LEAST, LEVEL, Found
 from hallsym.diagnosis.ranking import Score, by_name
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.refit import inverse, solve
-from hallsym.diagnosis.residue import BLOCKS, FEWEST, FOLDS, SHORTEST, Residue
+from hallsym.diagnosis.residue import BLOCKS, FEWEST, FOLDS, SHORTEST, Residue, moved
 from hallsym.diagnosis.smooth import chance_of_signs
 from hallsym.diagnosis.tangent import Base, Products
 from hallsym.diagnosis.words import percent
+from hallsym.log import Log
 from hallsym.model import LINKS, Model
 
-ROOM = 20_000
-"""Samples that are looked at, evenly thinned."""
+ROOM = 40_000
+"""Samples that are looked at: of a longer log some runs, evenly chosen, and of long runs the beginning."""
+FEW = 8
+"""Runs that are looked at at least."""
 PARTS = 11
 """Groups of runs that are left out in turn."""
 MOST = 3
@@ -46,7 +50,7 @@ def of_links(base: Base, scored: Sequence[Score], r: Residue, faults: Sequence[F
     blocks = _gathered(base, tried)
     excess = r.excess / r.residual.size * blocks.readings
     found = {link: _link(blocks, own, excess, len(scored)) for link, own in _by_link(base, tried).items()}
-    every = [name for f in found.values() if f for name in f.names]
+    every = [name for f in found.values() if f and f.alone >= LEAST for name in f.names]
     whole = blocks.takes(every)
     rows, said = [], []
     for link in (*LINKS, *(k for k in found if k not in LINKS)):
@@ -199,46 +203,98 @@ def _without(total: np.ndarray, own: int, parts: np.ndarray) -> tuple[np.ndarray
 
 
 def _gathered(base: Base, tried: Mapping[str, Score]) -> Blocks:
+    """Read the fitted runs once more, where the axes were: see `_smoothed`."""
     candidates = {
         name: (s.model, [n for n in s.model.names if n not in base.model.names]) for name, s in tried.items()
     }
+    models = [m for m, _ in candidates.values()]
+    base = replace(base, log=_smoothed(base, models), keep=None)
     work = Products(base, candidates)
-    z, wanted = work.z, [run for run in base.log.runs if run not in base.apart]
-    # a fit on many runs has a block for each group of neighbours, one on few runs several blocks in each
-    group = {run: k * min(FOLDS, len(wanted)) // len(wanted) for k, run in enumerate(wanted)}
-    stride = max(1, -(-base.log.rows // ROOM))
-    size = max(SHORTEST, -(-base.log.rows // stride // BLOCKS)) if len(wanted) < FEWEST else base.log.rows
+    runs = base.log.runs
+    # a log of many runs has a block for each group of neighbours, one of few runs several blocks in each
+    group = {run: k * min(FOLDS, len(runs)) // len(runs) for k, run in enumerate(runs)}
+    size = max(SHORTEST, -(-base.log.rows // BLOCKS)) if len(runs) < FEWEST else base.log.rows
     sums: dict[tuple[int, int], np.ndarray] = {}
     count: dict[tuple[int, int], float] = {}
-    run_now, seen = -1, 0
-    parts: dict[int, tuple[np.ndarray, float]] = {}
-
-    def close() -> None:
-        for part, (M, n) in _reduced(parts, z).items():
-            key = group[run_now], part
+    for run, parts in _by_run(base, work, models, size):
+        for part, (M, n) in _reduced(parts, work.z).items():
+            key = group[run], part
             sums[key], count[key] = sums.get(key, 0) + M, count.get(key, 0.0) + n
-
-    for batch in _thinned(base, [m for m, _ in candidates.values()], frozenset(wanted), stride):
-        A, _ = work.columns(batch, None)
-        for block, at in batch.parts():
-            if block.run != run_now:
-                close()
-                run_now, parts, seen = block.run, {}, 0
-            white = np.einsum("jk,cks->cjs", work.whiten, A[:, :, at])
-            for low in range(0, white.shape[2], size):
-                rows = white[:, :, low : low + size]
-                flat, n = rows.reshape(len(rows), -1), float(rows.shape[1] * rows.shape[2])
-                before, m = parts.get((seen + low) // size, (np.zeros((len(rows),) * 2), 0.0))
-                parts[(seen + low) // size] = before + flat @ flat.T, m + n
-            seen += white.shape[2]
-    close()
     keys = sorted(sums)
-    spoiled = work.spoiled
-    span = {k: v for k, v in work.span.items() if k not in spoiled}
+    span = {k: v for k, v in work.span.items() if k not in work.spoiled}
     return Blocks(
         np.array([sums[k] for k in keys]), np.array([count[k] for k in keys]), np.array([k[0] for k in keys]),
         span, _bounds(candidates),
     )  # fmt: skip
+
+
+Parts = dict[int, tuple[np.ndarray, float]]
+"""Products of each stretch of a run, and how many readings it holds."""
+
+
+def _by_run(base: Base, work: Products, models: Sequence[Model], size: int) -> Iterator[tuple[int, Parts]]:
+    wide = base.model
+    for model in models:
+        wide = wide.with_columns(*model.computed)
+    columns = tuple(dict.fromkeys(c for m in (base.model, *models) for c in columns_of(m)))
+    run, seen, parts = -1, 0, Parts()
+    for batch in batches(extended(base.log, wide, base.sigma), columns):
+        A, _ = work.columns(batch, None)
+        for block, at in batch.parts():
+            if block.run != run:
+                if parts:
+                    yield run, parts
+                run, seen, parts = block.run, 0, {}
+            white = np.einsum("jk,cks->cjs", work.whiten, A[:, :, at])
+            place = (seen + np.arange(white.shape[2])) // size
+            for part in np.unique(place):
+                rows = white[:, :, place == part].reshape(len(white), -1)
+                before, n = parts.get(int(part), (np.zeros((len(rows),) * 2), 0.0))
+                parts[int(part)] = before + rows @ rows.T, n + rows.shape[1]
+            seen += white.shape[2]
+    if parts:
+        yield run, parts
+
+
+def _smoothed(base: Base, models: Sequence[Model]) -> Log:
+    """Return fitted runs with the reference smoothed, readings shifted so that the residual stays as it is.
+
+    The noise of the reference is in the residual and in what an effect makes of the reference: an effect of
+    an axis that stood still would take up that noise, which is none of its doing.
+    """
+    model, made = base.model, {c.name for m in models for c in m.computed}
+    needs = [
+        c for m in (base.model, *models) for c in (*columns_of(m), *(n for k in m.computed for n in k.needs))
+    ]
+    kept = tuple(dict.fromkeys(c for c in (*needs, "t_s") if c not in made and c in base.log.columns))
+    smooth = [rate(c, 0) for c in model.references]
+    log = extended(base.log, model.with_columns(*smooth), base.sigma)
+    fitted = [run for run in base.log.runs if run not in base.apart]
+    most = max(FEW, round(ROOM / base.log.rows * len(base.log.runs)))
+    chosen = set(fitted[:: max(1, -(-len(fitted) // most))])
+    read, none = on_arrays(model.reading), np.zeros(len(model.zeros))
+    out: dict[int, dict[str, list[np.ndarray]]] = {}
+    for block in log.blocks((*kept, *columns_of(model.with_columns(*smooth)))):
+        rows = out.setdefault(block.run, {c: [] for c in (*kept, *(s.name for s in smooth))})
+        if block.run in chosen and sum(map(len, rows["t_s"])) < ROOM / len(chosen) + SHORTEST:
+            for c, values in rows.items():
+                values.append(block.data[c])
+    columns: dict[str, list[np.ndarray]] = {}
+    for run in sorted(chosen, key=fitted.index):
+        data = {c: np.concatenate(v) for c, v in out.pop(run).items()}
+        old = [data[c] for c in model.references]
+        new = [
+            moved(data[s.name], base.sigma.get(c, 0.0)) for s, c in zip(smooth, model.references, strict=True)
+        ]
+        states, zeros = [data[c] for c in model.state], base.zeros.get(run, none)
+        shift = read(base.p, zeros, new, states)[0] - read(base.p, zeros, old, states)[0]
+        data |= dict(zip(model.references, new, strict=True))
+        data |= {c: data[c] + row for c, row in zip(model.channels, shift, strict=True)}
+        for c in kept:
+            columns.setdefault(c, []).append(data[c])
+        columns.setdefault("run", []).append(np.full(len(data["t_s"]), run))
+    joined = {c: np.concatenate(v) for c, v in columns.items()}
+    return Log.from_arrays(joined, base.log.noise, base.log.meta, base.log.name)
 
 
 def _reduced(parts: Mapping[int, tuple[np.ndarray, float]], z: int) -> dict[int, tuple[np.ndarray, float]]:
@@ -258,22 +314,3 @@ def _bounds(candidates: Mapping[str, tuple[Model, list[str]]]) -> tuple[np.ndarr
         lower.append(low)
         upper.append(high)
     return np.concatenate([*lower, []]), np.concatenate([*upper, []])
-
-
-def _thinned(base: Base, models: Sequence[Model], wanted: frozenset[int], stride: int) -> Iterator[Batch]:
-    """Batches of every `stride`-th sample of the wanted runs."""
-    wide = base.model
-    for model in models:
-        wide = wide.with_columns(*model.computed)
-    log = extended(base.log, wide, base.sigma)
-    columns = tuple(dict.fromkeys(c for m in (base.model, *models) for c in columns_of(m)))
-    for batch in batches(log, columns):
-        blocks = tuple(
-            replace(b, data={c: v[::stride] for c, v in b.data.items()})
-            for b in batch.blocks
-            if b.run in wanted
-        )
-        lengths = [len(b.data[columns[0]]) for b in blocks]
-        if sum(lengths):
-            data = {c: np.concatenate([b.data[c] for b in blocks]) for c in columns}
-            yield Batch(blocks, data, tuple(np.cumsum([0, *lengths]).tolist()))

@@ -90,7 +90,7 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
         at = np.flatnonzero(piece.used)[::stride]
         data = {c: v[at] for c, v in piece.data.items()}
         for c in model.references:
-            data[f"d0_{c}"] = _moved(data[f"d0_{c}"], base.sigma.get(c, 0.0))
+            data[f"d0_{c}"] = moved(data[f"d0_{c}"], base.sigma.get(c, 0.0))
         smooth = [data[f"d0_{c}"] for c in model.references]
         (felt,) = read(base.p, base.zeros.get(piece.run, none), smooth, [data[c] for c in model.state])
         rows = {"residual": back @ piece.residual[:, at], "speed": back @ piece.speed[:, at], "felt": felt}
@@ -112,7 +112,7 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
     )  # fmt: skip
 
 
-def _moved(x: np.ndarray, sigma: float) -> np.ndarray:
+def moved(x: np.ndarray, sigma: float) -> np.ndarray:
     """Return where an axis was: its mean where all that moved it is noise, which is part of the residual."""
     return x if len(x) == 0 or np.std(x) > STILL * sigma else np.full(len(x), x.mean())
 

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 
 from hallsym.diagnosis.residue import Residue
-from hallsym.diagnosis.smooth import NO_ORDER, Curve
+from hallsym.diagnosis.smooth import MEMORIES, NO_ORDER, Curve
 from hallsym.diagnosis.where import Located
+from hallsym.tables import readable
 
 BAND = 1.96
 """Standard errors of a band, which come from runs left out in turn: 95 %."""
@@ -38,7 +39,8 @@ def shape(c: Curve, r: Residue) -> dict[str, Any]:
     `coordinate`, `column`, `unit`: of the `grid` (m,), `line`: whether that is a place on a line. `kind`:
     "offset" (`value` in m of reading) or "gain" (`value` is a relative change of the gain). By reading:
     `value`, `low`, `high`, each (m,), the band at 95 % from runs left out in turn. Several coordinates
-    together, a direction of motion and an acceleration are no place on a line: `grid` counts features then.
+    together, a direction of motion and an acceleration are no place on a line: `grid` counts features then,
+    which `labels` names (else None).
     """
     value, spread, scale, gain = c.offset, c.spread, 1.0, False
     if c.gain is not None and c.gain_spread is not None and _size(c.gain) > _size(c.offset):
@@ -59,8 +61,21 @@ def shape(c: Curve, r: Residue) -> dict[str, Any]:
         "kind": "gain" if gain else "offset",
         "value_unit": "1" if gain else "m",
         "grid": c.at.tolist(),
+        "labels": _labels(c, r),
         "readings": of,
     }
+
+
+def _labels(c: Curve, r: Residue) -> list[str] | None:
+    """Names of the features of a coordinate that is no place on a line."""
+    if c.coordinate.column == "states":
+        names = [readable(n)[2].capitalize() for n in r.state]
+        return [*(f"offset, {n}" for n in names), *(f"gain, {n}" for n in names)]
+    if c.coordinate.column == "acceleration":
+        return [readable(n)[2].removesuffix("_ref") for n in r.references]
+    if c.coordinate.column == "direction":
+        return [f"play {w:g} rms" for w in MEMORIES]
+    return None
 
 
 def _size(curve: np.ndarray) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.errors import BlockErrors
-from hallsym.diagnosis.marginal import Powers, means, outputs, sensors
+from hallsym.diagnosis.marginal import CERTAIN, Powers, means, outputs, sensors
 from hallsym.diagnosis.residue import Residue
 
 SIDES = ("fitted", "held_out")
@@ -21,25 +21,32 @@ def sizes(
     Every side holds, in SI: `rms`, `noise` (the floor of that output or sensor), `above` (root of the
     difference of their squares), `share` (of the excess of all outputs, as the gap metric weighs them, or of
     all sensors) and `p_value` (of no excess, from blocks of samples; noise that is larger than it was stated
-    is an excess too). None where there are no samples, and for the share where there is no excess. Outputs
-    come from `errors`, the decoded pose; sensors from `residues`. `floor`: noise by output.
+    is an excess too). The share is None where the excess as a whole is no more than chance. Outputs come
+    from `errors`, the decoded pose; sensors from `residues`. `floor`: noise by output.
     """
     out: dict[str, Any] = {"outputs": {}, "sensors": {}}
     for side in SIDES:
         r = residues.get(side)
         if r is None:
             continue
+        clear = beyond(means(r.squares - len(r.residual), r.block)) < CERTAIN
         moved = outputs(r)
         rms = np.sqrt(errors[side].squares.sum(axis=0) / max(errors[side].count.sum(), 1.0))
         noise = np.array([floor.get(c, 0.0) for c in r.pose])
-        _put(out["outputs"], side, moved, r.block, rms, noise)
+        _put(out["outputs"], side, moved, r.block, rms, noise, clear)
         seen = sensors(r)
-        _put(out["sensors"], side, seen, r.block, seen.rms, np.sqrt(seen.noise))
+        _put(out["sensors"], side, seen, r.block, seen.rms, np.sqrt(seen.noise), clear)
     return out
 
 
 def _put(
-    out: dict[str, Any], side: str, p: Powers, block: np.ndarray, rms: np.ndarray, noise: np.ndarray
+    out: dict[str, Any],
+    side: str,
+    p: Powers,
+    block: np.ndarray,
+    rms: np.ndarray,
+    noise: np.ndarray,
+    clear: bool,
 ) -> None:
     above = np.maximum(rms**2 - noise**2, 0.0)
     weighed = above * p.weight
@@ -49,6 +56,6 @@ def _put(
             "rms": float(rms[k]),
             "noise": float(noise[k]),
             "above": float(np.sqrt(above[k])),
-            "share": float(weighed[k] / total) if total > 0 else None,
+            "share": float(weighed[k] / total) if clear and total > 0 else None,
             "p_value": beyond(means(p.squares[k] / p.noise[k] - 1.0, block)),
         }

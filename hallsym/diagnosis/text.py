@@ -19,7 +19,7 @@ UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, 
 
 def diagnosis_text(d: Diagnosis) -> str:
     """Return what `hallsym diagnose` prints: verdict, errors, effects, where, what could not be tested."""
-    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d)]
+    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), "", *_sizes(d)]
     if d.effects:
         parts += ["", effect_text(d.effects), "", *(_parameters(e) for e in d.effects)]
         parts.append(_wrapped(_shrinks(d)))
@@ -50,9 +50,9 @@ def _wrapped(text: str, indent: str = "") -> str:
 
 def _basis(d: Diagnosis) -> str:
     return (
-        f"verdict: {d.verdict}. {d.model}; judged on {len(d.validation_runs)} runs neither fitted nor "
-        f"chosen on; worth reporting from {100 * d.threshold:g} %; noise floor from {d.noise_floor['source']}"
-        f" noise; {d.seconds:.1f} s."
+        f"verdict: {d.verdict}. Model {d.model}; errors are on the {len(d.validation_runs)} held-out runs, "
+        "which took part in neither the fit nor the choice of effects; a gap counts from "
+        f"{100 * d.threshold:g} %; the noise floor is {d.noise_floor['source']}; {d.seconds:.1f} s."
     )
 
 
@@ -60,7 +60,34 @@ def _errors(d: Diagnosis) -> str:
     """The errors on held-out runs, before and after, with the noise floor."""
     floor = {c: v for c, v in d.noise_floor.items() if c != "source"}
     rows = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"held out": d.gap_before}
-    return error_rows(tuple(floor), rows, floor)
+    return error_rows(tuple(floor), rows, floor, d.noise_floor["source"])
+
+
+def _sizes(d: Diagnosis) -> list[str]:
+    """How large the gap is per output and sensor, fitted and held-out runs apart."""
+    rows = [
+        [
+            "rms of the model",
+            "fitted",
+            "held out",
+            "noise",
+            "above it: fitted",
+            "held out",
+            "share",
+            "held out",
+        ]
+    ]
+    for kind in ("outputs", "sensors"):
+        for column, sides in d.size.get(kind, {}).items():
+            factor, unit, name = readable(column)
+            row = [f"{name} [{unit}]"]
+            both = [sides.get(side) for side in ("fitted", "held_out")]
+            row += ["" if s is None else f"{factor * s['rms']:.3g}" for s in both]
+            row.append(next((f"{factor * s['noise']:.3g}" for s in both if s), ""))
+            row += ["" if s is None else f"{factor * s['above']:.3g}" for s in both]
+            row += ["" if s is None or s["share"] is None else f"{100 * s['share']:.0f} %" for s in both]
+            rows.append(row)
+    return [grid(rows)] if len(rows) > 1 else []
 
 
 def effect_text(effects: tuple[FoundEffect, ...]) -> str:
@@ -119,7 +146,12 @@ def _statements(title: str, statements: tuple[Statement, ...]) -> list[str]:
 
 def _statement(s: Statement) -> str:
     held = "" if s.held_out is None else f"; held-out runs {100 * max(s.held_out, 0.0):.0f} %"
-    return f"{s.text} (p {p_text(s.p_value)}{held})"
+    return f"{s.text} (p {_equals(s.p_value)}{held})"
+
+
+def _equals(p: float | None) -> str:
+    said = p_text(p)
+    return said if said.startswith("<") else f"= {said}"
 
 
 def _curve(rest: Mapping[str, Any]) -> list[str]:

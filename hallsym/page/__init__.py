@@ -8,7 +8,7 @@ same bytes.
 from hallsym.page.cells import Cells
 from hallsym.page.diagnosis_page import diagnosis_page
 from hallsym.page.fit_page import fit_page
-from hallsym.page.gather import Gathered, gather
+from hallsym.page.gather import Gathered, Version, gather
 from hallsym.page.series import RunSeries, run_series
 
-__all__ = ["Cells", "Gathered", "RunSeries", "diagnosis_page", "fit_page", "gather", "run_series"]
+__all__ = ["Cells", "Gathered", "RunSeries", "Version", "diagnosis_page", "fit_page", "gather", "run_series"]

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hallsym.calibration import Fit
-from hallsym.page import figures, parts
+from hallsym.diagnosis.text import p_text
+from hallsym.page import curves, figures, parts
 from hallsym.page.cells import Cells
 from hallsym.page.html import Markup, facts, items, join, table, tag
 from hallsym.page.page import Section, document
 from hallsym.page.series import RunSeries, all_series
-from hallsym.plots.names import MINUS
+from hallsym.plots.names import MINUS, scale, three
+from hallsym.plots.names import name as named_column
 from hallsym.tables import concise
 
 MOST = 12
@@ -25,24 +28,26 @@ def diagnosis_page(
     record: Record,
     *,
     maps: Sequence[Cells] = (),
+    after: Sequence[Cells] = (),
     series: Sequence[RunSeries] = (),
     fit: Fit | None = None,
     command: str = "",
 ) -> str:
     """Return the page of a diagnosis as HTML.
 
-    `record`: `Diagnosis.to_dict()`; entries that are missing or None leave their place out. `maps`, `series`:
-    of the errors before (and after), from `gather` or `run_series`. `fit`: the calibration that was
+    `record`: `Diagnosis.to_dict()`; entries that are missing or None leave their place out. `maps`, `after`,
+    `series`: of the errors before and after, from `gather` or `run_series`. `fit`: the calibration that was
     diagnosed, for its parameter table. `command`: what was typed. How long it took is not shown, so that the
     page of the same data is the same.
     """
     floor = _floor(record)
     sections = [
         Section("asked", "What was asked", _asked(record, floor)),
-        Section("errors", "Before and after, against the noise floor", _errors(record, floor)),
+        Section("errors", _errors_title(record), _errors(record, floor)),
         Section("effects", "Which effects", _effects(record)),
         Section("where", "Where the gap lies", _where(record)),
-        Section("maps", "Maps of the error", parts.maps_section(maps, floor)),
+        Section("rest", "What no effect explains", _unexplained(record)),
+        Section("maps", "Maps of the error", parts.maps_section(maps, floor, after=after)),
         Section("series", "Decoded minus reference over time", all_series(series)),
         Section("parameters", "Parameters", _parameters(record, fit)),
         Section("notes", "Also looked at, and notes", _notes(record)),
@@ -57,7 +62,7 @@ def diagnosis_page(
 def _sentence(record: Record) -> str:
     """Return the record's own sentence, else one from its numbers."""
     if record.get("sentence"):
-        return str(record["sentence"])
+        return typeset(str(record["sentence"]).removeprefix(f"{str(record['verdict']).capitalize()}: "))
     ranked = record.get("ranked") or []
     found = f"The evidence names {', '.join(ranked)}" if ranked else "No effect of the catalogue is named"
     said = [f"{parts.each(gap['rmse'])} {when}" for when, gap in _gaps(record).items()]
@@ -76,15 +81,14 @@ def _log(record: Record) -> Record:
 def _asked(record: Record, floor: Mapping[str, float]) -> Markup:
     log, runs = _log(record), record.get("validation_runs") or []
     apart = "took part in neither the fit nor the choice of effects"
-    source = (record.get("noise_floor") or {}).get("source")
     threshold = record.get("threshold")
     return facts(
         [
             ("log", tag("code", log.get("path") or "a log in memory")),
             ("samples", f"{log['rows']} in {log['runs']} runs" if {"rows", "runs"} <= set(log) else None),
             ("model", record.get("model")),
-            ("judged on runs", f"{len(runs)} ({parts.numbers(runs)}), which {apart}" if runs else None),
-            ("noise floor", parts.each(floor) + (f"; {source}" if source else "") if floor else None),
+            ("runs held out", f"{len(runs)} ({parts.numbers(runs)}), which {apart}" if runs else None),
+            ("noise floor", f"{parts.each(floor)}{_source(record, '; ')}" if floor else None),
             (
                 "worth reporting",
                 f"what lowers the gap by at least {100 * threshold:g} %" if threshold else None,
@@ -93,24 +97,78 @@ def _asked(record: Record, floor: Mapping[str, float]) -> Markup:
     )
 
 
+def _source(record: Record, before: str = "") -> str:
+    """Return whether the noise floor was stated or estimated."""
+    source = (record.get("noise_floor") or {}).get("source")
+    return f"{before}{source}" if source else ""
+
+
+def _changed(record: Record) -> bool:
+    """Whether there is an after that differs from before."""
+    return bool(record.get("effects") or record.get("ranked"))
+
+
+def _errors_title(record: Record) -> str:
+    return f"{'Before and after' if _changed(record) else 'Errors'}, against the noise floor"
+
+
 def _errors(record: Record, floor: Mapping[str, float]) -> Markup:
     shown = _gaps(record)
     if not shown:
-        return Markup("")
+        return _sizes(record)
     drawn = {k: ("before" if k == "before" else "after", gap) for k, gap in shown.items()}
+    if not _changed(record):
+        shown = {"held out": shown["before"]} if "before" in shown else shown
+        drawn = {k: ("after", gap) for k, gap in shown.items()}
     note = "On runs that took part in neither the fit nor the choice of effects. Dashed line: noise floor."
+    shrinks = _shrinks(record.get("shrinkage") or {}) if _changed(record) else None
     return join(
         [
-            tag("p", _shrinks(record.get("shrinkage") or {}), _metric(record.get("metric") or {})),
+            tag("p", shrinks, _metric(record)),
             tag("p", note, class_="note"),
             tag("figure", figures.against_floor(drawn, floor)),
-            parts.gap_table(shown, floor),
+            parts.gap_table(shown, floor, _source(record)),
+            _sizes(record),
         ]
     )
 
 
-def _metric(metric: Record) -> str | None:
+def _sizes(record: Record) -> Markup:
+    """Return how large the gap is per output and sensor, fitted and held-out runs apart."""
+    size = record.get("size") or {}
+    rows: list[list[object]] = []
+    for kind in ("outputs", "sensors"):
+        for column, sides in (size.get(kind) or {}).items():
+            row: list[object] = [named_column(column)]
+            largest = max(side["rms"] for side in sides.values())
+            factor, unit = scale(column, largest)
+            row.append(unit)
+            for when in ("fitted", "held_out"):
+                side = sides.get(when)
+                cells = [three(factor * side[k]) for k in ("rms", "noise", "above")] if side else [""] * 3
+                share = "" if not side or side.get("share") is None else _percent(side["share"], 0)
+                row += [*cells, share]
+            rows.append(row)
+    head = ["of the model", "unit"]
+    for when in ("fitted", "held out"):
+        head += [f"rms, {when}", "noise", "above", "share"]
+    caption = (
+        "what the model leaves on fitted and on held-out runs: rms, noise floor "
+        f"({_source(record) or 'as given'}), what is above it, and its share of the excess of all outputs, "
+        "or of all sensors, where the excess as a whole is more than chance"
+    )
+    return (
+        join([tag("h3", "Per output and per sensor"), table(head, rows, left=2, caption=caption)])
+        if rows
+        else Markup("")
+    )
+
+
+def _metric(record: Record) -> str | None:
     """Return the one number over all outputs [m] that shrinkage is measured by."""
+    metric = dict(record.get("metric") or {})
+    if not _changed(record):
+        metric = {"on held-out runs" if k == "before" else k: v for k, v in metric.items() if k != "after"}
     said = [f"{parts.amount('x_m', v)} {when}" for when, v in metric.items() if isinstance(v, int | float)]
     return f" One number over all outputs: {', '.join(said)}." if said else None
 
@@ -186,32 +244,77 @@ def _groups(record: Record, groups: Sequence[Sequence[str]]) -> Markup:
     lines = []
     for group in dict.fromkeys([*map(tuple, groups), *found]):
         s = found.get(group, {})
-        text: list[object] = [tag("strong", ", ".join(group)), ": this log cannot tell them apart."]
-        if s.get("recording"):
-            text.append(f" Record {s['recording']}")
-            text.append(
-                f": the difference must show {s['factor']:.3g} times more than here."
-                if s.get("factor")
-                else "."
-            )
-        lines.append(join(text))
+        lines.append(join([tag("strong", ", ".join(group)), *_separation(s)]))
     return join([tag("h3", "Groups"), items(lines)]) if lines else Markup("")
 
 
+def _separation(s: Record) -> list[object]:
+    """Return what would separate a group, and by how much."""
+    now = "" if s.get("sigma_now") is None else f" ({three(s['sigma_now'])} sigma)"
+    out: list[object] = [f": this log cannot tell them apart{now}."]
+    if not s.get("recording"):
+        return out
+    out.append(f" Record {s['recording']}")
+    if s.get("simulated") and s.get("sigma") is not None and s.get("runs"):
+        each = f": simulated, one run of {s['run_s']:.3g} s tells them apart by {three(s['sigma'])} sigma"
+        total = f" ({s['seconds']:.3g} s in all)" if s["runs"] > 1 and s.get("seconds") else ""
+        out.append(f"{each}; 5 sigma take {s['runs']} run{'s' if s['runs'] > 1 else ''}{total}.")
+        tried = sorted((s.get("tried") or {}).items(), key=lambda x: -(x[1] or 0.0))
+        rows = [[what, three(sigma)] for what, sigma in tried if sigma is not None]
+        out.append(table(["recording that was simulated", "sigma per run"], rows))
+    elif s.get("factor"):
+        out.append(f": the difference must show {s['factor']:.3g} times more than here.")
+    else:
+        out.append(".")
+    return out
+
+
 def _where(record: Record) -> Markup:
-    return join(
+    said = _statements(record.get("where") or [], "share of the excess above the noise floor [%]")
+    if not said and record.get("size"):
+        said = tag("p", "Nowhere in particular: what is above the noise goes with nothing beyond chance.")
+    return join([said, _alone(record.get("shares") or [])])
+
+
+def _alone(shares: Sequence[Record]) -> Markup:
+    """Return what each place takes of the excess by itself, sure or not, folded away."""
+    rows = [
         [
-            _statements(record.get("where") or [], "share of the excess above the noise floor [%]"),
-            _rest(record.get("remaining") or []),
+            s["kind"],
+            named_column(s["name"]) if s["kind"] in ("output", "sensor") else s["name"],
+            "" if s.get("share") is None else _percent(s["share"], 0),
+            _p(s.get("p_value")),
+            s.get("text") or "",
         ]
-    )
-
-
-def _rest(statements: Sequence[Record]) -> Markup:
-    if not statements:
+        for s in shares
+    ]
+    if not rows:
         return Markup("")
-    shown = _statements(statements, "share of what no effect explains [%]")
-    return join([tag("h3", "Where the rest lies"), shown])
+    head = ["kind", "place", "share of the excess", "p", ""]
+    note = "Each with nothing before it, so that shares overlap; p above 0.01 is no evidence."
+    summary = tag("summary", "every place by itself: coordinates, links, outputs, sensors, frequencies, runs")
+    return tag("details", summary, table(head, rows, left=2, wordy=(4,), caption=note))
+
+
+def _unexplained(record: Record) -> Markup:
+    """Return what is left: how much, what it goes with, and its shape."""
+    rest, statements = record.get("unexplained") or {}, record.get("remaining") or []
+    if not rest and not statements:
+        return Markup("")
+    said = []
+    if rest.get("share") is not None:
+        said.append(
+            tag("p", f"{_percent(rest['share'], 0)} of the gap above the noise floor has no known cause.")
+        )
+    if statements and statements != record.get("where"):
+        said.append(_statements(statements, "share of what no effect explains [%]"))
+    elif statements:
+        said.append(tag("p", "It lies where the gap lies, see above."))
+    elif rest.get("text"):
+        said.append(tag("p", f"{typeset(str(rest['text'])).capitalize()}."))
+    if rest.get("curve"):
+        said.append(curves.curve(rest["curve"]))
+    return join(said)
 
 
 def _statements(statements: Sequence[Record], title: str) -> Markup:
@@ -219,14 +322,29 @@ def _statements(statements: Sequence[Record], title: str) -> Markup:
         return Markup("")
     drawn = [s for s in statements if s.get("share") is not None][:MOST]
     bars = [(_place(s), float(s["share"])) for s in drawn]
-    rows = [[s.get("text") or _place(s), _p(s.get("p_value"))] for s in statements]
+    rows = [
+        [
+            typeset(str(s.get("text") or _place(s))),
+            "" if s.get("held_out") is None else _percent(max(s["held_out"], 0.0), 0),
+            _p(s.get("p_value")),
+        ]
+        for s in statements
+    ]
     picture = tag("figure", figures.shares(bars, title)) if bars else None
-    return join([picture, table(["statement", "p"], rows)])
+    return join([picture, table(["statement (fitted runs)", "on held-out runs", "p"], rows)])
 
 
 def _place(statement: Record) -> str:
+    """Return what a bar is called; of a coordinate the range is left to the statement under it."""
     by, at = str(statement.get("by") or ""), str(statement.get("at") or "")
-    return f"{by}: {at}" if at else by
+    if by in ("output", "sensor"):
+        return f"{by} {named_column(at)}"
+    return f"{by}: {at}" if at and by in ("link", "run", "frequency") else by
+
+
+def typeset(text: str) -> str:
+    """Return words with the micro sign in units."""
+    return re.sub(r"(?<=\d )u(?=(m|rad)\b)", "µ", text)
 
 
 def _parameters(record: Record, fit: Fit | None) -> Markup:
@@ -274,4 +392,4 @@ def _percent(value: float, digits: int = 1) -> str:
 def _p(value: float | None) -> str:
     if value is None:
         return ""
-    return "< 1e−300" if value < 1e-300 else f"{value:.1g}".replace("-", MINUS)
+    return p_text(value).replace("-", MINUS)

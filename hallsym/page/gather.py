@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,11 +29,29 @@ reference would decide the cell, and each side would show a median that is not t
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """What a page shows of a log: `survey`, maps and series of the errors of decoded poses."""
+    """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
+
+    `after`: the same maps of another version of the model, cell by cell; empty without one.
+    """
 
     survey: Survey
     maps: tuple[Cells, ...]
     series: tuple[RunSeries, ...]
+    after: tuple[Cells, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Version:
+    """Another version of a model on the same samples: `errors(block)` is (n_pose, samples), in SI.
+
+    `log`: the same samples with all `columns` that `errors` reads. `keep`: samples that count, None for all.
+    """
+
+    name: str
+    log: Log
+    columns: tuple[str, ...]
+    errors: Callable[[Block], np.ndarray]
+    keep: Weigh | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +63,17 @@ class _Map:
     named: Callable[[Tally], Cells]
 
 
-def gather(log: Log, fits: Mapping[str, Fit], *, keep: Weigh | None = None, most_runs: int = 3) -> Gathered:
+def gather(
+    log: Log,
+    fits: Mapping[str, Fit],
+    *,
+    keep: Weigh | None = None,
+    most_runs: int = 3,
+    after: Version | None = None,
+) -> Gathered:
     """Read `log` twice, in blocks: maps are of the first of `fits`, series of all of them by their names.
+
+    `after`: a version of the model that is read once more, for the same maps and series beside those.
 
     Channels of the log are those of the model (`wiring.rewired`). Samples to which `keep` gives weight 0
     (outliers) take no part and interrupt the series.
@@ -78,12 +105,35 @@ def gather(log: Log, fits: Mapping[str, Fit], *, keep: Weigh | None = None, most
             trace = traces.setdefault(block.run, Trace(1 + len(reference) * len(decode)))
             trace.add(np.vstack([time, *errors]))
     titles = {run: f"run {run}{', held out' if run in held_out(first) else ''}" for run in chosen}
-    timed = survey.time is not None
-    return Gathered(
-        survey,
-        tuple(m.named(m.tally) for m in maps),
-        tuple(of_trace(titles[r], first.model.pose, tuple(fits), traces[r], timed=timed) for r in chosen),
-    )
+    timed, pose = survey.time is not None, first.model.pose
+    series = [of_trace(titles[r], pose, tuple(fits), traces[r], timed=timed) for r in chosen]
+    before = tuple(m.named(m.tally) for m in maps)
+    if after is None:
+        return Gathered(survey, before, tuple(series))
+    maps = _maps(first, survey)
+    traces = _again(after, maps, chosen, timed)
+    for k, run in enumerate(chosen):
+        more = of_trace(titles[run], pose, (after.name,), traces[run], timed=timed)
+        series[k] = replace(series[k], lines={**series[k].lines, **more.lines})
+    return Gathered(survey, before, tuple(series), tuple(m.named(m.tally) for m in maps))
+
+
+def _again(version: Version, maps: Sequence[_Map], chosen: Sequence[int], timed: bool) -> dict[int, Trace]:
+    """Fill the maps with the errors of a version and return its traces of the chosen runs."""
+    traces: dict[int, Trace] = {}
+    columns = tuple(dict.fromkeys((*version.columns, *(("t_s",) if timed else ()))))
+    for block in version.log.blocks(columns, size=SIZE):
+        errors = version.errors(block)
+        if version.keep is not None:
+            errors = np.where(version.keep(block) > 0, errors, np.nan)
+        at = maps[0].tally.bin_of(errors) if maps else None
+        for m in maps:
+            m.tally.add(m.place(block), errors, at)
+        if block.run in chosen:
+            time = block.data["t_s"] if timed else np.zeros(errors.shape[1])
+            trace = traces.setdefault(block.run, Trace(1 + len(errors)))
+            trace.add(np.vstack([time, *errors]))
+    return traces
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:

@@ -17,7 +17,6 @@ from hallsym.page.svg import (
     WIDE,
     Scale,
     below,
-    beside,
     chart,
     label,
     line,
@@ -26,9 +25,10 @@ from hallsym.page.svg import (
     rect,
     text,
 )
+from hallsym.page.svg import beside as axis_beside
 from hallsym.plots.names import largest, name, scale, thinned, three
 
-LEFT, TOP, BOTTOM = 40.0, 22.0, 112.0
+LEFT, TOP, BOTTOM = 44.0, 22.0, 112.0
 LONG = 4
 """Labels with more characters stand upright."""
 
@@ -50,26 +50,24 @@ def _shown(cells: Cells, output: int, floor: float, reach: float) -> _Shown:
     return _Shown(name(cells.pose[output]), unit, median, rms, factor * floor)
 
 
-def profile(cells: Cells, output: int, floor: float = 0.0) -> Markup:
-    """Draw median (line) and rms (band to both sides) of one output by cell; `floor` [SI] is dashed."""
-    reach = max(largest(cells.rms[output]), largest(cells.median[output]), floor)
-    shown = _shown(cells, output, floor, reach)
+def profile(cells: Cells, output: int, floor: float = 0.0, after: Cells | None = None) -> Markup:
+    """Draw median (line) and rms (band to both sides) of one output by cell; `floor` [SI] is dashed.
+
+    `after`: the same cells of another version, drawn over it on the same scale.
+    """
+    both = [cells] if after is None else [cells, after]
+    reach = max(floor, *(largest(v[output]) for c in both for v in (c.rms, c.median)))
+    shown, *more = (_shown(c, output, floor, reach) for c in both)
     width = WIDE if cells.labels else NARROW
     right = width - RIM
-    high = 1.08 * max(largest(shown.rms), largest(shown.median), shown.floor) or 1.0
+    high = 1.08 * max(shown.floor, *(largest(v) for x in (shown, *more) for v in (x.rms, x.median))) or 1.0
     y = Scale(-high, high, BOTTOM, TOP)
     spans, axis, height = _groups(cells, right) if cells.labels else _coordinate(cells, right)
-    parts = [text(0, 11, f"{shown.name} [{shown.unit}]", look="title"), *beside(y, LEFT, right), *axis]
-    for k, (start, end) in enumerate(spans):
-        if cells.count[k]:
-            up, down = y(shown.rms[k]), y(-shown.rms[k])
-            parts.append(rect(start, up, end - start, down - up, "band", _says(cells, shown, k)))
-    if cells.labels:
-        parts += [_step(y(m), *span) for m, span in zip(shown.median, spans, strict=True) if math.isfinite(m)]
-    else:
-        middles = [0.5 * (start + end) for start, end in spans]
-        heights = [y(m) if math.isfinite(m) else math.nan for m in shown.median]
-        parts.append(polyline(list(zip(middles, heights, strict=True)), "median"))
+    parts = [text(0, 11, f"{shown.name} [{shown.unit}]", look="title"), *axis_beside(y, LEFT, right), *axis]
+    for x, c, old in zip((shown, *more), both, (bool(more), False), strict=False):
+        parts += _bands(c, x, y, spans, "band0" if old else "band")
+    for x, old in zip((shown, *more), (bool(more), False), strict=False):
+        parts += _medians(cells, x, y, spans, "median0" if old else "median")
     if floor > 0:
         parts += [line(LEFT, y(v), right, y(v), "level") for v in (shown.floor, -shown.floor)]
     parts += [text(0.5 * sum(spans[k]), TOP - 2, "h", "middle", "soft") for k in cells.marked]
@@ -78,8 +76,26 @@ def profile(cells: Cells, output: int, floor: float = 0.0) -> Markup:
     return chart(width, height, says, *parts)
 
 
-def _step(height: float, start: float, end: float) -> Markup:
-    return line(start, height, end, height, "median")
+def _bands(
+    cells: Cells, shown: _Shown, y: Scale, spans: Sequence[tuple[float, float]], look: str
+) -> list[Markup]:
+    out = []
+    for k, (start, end) in enumerate(spans):
+        if cells.count[k]:
+            up, down = y(shown.rms[k]), y(-shown.rms[k])
+            out.append(rect(start, up, end - start, down - up, look, _says(cells, shown, k)))
+    return out
+
+
+def _medians(
+    cells: Cells, shown: _Shown, y: Scale, spans: Sequence[tuple[float, float]], look: str
+) -> list[Markup]:
+    if cells.labels:
+        known = [(y(m), span) for m, span in zip(shown.median, spans, strict=True) if math.isfinite(m)]
+        return [line(start, at, end, at, look) for at, (start, end) in known]
+    middles = [0.5 * (start + end) for start, end in spans]
+    heights = [y(m) if math.isfinite(m) else math.nan for m in shown.median]
+    return [polyline(list(zip(middles, heights, strict=True)), look)]
 
 
 def _coordinate(cells: Cells, right: float) -> tuple[list[tuple[float, float]], list[Markup], float]:
@@ -87,7 +103,7 @@ def _coordinate(cells: Cells, right: float) -> tuple[list[tuple[float, float]], 
     edges = [float(e) for e in cells.edges]
     x = Scale(edges[0], edges[-1], LEFT, right)
     spans = [(x(a), x(b)) for a, b in pairwise(edges)]
-    return spans, below(x, BOTTOM, cells.by), BOTTOM + 34
+    return spans, below(x, BOTTOM, cells.by, most=3), BOTTOM + 34
 
 
 def _groups(cells: Cells, right: float) -> tuple[list[tuple[float, float]], list[Markup], float]:
@@ -111,12 +127,16 @@ def _upright(x: float, y: float, words: str) -> Markup:
     return tag("text", words, x=px(x), y=px(y), text_anchor="end", transform=turn)
 
 
-def plane(cells: Cells, output: int, floor: float = 0.0, what: str = "median") -> Markup:
+def plane(
+    cells: Cells, output: int, floor: float = 0.0, what: str = "median", beside: Cells | None = None
+) -> Markup:
     """Draw median or rms of one output over two coordinates: squares of its size, hollow if negative.
 
-    A full cell is the largest value, or `floor` [SI] where that is more, so that mere noise stays small.
+    A full cell is the largest value, also of the picture `beside` it, or `floor` [SI] where that is more, so
+    that mere noise stays small.
     """
-    full = max(largest(getattr(cells, what)[output]), floor) or 1e-12
+    both = [getattr(c, what)[output] for c in (cells, beside) if c is not None]
+    full = max(floor, *map(largest, both)) or 1e-12
     shown = _shown(cells, output, floor, full)
     values = shown.median if what == "median" else shown.rms
     right, bottom = NARROW - RIM, TOP + NARROW - RIM - LEFT
@@ -124,7 +144,11 @@ def plane(cells: Cells, output: int, floor: float = 0.0, what: str = "median") -
     y = Scale(float(cells.across[0]), float(cells.across[-1]), bottom, TOP)
     largest_shown = scale(cells.pose[output], full)[0] * full
     title = f"{what} {shown.name}, full cell: {three(largest_shown)} {shown.unit}"
-    parts = [text(0, 12, title, look="title"), *beside(y, LEFT, LEFT, 4), *below(x, bottom, cells.by)]
+    parts = [
+        text(0, 12, title, look="title"),
+        *axis_beside(y, LEFT, LEFT, 4),
+        *below(x, bottom, cells.by, most=3),
+    ]
     columns = len(cells.edges) - 1
     for k in np.flatnonzero(cells.count).tolist():
         i, j = k % columns, k // columns

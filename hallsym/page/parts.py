@@ -20,6 +20,7 @@ PLANES = (
     "Filled: positive, hollow: negative; no cell: no samples."
 )
 BANDS = "Line: median; band: plus and minus the rms."
+OVER = BANDS + " Pale with a light line: before; darker, drawn over it: after."
 VALUES = (
     "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
     "not determined. In its bounds: dot and line are the value with two standard uncertainties, the small "
@@ -55,8 +56,10 @@ def each(values: Mapping[str, float]) -> str:
     return ", ".join(f"{name(c)} {amount(c, v)}" for c, v in values.items())
 
 
-def gap_table(rows: Mapping[str, Mapping[str, Mapping[str, float]]], floor: Mapping[str, float]) -> Markup:
-    """Return the numbers behind the bars: rmse and peak per output."""
+def gap_table(
+    rows: Mapping[str, Mapping[str, Mapping[str, float]]], floor: Mapping[str, float], source: str = ""
+) -> Markup:
+    """Return the numbers behind the bars: rmse and peak per output; `source`: of the noise floor."""
     outputs = list(next(iter(rows.values()))["rmse"])
     scales = {
         (what, c): scale(c, max(gap[what][c] for gap in rows.values()))
@@ -71,7 +74,7 @@ def gap_table(rows: Mapping[str, Mapping[str, Mapping[str, float]]], floor: Mapp
     if floor:
         body.append(
             [
-                "noise floor",
+                f"noise floor, {source}" if source else "noise floor",
                 *(
                     three(f * floor[c]) if w == "rmse" and c in floor else ""
                     for (w, c), (f, _) in scales.items()
@@ -81,30 +84,55 @@ def gap_table(rows: Mapping[str, Mapping[str, Mapping[str, float]]], floor: Mapp
     return table(head, body, caption="errors of the decoded pose")
 
 
-def maps_section(found: Sequence[Cells], floor: Mapping[str, float], note: object = None) -> Markup:
-    """Return the maps of the error with how to read them; nothing without maps."""
+def maps_section(
+    found: Sequence[Cells], floor: Mapping[str, float], note: object = None, after: Sequence[Cells] = ()
+) -> Markup:
+    """Return the maps of the error with how to read them; nothing without maps.
+
+    `after`: the same cells of another version of the model: planes stand one under the other on a common
+    scale, along a coordinate and by runs one is drawn over the other.
+    """
     if not found:
         return Markup("")
     outputs, dashed = range(len(found[0].pose)), " Dashed: noise floor." if floor else ""
     level = [floor.get(c) or 0.0 for c in found[0].pose]
+    second: Sequence[Cells | None] = after or [None] * len(found)
+    pairs = list(zip(found, second, strict=True))
+    flat = [(m, a) for m, a in pairs if len(m.across)]
+    lines = [(m, a) for m, a in pairs if not len(m.across) and not m.labels]
+    over = OVER if after else BANDS
     parts: list[object] = [note]
-    flat = [m for m in found if len(m.across)]
-    lines = [m for m in found if not len(m.across) and not m.labels]
     if flat:
-        parts.append(_note(PLANES))
-        for m in flat:
-            both = [maps.plane(m, k, level[k], what) for what in ("median", "rms") for k in outputs]
-            parts.append(figure(both, "panels", _title(m)))
+        parts.append(_note(PLANES + (" Before and after have one scale." if after else "")))
+        for m, a in flat:
+            parts += _planes(m, a, level)
     if lines:
-        parts.append(_note(f"Along one coordinate. {BANDS}{dashed}"))
-        parts += [figure([maps.profile(m, k, level[k]) for k in outputs], "panels", _title(m)) for m in lines]
-    for m in (m for m in found if m.labels):
+        parts.append(_note(f"Along one coordinate. {over}{dashed}"))
+    for m, a in lines:
+        parts.append(figure([maps.profile(m, k, level[k], a) for k in outputs], "panels", _title(m)))
+    for m, a in ((m, a) for m, a in pairs if m.labels):
         held = " An h marks runs that were held out." if m.marked else ""
         parts.append(tag("h3", f"By {m.by}"))
-        parts.append(_note(f"{BANDS}{dashed}{held}"))
-        parts.append(tag("figure", figures.stacked([maps.profile(m, k, level[k]) for k in outputs])))
-        parts.append(_cell_table(m))
+        parts.append(_note(f"{over}{dashed}{held}"))
+        parts.append(tag("figure", figures.stacked([maps.profile(m, k, level[k], a) for k in outputs])))
+        parts.append(_cell_table(m, a))
     return join(parts)
+
+
+def _planes(m: Cells, a: Cells | None, level: Sequence[float]) -> list[Markup]:
+    outputs = range(len(m.pose))
+    if a is None:
+        both = [maps.plane(m, k, level[k], what) for what in ("median", "rms") for k in outputs]
+        return [figure(both, "panels", _title(m))]
+    return [
+        figure(
+            [maps.plane(one, k, level[k], what, beside=other) for k in outputs],
+            "panels",
+            f"{what} {_title(m)}: {when}",
+        )
+        for what in ("median", "rms")
+        for when, one, other in (("before", m, a), ("after", a, m))
+    ]
 
 
 def _note(words: str) -> Markup:
@@ -120,20 +148,23 @@ def _title(cells: Cells) -> str:
     return f"over {cells.by}" + (f" and {cells.up}, upwards" if cells.up else "")
 
 
-def _cell_table(cells: Cells) -> Markup:
+def _cell_table(cells: Cells, after: Cells | None = None) -> Markup:
     """Return the numbers behind a picture, folded away."""
+    versions = [("", cells)] if after is None else [(" before", cells), (" after", after)]
     scales = [scale(c, largest(r)) for c, r in zip(cells.pose, cells.rms, strict=True)]
     head = [cells.by, "samples"]
     head += [
-        f"{what} {name(c)} [{u}]"
+        f"{what} {name(c)}{when} [{u}]"
         for c, (_, u) in zip(cells.pose, scales, strict=True)
+        for when, _ in versions
         for what in ("median", "rms")
     ]
     rows = []
     for k, label in enumerate(cells.labels):
         row: list[object] = [label + (" (held out)" if k in cells.marked else ""), f"{cells.count[k]:d}"]
-        for (factor, _), median, rms in zip(scales, cells.median[:, k], cells.rms[:, k], strict=True):
-            row += [_signed(factor * median), _signed(factor * rms)]
+        for output, (factor, _) in enumerate(scales):
+            for _, version in versions:
+                row += [_signed(factor * v[output, k]) for v in (version.median, version.rms)]
         rows.append(row)
     return tag("details", tag("summary", f"numbers by {cells.by}"), table(head, rows))
 
