@@ -81,7 +81,7 @@ def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
         size = Parameter("own_cubic", 0.0, -1e8, 1e8, "1/m2")
 
         def step(s, p):
-            s["field"] = s["field"] + p["own_cubic"] * s["field"] ** 3
+            s["displacement"] = s["displacement"] + p["own_cubic"] * s["displacement"] ** 3
 
         return model.with_step("field", step, effect="own_cubic", parameters=(size,))
 
@@ -136,7 +136,7 @@ def test_statements_of_links_on_correlated_noise_are_as_rare_as_they_claim() -> 
 
 
 def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
-    base, here = found("odd_nonlinearity")
+    base, _ = found("odd_nonlinearity")
     sides = {"fitted": fitted_runs(base), "held_out": sorted(base.apart)}
     errors = {k: block_errors(base, runs, base.log.rows, None) for k, runs in sides.items()}
     floor = {"x_m": 1e-6, "y_m": 0.5e-6, "rz_rad": 2e-6}
