@@ -49,7 +49,7 @@ def _line(
         text(0, 12, f"{name(channel)} [{unit}]", look="title"),
         band,
         *beside(y, LEFT, NARROW - RIM, 4),
-        *below(x, BOTTOM, title, most=3),
+        *below(x, BOTTOM, title),
         polyline(list(zip(places, value, strict=True)), "median"),
     ]
     k = max(range(len(grid)), key=lambda j: abs(r["value"][j]))

@@ -103,7 +103,7 @@ def _coordinate(cells: Cells, right: float) -> tuple[list[tuple[float, float]], 
     edges = [float(e) for e in cells.edges]
     x = Scale(edges[0], edges[-1], LEFT, right)
     spans = [(x(a), x(b)) for a, b in pairwise(edges)]
-    return spans, below(x, BOTTOM, cells.by, most=3), BOTTOM + 34
+    return spans, below(x, BOTTOM, cells.by), BOTTOM + 34
 
 
 def _groups(cells: Cells, right: float) -> tuple[list[tuple[float, float]], list[Markup], float]:
@@ -147,7 +147,7 @@ def plane(
     parts = [
         text(0, 12, title, look="title"),
         *axis_beside(y, LEFT, LEFT, 4),
-        *below(x, bottom, cells.by, most=3),
+        *below(x, bottom, cells.by),
     ]
     columns = len(cells.edges) - 1
     for k in np.flatnonzero(cells.count).tolist():
