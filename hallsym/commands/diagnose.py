@@ -12,15 +12,16 @@ from hallsym.commands.common import (
     log_options,
     model_options,
     open_log,
+    own_option,
     progress_of,
     run_numbers,
     say,
 )
-from hallsym.diagnosis import Diagnosis, diagnose, diagnosis_text, load_effects
+from hallsym.diagnosis import Diagnosis, diagnose, diagnosis_text, load_effects, makes
+from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
 from hallsym.diagnosis.compare_text import comparison_text
 from hallsym.errors import InputError
-from hallsym.families import build
 from hallsym.files import atomic_write
 from hallsym.fitting import fit
 from hallsym.log import Log
@@ -49,7 +50,7 @@ def add(sub: Any) -> None:
     parser.add_argument(
         "--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)"
     )
-    parser.add_argument("--effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
+    own_option(parser)
     parser.add_argument(
         "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
     )
@@ -70,16 +71,25 @@ def run(options: Namespace) -> int:
     machine = read_machine(options.machine)
     log = open_log(options, machine)
     name = options.model or log.meta.base_model or "stage31"
-    if str(name).endswith(".json"):
-        model: Model | Fit = load_fit(name)
-    else:
-        model = build(name, meta=log.meta, added=tuple(options.effect), parameters=machine.parameters)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
+    listed = load_effects(options.effects) if options.effects else ()
+    if str(name).endswith(".json"):
+        model: Model | Fit = load_fit(name, makes(listed))
+    else:
+        model = model_on(
+            log,
+            name,
+            options.effect,
+            parameters=machine.parameters,
+            own=makes(listed),
+            holdout=holdout,
+            drop_bad=options.drop_bad,
+        )
     found = diagnose(
         log,
         model,
         holdout=holdout,
-        effects=load_effects(options.effects) if options.effects else (),
+        effects=listed,
         threshold=options.threshold,
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),

@@ -1,16 +1,14 @@
 """Decoded errors of two versions of a model on the same samples, block by block, and what differs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.arrays import on_arrays
 from hallsym.batches import Weigh, batches
 from hallsym.computed import extended
-from hallsym.decoding import columns_of, decoder
+from hallsym.decoding import columns_of, pose_errors
 from hallsym.diagnosis.tangent import Base
-from hallsym.log import Block
 
 BLOCKS = 400
 RESAMPLED = 1000
@@ -46,52 +44,18 @@ class BlockErrors:
         return float(np.sqrt(self.sums.sum() / max(self.count.sum(), 1.0)))
 
 
-Decode = Callable[[Block], np.ndarray]
-
-
-def _decoded(base: Base) -> Decode:
-    """Errors of the decoded pose."""
-    model, decode = base.model, decoder(base.model, np.diag(base.covariance))
-    none = np.zeros(len(model.zeros))
-
-    def error(block: Block) -> np.ndarray:
-        readings, states = ([block.data[c] for c in names] for names in (model.channels, model.state))
-        pose = decode(base.p, base.zeros.get(block.run, none), readings, states)
-        return pose - np.array([block.data[c] for c in model.references])
-
-    return error
-
-
-def _predicted(base: Base) -> Decode:
-    """What the residual of the readings moves the pose by: for readings that no pose can be decoded from."""
-    model = base.model
-    read, spread, none = on_arrays(model.reading), on_arrays(model.noise_gain), np.zeros(len(model.zeros))
-
-    def error(block: Block) -> np.ndarray:
-        pose, states = ([block.data[c] for c in names] for names in (model.references, model.state))
-        residual = np.array([block.data[c] for c in model.channels])
-        residual = residual - read(base.p, base.zeros.get(block.run, none), pose, states)[0]
-        (gain,) = spread(base.p, states, base.weight)
-        return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
-
-    return error
-
-
 def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None) -> BlockErrors:
-    """Decode some runs and return their errors; `rows` of the log sets the size of a block.
-
-    A reading at its rail has lost its pose: with saturation the errors are those of the readings, mapped.
-    """
+    """Decode some runs and return their errors; `rows` of the log sets the size of a block."""
     model, wanted = base.model, set(runs)
     size = max(50, rows // BLOCKS)
-    errors_of = _predicted(base) if "saturation" in model.effects else _decoded(base)
+    errors_of, none = pose_errors(model, np.diag(base.covariance)), np.zeros(len(model.zeros))
     count, squares, peak = [], [], np.zeros(len(model.pose))
     for batch in batches(extended(base.log, model, base.sigma), columns_of(model)):
         weights = batch.weights(keep)
         for block, at in batch.parts():
             if block.run not in wanted:
                 continue
-            error = errors_of(block)
+            error = errors_of(base.p, base.zeros.get(block.run, none), block.data)
             if weights is not None:
                 error = error[:, weights[at] > 0]
             for low in range(0, error.shape[1], size):

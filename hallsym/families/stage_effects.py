@@ -497,27 +497,3 @@ def clipping(low: Sequence[float], high: Sequence[float]) -> Make:
         return _add(model, "electronics", "saturation", _free(names, 1.5, "1", "share clipped"), step)
 
     return make
-
-
-# -- what a calibration can hold ----------------------------------------------------------------------------
-
-
-def cross_axis(model: Model) -> Model:
-    """Leakage of the motion across the sensing axis, to second order."""
-    return cross_axis_sensitivity(("uv", "vv"))(model)
-
-
-def abbe_error(model: Model) -> Model:
-    """The reference reads Ry times an arm in x and Rx times an arm in y."""
-    return reference_abbe_error(((0, "ry_rad"), (1, "rx_rad")))(model)
-
-
-EFFECTS = {
-    "height_quadratic": height_quadratic,
-    "cross_axis_sensitivity": cross_axis,
-    "second_order_rotation": second_order_rotation,
-    "vertical_offset_coupling": vertical_offset_coupling,
-    "reference_abbe_error": abbe_error,
-}
-"""Effects by name whose readings stay linear in the zero deviations and need no computed column: a fit from
-run summaries can hold them. The others are functions of a log (a frequency, an instant) or of its history."""
