@@ -100,8 +100,18 @@ def run(options: Namespace) -> int:
         else:
             _save(path, found.to_dict())
     written = [f"wrote {path}" for path in options.output]
-    say(options, found.to_dict(), lambda: "\n".join([diagnosis_text(found), *written]))
+    say(options, found.to_dict(), lambda: "\n".join([diagnosis_text(found, _reading(options)), *written]))
     return OK
+
+
+def _reading(options: Namespace) -> list[str]:
+    """Words of this command that its next step needs too: how the log is read, and the machine."""
+    words = [word for column in options.column for word in ("--column", column)]
+    words += [word for noise in options.noise for word in ("--noise", noise)]
+    for option in ("column_file", "format", "delimiter", "machine", "effects"):
+        if getattr(options, option) is not None:
+            words += [f"--{option.replace('_', '-')}", getattr(options, option)]
+    return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 
 def _save(path: str, record: dict[str, Any]) -> None:

@@ -14,7 +14,7 @@ def user_effect(make: Callable[[Model], Model]) -> Effect:
     meaning = (make.__doc__ or "").strip().split("\n")[0]
 
     def variants(model: Model, facts: Facts) -> list[Variant]:
-        return [Variant("as given", make)]
+        return [Variant("as given", make, text=make.__name__)]
 
     return Effect(make.__name__, "user", meaning, variants, "a recording that moves what it depends on")
 
