@@ -89,12 +89,13 @@ def error_tables(
 ) -> list[ErrorTable]:
     """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
 
-    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by column,
-    for the columns that are computed.
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
+    column, for the columns that are computed; those that depend on parameters are taken at the last version's.
     """
     errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
     sums: list[dict[int, list]] = [{} for _ in versions]
-    for batch in batches(extended(log, model, sigma), columns_of(model), on_rows):
+    wide = extended(log, model, sigma, model.named(versions[-1][0]))
+    for batch in batches(wide, columns_of(model), on_rows):
         weights, lengths = batch.weights(keep), np.diff(batch.edges)
         for (p, zeros), total in zip(versions, sums, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
@@ -110,7 +111,7 @@ def columns_of(model: Model) -> tuple[str, ...]:
 
 
 def logged_columns(model: Model) -> tuple[str, ...]:
-    """Return the columns that a log must hold for a model: those it reads, and what the computed ones need."""
+    """Return the columns that a log must hold: those a model reads, and what the computed ones need."""
     made = {c.name for c in model.computed}
     needed = [c for m in model.computed for c in m.needs] + (["t_s"] if made else [])
     return tuple(dict.fromkeys(c for c in (*columns_of(model), *needed) if c not in made))

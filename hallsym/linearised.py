@@ -1,13 +1,13 @@
 """Run summaries of models that have none of their own: the reading as a line around a point.
 
-A reading that is no polynomial of the columns, or not linear in the zeros of a run, or that reads columns made
-from the log (rates, memory), is replaced by its tangent at parameters p0 and zeros z0:
+A reading that is no polynomial of the columns, or not linear in the zeros of a run, or that reads columns
+made from the log (rates, memory), is replaced by its tangent at parameters p0 and zeros z0:
 
     reading = [r(p0, z0) - J_z z0] + J_p (p - p0) + J_z z,      J_p = dr/dp, J_z = dr/dz
 
 J_p, J_z and the bracket are functions of the data: features, like those of `hallsym.features`, whose
-coefficients 1, p - p0 and z are linear. At p0 value and gradient of the cost are exact, so an optimum found by
-taking the tangent again at each step (Gauss-Newton, `hallsym.passes`) is that of the exact cost.
+coefficients 1, p - p0 and z are linear. At p0 value and gradient of the cost are exact, so an optimum found
+by taking the tangent again at each step (Gauss-Newton, `hallsym.passes`) is that of the exact cost.
 """
 
 from collections.abc import Callable, Mapping
@@ -50,8 +50,8 @@ def exact(model: Model) -> bool:
 class Program:
     """The features of a model's tangents and their slopes as functions of (p, zeros, pose, state).
 
-    `entries`: (channel, parameter) of each entry of J_p that is not always 0; `zero_entries`: the same of J_z.
-    The features are those of J_z, then of J_p, then the bracket of each channel.
+    `entries`: (channel, parameter) of each entry of J_p that is not always 0; `zero_entries`: those of
+    J_z. The features are those of J_z, then of J_p, then the bracket of each channel.
     """
 
     entries: tuple[tuple[int, int], ...]
@@ -100,9 +100,12 @@ class TangentFeatures(Features):
 
     @cached_property
     def slopes(self) -> Callable[..., list[np.ndarray]]:
-        """`(pose, state, zeros) -> [d feature / d column]`, (n_columns * n_features, samples)."""
+        """`(pose, state, zeros) -> [d feature / d column]`, (n_columns * n_features, samples).
+
+        Taken at zeros of 0: the weight of a residual does not depend on the zeros.
+        """
         run = program(self.model).slopes
-        return lambda pose, state, zeros: run(self.at, zeros, pose, state)
+        return lambda pose, state, zeros: run(self.at, np.zeros_like(zeros), pose, state)
 
     @cached_property
     def expansion(self) -> Any:
@@ -166,7 +169,7 @@ def summarise_at(
         own = np.array([zeros.get(block.run, none) for block in batch.blocks])
         return np.repeat(own, np.diff(batch.edges), axis=0).T
 
-    return summarised(extended(log, model, sigma), features, place, weigh, on_rows)
+    return summarised(extended(log, model, sigma, model.named(p)), features, place, weigh, on_rows)
 
 
 def summary_near(

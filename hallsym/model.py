@@ -186,6 +186,10 @@ class Model:
                 )
         return np.array([values.get(p.name, p.nominal) for p in self.parameters], dtype=float)
 
+    def named(self, values: np.ndarray) -> dict[str, float]:
+        """Return a parameter vector (n,) as values by name."""
+        return dict(zip(self.names, np.asarray(values, dtype=float).tolist(), strict=True))
+
     # -- expressions -------------------------------------------------------------------------------------
 
     @cached_property

@@ -81,7 +81,7 @@ def optimum(
     """Minimise the cost of the runs that are not held out, from `start` (n,), inside the bounds."""
     lower, upper = model.bounds
     p = np.clip(np.asarray(start, dtype=float), lower, upper)
-    zeros = zeros_of(cost_near(log, model, p, noise, weigh), p)
+    zeros: Zeros = zeros_of(cost_near(log, model, p, noise, weigh), p)
     best: tuple[float, np.ndarray, Zeros] | None = None
     evaluations, step, share = 0, np.zeros_like(p), 1.0
     known: Determination | None = None

@@ -6,7 +6,6 @@ from typing import Any
 
 from hallsym import fitting
 from hallsym.calibration import Fit
-from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.ranking import candidates, refitted, scores
 from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
@@ -65,11 +64,12 @@ def _shown(log: Log, known: Fit, text: str) -> Model:
     runs = [r for r in base.log.runs if r not in apart]
     facts = facts_of(base, survey(base, frozenset(runs)))
     tried, trouble = candidates(base, [effect], facts)
-    if not tried:
-        reason = trouble[0].reason if trouble else "nothing in its residual looks like it"
+    ranked = scores(base, tried, runs, TYPICAL_INFLATION)[0] if tried else []
+    exact = refitted(base, ranked, runs, facts, TYPICAL_INFLATION)
+    if not exact:
+        reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(
             f"Effect {effect.name} cannot be found in {log.name}: {reason}; give its numbers as "
             f"{effect.name}:{lacking(text)[0]}=..., or leave it out."
         )
-    ranked, _ = scores(base, tried, runs, TYPICAL_INFLATION)
-    return refitted(base, ranked, runs, facts, TYPICAL_INFLATION)[0].score.model
+    return exact[0].score.model

@@ -50,7 +50,7 @@ def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None)
     size = max(50, rows // BLOCKS)
     errors_of, none = pose_errors(model, np.diag(base.covariance)), np.zeros(len(model.zeros))
     count, squares, peak = [], [], np.zeros(len(model.pose))
-    for batch in batches(extended(base.log, model, base.sigma), columns_of(model)):
+    for batch in batches(extended(base.log, model, base.sigma, base.values), columns_of(model)):
         weights = batch.weights(keep)
         for block, at in batch.parts():
             if block.run not in wanted:

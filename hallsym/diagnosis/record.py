@@ -24,8 +24,8 @@ class FoundEffect:
     `shrinkage`: 1 - gap with it / gap without it, on the held-out runs, and its 95 % interval from resampled
     blocks. `share`: part of the gap above the noise floor that it closes. `p_value`: of its absence, honest
     for correlated residuals and corrected for the size of the catalogue. `cost`: what it adds to the model.
-    `text`: what `--effect` takes to fit it, empty for faults of the recording. `at_bound`: parameters that ended
-    at a bound; they have no uncertainty, and `note` says so. `note` also says what to do about a fault.
+    `text`: what `--effect` takes to fit it, empty for faults of the recording. `at_bound`: parameters that
+    ended at a bound; they have no uncertainty, and `note` says so. `note` also says what to do about a fault.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Diagnosis:
     after, and of the floor. `smaller_findings`: significant but not worth the threshold. `remaining`: where
     what no effect explains lies. `unexplained`: its share of the gap, what it goes with and how, see `shape`;
     empty unless that is the verdict. `residual`: rms of readings and outputs on fitted and held-out runs.
-    `next_step`: what `hallsym fit LOG` takes to fit the model with the effects found, empty if there are none.
+    `next_step`: what `hallsym fit LOG` takes to fit the model with the effects found; empty without any.
     """
 
     verdict: str

@@ -190,7 +190,9 @@ def _effects(
         index = {n: model.names.index(n) for n in new if n in model.names}
         values = {
             n: Estimate(
-                float(search.now.base.p[j]), None if j in stuck else float(spread[j]), model.parameters[j].unit
+                float(search.now.base.p[j]),
+                None if j in stuck else float(spread[j]),
+                model.parameters[j].unit,
             )
             for n, j in index.items()
         }
@@ -217,12 +219,11 @@ def _effects(
 
 def _stuck(names: Sequence[str]) -> str:
     """What to say of parameters that ended at a bound."""
-    many = len(names) > 1
+    ended = "its bound" if len(names) == 1 else "their bounds"
     return (
-        f"{', '.join(names)} ended at {'their bounds' if many else 'its bound'}: the likelihood asks for more "
-        f"than is allowed, so {'their values have' if many else 'its value has'} no interval, and those of the "
-        "others hold only with it there. Either the bound is wrong for this machine, or another effect does "
-        "part of the work."
+        f"{', '.join(names)} ended at {ended}: the data ask for more than is allowed, so there is no interval, "
+        "and those of the other parameters hold only with it there. Either the bound is wrong for this "
+        "machine, or another effect does part of the work."
     )
 
 

@@ -1,7 +1,6 @@
 """The catalogue of the stage: the field's names, each with the ways in which it may act."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -15,26 +14,19 @@ WIDTHS = (2e-6, 6e-6, 1.5e-5, 4e-5, 1e-4, 2.5e-4)
 
 
 def _one(label: str, name: str, **numbers: object) -> list[Variant]:
-    return [_variant(label, name, **numbers)]
+    return [_variant(label, write(name, **numbers))]
 
 
 def _variant(
-    label: str,
-    name: str,
-    *,
-    shapes: int = 0,
-    shape: float | None = None,
-    tried: int = 1,
-    **numbers: object,
+    label: str, text: str, *, shapes: int = 0, shape: float | None = None, tried: int = 1
 ) -> Variant:
     """The variant that `--effect` builds again from its text."""
-    text = write(name, **numbers)
     return Variant(label, make_of(text), shapes, shape, tried, text)
 
 
 def _forms(name: str, key: str, *forms: tuple[str, object]) -> Callable[[Model, Facts], list[Variant]]:
     """Variants that differ in one choice: labels and values."""
-    return lambda model, facts: [_variant(label, name, **{key: value}) for label, value in forms]
+    return lambda model, facts: [_variant(label, write(name, **{key: value})) for label, value in forms]
 
 
 def _hysteresis(model: Model, facts: Facts) -> list[Variant]:
@@ -48,18 +40,15 @@ def _finer_hysteresis(model: Model, facts: Facts, width: float) -> list[Variant]
 def _play(width: float, facts: Facts, tried: int) -> Variant:
     numbers = {"half_width_m": width} | ({"gains": facts.gains} if facts.gains else {})
     label = f"half-width {1e6 * width:.3g} um"
-    return _variant(label, "hysteresis", shapes=1, shape=width, tried=tried, **numbers)
+    return _variant(label, write("hysteresis", **numbers), shape=width, tried=tried)
 
 
 def _over_time(name: str) -> Callable[[Model, Facts], list[Variant]]:
     def variants(model: Model, facts: Facts) -> list[Variant]:
         T = facts.duration_s
-        out = [
-            _variant(f"polynomial of degree {n}", name, duration_s=T, **({"degree": n} if n > 1 else {}))
-            for n in (1, 2, 3)
-        ]
+        out = [_variant(f"polynomial of degree {n}", write(name, duration_s=T, degree=n)) for n in (1, 2, 3)]
         return out + [
-            _variant(f"settling, {tau:.3g} s", name, shapes=1, shape=tau, settling_s=tau)
+            _variant(f"settling, {tau:.3g} s", write(name, settling_s=tau), shapes=1, shape=tau)
             for tau in (T / 16, T / 5)
         ]
 
@@ -74,8 +63,8 @@ def _slips(model: Model, facts: Facts) -> list[Variant]:
     labels = [probe.label for probe in model.layout]
     return [
         _variant(
-            f"probe {labels[k]} at {t:.6g} s", "mount_slip", shapes=1, shape=t, tried=facts.instants_tried,
-            probe=labels[k], instant_s=t,
+            f"probe {labels[k]} at {t:.6g} s", write("mount_slip", probe=labels[k], instant_s=t),
+            shapes=1, shape=t, tried=facts.instants_tried,
         )
         for k, t in facts.instants
     ]  # fmt: skip
@@ -83,11 +72,11 @@ def _slips(model: Model, facts: Facts) -> list[Variant]:
 
 def _hums(model: Model, facts: Facts) -> list[Variant]:
     tried = max(1, round(sum(b - a for a, b in MAINS) * facts.duration_s))  # independent frequencies
-    searched: dict[str, Any] = {"shapes": 1, "tried": tried}
-    out = [_variant(f"{f:.5g} Hz", "mains_hum", shape=f, frequency_hz=f, **searched) for f in facts.lines_hz]
-    return out + [
-        _variant(f"{f:.5g} Hz and harmonics", "mains_hum", shape=f, frequency_hz=f, harmonics=3, **searched)
+    return [
+        _variant(label, write("mains_hum", frequency_hz=f, harmonics=n), shapes=1, shape=f, tried=tried)
+        for n, more in ((1, ""), (3, " and harmonics"))
         for f in facts.lines_hz
+        for label in (f"{f:.5g} Hz{more}",)
     ]
 
 
@@ -95,11 +84,11 @@ def _clipping(model: Model, facts: Facts) -> list[Variant]:
     out = []
     if np.isfinite(facts.rails).any():
         low, high = np.array(facts.rails).T.tolist()
-        out.append(_variant("where readings repeat", "saturation", shapes=1, low_m=low, high_m=high))
+        out.append(_variant("where readings repeat", write("saturation", low_m=low, high_m=high), shapes=1))
     for k, (high, low) in enumerate(zip(facts.extremes[0::2], facts.extremes[1::2], strict=True)):
         levels = [float(max(h, -v)) for h, v in zip(high, low, strict=True)]
-        rails = {"low_m": [-v for v in levels], "high_m": levels}
-        out.append(_variant(f"rails, try {k + 1}", "saturation", shapes=1, tried=4, **rails))
+        text = write("saturation", low_m=[-v for v in levels], high_m=levels)
+        out.append(_variant(f"rails, try {k + 1}", text, shapes=1, tried=4))
     return out
 
 
@@ -145,9 +134,11 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("offset_temperature_drift", "transducer", "offset follows the logged temperature",
            _warm("offset_temperature_drift"),
            "long runs over which the temperature changes", needs=("temperature_degc",)),
-    Effect("gain_time_drift", "transducer", "gain drifts smoothly over the campaign", _over_time("gain_time_drift"),
+    Effect("gain_time_drift", "transducer", "gain drifts smoothly over the campaign",
+           _over_time("gain_time_drift"),
            "the first setting again at the end; log the temperature"),
-    Effect("offset_time_drift", "transducer", "offset drifts smoothly over the campaign", _over_time("offset_time_drift"),
+    Effect("offset_time_drift", "transducer", "offset drifts smoothly over the campaign",
+           _over_time("offset_time_drift"),
            "long runs at rest; log the temperature"),
     Effect("mount_slip", "mechanics", "one probe or magnet moved at an instant", _slips,
            "the first setting again at the end and in between"),

@@ -49,9 +49,9 @@ def build(
 ) -> Model:
     """Return the model called `name` for the machine that `meta` describes.
 
-    `meta`: probe layout and nominal values of a log folder. `added`: effects by name, with their numbers where
-    they have some (`hallsym.families.recipes`). `parameters`: changed nominal values and bounds,
-    `{"H1x": {"lower": .1}}`. `own`: the user's effects by name. Raises `InputError` that lists the known names.
+    `meta`: probe layout and nominal values of a log folder. `added`: effects by name, with their numbers
+    where they have some (`hallsym.families.recipes`). `parameters`: changed nominal values and bounds,
+    `{"H1x": {"lower": .1}}`. `own`: the user's effects by name. Raises `InputError` that lists known names.
     """
     known = models()
     if name not in known:

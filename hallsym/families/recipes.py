@@ -1,8 +1,8 @@
 """Effects of the stage by what is typed and saved: `hysteresis:half_width_m=6e-05`, a name and its numbers.
 
-A diagnosis names an effect and prints the text that `--effect` takes; a calibration holds the same text, so the
-model can be built again. Numbers that a log must tell first (a width, an instant, a frequency) have no default:
-`hallsym.diagnosis.choose` finds them when only the name is given.
+A diagnosis names an effect and prints the text that `--effect` takes; a calibration holds the same text, so
+the model can be built again. Numbers that a log must tell first (a width, an instant, a frequency) have no
+default: `hallsym.diagnosis.choose` finds them when only the name is given.
 """
 
 import inspect
@@ -31,7 +31,7 @@ FAULTS = {
 
 
 def height_quadratic(*, form: str = "full") -> Make:
-    """Gain bends with height: all second-order terms of Z, Rx, Ry (full), or of each probe's height (tied)."""
+    """Gain bends with Z, Rx, Ry: all second-order terms (full), or each probe's height squared (tied)."""
     return {"full": se.height_quadratic, "tied": se.height_quadratic_tied}[_among("form", form, "full tied")]
 
 
@@ -70,7 +70,7 @@ def first_order_lag(*, per: str = "log") -> Make:
 
 
 def hysteresis(*, half_width_m: float, gains: tuple = ()) -> Make:
-    """Memory of the direction of motion: a play of this half-width of reading; gains of the probes at rest."""
+    """Memory of the direction of motion: a play of this half-width of reading; gains of probes at rest."""
     _positive("half_width_m", half_width_m)
     return se.hysteresis(half_width_m, gains)
 
@@ -107,6 +107,7 @@ def offset_settling(*, settling_s: float) -> Make:
 
 def mount_slip(*, probe: str, instant_s: float) -> Make:
     """One probe moves at an instant since the log began."""
+
     def make(model: Model) -> Model:
         labels = [p.label for p in model.layout]
         if probe not in labels:
@@ -132,6 +133,7 @@ def mains_hum(*, frequency_hz: float, harmonics: int = 1) -> Make:
 
 def saturation(*, low_m: tuple, high_m: tuple) -> Make:
     """Readings stop at a rail: lowest and highest value of each probe."""
+
     def make(model: Model) -> Model:
         if not len(low_m) == len(high_m) == len(model.layout):
             raise InputError(f"Rails of saturation must be {len(model.layout)} numbers each, as -2e-4/-2e-4.")
@@ -170,8 +172,8 @@ RECIPES: dict[str, tuple[Callable[..., Make], ...]] = {
     for f in (
         vertical_gain_coupling, height_quadratic, odd_nonlinearity, even_nonlinearity, cross_axis_sensitivity,
         second_order_rotation, vertical_offset_coupling, time_skew, first_order_lag, hysteresis,
-        gain_temperature_drift, offset_temperature_drift, mount_slip, motor_stray_field, saturation, mains_hum,
-        reference_scale_error, reference_abbe_error, reference_drift,
+        gain_temperature_drift, offset_temperature_drift, mount_slip, motor_stray_field, saturation,
+        mains_hum, reference_scale_error, reference_abbe_error, reference_drift,
     )
 } | {"gain_time_drift": (gain_time_drift, gain_settling),
      "offset_time_drift": (offset_time_drift, offset_settling)}  # fmt: skip
@@ -212,7 +214,7 @@ def lacking(text: str) -> tuple[str, ...]:
     if not forms:
         return ()
     open_ = [[k for k, v in _arguments(f).items() if v.default is v.empty and k not in given] for f in forms]
-    return tuple(min(open_, key=len))
+    return tuple(sorted(open_, key=lambda names: len(names))[0])
 
 
 def make_of(text: str) -> Make:

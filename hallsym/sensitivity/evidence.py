@@ -80,7 +80,10 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         undetermined_by_log=found.undetermined_by_log,
         noise_floor=found.noise_floor,
         workspace=visited(
-            found.source, found.model, sigma={c: s.value for c, s in found.noise.sigmas.items()}
+            found.source,
+            found.model,
+            sigma={c: s.value for c, s in found.noise.sigmas.items()},
+            values=found.model.named(found.values),
         ),
         recorded=found.source.name,
         notes=notes,
