@@ -90,7 +90,7 @@ def error_tables(
     """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
 
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
-    column, for the columns that are computed; those that depend on parameters are taken at the last version's.
+    column, for the columns that are computed; those of parameters are taken at the last version's.
     """
     errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
     sums: list[dict[int, list]] = [{} for _ in versions]

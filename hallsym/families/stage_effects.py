@@ -363,8 +363,8 @@ def stop_state(u: np.ndarray, width: float) -> np.ndarray:
     """Return state and d state / d width of a play whose state at the first sample nobody knows, (2, n).
 
     From every start s in [-1, 1] the state is clip(s + U, low, high): U the travel over the width, low and
-    high the states from -1 and 1. Returned is the mean over all starts; once the motion has covered 2 width, low
-    and high are one and the state is known.
+    high the states from -1 and 1. Returned is the mean over all starts; once the motion has covered 2 width,
+    low and high are one and the state is known.
     """
     if len(u) == 0:
         return np.zeros((2, 0))
