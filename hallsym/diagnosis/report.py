@@ -221,9 +221,9 @@ def _stuck(names: Sequence[str]) -> str:
     """What to say of parameters that ended at a bound."""
     ended = "its bound" if len(names) == 1 else "their bounds"
     return (
-        f"{', '.join(names)} ended at {ended}: the data ask for more than is allowed, so there is no "
-        "interval, and those of the other parameters hold only with it there. Either the bound is wrong for this "
-        "machine, or another effect does part of the work."
+        f"{', '.join(names)} ended at {ended}: the data ask for more than is allowed; there is no interval, "
+        "and those of the others hold only with it there. Either the bound is wrong for this machine, or "
+        "another effect does part of the work."
     )
 
 
