@@ -29,7 +29,7 @@ from hallsym.passes import cost_near, judge
 
 SLOW = pytest.mark.slow
 NUMBERS = {
-    "hysteresis": ("half_width_m=6e-05,gains=0.87/0.7/0.86",),
+    "hysteresis": ("half_width_m=6e-05",),
     "gain_temperature_drift": ("mean_degc=21.5",),
     "offset_temperature_drift": ("mean_degc=21.5",),
     "gain_time_drift": ("duration_s=60,degree=3", "settling_s=12"),
@@ -163,12 +163,14 @@ def test_every_effect_of_the_catalogue_has_a_text_and_every_fault_a_remedy() -> 
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.floats(1e-7, 1e-3), st.tuples(*[st.floats(0.1, 2.0)] * 3))
-def test_numbers_are_read_as_they_are_written(width: float, gains: tuple[float, ...]) -> None:
-    text = write("hysteresis", half_width_m=width, gains=gains)
-    wide = make_of(text)(build("stage31"))
+@given(st.floats(1e-7, 1e-3), st.tuples(*[st.floats(-1e-3, 1e-3)] * 3))
+def test_numbers_are_read_as_they_are_written(width: float, rails: tuple[float, ...]) -> None:
+    wide = make_of(write("hysteresis", half_width_m=width))(build("stage31"))
     (parameter,) = [p for p in wide.parameters if p.name == "half_width"]
     assert parameter.nominal == pytest.approx(width, rel=1e-8)
+    low, _, high = write("saturation", low_m=rails, high_m=rails).partition(":")[2].partition(",high_m=")
+    assert [float(v) for v in high.split("/")] == pytest.approx(list(rails), rel=1e-8)
+    assert low.removeprefix("low_m=") == high
 
 
 @pytest.mark.parametrize(

@@ -30,17 +30,16 @@ def _forms(name: str, key: str, *forms: tuple[str, object]) -> Callable[[Model, 
 
 
 def _hysteresis(model: Model, facts: Facts) -> list[Variant]:
-    return [_play(w, facts, len(WIDTHS)) for w in WIDTHS]
+    return [_play(w, len(WIDTHS)) for w in WIDTHS]
 
 
 def _finer_hysteresis(model: Model, facts: Facts, width: float) -> list[Variant]:
-    return [_play(width * 1.22**k, facts, 1) for k in (-3, -2, -1, 1, 2, 3)]
+    return [_play(width * 1.22**k, 1) for k in (-3, -2, -1, 1, 2, 3)]
 
 
-def _play(width: float, facts: Facts, tried: int) -> Variant:
-    numbers = {"half_width_m": width} | ({"gains": facts.gains} if facts.gains else {})
-    label = f"half-width {1e6 * width:.3g} um"
-    return _variant(label, write("hysteresis", **numbers), shape=width, tried=tried)
+def _play(width: float, tried: int) -> Variant:
+    text = write("hysteresis", half_width_m=width)
+    return _variant(f"half-width {1e6 * width:.3g} um", text, shape=width, tried=tried)
 
 
 def _over_time(name: str) -> Callable[[Model, Facts], list[Variant]]:

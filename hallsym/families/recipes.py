@@ -69,10 +69,10 @@ def first_order_lag(*, per: str = "log") -> Make:
     return se.delayed("first_order_lag", _among("per", per, "log probe") == "log")
 
 
-def hysteresis(*, half_width_m: float, gains: tuple = ()) -> Make:
-    """Memory of the direction of motion: a play of this half-width of reading; gains of probes at rest."""
+def hysteresis(*, half_width_m: float) -> Make:
+    """Memory of the direction of motion: a play of about this half-width of reading."""
     _positive("half_width_m", half_width_m)
-    return se.hysteresis(half_width_m, gains)
+    return se.hysteresis(half_width_m)
 
 
 def gain_temperature_drift(*, mean_degc: float) -> Make:

@@ -391,31 +391,25 @@ def _stop_from(u: np.ndarray, width: float, start: float) -> tuple[np.ndarray, n
     return z, slope
 
 
-def _play(what: str, model: Model, k: int, width: float, gain: float) -> Computed:
-    """Return `state` or `slope` of the play of probe k as a column; `width` in m of reading, slope in 1/m."""
-    row = ("state", "slope").index(what)
-    name = f"{what}_{_labels(model)[k]}_{width:.6g}"
+def _play(what: str, model: Model, k: int, width: float) -> Computed:
+    """Return `state`, `slope` or `width` of the play of probe k as a column; `width` in m of reading.
 
-    def taken(at: float) -> Computed:
+    The play is in what the probe feels: its half-width there is that of the reading over the gain at rest.
+    `slope` is d state / d half-width [1/m], `width` the half-width [m] at which both are taken.
+    """
+    label = _labels(model)[k]
+
+    def taken(values: Mapping[str, float]) -> Computed:
+        at = values.get(WIDTH, width) / values.get(f"eta_{label}", 1.0)
+
         def column(s: Stretch) -> np.ndarray:
-            found = stop_state(_felt(model, k, s), at / gain)[row]
-            return found / gain if row else found
+            if what == "width":
+                return np.full(len(s.data["t_s"]), at)
+            return stop_state(_felt(model, k, s), at)[("state", "slope").index(what)]
 
-        return Computed(name, AXES, column, lambda v: taken(v.get(WIDTH, width)), f"{at:.17g}")
+        return Computed(f"{what}_{label}_{width:.6g}", AXES, column, taken, f"{at:.17g}")
 
-    return taken(width)
-
-
-def _width(width: float) -> Computed:
-    """Return the half-width at which the columns of the play are taken, as a column."""
-
-    def taken(at: float) -> Computed:
-        def column(s: Stretch) -> np.ndarray:
-            return np.full(len(s.data["t_s"]), at)
-
-        return Computed(f"width_{width:.6g}", (), column, lambda v: taken(v.get(WIDTH, width)), f"{at:.17g}")
-
-    return taken(width)
+    return taken({})
 
 
 WIDTH = "half_width"
@@ -432,33 +426,33 @@ def _wave(kind: str, frequency_hz: float) -> Computed:
     return Computed(f"{kind}_{frequency_hz:.9g}", (), column)
 
 
-def hysteresis(width_m: float, gains: Sequence[float] = ()) -> Make:
+def hysteresis(width_m: float) -> Make:
     """Displacement plus h z, z the elastic part of a play; h per probe, and one half-width [m of reading].
 
-    `width_m`: about the half-width; a fit moves it, by the slope of z with it. `gains`: of probes at rest.
-    Of the state in which a run starts nobody knows anything: see `stop_state`.
+    `width_m`: about the half-width; a fit moves it, by the slope of z with it. Of the state in which a run
+    starts nobody knows anything: see `stop_state`.
     """
 
     def make(model: Model) -> Model:
         labels = _labels(model)
         names = [f"loop_{k}" for k in labels]
-        known = [abs(g) for g in gains] or [1.0] * len(labels)
-        states = [_play("state", model, k, width_m, known[k]) for k in range(len(labels))]
-        slopes = [_play("slope", model, k, width_m, known[k]) for k in range(len(labels))]
-        width = _width(width_m)
+        columns = [
+            [_play(what, model, k, width_m) for what in ("state", "slope", "width")]
+            for k in range(len(labels))
+        ]
 
         def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
-            off = p[WIDTH] - s[width.name]
-            rows = [
-                p[n] * (s[z.name] + s[by.name] * off) for n, z, by in zip(names, states, slopes, strict=True)
-            ]
+            rows = []
+            for k, row in zip(labels, columns, strict=True):
+                state, slope, at = (s[c.name] for c in row)
+                rows.append(p[f"loop_{k}"] * (state + slope * (p[WIDTH] / p[f"eta_{k}"] - at)))
             s["displacement"] = s["displacement"] + ca.vertcat(*rows)
 
         new = (
             *_free(names, 1e-4, "m", "half loop"),
             Parameter(WIDTH, width_m, width_m / 4, width_m * 4, "m", "half-width of the loop, of reading"),
         )
-        return _add(model, "field", "hysteresis", new, step, *states, *slopes, width)
+        return _add(model, "field", "hysteresis", new, step, *(c for row in columns for c in row))
 
     return make
 
