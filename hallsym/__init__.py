@@ -10,7 +10,7 @@
 from hallsym.budget import Budget, Source, position_budget, read_budget, uncertainty_map
 from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign, write_campaign
-from hallsym.decoding import ErrorTable, judge
+from hallsym.decoding import ErrorTable
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.diagnosis.selftest import SelfTest, selftest
 from hallsym.errors import InputError
@@ -19,6 +19,7 @@ from hallsym.fitting import fit, refit
 from hallsym.log import Log, LogWriter, Meta, Noise, read_log, write_log
 from hallsym.model import Model, Parameter
 from hallsym.paper import bundled_campaign
+from hallsym.passes import judge
 from hallsym.planning import Plan, Ranges, paper_ranges, plan, read_ranges
 from hallsym.sensitivity import Identifiability, identify
 from hallsym.tolerancing import Tolerances, read_tolerances, tolerances

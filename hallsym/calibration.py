@@ -1,7 +1,7 @@
 """A fit: parameter values with honest uncertainties, what is determined instead, errors before and after."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from hallsym.cost import Cost
 from hallsym.decoding import ErrorTable
 from hallsym.determination import Determination
 from hallsym.errors import InputError
-from hallsym.families import build
+from hallsym.families import build, known_effect
 from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.model import Model
@@ -124,6 +124,7 @@ class Fit:
             "model": model.name,
             "effects": list(model.effects),
             "added": list(added_effects(model)),
+            "own_effects": [e for e in added_effects(model) if not known_effect(e)],
             "parameters": parameters,
             "combinations": [vars(c) for c in self.combinations],
             "errors": dict(self.error_rows),
@@ -159,8 +160,11 @@ class Fit:
         atomic_write(Path(path), (text + "\n").encode())
 
 
-def load_fit(path: str | Path) -> Fit:
-    """Read a calibration that `Fit.save` wrote. Raises `InputError` for a missing or foreign file."""
+def load_fit(path: str | Path, own: Mapping[str, Callable[[Model], Model]] | None = None) -> Fit:
+    """Read a calibration that `Fit.save` wrote. Raises `InputError` for a missing or foreign file.
+
+    `own`: the user's effects by name, if it was fitted with any.
+    """
     path = Path(path)
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
@@ -178,14 +182,14 @@ def load_fit(path: str | Path) -> Fit:
             f"File {path} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
         )
     try:
-        return _from_dict(raw)
+        return _from_dict(raw, own or {})
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"Calibration {path} is incomplete ({error!r}); fit the log again.") from None
 
 
-def _from_dict(raw: Mapping[str, Any]) -> Fit:
+def _from_dict(raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model]]) -> Fit:
     entries = raw["parameters"]
     changes = {
         n: {"nominal": e["nominal"], "lower": _bound(e["lower"], -1), "upper": _bound(e["upper"], 1)}
@@ -198,7 +202,13 @@ def _from_dict(raw: Mapping[str, Any]) -> Fit:
     probes = [
         {"channel": p["channel"], "position_m": p["position_m"], "senses": p["senses"]} for p in raw["layout"]
     ]
-    model = build(raw["model"], meta=Meta(probes=probes), added=tuple(raw["added"]))
+    unknown = [name for name in raw.get("own_effects", ()) if name not in own]
+    if unknown:
+        raise InputError(
+            f"The calibration was fitted with {', '.join(unknown)}, an effect of your own; "
+            "give the file that defines it: --effects my_effects.py."
+        )
+    model = build(raw["model"], meta=Meta(probes=probes), added=tuple(raw["added"]), own=own)
     model = model.with_parameters(changes)
     names = model.names
     column = {k: np.array([_float(entries[n][k]) for n in names]) for k in ("value", "std")}
@@ -233,9 +243,10 @@ def _from_dict(raw: Mapping[str, Any]) -> Fit:
 
 
 def added_effects(model: Model) -> Sequence[str]:
-    """Return the effects that `model` has beyond those its name stands for."""
+    """Return the effects that `model` has beyond those its name stands for, with their numbers."""
     base = build(model.name, meta=Meta(probes=[_probe(p) for p in model.layout])).effects
-    return model.effects[len(base) :]
+    new = [model.texts.get(effect, effect) for effect in model.effects[len(base) :]]
+    return list(dict.fromkeys(new))
 
 
 def _probe(probe: Any) -> dict[str, Any]:

@@ -43,6 +43,10 @@ class Computed:
     name: str
     needs: tuple[str, ...]
     rule: Callable[[Stretch], np.ndarray]
+    at: Callable[[Mapping[str, float]], Computed] | None = None
+    """Of a column that depends on parameters (the width of a loop): the column at their values."""
+    key: str = ""
+    """Says what `name` does not, once it is taken at values."""
 
 
 @dataclass(eq=False)
@@ -160,7 +164,13 @@ class ExtendedLog:
     def _column(self, made: Computed, stretch: Stretch, inner: slice) -> np.ndarray:
         """Return a computed column of a block, kept for the next pass while there is room."""
         kept = _KEPT.setdefault(self.log, {})
-        key = (made.name, stretch.run, float(stretch.data["t_s"][inner.start]), inner.stop - inner.start)
+        key = (
+            made.name,
+            made.key,
+            stretch.run,
+            float(stretch.data["t_s"][inner.start]),
+            inner.stop - inner.start,
+        )
         if key not in kept:
             values = _finite(made.rule(stretch))[inner]
             if len(kept) * values.nbytes > ROOM:
@@ -213,13 +223,21 @@ class _Held:
             self.done = stop - cut
 
 
-def extended(log: Log, model: Model, sigma: Mapping[str, float] | None = None) -> Any:
+def extended(
+    log: Log,
+    model: Model,
+    sigma: Mapping[str, float] | None = None,
+    values: Mapping[str, float] | None = None,
+) -> Any:
     """Return the log with the computed columns of `model`; the log itself if there are none.
 
-    `sigma`: noise by column, the log's own where not given.
+    `sigma`: noise by column, the log's own where not given. `values`: parameters by name, for columns that
+    depend on some (nominal where not given).
     """
+    if not model.computed:
+        return log
     known = {c: s.value for c, s in log.noise.sigmas.items()} | dict(sigma or {})
-    return ExtendedLog(log, model.computed, known) if model.computed else log
+    return ExtendedLog(log, [c.at(values) if c.at and values else c for c in model.computed], known)
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

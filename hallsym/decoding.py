@@ -7,10 +7,9 @@ import numpy as np
 
 from hallsym.arrays import on_arrays
 from hallsym.batches import Weigh, batches
-from hallsym.cost import cost_of
+from hallsym.computed import extended
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.summary import summarise
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +49,35 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
     return decode
 
 
+Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
+
+
+def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
+    """Return `errors(p, zeros, data) -> (n_pose, samples)`: decoded pose minus reference.
+
+    A reading at its rail has lost its pose: with `saturation` the errors are those of the readings, mapped to
+    the pose to first order.
+    """
+    weight = 1.0 / np.asarray(reading_variance)
+    if "saturation" not in model.effects:
+        decode = decoder(model, reading_variance)
+
+        def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+            readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
+            return decode(p, zeros, readings, states) - np.array([data[c] for c in model.references])
+
+        return decoded
+    read, spread = on_arrays(model.reading), on_arrays(model.noise_gain)
+
+    def mapped(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+        pose, states = ([data[c] for c in names] for names in (model.references, model.state))
+        residual = np.array([data[c] for c in model.channels]) - read(p, zeros, pose, states)[0]
+        (gain,) = spread(p, states, weight)
+        return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
+
+    return mapped
+
+
 def error_tables(
     log: Log,
     model: Model,
@@ -57,37 +85,36 @@ def error_tables(
     reading_variance: np.ndarray,
     keep: Weigh | None = None,
     on_rows: Callable[[int], None] | None = None,
+    sigma: Mapping[str, float] | None = None,
 ) -> list[ErrorTable]:
     """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
 
-    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part.
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
+    column, for the columns that are computed; those of parameters are taken at the last version's.
     """
-    decode, none = decoder(model, reading_variance), np.zeros(len(model.zeros))
+    errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
     sums: list[dict[int, list]] = [{} for _ in versions]
-    for batch in batches(log, columns_of(model), on_rows):
-        readings, states = batch.columns(model.channels), batch.columns(model.state)
+    wide = extended(log, model, sigma, model.named(versions[-1][0]))
+    for batch in batches(wide, columns_of(model), on_rows):
         weights, lengths = batch.weights(keep), np.diff(batch.edges)
         for (p, zeros), total in zip(versions, sums, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
-            error = decode(p, np.repeat(own, lengths, axis=0).T, readings, states)
-            for row, column in zip(error, model.references, strict=True):
-                row -= batch.data[column]
+            error = errors_of(p, np.repeat(own, lengths, axis=0).T, batch.data)
             for block, at in batch.parts():
                 _add(total, block.run, error[:, at] if weights is None else error[:, at][:, weights[at] > 0])
     return [_table(model, total) for total in sums]
 
 
-def judge(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float]) -> ErrorTable:
-    """Return the errors of fixed parameters on another log; each run's zeros are estimated from that run."""
-    summary = summarise(log, model)
-    cost = cost_of(summary, noise)
-    zeros = dict(zip(summary.runs, cost.at(p).zeros, strict=True))
-    return error_tables(log, model, [(p, zeros)], cost.reading_variance)[0]
-
-
 def columns_of(model: Model) -> tuple[str, ...]:
-    """Log columns a model needs for fitting: references, state, channels."""
+    """Columns a model reads: references, state (computed ones too), channels."""
     return (*model.references, *model.state, *model.channels)
+
+
+def logged_columns(model: Model) -> tuple[str, ...]:
+    """Return the columns that a log must hold: those a model reads, and what the computed ones need."""
+    made = {c.name for c in model.computed}
+    needed = [c for m in model.computed for c in m.needs] + (["t_s"] if made else [])
+    return tuple(dict.fromkeys(c for c in (*columns_of(model), *needed) if c not in made))
 
 
 def _add(total: dict[int, list], run: int, error: np.ndarray) -> None:

@@ -110,8 +110,11 @@ def structural_null(
         return np.zeros((len(scale), 0))
     rank, _ = structural_rank(coefficients.features, tuple(open_.tolist()), points, seed)
     at = _random_points(model, points, seed)[-1] if p is None else p
-    slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
-    jacobian = (np.swapaxes(slope, 1, 2).reshape(-1, len(scale)) * scale)[:, open_]
+    rows = coefficients.features.slope_rows(np.asarray(at, dtype=float))
+    if rows is None:
+        slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
+        rows = np.swapaxes(slope, 1, 2).reshape(-1, len(scale))
+    jacobian = (rows * scale)[:, open_]
     null = np.zeros((len(scale), int(open_.sum()) - rank))
     null[open_] = np.linalg.svd(jacobian)[2][rank:].T
     return null
@@ -135,9 +138,13 @@ def structural_rank(
     """
     model = features.model
     at = _random_points(model, points, seed).astype(np.longdouble)
-    slope = on_arrays(features.expansion[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
-    shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, points)
-    rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, points).T * scales(model)
+    sampled = [rows for point in at if (rows := features.slope_rows(point)) is not None]
+    if sampled:
+        rows = np.array(sampled) * scales(model)
+    else:
+        slope = on_arrays(features.expansion[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
+        shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, points)
+        rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, points).T * scales(model)
     tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]
     floor = rows.shape[1] * 1e3 * float(np.finfo(np.longdouble).eps)
     ranks = [int(np.sum(pivots > floor * pivots.max(initial=0.0))) for pivots in tried]

@@ -113,6 +113,10 @@ class Features:
         first = ca.Function("coefficients", [p, centre], [stacked, ca.densify(ca.jacobian(flat, p))])
         return first, ca.Function("curvature", [p, centre, weights], [ca.densify(hessian)])
 
+    def slope_rows(self, p: np.ndarray) -> np.ndarray | None:
+        """Return rows (m, n) that show what no recording determines at `p`; None: the coefficients do."""
+        return None
+
     def label(self, j: int) -> str:
         """Readable name of feature j, such as `x_m*z_m`; `1` for the constant."""
         s = self.model

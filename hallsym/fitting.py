@@ -18,13 +18,15 @@ from hallsym import outliers, start, uncertainty
 from hallsym.batches import Weigh
 from hallsym.calibration import Errors, Fit
 from hallsym.cost import Cost, cost_of
-from hallsym.decoding import columns_of, error_tables
+from hallsym.decoding import error_tables, logged_columns
 from hallsym.determination import Determination, determine
 from hallsym.errors import InputError, nearest
-from hallsym.families import adapted, build
+from hallsym.families import adapted, build, plain
+from hallsym.linearised import exact
 from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
 from hallsym.log.drop import Drop, without
 from hallsym.model import Model
+from hallsym.passes import optimum
 from hallsym.search import SOLVERS, Search, refit, search
 from hallsym.summary import Summary, summarise
 from hallsym.wiring import check_wiring, find_wiring, rewired
@@ -51,6 +53,7 @@ def fit(
     loss: str = "auto",
     parameters: Mapping[str, Mapping[str, float]] | None = None,
     effects: Sequence[str] = (),
+    own: Mapping[str, Callable[[Model], Model]] | None = None,
     resolve_wiring: bool = False,
     drop_bad: bool = False,
     seed: int = 0,
@@ -64,8 +67,12 @@ def fit(
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
     always looks for them, "tukey" weighs every sample by Tukey's biweight, "none" is plain least squares.
-    `parameters`: changed nominal values and bounds. `effects`: effects to add, by name. `start`: (n,) values
-    to begin from instead of the closed form.
+    `parameters`: changed nominal values and bounds. `effects`: effects to add, by name, with their numbers or
+    without (`hysteresis:half_width_m=6e-05`; `hallsym.diagnosis.choose.model_on` finds them on a log). `own`:
+    the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
+
+    A model that has no run summaries (memory, rates, a term of higher order in the zeros) is fitted from the
+    optimum of the model without its effects by Gauss-Newton steps, one pass over the log each.
 
     Raises `InputError` for a log that cannot be what the model needs.
     """
@@ -73,15 +80,23 @@ def fit(
     _choice(solver, SOLVERS, "solver")
     _choice(loss, LOSSES, "loss")
     if isinstance(model, Model):
-        model = adapted(model, tuple(effects), parameters or {})
+        model = adapted(model, tuple(effects), parameters or {}, own)
     else:
         name = model or log.meta.base_model or "stage31"
-        model = build(name, meta=log.meta, added=tuple(effects), parameters=parameters)
+        model = build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
     say("checking the log")
-    columns = columns_of(model)
+    columns = logged_columns(model)
     log = clean_log(log, columns) if drop_bad else log
     notes = list(log.notes) if drop_bad else check_log(log, columns)
     apart = _apart(log, log.meta.holdout if holdout is None else holdout)
+    if not exact(model):
+        first = None
+        if exact(base := plain(model)):
+            first = fit(
+                log, base, solver=solver, holdout=apart, loss=loss, resolve_wiring=resolve_wiring, seed=seed,
+                on_progress=on_progress,
+            )  # fmt: skip
+        return _by_passes(log, model, first, apart, notes, solver, loss, seed, start, say, began)
     task = _Task(log, model, noise_of(log, model, apart), solver, seed, say, start)
     state = task.solve(task.summary(), apart)
     wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
@@ -102,15 +117,45 @@ def fit(
     return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
 
 
+def _by_passes(
+    log: Log,
+    model: Model,
+    first: Fit | None,
+    apart: tuple[int, ...],
+    notes: Sequence[str],
+    solver: str,
+    loss: str,
+    seed: int,
+    start: np.ndarray | None,
+    say: Progress,
+    began: float,
+) -> Fit:
+    """Fit a model without run summaries, from `first`: the fit of what it is without its effects."""
+    begin, keep, wiring = model.nominal, None, None
+    if first is not None:
+        log, keep, wiring = first.source or log, first.keep, first.wiring
+        known = dict(zip(first.model.names, first.values.tolist(), strict=True))
+        begin = model.vector({n: v for n, v in known.items() if n in model.names})
+        zeros = _zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
+        notes = [note for note in first.notes if note not in zeros]
+    noise = noise_of(log, model, apart)
+    if first is not None:
+        noise = noise.merged(first.noise)
+    task = _Task(log, model, noise, solver, seed, say, start)
+    found = optimum(log, model, task.sigmas, begin if start is None else start, apart, keep, say)
+    state = State(found.everything, found.fitted, found.determination, found.search, apart)
+    errors = task.errors(state, keep)
+    seconds = perf_counter() - began
+    result = _result(task, state, errors, tuple(notes), wiring, loss, seconds)
+    return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
+
+
 @dataclass(frozen=True, eq=False)
 class State:
     """A solved fit: costs of all and of the fitted runs, what is determined, and the optimum."""
 
     everything: Cost
     fitted: Cost
-    linear: start.LinearFit
-    merged: Cost
-    closed_form: np.ndarray
     determination: Determination
     search: Search
     holdout: tuple[int, ...]
@@ -128,6 +173,15 @@ class State:
     def zeros(self) -> dict[int, np.ndarray]:
         """Zero displacements of every run, held-out ones included."""
         return dict(zip(self.everything.summary.runs, self.everything.at(self.p).zeros, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Started(State):
+    """A solved fit of run summaries, with what it was started and is checked with."""
+
+    linear: start.LinearFit
+    merged: Cost
+    closed_form: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +210,7 @@ class _Task:
         """Return the run summaries of the log."""
         return summarise(self.log, self.model, weigh, self.counting("summarising runs"))
 
-    def solve(self, summary: Summary, holdout: tuple[int, ...], solver: str | None = None) -> State:
+    def solve(self, summary: Summary, holdout: tuple[int, ...], solver: str | None = None) -> Started:
         """Find the optimum of one set of summaries."""
         used = [run for run in summary.runs if run not in holdout]
         everything = cost_of(summary, self.sigmas)
@@ -171,13 +225,13 @@ class _Task:
         solver = solver or self.solver
         self.say(f"solving with {solver}")
         found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
-        return State(everything, fitted, linear, merged, closed_form, determination, found, holdout)
+        return Started(everything, fitted, determination, found, holdout, linear, merged, closed_form)
 
     def errors(self, state: State, keep: Weigh | None) -> Errors:
         versions = [(self.model.nominal, {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
         designed, fitted = error_tables(
-            self.log, self.model, versions, variance, keep, self.counting("tabulating errors")
+            self.log, self.model, versions, variance, keep, self.counting("tabulating errors"), self.sigmas
         )
         return Errors(designed, fitted, state.holdout)
 
@@ -185,7 +239,7 @@ class _Task:
         floor = np.array(list(uncertainty.noise_floor(state.fitted, state.p).values()))
         return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
 
-    def without_outliers(self, state: State, loss: str) -> tuple[State, Weigh | None, list[str]]:
+    def without_outliers(self, state: Started, loss: str) -> tuple[Started, Weigh | None, list[str]]:
         """Take outliers out, refit, until the same samples are left."""
         total, before, whole = float(state.everything.summary.counts.sum()), -1.0, state
         weigh = outliers.column_spikes((*self.model.references, *self.model.channels))
@@ -219,7 +273,7 @@ class _Task:
             return outliers.tukey(residual, covariance)
         return outliers.reject_spikes(residual, covariance, (*self.model.references, *self.model.channels))
 
-    def check(self, state: State) -> None:
+    def check(self, state: Started) -> None:
         """Refuse a reference that does not belong, and channels that no value in the bounds explains."""
         start.check_reference(self.model, state.linear.unexplained, self.log.name)
         lower, upper = self.model.bounds
@@ -245,7 +299,8 @@ def noise_of(log: Log, model: Model | None, apart: Sequence[int] = ()) -> Noise:
 
     Runs in `apart` (held out) take no part in the estimate.
     """
-    columns = columns_of(model) if model else tuple(c for c in log.columns if c not in ("run", "t_s"))
+    columns = logged_columns(model) if model else tuple(c for c in log.columns if c not in ("run", "t_s"))
+    columns = tuple(c for c in columns if c != "t_s")
     missing = [c for c in columns if c not in log.noise]
     used = without(log, Drop(runs=frozenset(apart))) if missing and apart else log
     noise = log.noise.merged(estimate_noise(used, missing)) if missing else log.noise

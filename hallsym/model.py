@@ -8,7 +8,7 @@ leave behind, so there is one copy of the mathematics.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -96,6 +96,8 @@ class Model:
     """Start from unconstrained feature coefficients, if the family has one; nominal values otherwise."""
     computed: tuple[Computed, ...] = ()
     """How to make the columns among `state` that are not logged (`hallsym.computed.extended` serves them)."""
+    texts: Mapping[str, str] = field(default_factory=dict)
+    """What an effect is saved as where its name does not say all: `hysteresis:half_width_m=6e-05`."""
 
     def with_step(
         self,
@@ -183,6 +185,10 @@ class Model:
                     f"Model {self.name} has no parameter {name!r}{nearest(name, list(self.names))}."
                 )
         return np.array([values.get(p.name, p.nominal) for p in self.parameters], dtype=float)
+
+    def named(self, values: np.ndarray) -> dict[str, float]:
+        """Return a parameter vector (n,) as values by name."""
+        return dict(zip(self.names, np.asarray(values, dtype=float).tolist(), strict=True))
 
     # -- expressions -------------------------------------------------------------------------------------
 

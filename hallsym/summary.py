@@ -89,15 +89,35 @@ def summarise(
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
     `on_rows(samples so far)` is called along the way.
     """
-    features = find_features(model)
+    features, known = find_features(model), list[np.ndarray]()
+
+    def centre(batch: Batch) -> np.ndarray:
+        if not known:
+            known.append(_centre(features, batch))
+        return known[0]
+
+    return summarised(log, features, centre, weigh, on_rows)
+
+
+def summarised(
+    log: Log,
+    features: Features,
+    place: Callable[[Batch], np.ndarray],
+    weigh: Weigh | None = None,
+    on_rows: Callable[[int], None] | None = None,
+) -> Summary:
+    """Read a log once and return the run summaries of given features.
+
+    `place(batch)`: what the features are taken at: one centre (n_variables,) for all, or zeros (z, samples).
+    """
+    model = features.model
     columns = (*model.references, *model.state, *model.channels)
-    centre: np.ndarray | None = None
+    centre = np.zeros(0)
     gathered: dict[int, _Run] = {}
     for batch in batches(log, columns, on_rows):
-        if centre is None:
-            centre = _centre(features, batch)
-        _gather(gathered, features, centre, batch, batch.weights(weigh))
-    assert centre is not None
+        at = place(batch)
+        centre = at if at.ndim == 1 else centre
+        _gather(gathered, features, at, batch, batch.weights(weigh))
     runs = list(gathered.values())
     return Summary(
         features=features,
@@ -121,7 +141,7 @@ def _centre(features: Features, batch: Batch) -> np.ndarray:
 def _gather(
     gathered: "dict[int, _Run]",
     features: Features,
-    centre: np.ndarray,
+    at: np.ndarray,
     batch: Batch,
     weights: np.ndarray | None,
 ) -> None:
@@ -129,21 +149,22 @@ def _gather(
     model, n = features.model, features.size
     pose, state = batch.columns(model.references), batch.columns(model.state)
     rows = np.empty((len(batch), n + len(model.channels)))
-    rows[:, :n] = features.values(pose, state, centre)[0].T
+    rows[:, :n] = features.values(pose, state, at)[0].T
     rows[:, n:] = np.transpose(batch.columns(model.channels))
     if weights is not None:
         rows *= np.sqrt(weights)[:, None]
     weight = np.ones(len(batch)) if weights is None else weights
     states = np.array(state) if state else np.zeros((0, len(batch)))
     pick, edges = _sparse(batch)
-    slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], centre)[0]
+    there = at if at.ndim == 1 else at[:, pick]
+    slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], there)[0]
     slopes = slopes.reshape(len(pose) + len(state), n, -1)
     # features that carry zeros: their slope with the state is a second-order weight, left out so that the
     # weight of a residual does not depend on the zeros
     slopes[:, : features.n_zero] = 0.0
-    for k, (block, at) in enumerate(batch.parts()):
-        run = gathered.setdefault(block.run, _Run(states[:, at.start]))
-        run.add(rows[at], weight[at], states[:, at])
+    for k, (block, part) in enumerate(batch.parts()):
+        run = gathered.setdefault(block.run, _Run(states[:, part.start]))
+        run.add(rows[part], weight[part], states[:, part])
         run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[pick[edges[k] : edges[k + 1]]])
 
 

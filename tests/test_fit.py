@@ -266,7 +266,8 @@ def test_effects_apply_to_a_model_given_as_such(log):
         ({"solver": "tblo"}, "did you mean 'tlbo'"),
         ({"loss": "huber"}, "auto, none, reject, tukey"),
         ({"model": "stage13"}, "did you mean"),
-        ({"effects": ("hysteresis",)}, "Effect must be one of"),
+        ({"effects": ("hysteresi",)}, "did you mean 'hysteresis'"),
+        ({"effects": ("hysteresis",)}, "hysteresis needs half_width_m"),
     ],
 )
 def test_unknown_options_are_refused(log, options, said):

@@ -12,6 +12,7 @@ from typing import Any
 from hallsym import twin
 from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign
+from hallsym.diagnosis.user import load_effects, makes
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
@@ -73,13 +74,23 @@ def model_options(parser: ArgumentParser, default: str) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="add an effect, such as exact_rotation (repeat)",
+        help="add an effect, such as exact_rotation or mains_hum:frequency_hz=50.02 (repeat)",
     )
     group.add_argument(
         "--machine", metavar="TOML",
         help="your machine: [[probes]] with channel, position_m, senses; [parameters.H1x] with nominal, "
         "lower, upper, fixed",
     )  # fmt: skip
+
+
+def own_option(parser: ArgumentParser) -> None:
+    """The file of the user's own effects, for every command that builds or reads a model."""
+    parser.add_argument("--effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
+
+
+def own_effects(options: Namespace) -> dict[str, Callable[[Model], Model]]:
+    """Return the user's own effects by name; none without a file."""
+    return makes(load_effects(options.effects)) if options.effects else {}
 
 
 def open_log(options: Namespace, machine: Machine | None = None) -> Log:

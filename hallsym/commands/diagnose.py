@@ -12,20 +12,21 @@ from hallsym.commands.common import (
     log_options,
     model_options,
     open_log,
+    own_option,
     progress_of,
     run_numbers,
     say,
 )
 from hallsym.computed import extended
 from hallsym.decoding import columns_of
-from hallsym.diagnosis import diagnosis_text, load_effects
+from hallsym.diagnosis import diagnosis_text, load_effects, makes
+from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
 from hallsym.diagnosis.compare_text import comparison_text
 from hallsym.diagnosis.engine import Examined, examine
 from hallsym.diagnosis.errors import errors_of
 from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError
-from hallsym.families import build
 from hallsym.files import atomic_write
 from hallsym.machine import read_machine
 from hallsym.model import Model
@@ -52,7 +53,7 @@ def add(sub: Any) -> None:
     parser.add_argument(
         "--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)"
     )
-    parser.add_argument("--effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
+    own_option(parser)
     parser.add_argument(
         "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
     )
@@ -73,16 +74,25 @@ def run(options: Namespace) -> int:
     machine = read_machine(options.machine)
     log = open_log(options, machine)
     name = options.model or log.meta.base_model or "stage31"
-    if str(name).endswith(".json"):
-        model: Model | Fit = load_fit(name)
-    else:
-        model = build(name, meta=log.meta, added=tuple(options.effect), parameters=machine.parameters)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
+    listed = load_effects(options.effects) if options.effects else ()
+    if str(name).endswith(".json"):
+        model: Model | Fit = load_fit(name, makes(listed))
+    else:
+        model = model_on(
+            log,
+            name,
+            options.effect,
+            parameters=machine.parameters,
+            own=makes(listed),
+            holdout=holdout,
+            drop_bad=options.drop_bad,
+        )
     seen = examine(
         log,
         model,
         holdout=holdout,
-        effects=load_effects(options.effects) if options.effects else (),
+        effects=listed,
         threshold=options.threshold,
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),
@@ -94,8 +104,18 @@ def run(options: Namespace) -> int:
         else:
             _save(path, found.to_dict())
     written = [f"wrote {path}" for path in options.output]
-    say(options, found.to_dict(), lambda: "\n".join([diagnosis_text(found), *written]))
+    say(options, found.to_dict(), lambda: "\n".join([diagnosis_text(found, _reading(options)), *written]))
     return OK
+
+
+def _reading(options: Namespace) -> list[str]:
+    """Words of this command that its next step needs too: how the log is read, and the machine."""
+    words = [word for column in options.column for word in ("--column", column)]
+    words += [word for noise in options.noise for word in ("--noise", noise)]
+    for option in ("column_file", "format", "delimiter", "machine", "effects"):
+        if getattr(options, option) is not None:
+            words += [f"--{option.replace('_', '-')}", getattr(options, option)]
+    return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 
 def _save(path: str, record: dict[str, Any]) -> None:
@@ -120,7 +140,7 @@ def _page(options: Namespace, seen: Examined) -> str:
 
 
 def _version(base: Base) -> Version:
-    log = extended(base.log, base.model, base.sigma)
+    log = extended(base.log, base.model, base.sigma, base.values)
     return Version("after", log, columns_of(base.model), errors_of(base), base.keep)
 
 

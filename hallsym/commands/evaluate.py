@@ -4,10 +4,11 @@ from argparse import Namespace
 from typing import Any
 
 from hallsym.calibration import load_fit
-from hallsym.commands.common import OK, command, log_options, noted, open_log, say
-from hallsym.decoding import columns_of, judge
+from hallsym.commands.common import OK, command, log_options, noted, open_log, own_effects, own_option, say
+from hallsym.decoding import logged_columns
 from hallsym.fitting import noise_of
 from hallsym.log import check_log
+from hallsym.passes import judge
 from hallsym.tables import error_rows
 from hallsym.wiring import rewired
 
@@ -21,15 +22,16 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
     parser.add_argument("log", metavar="LOG", help="log to judge on")
+    own_option(parser)
     parser.add_argument("--by-run", action="store_true", help="one line per run")
     log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    known = load_fit(options.calibration)
+    known = load_fit(options.calibration, own_effects(options))
     log = rewired(open_log(options), known.model.channels, known.wiring)
-    columns = columns_of(known.model)
+    columns = logged_columns(known.model)
     notes = list(log.notes) if options.drop_bad else check_log(log, columns)
     noise = noise_of(log, known.model)
     table = judge(log, known.model, known.values, {c: s.value for c, s in noise.sigmas.items()})

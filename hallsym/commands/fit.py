@@ -13,14 +13,18 @@ from hallsym.commands.common import (
     log_options,
     model_options,
     open_log,
+    own_effects,
+    own_option,
     progress_of,
     run_numbers,
     save_fit_pictures,
     say,
     seed,
 )
+from hallsym.diagnosis.choose import model_on
 from hallsym.fitting import fit
 from hallsym.machine import read_machine
+from hallsym.model import Model
 from hallsym.tables import fit_text
 
 
@@ -34,7 +38,8 @@ def add(sub: Any) -> None:
         "examples:\n"
         "  hallsym fit campaign.parquet -o calib.json --plots pictures\n"
         "  hallsym fit log.csv --column hall_a_um=HallA --column x_ref_um=IFM_X ... --holdout 2,7,12\n"
-        "  hallsym fit log.mat --machine mystage.toml --json > calib.json",
+        "  hallsym fit log.mat --machine mystage.toml --json > calib.json\n"
+        "  hallsym fit campaign.parquet --effect hysteresis    what 'hallsym diagnose' found",
     )  # fmt: skip
     parser.add_argument(
         "log", metavar="LOG", help="Parquet, CSV, MATLAB or HDF5 file, or a folder with log and meta.json"
@@ -42,6 +47,7 @@ def add(sub: Any) -> None:
     parser.add_argument("-o", "--output", metavar="JSON", help="save the calibration")
     parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
     model_options(parser, "the log's base_model, else stage31")
+    own_option(parser)
     group = parser.add_argument_group("fit")
     group.add_argument(
         "--holdout", metavar="RUNS", help="runs to judge on and not to fit, such as 2,7,12 or 40-45"
@@ -68,14 +74,26 @@ def run(options: Namespace) -> int:
     """Carry the command out."""
     machine = read_machine(options.machine)
     log = open_log(options, machine)
+    holdout = None if options.holdout is None else run_numbers(options.holdout)
+    model: Model | str | None = options.model
+    if options.effect:
+        model = model_on(
+            log,
+            options.model,
+            options.effect,
+            parameters=machine.parameters,
+            own=own_effects(options),
+            holdout=holdout,
+            drop_bad=options.drop_bad,
+            on_progress=progress_of(options),
+        )
     result = fit(
         log,
-        options.model,
+        model,
         solver=options.solver,
-        holdout=None if options.holdout is None else run_numbers(options.holdout),
+        holdout=holdout,
         loss=options.loss,
-        parameters=machine.parameters,
-        effects=options.effect,
+        parameters=None if options.effect else machine.parameters,
         resolve_wiring=options.resolve_wiring,
         drop_bad=options.drop_bad,
         seed=options.seed,

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.calibration import load_fit
-from hallsym.commands.common import OK, command, log_options, open_log, say
-from hallsym.decoding import columns_of
+from hallsym.commands.common import OK, command, log_options, open_log, own_effects, own_option, say
+from hallsym.decoding import logged_columns
 from hallsym.files import atomic_write
 from hallsym.log import check_log
 from hallsym.page import fit_page
@@ -25,16 +25,17 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
     parser.add_argument("log", metavar="LOG", help="the log that was fitted, or another one")
+    own_option(parser)
     parser.add_argument("-o", "--output", default="report.html", metavar="HTML", help="default: report.html")
     log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    known = load_fit(options.calibration)
+    known = load_fit(options.calibration, own_effects(options))
     log = open_log(options)
     if not options.drop_bad:
-        columns, wired = columns_of(known.model), rewired(log, known.model.channels, known.wiring)
+        columns, wired = logged_columns(known.model), rewired(log, known.model.channels, known.wiring)
         log = replace(log, notes=tuple(check_log(wired, columns)))
     page = fit_page(log, known, command=_typed(options)).encode()
     atomic_write(options.output, page)
@@ -54,7 +55,7 @@ def _typed(options: Namespace) -> str:
     words = ["hallsym", "report", options.calibration, options.log]
     words += [word for column in options.column for word in ("--column", column)]
     words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("column_file", "format", "delimiter"):
+    for option in ("effects", "column_file", "format", "delimiter"):
         if getattr(options, option) is not None:
             words += [f"--{option.replace('_', '-')}", getattr(options, option)]
     return shlex.join([*words, *(["--drop-bad"] if options.drop_bad else [])])

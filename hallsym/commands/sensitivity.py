@@ -15,6 +15,8 @@ from hallsym.commands.common import (
     log_options,
     model_options,
     open_log,
+    own_effects,
+    own_option,
     progress_of,
     say,
     seed,
@@ -55,6 +57,7 @@ def add(sub: Any) -> None:
         const="",
         help="a campaign file instead of a log (no file: Table 6)",
     )
+    own_option(parser)
     parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
     parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
     parser.add_argument("--zeros", action="store_true", help="list the zero deviation of every run")
@@ -107,7 +110,7 @@ def _recorded(options: Namespace) -> Identifiability:
             "--model, --effect, --machine and --values belong to --plan; a calibration has its own."
         )
     return identify(
-        load_fit(options.calibration),
+        load_fit(options.calibration, own_effects(options)),
         open_log(options),
         profiles=options.profiles,
         bootstrap=options.bootstrap,
@@ -124,7 +127,7 @@ def _planned(options: Namespace) -> Identifiability:
     campaign = read_campaign(options.plan) if options.plan else paper_campaign()
     name = Path(options.plan).name if options.plan else PAPER
     if options.calibration is not None:
-        known = load_fit(options.calibration)
+        known = load_fit(options.calibration, own_effects(options))
         return identify(known, campaign, noise=campaign.noise or None, name=name)
     model, values = truth_of(options, read_machine(options.machine))
     return identify(model, campaign, values=values, noise=levels(campaign, model, values), name=name)
@@ -133,7 +136,7 @@ def _planned(options: Namespace) -> Identifiability:
 def _other(options: Namespace, report: Identifiability, name: str) -> Identifiability:
     """The report of another model on the same log and the same runs."""
     log = open_log(options)
-    known = load_fit(options.calibration)
+    known = load_fit(options.calibration, own_effects(options))
     model = build(name, meta=log.meta)
     if model.layout != report.model.layout:
         raise InputError(f"--beside {name} does not have the probes of the calibration; fit it by itself.")

@@ -10,7 +10,7 @@ from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation, Statement
 from hallsym.diagnosis.text import diagnosis_text
-from hallsym.diagnosis.user import load_effects, user_effect
+from hallsym.diagnosis.user import load_effects, makes, user_effect
 
 __all__ = [
     "Diagnosis",
@@ -23,5 +23,6 @@ __all__ = [
     "diagnose",
     "diagnosis_text",
     "load_effects",
+    "makes",
     "user_effect",
 ]

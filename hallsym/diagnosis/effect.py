@@ -45,6 +45,8 @@ class Variant:
     shape: float | None = None
     tried: int = 1
     """Values of those numbers that were compared, for the significance."""
+    text: str = ""
+    """What `--effect` takes for it: name and numbers (`hallsym.families.recipes`); empty if it has none."""
 
 
 @dataclass(frozen=True, eq=False)

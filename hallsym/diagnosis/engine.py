@@ -11,7 +11,7 @@ from time import perf_counter
 
 from hallsym import fitting
 from hallsym.calibration import Fit
-from hallsym.decoding import columns_of
+from hallsym.decoding import logged_columns
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
@@ -117,7 +117,7 @@ def _fitted(
             return log, fitted(log)
         except InputError as error:
             refused = error
-    cleaned = clean_log(log, columns_of(model))
+    cleaned = clean_log(log, logged_columns(model))
     if not drop_bad and cleaned.rows == log.rows:
         raise refused
     result = fitted(cleaned)

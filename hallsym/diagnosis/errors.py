@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.arrays import on_arrays
 from hallsym.batches import Weigh, batches
 from hallsym.computed import extended
-from hallsym.decoding import columns_of, decoder
+from hallsym.decoding import columns_of, pose_errors
 from hallsym.diagnosis.tangent import Base
 from hallsym.log import Block
 
@@ -49,40 +48,10 @@ class BlockErrors:
 Decode = Callable[[Block], np.ndarray]
 
 
-def _decoded(base: Base) -> Decode:
-    """Errors of the decoded pose."""
-    model, decode = base.model, decoder(base.model, np.diag(base.covariance))
-    none = np.zeros(len(model.zeros))
-
-    def error(block: Block) -> np.ndarray:
-        readings, states = ([block.data[c] for c in names] for names in (model.channels, model.state))
-        pose = decode(base.p, base.zeros.get(block.run, none), readings, states)
-        return pose - np.array([block.data[c] for c in model.references])
-
-    return error
-
-
-def _predicted(base: Base) -> Decode:
-    """What the residual of the readings moves the pose by: for readings that no pose can be decoded from."""
-    model = base.model
-    read, spread, none = on_arrays(model.reading), on_arrays(model.noise_gain), np.zeros(len(model.zeros))
-
-    def error(block: Block) -> np.ndarray:
-        pose, states = ([block.data[c] for c in names] for names in (model.references, model.state))
-        residual = np.array([block.data[c] for c in model.channels])
-        residual = residual - read(base.p, base.zeros.get(block.run, none), pose, states)[0]
-        (gain,) = spread(base.p, states, base.weight)
-        return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
-
-    return error
-
-
 def errors_of(base: Base) -> Decode:
-    """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns.
-
-    A reading at its rail has lost its pose: with saturation the errors are those of the readings, mapped.
-    """
-    return _predicted(base) if "saturation" in base.model.effects else _decoded(base)
+    """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns."""
+    errors, none = pose_errors(base.model, np.diag(base.covariance)), np.zeros(len(base.model.zeros))
+    return lambda block: errors(base.p, base.zeros.get(block.run, none), block.data)
 
 
 def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None) -> BlockErrors:
@@ -91,7 +60,7 @@ def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None)
     size = max(50, rows // BLOCKS)
     decode = errors_of(base)
     count, squares, peak = [], [], np.zeros(len(model.pose))
-    for batch in batches(extended(base.log, model, base.sigma), columns_of(model)):
+    for batch in batches(extended(base.log, model, base.sigma, base.values), columns_of(model)):
         weights = batch.weights(keep)
         for block, at in batch.parts():
             if block.run not in wanted:

@@ -90,7 +90,7 @@ def truth_of(base: Base, floor_m: float) -> Truth:
 def readings_of(base: Base, model: Model, p: np.ndarray) -> np.ndarray:
     """Return the readings (K, rows) of `model`, an extension of the base's, with values `p`."""
     run = on_arrays(model.reading)
-    log = extended(base.log, model, base.sigma)
+    log = extended(base.log, model, base.sigma, base.values)
     parts = []
     for batch in batches(log, columns_of(model)):
         zeros = _zeros(base, batch)
@@ -111,7 +111,7 @@ def _speed(base: Base) -> np.ndarray:
     moved = ca.jacobian(s.full(s.reading), s.pose) @ velocity
     run = on_arrays(ca.Function("moved", [s.parameters, s.zeros, s.pose, s.state, velocity],
                                 [ca.densify(moved)]))  # fmt: skip
-    log = extended(base.log, model.with_columns(*axes), base.sigma)
+    log = extended(base.log, model.with_columns(*axes), base.sigma, base.values)
     names = [a.name for a in axes]
     parts = [
         run(base.p, _zeros(base, b), b.columns(model.references), b.columns(model.state), b.columns(names))[0]

@@ -83,7 +83,7 @@ def _autocorrelation(base: Base, catalogue: Sequence[Effect], facts: Facts) -> t
     model = base.model
     for wide, _ in plain.values():
         model = model.with_columns(*wide.computed)
-    log = extended(base.log, model, base.sigma)
+    log = extended(base.log, model, base.sigma, base.values)
     wanted = (*columns_of(base.model), *(c for m, _ in plain.values() for c in columns_of(m)))
     columns = tuple(dict.fromkeys(wanted))
     work = Products(base, plain)

@@ -238,7 +238,7 @@ def _by_run(base: Base, work: Products, models: Sequence[Model], size: int) -> I
         wide = wide.with_columns(*model.computed)
     columns = tuple(dict.fromkeys(c for m in (base.model, *models) for c in columns_of(m)))
     run, seen, parts = -1, 0, Parts()
-    for batch in batches(extended(base.log, wide, base.sigma), columns):
+    for batch in batches(extended(base.log, wide, base.sigma, base.values), columns):
         A, _ = work.columns(batch, None)
         for block, at in batch.parts():
             if block.run != run:
@@ -268,7 +268,7 @@ def _smoothed(base: Base, models: Sequence[Model]) -> Log:
     ]
     kept = tuple(dict.fromkeys(c for c in (*needs, "t_s") if c not in made and c in base.log.columns))
     smooth = [rate(c, 0) for c in model.references]
-    log = extended(base.log, model.with_columns(*smooth), base.sigma)
+    log = extended(base.log, model.with_columns(*smooth), base.sigma, base.values)
     fitted = [run for run in base.log.runs if run not in base.apart]
     most = max(FEW, round(ROOM / base.log.rows * len(base.log.runs)))
     chosen = set(fitted[:: max(1, -(-len(fitted) // most))])

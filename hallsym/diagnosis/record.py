@@ -24,6 +24,8 @@ class FoundEffect:
     `shrinkage`: 1 - gap with it / gap without it, on the held-out runs, and its 95 % interval from resampled
     blocks. `share`: part of the gap above the noise floor that it closes. `p_value`: of its absence, honest
     for correlated residuals and corrected for the size of the catalogue. `cost`: what it adds to the model.
+    `text`: what `--effect` takes to fit it, empty for faults of the recording. `at_bound`: parameters that
+    ended at a bound; they have no uncertainty, and `note` says so. `note` also says what to do about a fault.
     """
 
     name: str
@@ -35,6 +37,9 @@ class FoundEffect:
     interval: tuple[float, float]
     share: float
     cost: str
+    text: str = ""
+    at_bound: tuple[str, ...] = ()
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,7 @@ class Diagnosis:
     empty unless that is the verdict. `size`: how large the gap is, per output and per sensor, on fitted and
     on held-out runs, see `size.sizes`. `shares`: what each coordinate, link, output, sensor, frequency and
     run takes of the excess by itself; empty where noise explains it.
+    `next_step`: what `hallsym fit LOG` takes to fit the model with the effects found; empty without any.
     """
 
     verdict: str
@@ -134,6 +140,7 @@ class Diagnosis:
     unexplained: dict[str, Any] = field(default_factory=dict)
     size: dict[str, Any] = field(default_factory=dict)
     shares: tuple[Share, ...] = ()
+    next_step: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""

@@ -9,6 +9,8 @@ from hallsym.diagnosis.tangent import Base, Tangents, tangents
 from hallsym.model import Model
 
 STEPS = 8
+AT_BOUND = 1e-6
+"""Part of the width of its bounds within which a parameter counts as at one of them."""
 CLOSE = 1e-5
 """Relative decrease of the cost below which Gauss-Newton has converged."""
 
@@ -35,12 +37,22 @@ class Refitted:
         """Return the gap metric over some units."""
         return float(np.sqrt(self.output[units].sum() / max(self.tangents.count[units].sum(), 1.0)))
 
+    def at_bound(self) -> tuple[int, ...]:
+        """Index of the free parameters that ended at one of their bounds."""
+        lower, upper = self.base.model.bounds
+        return tuple(
+            k
+            for k in self.base.free
+            if min(self.base.p[k] - lower[k], upper[k] - self.base.p[k]) <= AT_BOUND * (upper[k] - lower[k])
+        )
+
     def covariance(self) -> np.ndarray:
-        """Covariance of all parameters (0 where not free) for a residual of unit variance."""
-        n = len(self.base.free)
-        M = self.tangents.likelihood[self.fitted].sum(axis=0)[:n, :n]
+        """Covariance of all parameters for a residual of unit variance; 0 where held or at a bound."""
+        moving = np.flatnonzero(~np.isin(self.base.free, self.at_bound()))
+        free = np.array(self.base.free, dtype=int)[moving]
+        M = self.tangents.likelihood[self.fitted].sum(axis=0)[np.ix_(moving, moving)]
         full = np.zeros((len(self.base.p),) * 2)
-        full[np.ix_(self.base.free, self.base.free)] = inverse(M)
+        full[np.ix_(free, free)] = inverse(M)
         return full
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.calibration import Fit
+from hallsym.calibration import Fit, added_effects
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
 from hallsym.diagnosis.price import price
@@ -22,6 +22,7 @@ from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, remains, shaped, slow_share
 from hallsym.diagnosis.where import Located, both, located
+from hallsym.families.recipes import FAULTS
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.wiring import Wiring
@@ -142,6 +143,9 @@ def report(
         notes=tuple(dict.fromkeys((*result.notes, *noted))),
         seconds=seconds,
         versions=dict(result.versions),
+        next_step=_next_step(
+            result, effects, search, apart, bool(wiring and _miswired(result.model, wiring))
+        ),
     )
 
 
@@ -198,6 +202,7 @@ def _effects(
     N = float(search.now.tangents.count[search.now.fitted].sum()) * len(search.start.base.model.channels)
     noise = max(search.now.cost / N, 1e-12)
     spread = np.sqrt(np.maximum(np.diag(search.now.covariance()), 0.0) * noise * inflation)
+    stuck = search.now.at_bound()
     for k, found in enumerate(search.found):
         others = [f.exact for j, f in enumerate(search.found) if j != k]
         without = search.rebuilt(others) if others else search.start
@@ -206,15 +211,16 @@ def _effects(
         p = score.corrected(tested)
         new = [n for n in score.model.names if n not in without.base.model.names]
         model = search.now.base.model
+        index = {n: model.names.index(n) for n in new if n in model.names}
         values = {
             n: Estimate(
-                float(search.now.base.p[model.names.index(n)]),
-                float(spread[model.names.index(n)]),
-                model.parameters[model.names.index(n)].unit,
+                float(search.now.base.p[j]),
+                None if j in stuck else float(spread[j]),
+                model.parameters[j].unit,
             )
-            for n in new
-            if n in model.names
+            for n, j in index.items()
         }
+        ended = tuple(n for n, j in index.items() if j in stuck)
         excess = max(before.metric**2 - floor**2, 1e-300)
         out.append(
             FoundEffect(
@@ -227,9 +233,22 @@ def _effects(
                 interval=interval(errors, after),
                 share=float(np.clip((errors.metric**2 - after.metric**2) / excess, 0.0, 1.0)),
                 cost=price(without.base.model, model),
+                text=score.variant.text,
+                at_bound=ended,
+                note=_stuck(ended) if ended else "",
             )
         )
     return out
+
+
+def _stuck(names: Sequence[str]) -> str:
+    """What to say of parameters that ended at a bound."""
+    ended = "its bound" if len(names) == 1 else "their bounds"
+    return (
+        f"{', '.join(names)} ended at {ended}: the data ask for more than is allowed; there is no interval, "
+        "and those of the others hold only with it there. Either the bound is wrong for this machine, or "
+        "another effect does part of the work."
+    )
 
 
 def _fault_record(
@@ -239,8 +258,26 @@ def _fault_record(
     share = float(np.clip((1 - scale**2) * after.metric**2 / excess, 0.0, 1.0))
     return FoundEffect(
         fault.name, fault.link, fault.text, fault.parameters, fault.p_value, 1 - scale,
-        (1 - scale, 1 - scale), share, "no parameter: a repair, not a model",
+        (1 - scale, 1 - scale), share, "no parameter: a repair, not a model", note=_repair(fault.name),
     )  # fmt: skip
+
+
+def _repair(name: str) -> str:
+    return f"{name} {FAULTS[name]}"
+
+
+def _next_step(
+    result: Fit, effects: Sequence[FoundEffect], search: Search, apart: tuple[int, ...], wired: bool
+) -> tuple[str, ...]:
+    """What `hallsym fit LOG` takes to fit the model with the effects that were found, in their order."""
+    named = {e.name for e in effects if e.text}
+    texts = [f.exact.score.variant.text for f in search.found if f.exact.score.effect.name in named]
+    if not texts:
+        return ()
+    words = ["--model", result.model.name]
+    for text in (*added_effects(result.model), *texts):
+        words += ["--effect", text]
+    return (*words, "--holdout", ",".join(map(str, apart)), *(["--resolve-wiring"] if wired else []))
 
 
 def _miswired(model: Model, wiring: Wiring) -> bool:
@@ -257,6 +294,7 @@ def _wiring_record(
     return FoundEffect(
         "channel_swap" if swapped else "sign_inversion", "electronics", what, {}, 0.0, drop, (drop, drop),
         _closed(before.metric, left, floor), "no parameter: the wiring is put right",
+        note=_repair("channel_swap" if swapped else "sign_inversion"),
     )  # fmt: skip
 
 

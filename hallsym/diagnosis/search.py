@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hallsym.calibration import Fit
-from hallsym.cost import cost_of
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.ranking import Exact, Score, by_name, candidates, refitted, scores
 from hallsym.diagnosis.refit import Refitted, refit, with_model
@@ -17,7 +16,7 @@ from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.summary import summarise
+from hallsym.passes import cost_near
 from hallsym.wiring import rewired
 
 MOST = 3
@@ -34,7 +33,7 @@ def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
     wired = rewired(log, result.model.channels, result.wiring)
     sigma = {c: s.value for c, s in result.noise.sigmas.items()}
-    cost = cost_of(summarise(wired, result.model, result.keep), sigma)
+    cost = cost_near(wired, result.model, result.values, sigma, result.keep)
     point = cost.at(result.values)
     return Base(
         log=wired,

@@ -133,7 +133,7 @@ def with_readings(columns: dict[str, np.ndarray], base: Base) -> Log:
     bare = Log.from_arrays({**columns, **dict.fromkeys(model.channels, blank)}, noise=base.log.noise)
     read, zeros = on_arrays(model.reading), np.zeros(len(model.zeros))
     parts: list[np.ndarray] = []
-    for block in extended(bare, model, base.sigma).blocks(columns_of(model)):
+    for block in extended(bare, model, base.sigma, base.values).blocks(columns_of(model)):
         pose, state = ([block.data[c] for c in names] for names in (model.references, model.state))
         (reading,) = read(base.p, zeros, pose, state)
         parts.append(np.broadcast_to(reading, (len(model.channels), len(pose[0]))))

@@ -45,6 +45,11 @@ class Base:
     keep: Weigh | None = None
 
     @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return self.model.named(self.p)
+
+    @property
     def weight(self) -> np.ndarray:
         """1 / variance of each channel's reading, for decoding with more probes than coordinates."""
         return 1.0 / np.diag(self.covariance)
@@ -109,7 +114,9 @@ def tangents(
     New parameters are taken at their nominal value, where they have no effect.
     """
     work = Products(base, candidates)
-    log = extended(base.log, _with_rules(base.model, [m for m, _ in candidates.values()]), base.sigma)
+    log = extended(
+        base.log, _with_rules(base.model, [m for m, _ in candidates.values()]), base.sigma, base.values
+    )
     columns = tuple(
         dict.fromkeys(c for m in (base.model, *(m for m, _ in candidates.values())) for c in columns_of(m))
     )
@@ -210,7 +217,7 @@ class Products:
     def segments(self, size: int) -> Iterator[tuple[int, float, np.ndarray]]:
         """Yield run, first time [s since the log began] and products of each stretch of `size` samples."""
         origin: float | None = None
-        log = extended(self.base.log, self.base.model, self.base.sigma)
+        log = extended(self.base.log, self.base.model, self.base.sigma, self.base.values)
         for batch in batches(log, (*columns_of(self.base.model), "t_s")):
             A, _ = self.columns(batch, batch.weights(self.base.keep))
             t = batch.data["t_s"]

@@ -1,6 +1,7 @@
 """The diagnosis as a person reads it in a terminal: at most 110 characters wide, um and urad."""
 
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import Any
 
@@ -17,12 +18,24 @@ UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, 
 """How parameters are shown: unit -> factor and unit for reading."""
 
 
-def diagnosis_text(d: Diagnosis) -> str:
-    """Return what `hallsym diagnose` prints: verdict, errors, effects, where, what could not be tested."""
+def next_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
+    """Return the command that fits the model with the effects found; `reading`: how the log is read."""
+    log = d.log.get("path") or "LOG"
+    return f"next: {shlex.join(['hallsym', 'fit', log, *d.next_step, *reading])}"
+
+
+def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
+    """Return what `hallsym diagnose` prints: verdict, errors, effects, where, what could not be tested.
+
+    `reading`: the words of the command line that say how the log is read, for the next step.
+    """
     parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), "", *_sizes(d)]
     if d.effects:
         parts += ["", effect_text(d.effects), "", *(_parameters(e) for e in d.effects)]
+        parts += [_wrapped(f"  {e.note}", "    ") for e in d.effects if e.note]
         parts.append(_wrapped(_shrinks(d)))
+    if d.next_step:
+        parts.append(next_text(d, reading))
     for s in d.separate_by:
         parts += ["", separation_text(s)]
     above = "where what is above the noise lies" if d.verdict == "no gap" else "where the gap lies"

@@ -70,7 +70,7 @@ def _coarsest(base: Base) -> int:
     """How many samples one may stand for: by the fastest motion of the first 64 blocks, and by the mains."""
     model, squares = base.model, np.zeros(2)
     axes = [[rate(c, order) for c in model.references] for order in (1, 2)]
-    log = extended(base.log, model.with_columns(*axes[0], *axes[1]), base.sigma)
+    log = extended(base.log, model.with_columns(*axes[0], *axes[1]), base.sigma, base.values)
     scale = [base.length_m if c.startswith("r") else 1.0 for c in model.references]
     steps = []
     for block in islice(log.blocks(("t_s", *(a.name for row in axes for a in row))), 64):

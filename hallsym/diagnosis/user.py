@@ -14,9 +14,27 @@ def user_effect(make: Callable[[Model], Model]) -> Effect:
     meaning = (make.__doc__ or "").strip().split("\n")[0]
 
     def variants(model: Model, facts: Facts) -> list[Variant]:
-        return [Variant("as given", make)]
+        return [Variant("as given", make, text=make.__name__)]
 
     return Effect(make.__name__, "user", meaning, variants, "a recording that moves what it depends on")
+
+
+def makes(effects: Sequence[Effect]) -> dict[str, Callable[[Model], Model]]:
+    """Return effects as functions `Model -> Model` by name; one with several forms acts in its first."""
+
+    def first(effect: Effect) -> Callable[[Model], Model]:
+        def make(model: Model) -> Model:
+            tried = effect.variants(model, Facts(1.0, 1.0, ()))
+            wide = tried[0].make(model) if tried else None
+            if not isinstance(wide, Model):
+                raise InputError(
+                    f"Effect {effect.name} must return a Model; instead it returned {type(wide).__name__}."
+                )
+            return wide
+
+        return make
+
+    return {effect.name: first(effect) for effect in effects}
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:

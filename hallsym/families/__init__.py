@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import stage, stage_effects
+from hallsym.families import recipes, stage
 from hallsym.log import Meta
 from hallsym.model import Model
 
@@ -21,7 +21,22 @@ def models() -> dict[str, Callable[..., Model]]:
 def effects() -> dict[str, Callable[[Model], Model]]:
     """Return every effect by name."""
     own = {effect.__name__: effect for family in FAMILIES for effect in family.EFFECTS}
-    return own | stage_effects.EFFECTS
+    return own | {name: _later(name) for name in recipes.RECIPES}
+
+
+def known_effect(text: str) -> bool:
+    """Return whether an effect, named with or without numbers, is one of hallsym's own."""
+    return recipes.read(text)[0] in effects()
+
+
+def _later(name: str) -> Callable[[Model], Model]:
+    """The effect of that name, its numbers looked at when it is added."""
+
+    def make(model: Model) -> Model:
+        return recipes.make_of(name)(model)
+
+    make.__doc__ = recipes.RECIPES[name][0].__doc__
+    return make
 
 
 def build(
@@ -30,24 +45,47 @@ def build(
     meta: Meta | None = None,
     added: tuple[str, ...] = (),
     parameters: Mapping[str, Mapping[str, Any]] | None = None,
+    own: Mapping[str, Callable[[Model], Model]] | None = None,
 ) -> Model:
     """Return the model called `name` for the machine that `meta` describes.
 
-    `meta`: probe layout and nominal values of a log folder. `added`: effects by name. `parameters`: changed
-    nominal values and bounds, `{"H1x": {"lower": .1}}`. Raises `InputError` that lists the known names.
+    `meta`: probe layout and nominal values of a log folder. `added`: effects by name, with their numbers
+    where they have some (`hallsym.families.recipes`). `parameters`: changed nominal values and bounds,
+    `{"H1x": {"lower": .1}}`. `own`: the user's effects by name. Raises `InputError` that lists known names.
     """
     known = models()
     if name not in known:
         raise _unknown("Model", name, known)
     family = next(f for f in FAMILIES if known[name] in f.MODELS)
-    return adapted(family.from_meta(known[name], meta or Meta()), added, parameters or {})
+    return adapted(family.from_meta(known[name], meta or Meta()), added, parameters or {}, own)
 
 
-def adapted(model: Model, added: tuple[str, ...], parameters: Mapping[str, Mapping[str, Any]]) -> Model:
+def adapted(
+    model: Model,
+    added: tuple[str, ...],
+    parameters: Mapping[str, Mapping[str, Any]],
+    own: Mapping[str, Callable[[Model], Model]] | None = None,
+) -> Model:
     """Return `model` with effects added by name and with changed nominal values and bounds."""
     for effect in added:
-        model = _effect(effect)(model)
+        model = _effect(effect, own or {})(model)
     return model.with_parameters(_checked(model, parameters))
+
+
+def plain(model: Model) -> Model:
+    """Return the model without the effects beyond those that its name stands for; bounds and nominals stay.
+
+    A model of no family here has no plain form and is returned as it is.
+    """
+    known = models()
+    if model.name not in known:
+        return model
+    base = known[model.name](model.layout)
+    mine = {p.name: p for p in (*model.parameters, *model.zeros)}
+    kept = [mine[p.name] for p in (*base.parameters, *base.zeros) if p.name in mine]
+    return base.with_parameters(
+        {p.name: {"nominal": p.nominal, "lower": p.lower, "upper": p.upper} for p in kept}
+    )
 
 
 def same_layout(model: Model, meta: Meta) -> bool:
@@ -58,11 +96,18 @@ def same_layout(model: Model, meta: Meta) -> bool:
     return family.from_meta(models()[model.name], meta).layout == model.layout
 
 
-def _effect(name: str) -> Callable[[Model], Model]:
-    known = effects()
+def _effect(text: str, own: Mapping[str, Callable[[Model], Model]]) -> Callable[[Model], Model]:
+    name, given = recipes.read(text)
+    known = effects() | dict(own)
+    if name in recipes.FAULTS and name not in own:
+        raise InputError(f"Effect {name} {recipes.FAULTS[name]}")
     if name not in known:
         raise _unknown("Effect", name, known)
-    return known[name]
+    if name in own or name not in recipes.RECIPES:
+        if given:
+            raise InputError(f"Effect {name} takes no numbers; instead received {text!r}.")
+        return lambda model: recipes.noted(model, known[name](model), name)
+    return recipes.make_of(text)
 
 
 def _unknown(what: str, name: str, known: Mapping[str, Any]) -> InputError:

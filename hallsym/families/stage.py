@@ -216,9 +216,9 @@ def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndar
     slopes = {}
     for k, probe in enumerate(model.layout):
         matrix = np.array(
-            [[_entry(coefficients, pose, state, k) for pose in model.pose] for state in ("", *model.state)]
+            [[_entry(coefficients, pose, state, k) for pose in model.pose] for state in ("", *STATE)]
         )
-        weight = np.array([1.0, *[_TYPICAL] * len(model.state)])[:, None]
+        weight = np.array([1.0, *[_TYPICAL] * len(STATE)])[:, None]
         _, _, v = np.linalg.svd(matrix * weight)
         phi, pose = matrix @ v[0], v[0]  # matrix = phi pose^T
         norm = float(np.hypot(pose[0], pose[1])) or 1.0

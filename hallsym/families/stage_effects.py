@@ -359,22 +359,61 @@ def stop_operator(u: np.ndarray, width: float) -> np.ndarray:
     return z
 
 
-def first_travel(u: np.ndarray, width: float) -> np.ndarray:
-    """Return what is left of the state in which a run starts: 1 at its start, 0 once it moved by `width`."""
-    travel = np.maximum.accumulate(np.abs(u - u[0])) if len(u) else u
-    ahead = np.sign(u[int(np.argmax(travel > 0.5 * width))] - u[0]) if len(u) else 0.0
-    return ahead * np.maximum(0.0, 1.0 - travel / width)
+def stop_state(u: np.ndarray, width: float) -> np.ndarray:
+    """Return state and d state / d width of a play whose state at the first sample nobody knows, (2, n).
+
+    From every start s in [-1, 1] the state is clip(s + U, low, high): U the travel over the width, low and
+    high the states from -1 and 1. Returned is the mean over all starts; once the motion has covered 2 width,
+    low and high are one and the state is known.
+    """
+    if len(u) == 0:
+        return np.zeros((2, 0))
+    (low, by_low), (high, by_high) = (_stop_from(u, width, start) for start in (-1.0, 1.0))
+    U = (u - u[0]) / width
+    a, b = np.clip(low - U, -1.0, 1.0), np.clip(high - U, -1.0, 1.0)
+    inside = ((b + U) ** 2 - (a + U) ** 2) / 2
+    mean = 0.5 * (low * (a + 1) + inside + high * (1 - b))
+    slope = 0.5 * (by_low * (a + 1) - U / width * (b - a) + by_high * (1 - b))
+    return np.array([mean, slope])
 
 
-def _memory(
-    name: str, rule: Callable[[np.ndarray, float], np.ndarray], model: Model, k: int, width: float
-) -> Computed:
-    """Return `rule` of what probe k feels, as a column."""
+def _stop_from(u: np.ndarray, width: float, start: float) -> tuple[np.ndarray, np.ndarray]:
+    """State from a start, and its slope with the width: both in closed form between turning points."""
+    z, slope = np.empty(len(u)), np.zeros(len(u))
+    z[0], state, by_width = start, start, 0.0
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1
+    for a, b in pairwise([0, *turns.tolist(), len(u) - 1]):
+        moved = (u[a + 1 : b + 1] - u[a]) / width
+        z[a + 1 : b + 1] = np.clip(state + moved, -1.0, 1.0)
+        free = np.abs(z[a + 1 : b + 1]) < 1.0
+        slope[a + 1 : b + 1] = np.where(free, by_width - moved / width, 0.0)
+        state, by_width = z[b], slope[b]
+    return z, slope
 
-    def column(s: Stretch) -> np.ndarray:
-        return rule(_felt(model, k, s), width)
 
-    return Computed(f"{name}_{_labels(model)[k]}_{width:.6g}", AXES, column)
+def _play(what: str, model: Model, k: int, width: float) -> Computed:
+    """Return `state`, `slope` or `width` of the play of probe k as a column; `width` in m of reading.
+
+    The play is in what the probe feels: its half-width there is that of the reading over the gain at rest.
+    `slope` is d state / d half-width [1/m], `width` the half-width [m] at which both are taken.
+    """
+    label = _labels(model)[k]
+
+    def taken(values: Mapping[str, float]) -> Computed:
+        at = values.get(WIDTH, width) / values.get(f"eta_{label}", 1.0)
+
+        def column(s: Stretch) -> np.ndarray:
+            if what == "width":
+                return np.full(len(s.data["t_s"]), at)
+            return stop_state(_felt(model, k, s), at)[("state", "slope").index(what)]
+
+        return Computed(f"{what}_{label}_{width:.6g}", AXES, column, taken, f"{at:.17g}")
+
+    return taken({})
+
+
+WIDTH = "half_width"
+"""Name of the parameter of a play."""
 
 
 def _wave(kind: str, frequency_hz: float) -> Computed:
@@ -387,30 +426,33 @@ def _wave(kind: str, frequency_hz: float) -> Computed:
     return Computed(f"{kind}_{frequency_hz:.9g}", (), column)
 
 
-def hysteresis(width_m: float, gains: Sequence[float] = ()) -> Make:
-    """Displacement plus h z, z the elastic part of a play of half-width `width_m`; h per probe.
+def hysteresis(width_m: float) -> Make:
+    """Displacement plus h z, z the elastic part of a play; h per probe, and one half-width [m of reading].
 
-    The width is in m of reading.
-
-    A run starts in a state nobody knows: a second parameter per probe is what of it fades along first travel.
+    `width_m`: about the half-width; a fit moves it, by the slope of z with it. Of the state in which a run
+    starts nobody knows anything: see `stop_state`.
     """
 
     def make(model: Model) -> Model:
         labels = _labels(model)
-        names = [f"{what}_{k}" for what in ("loop", "loop_start") for k in labels]
-        widths = [width_m / abs(gains[k] if gains else 1.0) for k in range(len(labels))]
+        names = [f"loop_{k}" for k in labels]
         columns = [
-            _memory(name, rule, model, k, widths[k])
-            for name, rule in (("stop", stop_operator), ("first", first_travel))
+            [_play(what, model, k, width_m) for what in ("state", "slope", "width")]
             for k in range(len(labels))
         ]
 
         def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
-            rows = [p[n] * s[c.name] for n, c in zip(names, columns, strict=True)]
-            half = len(rows) // 2
-            s["displacement"] = s["displacement"] + ca.vertcat(*rows[:half]) + ca.vertcat(*rows[half:])
+            rows = []
+            for k, row in zip(labels, columns, strict=True):
+                state, slope, at = (s[c.name] for c in row)
+                rows.append(p[f"loop_{k}"] * (state + slope * (p[WIDTH] / p[f"eta_{k}"] - at)))
+            s["displacement"] = s["displacement"] + ca.vertcat(*rows)
 
-        return _add(model, "field", "hysteresis", _free(names, 1e-4, "m", "half loop"), step, *columns)
+        new = (
+            *_free(names, 1e-4, "m", "half loop"),
+            Parameter(WIDTH, width_m, width_m / 4, width_m * 4, "m", "half-width of the loop, of reading"),
+        )
+        return _add(model, "field", "hysteresis", new, step, *(c for row in columns for c in row))
 
     return make
 
@@ -497,27 +539,3 @@ def clipping(low: Sequence[float], high: Sequence[float]) -> Make:
         return _add(model, "electronics", "saturation", _free(names, 1.5, "1", "share clipped"), step)
 
     return make
-
-
-# -- what a calibration can hold ----------------------------------------------------------------------------
-
-
-def cross_axis(model: Model) -> Model:
-    """Leakage of the motion across the sensing axis, to second order."""
-    return cross_axis_sensitivity(("uv", "vv"))(model)
-
-
-def abbe_error(model: Model) -> Model:
-    """The reference reads Ry times an arm in x and Rx times an arm in y."""
-    return reference_abbe_error(((0, "ry_rad"), (1, "rx_rad")))(model)
-
-
-EFFECTS = {
-    "height_quadratic": height_quadratic,
-    "cross_axis_sensitivity": cross_axis,
-    "second_order_rotation": second_order_rotation,
-    "vertical_offset_coupling": vertical_offset_coupling,
-    "reference_abbe_error": abbe_error,
-}
-"""Effects by name whose readings stay linear in the zero deviations and need no computed column: a fit from
-run summaries can hold them. The others are functions of a log (a frequency, an instant) or of its history."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.batches import Weigh
 from hallsym.calibration import Fit, added_effects
-from hallsym.cost import Cost, cost_of
+from hallsym.cost import Cost
 from hallsym.log import Log
 from hallsym.outliers import reject_spikes, residuals
 from hallsym.page import figures, parts
@@ -17,9 +17,9 @@ from hallsym.page.gather import Gathered, gather
 from hallsym.page.html import Markup, facts, items, join, tag
 from hallsym.page.page import Section, document
 from hallsym.page.series import all_series
+from hallsym.passes import cost_near
 from hallsym.plots.names import name
 from hallsym.plots.survey import Decode
-from hallsym.summary import summarise
 from hallsym.tables import evidence
 from hallsym.wiring import rewired
 
@@ -197,7 +197,7 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
 
 
 def _cost(log: Log, fit: Fit) -> Cost:
-    return cost_of(summarise(log, fit.model), {c: s.value for c, s in fit.noise.sigmas.items()})
+    return cost_near(log, fit.model, fit.values, {c: s.value for c, s in fit.noise.sigmas.items()})
 
 
 def _elsewhere(log: Log, fit: Fit) -> Fit:

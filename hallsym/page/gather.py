@@ -9,6 +9,7 @@ import numpy as np
 
 from hallsym.batches import SIZE, Weigh
 from hallsym.calibration import Fit
+from hallsym.computed import extended
 from hallsym.decoding import columns_of
 from hallsym.log import Block, Log
 from hallsym.page.cells import Cells, Tally
@@ -86,7 +87,9 @@ def gather(
     columns = (*columns_of(first.model), *(("t_s",) if survey.time is not None else ()))
     traces: dict[int, Trace] = {}
     current, zeros = None, []
-    for block in log.blocks(columns, size=SIZE):
+    sigma = {c: s.value for c, s in first.noise.sigmas.items()}
+    wide = extended(log, first.model, sigma, first.model.named(first.values))
+    for block in wide.blocks(columns, size=SIZE):
         if block.run != current:
             state = np.array([block.data[c][0] for c in first.model.state])
             current, zeros = block.run, [d.zeros(block.run, state) for d in decode]
@@ -142,7 +145,8 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
     floor = np.array([fit.noise_floor.get(c) or 0.0 for c in model.pose])
     fine = np.maximum(floor / 20, survey.fitted.peak.max(axis=0) / 1e4)
     reach = dict(zip((*model.references, *model.state), survey.reach, strict=True))
-    moved = [c for c, (low, high) in reach.items() if high - low > LEVEL]
+    made = {c.name for c in model.computed}
+    moved = [c for c, (low, high) in reach.items() if high - low > LEVEL and c not in made]
     poses = [c for c in model.references if c in moved]
     maps = [_along(c, reach[c], fit, fine) for c in poses]
     flat = [c for c in poses if c.endswith("_m")][:2]

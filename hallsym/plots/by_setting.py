@@ -124,7 +124,8 @@ def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
     Runs belong to one setting when their mean vertical states agree within 2 % of what the campaign covers.
     A state that moves within runs, or never changes, makes no settings.
     """
-    axes = [k for k, c in enumerate(fit.model.state) if c.endswith(("_m", "_rad"))]
+    made = {c.name for c in fit.model.computed}
+    axes = [k for k, c in enumerate(fit.model.state) if c.endswith(("_m", "_rad")) and c not in made]
     state, drift = survey.state[:, axes], survey.drift[:, axes]
     by_run = [(str(run), [run]) for run in survey.runs]
     if not axes or len(survey.runs) < 2:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hallsym.batches import SIZE, Weigh
 from hallsym.calibration import Fit
+from hallsym.computed import extended
 from hallsym.decoding import columns_of
 from hallsym.log import Log
 from hallsym.plots.names import LEVEL, largest, name, scale, setting, short
@@ -92,7 +93,9 @@ def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep:
     lengths = {run: [s for s in STRETCHES if s < sizes[run]] + [sizes[run]] for run in chosen}
     traces = {run: [Trace(n) for _ in lengths[run]] for run in chosen}
     zeros: dict[int, np.ndarray] = {}
-    for block in log.blocks((*columns_of(model), *(("t_s",) if timed else ())), size=SIZE):
+    sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
+    wide = extended(log, model, sigma, model.named(fit.values))
+    for block in wide.blocks((*columns_of(model), *(("t_s",) if timed else ())), size=SIZE):
         if block.run not in traces:
             if len(zeros) == len(traces):
                 break

@@ -8,6 +8,7 @@ import numpy as np
 
 from hallsym.batches import SIZE, Weigh
 from hallsym.calibration import Fit
+from hallsym.computed import extended
 from hallsym.decoding import ErrorTable, columns_of, decoder
 from hallsym.log import Block, Log
 from hallsym.plots.trace import Trace
@@ -86,7 +87,9 @@ def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
     columns = (*columns_of(model), *(("t_s",) if time else ()))
     runs: dict[int, _Run] = {}
     total = 0
-    for block in log.blocks(columns, size=SIZE):
+    sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
+    wide = extended(log, model, sigma, model.named(fit.values))
+    for block in wide.blocks(columns, size=SIZE):
         reference = np.array([block.data[c] for c in model.references])
         state = np.array([block.data[c] for c in model.state]).reshape(len(model.state), -1)
         n = reference.shape[1]

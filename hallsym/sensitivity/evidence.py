@@ -8,15 +8,15 @@ import numpy as np
 from hallsym import uncertainty
 from hallsym.calibration import CombinationEstimate, Fit
 from hallsym.campaign import Campaign
-from hallsym.cost import Cost, cost_of
+from hallsym.cost import Cost
 from hallsym.determination import Determination, determine
 from hallsym.errors import InputError
 from hallsym.families import same_layout
 from hallsym.fitting import fit
 from hallsym.log import Log
 from hallsym.model import Model
+from hallsym.passes import cost_near
 from hallsym.sensitivity.workspace import Workspace, visited
-from hallsym.summary import summarise
 from hallsym.twin import simulate
 from hallsym.wiring import rewired
 
@@ -79,7 +79,12 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         combinations=found.combinations,
         undetermined_by_log=found.undetermined_by_log,
         noise_floor=found.noise_floor,
-        workspace=visited(found.source, found.model),
+        workspace=visited(
+            found.source,
+            found.model,
+            sigma={c: s.value for c, s in found.noise.sigmas.items()},
+            values=found.model.named(found.values),
+        ),
         recorded=found.source.name,
         notes=notes,
     )
@@ -97,7 +102,7 @@ def from_plan(
     missing = [c for c in model.channels if not noise.get(c, 0.0) > 0]
     if missing:
         raise InputError(f"A plan needs the noise of every channel; {missing[0]} has none: state it.")
-    cost = replace(cost_of(summarise(log, model), noise), planned=True)
+    cost = replace(cost_near(log, model, p, noise), planned=True)
     _check_samples(cost, model, name)
     found = determine(cost, p)
     said = uncertainty.estimate(cost, p, found)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.batches import batches
+from hallsym.computed import extended
 from hallsym.cost import Cost
 from hallsym.decoding import columns_of
 from hallsym.influence import influence
@@ -25,14 +26,23 @@ class Workspace:
     runs: np.ndarray
 
 
-def visited(log: Log, model: Model, most: int = SAMPLES) -> Workspace:
-    """Return about `most` poses of `log`, evenly spread over its samples; one pass over the log."""
+def visited(
+    log: Log,
+    model: Model,
+    most: int = SAMPLES,
+    sigma: Mapping[str, float] | None = None,
+    values: Mapping[str, float] | None = None,
+) -> Workspace:
+    """Return about `most` poses of `log`, evenly spread over its samples; one pass over the log.
+
+    `sigma`: noise by column, `values`: parameters by name, for the columns that are computed.
+    """
     step = max(1, -(-log.rows // most))
     pose: list[np.ndarray] = []
     state: list[np.ndarray] = []
     runs: list[np.ndarray] = []
     offset = 0
-    for batch in batches(log, columns_of(model)):
+    for batch in batches(extended(log, model, sigma, values), columns_of(model)):
         pick = slice(offset, None, step)
         number = np.repeat([block.run for block in batch.blocks], np.diff(batch.edges))
         runs.append(number[pick])

@@ -1,0 +1,75 @@
+"""Effects by name alone: what a log says of their numbers (a width, an instant, a frequency, a rail)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from hallsym import fitting
+from hallsym.calibration import Fit
+from hallsym.diagnosis.ranking import candidates, refitted, scores
+from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
+from hallsym.diagnosis.stage_catalogue import CATALOGUE
+from hallsym.diagnosis.survey import survey
+from hallsym.errors import InputError
+from hallsym.families import adapted, build
+from hallsym.families.recipes import lacking
+from hallsym.log import Log
+from hallsym.model import Model
+
+
+def model_on(
+    log: Log,
+    model: str | Model | None = None,
+    effects: Sequence[str] = (),
+    *,
+    parameters: Mapping[str, Mapping[str, Any]] | None = None,
+    own: Mapping[str, Callable[[Model], Model]] | None = None,
+    holdout: Sequence[int] | None = None,
+    drop_bad: bool = False,
+    on_progress: Callable[[str], None] | None = None,
+) -> Model:
+    """Return `model` with effects in the order given; numbers that are left open are those `log` shows.
+
+    Arguments as for `fit`. A number that is left open is found as a diagnosis finds it: by scores on the runs
+    that are not held out, the model so far fitted to them.
+
+    Raises `InputError` for an effect that the log does not show at all, such as hum without a line.
+    """
+    if not isinstance(model, Model):
+        model = build(model or log.meta.base_model or "stage31", meta=log.meta)
+    model = adapted(model, (), _known(model, parameters))
+    for text in effects:
+        if (own and text in own) or ":" in text or not lacking(text):
+            model = adapted(model, (text,), {}, own)
+            continue
+        known = fitting.fit(
+            log, model, solver="direct", holdout=holdout, drop_bad=drop_bad, resolve_wiring=True,
+            on_progress=on_progress,
+        )  # fmt: skip
+        model = _shown(known.source or log, replace(known, wiring=None), text)
+    return adapted(model, (), parameters or {}, own)
+
+
+def _known(model: Model, parameters: Mapping[str, Mapping[str, Any]] | None) -> dict[str, Mapping[str, Any]]:
+    """Changes to parameters that the model has before its effects are added."""
+    names = {p.name for p in (*model.parameters, *model.zeros)}
+    return {name: entry for name, entry in (parameters or {}).items() if name in names}
+
+
+def _shown(log: Log, known: Fit, text: str) -> Model:
+    """The model of a fit with one effect, in the form that its residual shows best."""
+    effect = next(e for e in CATALOGUE if e.name == text)
+    base = base_of(log, known)
+    apart = set(known.log["holdout"])
+    runs = [r for r in base.log.runs if r not in apart]
+    facts = facts_of(base, survey(base, frozenset(runs)))
+    tried, trouble = candidates(base, [effect], facts)
+    ranked = scores(base, tried, runs, TYPICAL_INFLATION)[0] if tried else []
+    exact = refitted(base, ranked, runs, facts, TYPICAL_INFLATION)
+    if not exact:
+        reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
+        raise InputError(
+            f"Effect {effect.name} cannot be found in {log.name}: {reason}; give its numbers as "
+            f"{effect.name}:{lacking(text)[0]}=..., or leave it out."
+        )
+    return exact[0].score.model
