@@ -266,6 +266,7 @@ def _effect(
         total = float(np.sqrt((raw[same] ** 2).sum()))
         if total * reach[same].max() > SEEN * truth.floor_m:
             each[same] = truth.floor_m / total
+    each[raw == 0.0] = 0.0  # what shows nowhere by itself, such as the width of a loop, stays
     draw = rng.uniform(0.5, 1.0, len(new)) * rng.choice([-1.0, 1.0], len(new))
     direction = each * np.where(lower >= 0, np.abs(draw), draw)
     if not np.any(direction):
