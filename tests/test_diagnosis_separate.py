@@ -188,7 +188,7 @@ def test_the_text_says_everything_within_its_width() -> None:
     assert max(map(len, text.splitlines())) <= WIDTH
     words = " ".join(text.split())
     for said in (
-        "noise floor 1 1", "height_quadratic transducer 40.0 % (35.0 to 45.0) 90 % < 1e-6",
+        "noise floor, stated 1 1", "height_quadratic transducer 40.0 % (35.0 to 45.0) 90 % < 1e-6",
         "bend_A -123456(321) 1/m2", "tau 1.200(20) ms", "offset 2.5 um", "decoding 98 -> 680 operations",
         "50 % of the excess goes with height Z (p < 1e-6; held-out runs 48 %)",
         "This log cannot tell apart: time_skew, first_order_lag", "one such run is enough for 5 sigma",

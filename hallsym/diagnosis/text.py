@@ -29,7 +29,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
 
     `reading`: the words of the command line that say how the log is read, for the next step.
     """
-    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), "", *_sizes(d)]
+    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), *_sizes(d)]
     if d.effects:
         parts += ["", effect_text(d.effects), "", *(_parameters(e) for e in d.effects)]
         parts += [_wrapped(f"  {e.note}", "    ") for e in d.effects if e.note]
@@ -100,7 +100,7 @@ def _sizes(d: Diagnosis) -> list[str]:
             row += ["" if s is None else f"{factor * s['above']:.3g}" for s in both]
             row += ["" if s is None or s["share"] is None else f"{100 * s['share']:.0f} %" for s in both]
             rows.append(row)
-    return [grid(rows)] if len(rows) > 1 else []
+    return ["", grid(rows)] if len(rows) > 1 else []
 
 
 def effect_text(effects: tuple[FoundEffect, ...]) -> str:
