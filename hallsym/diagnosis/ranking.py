@@ -1,6 +1,6 @@
 """Which effect: score tests of the whole catalogue from one pass, then exact refits of what is promising."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,8 @@ FOLDS = 11
 CLOSE = 0.75
 """Effects that explain at least this part of what the best one explains are refitted exactly."""
 REFITS = 6
+NIL = 1e-9
+"""Part of a column's squares below which what is left of it is rounding (products are good to 1e-13)."""
 NEARLY, UNSEEN = 0.97, 0.01
 """Part of the best effect's gain, and relative gap, within which fewer parameters are preferred."""
 
@@ -126,13 +128,13 @@ def scores(
         at = np.arange(t.span[key].start, t.span[key].stop)
         own = total.of(at)
         raw, left = np.diag(total.M)[at], np.diag(own)[:-1]
-        absorbed = bool(np.all(left <= 1e-9 * np.maximum(raw, 1e-300)))
+        absorbed = bool(np.all(left <= NIL * np.maximum(raw, 1e-300)))
         lower, upper = (b[[model.names.index(n) for n in new]] for b in model.bounds)
-        v = np.append(-np.clip(solve(own, np.arange(len(at))), lower, upper), 1.0)
+        v = np.append(-np.clip(total.solved(at, raw), lower, upper), 1.0)
         cost = float(v @ own @ v)
         gain = max(start - cost, 0.0)
         size = len(new) + variant.shapes
-        ratio, p = _cross_validated(parts, at, lower, upper, plain, -v[:-1])
+        ratio, p = _cross_validated(parts, at, raw, lower, upper, plain, -v[:-1])
         out.append(
             Score(effect, variant, model, gain, size, _bic(cost, N / inflation, size, N), ratio, p, absorbed)
         )
@@ -160,6 +162,14 @@ class _Split:
         pick = np.append(at, len(self.M) - 1)
         return self.M[np.ix_(pick, pick)] - self.M[np.ix_(pick, self.basis)] @ self.through[:, pick]
 
+    def solved(self, at: np.ndarray, raw: np.ndarray) -> np.ndarray:
+        """Return coefficients of the columns `at`; 0 where next to nothing of their squares `raw` is left."""
+        own = self.of(at)
+        seen = np.diag(own)[:-1] > NIL * np.maximum(raw, 1e-300)
+        out = np.zeros(len(at))
+        out[seen] = solve(own[np.ix_(*2 * [np.append(seen, True)])], np.arange(int(seen.sum())))
+        return out
+
     def tested(self, M: np.ndarray, at: np.ndarray) -> np.ndarray:
         """Return products of other units with what was taken out as these units say."""
         pick = np.append(at, len(self.M) - 1)
@@ -175,6 +185,7 @@ def _bic(cost: float, effective: float, size: int, N: float) -> float:
 def _cross_validated(
     parts: list[tuple[_Split, np.ndarray, np.ndarray]],
     at: np.ndarray,
+    raw: np.ndarray,
     lower: np.ndarray,
     upper: np.ndarray,
     plain: float,
@@ -187,7 +198,7 @@ def _cross_validated(
     """
     total, scores, noise = 0.0, [], []
     for train, output, likelihood in parts:
-        theta = np.clip(solve(train.of(at), np.arange(len(at))), lower, upper)
+        theta = np.clip(train.solved(at, raw), lower, upper)
         v = np.append(-theta, 1.0)
         total += float(v @ train.tested(output, at) @ v)
         M = train.tested(likelihood, at)
@@ -214,20 +225,24 @@ class Exact:
 
 
 def refitted(
-    base: Base, scored: Sequence[Score], runs: Sequence[int], facts: Facts, inflation: float
+    base: Base,
+    scored: Sequence[Score],
+    runs: Sequence[int],
+    facts: Facts,
+    inflation: float,
+    worth: Callable[[Score], bool],
 ) -> list[Exact]:
-    """Refit the promising effects exactly, shapes refined; best first."""
+    """Refit the promising effects exactly, shapes refined; best first. None where none is `worth` it."""
     best = max((s.gain for s in scored), default=0.0)
     promising = [s for s in by_name(scored) if s.gain >= CLOSE * best and not s.absorbed][:REFITS]
+    promising = [_finer(base, score, runs, facts, inflation) for score in promising]
+    if not any(worth(score) for score in promising):
+        return []
     out = []
     for score in promising:
-        score = _finer(base, score, runs, facts, inflation)
-        variants = [score]
-        # the best variant to first order need not be the best one exactly
-        fits = [(s, refit(with_model(base, s.model), runs)) for s in variants]
-        for s, fit in fits:
-            N = float(fit.tangents.count[fit.fitted].sum()) * len(base.model.channels)
-            out.append(Exact(s, fit, _bic(fit.cost, N / inflation, s.size, N)))
+        fit = refit(with_model(base, score.model), runs)
+        N = float(fit.tangents.count[fit.fitted].sum()) * len(base.model.channels)
+        out.append(Exact(score, fit, _bic(fit.cost, N / inflation, score.size, N)))
     return _plain_first(sorted(out, key=lambda e: e.bic))
 
 

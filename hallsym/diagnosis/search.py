@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -139,9 +140,8 @@ class Search:
         """Add effects while they lower the gap metric by the threshold; then ask of each again."""
         for count in range(MOST + 1):
             self.say(f"testing {len(self.catalogue)} effects" + (f" beside {count}" if count else ""))
-            exact, ranked = self.step(self.now)
-            self.last = ranked
-            if count == MOST or not exact or not self.worth(exact[0].score, count):
+            exact, self.last = self.step(self.now, partial(self.worth, beside=count))
+            if not exact or not self.worth(exact[0].score, count):
                 break
             self.found.append(Found(exact[0], exact[1:]))
             self.now = exact[0].fit
@@ -156,6 +156,8 @@ class Search:
         A first effect that is certain is taken up from half the threshold on: on the held-out runs, which
         decide, it may be worth more (a temperature that only they reach).
         """
+        if beside == MOST:
+            return False
         certain = score.corrected(len(self.catalogue)) < SURE
         if not beside:
             return score.ratio <= 1 - self.level or (certain and score.ratio <= 1 - self.level / 2)
@@ -186,8 +188,10 @@ class Search:
             if kept:
                 self.prune()
 
-    def step(self, at: Refitted) -> tuple[list[Exact], list[Score]]:
-        """Score the catalogue at `at` and refit what is promising."""
+    def step(
+        self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True
+    ) -> tuple[list[Exact], list[Score]]:
+        """Score the catalogue at `at` and refit what is promising, if anything is `worth` it."""
         self.survey = survey(at.base, frozenset(self.runs))
         facts = facts_of(at.base, self.survey)
         tried, trouble = candidates(at.base, self.catalogue, facts)
@@ -198,7 +202,7 @@ class Search:
         for score in by_name(ranked):
             if score.absorbed:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
-        return refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION), ranked
+        return refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth), ranked
 
     def reconsider(self) -> None:
         """Ask of each effect again, with the others in place, which one it should be."""
