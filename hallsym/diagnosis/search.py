@@ -9,13 +9,14 @@ import numpy as np
 from hallsym.calibration import Fit
 from hallsym.cost import cost_of
 from hallsym.diagnosis.effect import Effect, Facts
+from hallsym.diagnosis.faults import KINDS
 from hallsym.diagnosis.ranking import Exact, Score, by_name, candidates, refitted, scores
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import SEGMENT, Survey, survey
 from hallsym.diagnosis.tangent import Base
-from hallsym.diagnosis.verdict import ALLOWANCE, USED_UP, Floor, remains, slow_share, used_up
+from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.summary import summarise
@@ -25,8 +26,6 @@ MOST = 3
 """Effects that are added at most."""
 REPEATS = 4
 """Times that a channel must take its very highest or lowest value for that to be a rail."""
-SURE = 0.01
-"""Significance, corrected for all that was tried, of an effect beside others."""
 TYPICAL_INFLATION = 2.0
 """Assumed while searching; the effects that are found are judged by what the final residual shows."""
 
@@ -129,6 +128,7 @@ class Search:
     ) -> None:
         self.floor = floor
         self.runs, self.catalogue, self.level, self.say = runs, tuple(catalogue), level, say
+        self.tested = len(self.catalogue) + KINDS
         self.start = refit(base, runs)
         self.now = self.start
         self.found: list[Found] = []
@@ -158,7 +158,7 @@ class Search:
         """
         if beside == MOST:
             return False
-        certain = score.corrected(len(self.catalogue)) < SURE
+        certain = score.corrected(self.tested) < SURE
         if not beside:
             return score.ratio <= 1 - self.level or (certain and score.ratio <= 1 - self.level / 2)
         needed = not self.floor.stated or self.gap(self.now) > self.floor.metric * (1 + ALLOWANCE)

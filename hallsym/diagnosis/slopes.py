@@ -17,7 +17,7 @@ from hallsym.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """`run(p, zeros, pose, state) -> (rows, samples)`; each row has a channel and a column (new parameter)."""
+    """`run(p, zeros, pose, state) -> (rows, samples)`; each row has a channel and a column (parameter)."""
 
     run: Callable[..., list[np.ndarray]]
     model: Model

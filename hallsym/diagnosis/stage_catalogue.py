@@ -158,5 +158,7 @@ CATALOGUE: tuple[Effect, ...] = (
                          Variant("x and y with Z, Rx, Ry", se.reference_abbe_error(ALL_ARMS))],
            "Rx and Ry moved within a run while the rest stands still, beside a second reference"),
     Effect("reference_drift", "reference", "the reference creeps within a run",
-           lambda m, f: _one("one rate per axis", se.reference_drift()), "a long run at rest"),
+           lambda m, f: [Variant("one rate per axis", se.reference_drift()),
+                         Variant("a cubic of each run's time per axis", se.reference_drift(3))],
+           "a long run at rest"),
 )  # fmt: skip

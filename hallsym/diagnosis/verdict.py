@@ -6,6 +6,8 @@ import numpy as np
 
 from hallsym.diagnosis.structure import CURVES, Structure
 
+SURE = 0.01
+"""Significance, corrected for all that was tried, from which on an effect or a fault is certain."""
 ALLOWANCE = 0.03
 """How well a stated noise floor is known: what is left may be this much above it, beyond the threshold."""
 UNSTRUCTURED = 0.15
