@@ -16,12 +16,20 @@ from hallsym.model import Model
 FOLDS = 11
 """A prime, so that folds do not fall in step with settings that recur every few runs."""
 CLOSE = 0.75
-"""Effects that explain at least this part of what the best one explains are refitted exactly."""
+"""Effects that explain at least this part of what the best one explains are refitted exactly.
+
+The first order misjudges what is not linear, so the best one of it need not be the best. Below this part an
+effect leaves a quarter of the squares that the best one explains, far more than a refit makes up for."""
 REFITS = 6
+"""Effects that are refitted at most; each takes some five passes over the log."""
 NIL = 1e-9
 """Part of a column's squares below which what is left of it is rounding (products are good to 1e-13)."""
 NEARLY, UNSEEN = 0.97, 0.01
-"""Part of the best effect's gain, and relative gap, within which fewer parameters are preferred."""
+"""Part of the best effect's gain, and relative gap, within which fewer parameters are preferred.
+
+Real machines have imperfections of every kind below the threshold (5 %) of what is worth reporting. Both are
+below it: what they leave out is no finding. The smaller effect is then the simpler explanation; the other
+stays listed, as not excluded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +122,14 @@ def scores(
     t = tangents(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
     tried = {key: entry for key, entry in tried.items() if key not in t.spoiled}
     units, K = t.units(runs), len(base.model.channels)
-    total = _Split(t, units)
+    folds = [units[k::FOLDS] for k in range(min(FOLDS, len(units)))]
+    sums = [t.likelihood[f].sum(axis=0) for f in folds]
+    total = _Split(np.sum(sums, axis=0), t.span[""].stop)
     N = float(t.count[units].sum()) * K
     start = total.square
-    folds = [units[k::FOLDS] for k in range(min(FOLDS, len(units)))]
     parts = [
-        (_Split(t, np.setdiff1d(units, f)), t.output[f].sum(axis=0), t.likelihood[f].sum(axis=0))
-        for f in folds
+        (_Split(total.M - own, t.span[""].stop), t.output[f].sum(axis=0), own)
+        for f, own in zip(folds, sums, strict=True)
     ]
     plain = sum(train.tested(output, NONE)[-1, -1] for train, output, _ in parts)
     out = []
@@ -147,9 +156,9 @@ NONE = np.zeros(0, dtype=int)
 class _Split:
     """Products over some units with the model's own parameters taken out of what is asked for."""
 
-    def __init__(self, t: Tangents, units: np.ndarray) -> None:
-        self.M = t.likelihood[units].sum(axis=0)
-        self.basis = np.arange(t.span[""].stop)
+    def __init__(self, products: np.ndarray, parameters: int) -> None:
+        self.M = products
+        self.basis = np.arange(parameters)
         self.through = inverse(self.M[: len(self.basis), : len(self.basis)]) @ self.M[: len(self.basis)]
 
     @property

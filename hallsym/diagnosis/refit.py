@@ -9,6 +9,7 @@ from hallsym.diagnosis.tangent import Base, Tangents, tangents
 from hallsym.model import Model
 
 STEPS = 8
+"""Gauss-Newton steps at most; two or three are usual."""
 CLOSE = 1e-5
 """Relative decrease of the cost below which Gauss-Newton has converged."""
 

@@ -28,7 +28,10 @@ from hallsym.wiring import Wiring
 APART = 25.0
 """Squared distance of two fits at which they are told apart, in variances of a slow average: 5 sigma."""
 CLOSED = 0.9
-"""Part of the excess above the floor that named effects must close where much is left."""
+"""Part of the excess above the floor that named effects must close where much is left.
+
+Of a gap of twice the floor a tenth of the excess is 14 % above the floor: what is left is then a gap of its
+own, and the verdict says so."""
 SMALL = 0.01
 """Significance, corrected for the catalogue, of a smaller finding."""
 

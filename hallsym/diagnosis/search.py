@@ -23,11 +23,16 @@ from hallsym.summary import summarise
 from hallsym.wiring import rewired
 
 MOST = 3
-"""Effects that are added at most."""
+"""Effects that are added at most: a fourth would have to stand out of what three leave."""
 REPEATS = 4
-"""Times that a channel must take its very highest or lowest value for that to be a rail."""
+"""Times that a channel must take its very highest or lowest value for that to be a rail.
+
+A turning point may fall on one step of the converter two or three times."""
 TYPICAL_INFLATION = 2.0
-"""Assumed while searching; the effects that are found are judged by what the final residual shows."""
+"""Variance of a slow average over that of white noise, assumed in BIC while searching, where it is unknown.
+
+It only weighs parameters against squares; the effects that are found are judged by what the final residual
+shows."""
 
 
 def base_of(log: Log, result: Fit) -> Base:

@@ -9,6 +9,7 @@ from hallsym.diagnosis.survey import SEGMENT
 from hallsym.diagnosis.tangent import Base, Products
 
 MAX_SEGMENTS = 1200
+"""Stretches that a log is cut into at most; a slip may be at the start of each."""
 SAME = 1e-9
 """Relative difference below which two instants are the same to the fitted runs."""
 

@@ -20,16 +20,22 @@ from hallsym.diagnosis.tangent import Base
 
 MAINS = ((46.0, 54.0), (56.0, 64.0))
 """Bands [Hz] in which mains lines are looked for."""
+FINE = 0.125
+"""Distance of the frequencies that are tried there [Hz]: half of what runs of 4 s resolve."""
 SEGMENT = 64
 """Samples of a segment between two instants at which a slip is looked for."""
 LAGS = 64
+"""Samples up to which the residual's memory is added up."""
 ENOUGH = 1_000_000
 """Samples that are looked at one by one; of a longer log every 64th block beyond."""
 WINDOW = 9
+"""Samples of the running median that takes out what changes smoothly: stale stretches of up to 4 stay."""
 FILTERED, FILTERED_QUARTILE = 0.945, 0.917
 """What a running median of 9 leaves of white noise: mean square and upper quartile of squares, simulated."""
 SPIKE = 6.0
-"""Standard deviations beyond which a sample counts as a spike."""
+"""Standard deviations beyond which a sample counts as a spike: 2e-9 of Gaussian samples do.
+
+That it is more than the noise's own tails is tested beside it."""
 BINS = 12
 """Bins of speed in which the scatter of the samples is measured, each of as many samples."""
 WHOLE, MOSTLY = 0.02, 0.95
@@ -187,17 +193,15 @@ class _Work:
 
     def _spectrum(self, t: np.ndarray, r: np.ndarray) -> None:
         """Fourier amplitudes of the mains bands, kept per block with its middle time (blocks <= 8192)."""
-        grid = np.concatenate([np.arange(a, b, 0.125) for a, b in MAINS])
         middle = 0.5 * (t[0] + t[-1])
-        if len(t) < 16:
+        if len(t) < 16 or len(self.spectra) >= 256:
             return
         x = np.arange(len(t)) / len(t) - 0.5
         basis = np.linalg.qr(np.vander(x, 6))[0]
         smooth = r - (r @ basis) @ basis.T
-        if len(self.spectra) < 256:
-            phase = np.exp(-2j * np.pi * np.outer(grid, t - middle))
-            self.spectra.append((middle, len(t), smooth @ phase.T))
-            self.wave.append((t, smooth))
+        bands = [_waves(a, FINE, round((b - a) / FINE), t - middle) for a, b in MAINS]
+        self.spectra.append((middle, len(t), smooth @ np.vstack(bands).T))
+        self.wave.append((t, smooth))
 
     def _instants(self, piece: Piece) -> None:
         """Time shift of each sample that its residual asks for, in standard deviations.
@@ -278,7 +282,7 @@ class _Work:
         f = self.found
         if not self.spectra:
             return
-        grid = np.concatenate([np.arange(a, b, 0.125) for a, b in MAINS])
+        grid = np.concatenate([a + FINE * np.arange(round((b - a) / FINE)) for a, b in MAINS])
         power = sum((np.abs(a) ** 2).sum(axis=0) / n for _, n, a in self.spectra)
         lines = []
         for low, high in MAINS:
@@ -294,20 +298,27 @@ class _Work:
         longest = max(t[-1] - t[0] for t, _ in self.wave) or 1.0
         span = max(times[-1] - times[0], longest)
         best = (peak, -1.0)
-        for centre in peak + np.linspace(-0.5, 0.5, 9) / longest:
-            a = np.array(
-                [
-                    s @ np.exp(-2j * np.pi * centre * (t - m))
-                    for (t, s), m in zip(self.wave, times, strict=True)
-                ]
-            )
-            offsets = np.arange(-0.07 / longest, 0.07 / longest, 0.2 / span)
+        offsets = np.arange(-0.07 / longest, 0.07 / longest, 0.2 / span)
+        step = 0.125 / longest
+        each = [
+            s @ _waves(peak - 4 * step, step, 9, t - m).T for (t, s), m in zip(self.wave, times, strict=True)
+        ]
+        for j, amplitudes in enumerate(np.array(each).transpose(2, 0, 1)):
+            centre = peak + (j - 4) * step
             turn = np.exp(-2j * np.pi * np.outer(centre + offsets, times - times[0]))
-            together = (np.abs(turn @ a) ** 2).sum(axis=1) / total
+            together = (np.abs(turn @ amplitudes) ** 2).sum(axis=1) / total
             k = int(np.argmax(together))
             if together[k] > best[1]:
                 best = (float(centre + offsets[k]), float(together[k]))
         return best
+
+
+def _waves(first: float, step: float, count: int, t: np.ndarray) -> np.ndarray:
+    """Complex waves exp(-2 pi i f t) of `count` evenly spaced frequencies, (count, samples)."""
+    out = np.empty((count, len(t)), dtype=complex)
+    out[0] = np.exp(-2j * np.pi * first * t)
+    out[1:] = np.exp(-2j * np.pi * step * t)
+    return np.multiply.accumulate(out, axis=0)
 
 
 def _events(far: np.ndarray) -> int:

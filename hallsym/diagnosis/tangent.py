@@ -152,9 +152,9 @@ class Products:
         metric = np.einsum("iks,ils->kls", D, D)
         for first, last in batch.groups(TOGETHER):
             lay = batch.layout(first, last)
-            sides = [lay(near), [lay(r) for r in rows]]
-            white = self._products(*sides, self.precision[:, :, None, None])
-            out = self._products(*sides, lay(metric))
+            own, others = lay(near), [lay(r) for r in rows]
+            white = self._products(own, others, self.precision[:, :, None, None])
+            out = self._products(own, others, lay(metric))
             for k, block in enumerate(batch.blocks[first:last]):
                 part = slice(batch.edges[first + k], batch.edges[first + k + 1])
                 count = float(part.stop - part.start if weights is None else weights[part].sum())
