@@ -10,6 +10,9 @@ from hallsym.log import Block, Log
 SIZE = 8192
 """Samples handled at once: many short runs or a piece of a long one; the working set stays in cache."""
 
+PADDED = 1.25
+"""Length that blocks laid side by side may take, over that of the blocks."""
+
 Weigh = Callable[[Block], np.ndarray]
 """Weight in [0, 1] of each sample of a block."""
 
@@ -30,6 +33,35 @@ class Batch:
         """Yield each block with its place in the batch."""
         for k, block in enumerate(self.blocks):
             yield block, slice(self.edges[k], self.edges[k + 1])
+
+    def groups(self, most: int) -> Iterator[tuple[int, int]]:
+        """Yield first and last (exclusive) block of groups of at most `most`, all of nearly one length."""
+        lengths = np.diff(self.edges)
+        first = 0
+        for k in range(1, len(lengths) + 1):
+            if k < len(lengths) and k - first < most:
+                longest = lengths[first : k + 1].max()
+                if longest * (k + 1 - first) <= PADDED * lengths[first : k + 1].sum():
+                    continue
+            yield first, k
+            first = k
+
+    def layout(self, first: int, last: int) -> Callable[[np.ndarray], np.ndarray]:
+        """Return what lays (..., samples) out as (..., blocks, longest) for a group; ends are padded by 0."""
+        edges = self.edges[first : last + 1]
+        lengths = np.diff(edges)
+        longest = int(lengths.max())
+
+        def lay(values: np.ndarray) -> np.ndarray:
+            here = values[..., edges[0] : edges[-1]]
+            if (lengths == longest).all():
+                return here.reshape(*values.shape[:-1], len(lengths), longest)
+            out = np.zeros((*values.shape[:-1], len(lengths), longest))
+            for k, n in enumerate(lengths):
+                out[..., k, :n] = values[..., edges[k] : edges[k] + n]
+            return out
+
+        return lay
 
     def columns(self, names: Sequence[str]) -> list[np.ndarray]:
         """Return several columns, each of shape (samples,)."""

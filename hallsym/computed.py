@@ -257,6 +257,7 @@ def campaign_time() -> Computed:
     return Computed("campaign_s", (), lambda s: s.data["t_s"] - s.origin_s)
 
 
-def run_time() -> Computed:
-    """Return seconds since the first sample of the run."""
-    return Computed("run_s", (), lambda s: s.data["t_s"] - s.first_s)
+def run_time(power: int = 1) -> Computed:
+    """Return seconds since the first sample of the run, to a power."""
+    name = "run_s" if power == 1 else f"run_s{power}"
+    return Computed(name, (), lambda s: (s.data["t_s"] - s.first_s) ** power)

@@ -186,7 +186,7 @@ def test_numbers_are_read_as_they_are_written(width: float, rails: tuple[float, 
         ("mount_slip:probe=Q,instant_s=3", "must be one of A, B, C"),
         ("saturation:low_m=1/2,high_m=1/2", "3 numbers each"),
         ("exact_rotation:order=3", "takes no numbers"),
-        ("reference_drift:order=3", "it has none"),
+        ("reference_scale_error:order=3", "it has none"),
         ("clock_jiter", "Effect must be one of"),
     ],
 )

@@ -1,7 +1,7 @@
-"""Chi-square probabilities without the import time of scipy.stats."""
+"""Probabilities without the import time of scipy.stats."""
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, stdtr
+from scipy.special import bdtrc, chdtrc, chdtri, fdtrc, fdtri, gammainc, stdtr
 
 
 def chance(statistic: float, freedom: float) -> float:
@@ -30,3 +30,44 @@ def beyond(values: np.ndarray, noise: np.ndarray | None = None) -> float:
     if error <= 0.0:
         return 1.0 if total <= 0 else 0.0
     return float(stdtr(n - 1, -total / error))
+
+
+def exceeds(values: np.ndarray, freedom: int, limit: float) -> float:
+    """Return the probability that one of `values` exceeds `limit`, as far as their body says.
+
+    `values`: (n,) squared distances with `freedom` directions. Their median and upper 5 % give the scale and
+    the weight of the tails of an F distribution (noise of Student's t; chi-square for Gaussian noise), so
+    that noise with heavy tails is expected to exceed often.
+    """
+    middle, high = np.quantile(values, [0.5, 0.95])
+    if middle <= 0.0:
+        return 1.0
+    ratio = float(high / middle)
+
+    def tails(logarithm: float) -> float:
+        weight = 10.0**logarithm
+        return float(fdtri(freedom, weight, 0.95) / fdtri(freedom, weight, 0.5)) - ratio
+
+    light, heavy = 4.0, 0.0
+    if tails(light) >= 0.0:
+        return chance(limit * statistic_at(0.5, freedom) / float(middle), freedom)
+    for _ in range(40):
+        weight = 0.5 * (light + heavy)
+        light, heavy = (light, weight) if tails(weight) >= 0.0 else (weight, heavy)
+    weight = 10.0**light
+    return float(fdtrc(freedom, weight, limit * float(fdtri(freedom, weight, 0.5)) / float(middle)))
+
+
+def as_many(count: int, expected: float) -> float:
+    """Return the probability of `count` or more rare events where `expected` are (Poisson)."""
+    return float(gammainc(count, max(expected, 1e-300))) if count > 0 else 1.0
+
+
+def as_often(count: int, of: int, each: float) -> float:
+    """Return the probability of `count` or more among `of` trials with probability `each` (binomial)."""
+    return float(bdtrc(count - 1, of, each)) if count > 0 else 1.0
+
+
+def student(statistic: float, freedom: int) -> float:
+    """Return the one-sided p-value of Student's t."""
+    return float(stdtr(freedom, -statistic))

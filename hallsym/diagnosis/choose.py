@@ -65,7 +65,7 @@ def _shown(log: Log, known: Fit, text: str) -> Model:
     facts = facts_of(base, survey(base, frozenset(runs)))
     tried, trouble = candidates(base, [effect], facts)
     ranked = scores(base, tried, runs, TYPICAL_INFLATION)[0] if tried else []
-    exact = refitted(base, ranked, runs, facts, TYPICAL_INFLATION)
+    exact = refitted(base, ranked, runs, facts, TYPICAL_INFLATION, lambda _: True)
     if not exact:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(

@@ -26,6 +26,7 @@ from hallsym.model import Model
 THRESHOLD = 0.05
 """Relative decrease of the gap metric from which on a gap is worth reporting."""
 HOLD_EVERY = 5
+"""Of runs without a named holdout every fifth is held out."""
 
 
 @dataclass(frozen=True, eq=False)

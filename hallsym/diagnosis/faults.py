@@ -3,37 +3,53 @@
 They are judged on what the best model leaves. What each costs is what the gap would lose without it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import factorial
 
 import numpy as np
 
 from hallsym.batches import Weigh
-from hallsym.diagnosis.chance import statistic_at
+from hallsym.diagnosis.chance import beyond, statistic_at
 from hallsym.diagnosis.record import Estimate
-from hallsym.diagnosis.survey import Survey
+from hallsym.diagnosis.survey import Survey, pieces
 from hallsym.diagnosis.tangent import Base
-from hallsym.log import Block
+from hallsym.diagnosis.verdict import SURE
+from hallsym.log import Block, Log
 from hallsym.outliers import residuals
 
 TAILS = ("outliers", "dropped_samples")
 """Faults of few samples, which can be left out."""
 FAR = 42.0
-"""Squared whitened distance of a sample, over its typical one, from which on it is left out."""
-CERTAIN = 8.0
-"""Standard deviations that jitter must show by."""
-RARE = 2e-5
-"""Share of samples from which on a tail is more than chance."""
+"""Squared whitened distance of a sample, over its typical one, from which on it is left out.
+
+Chi-square of three readings exceeds it with 4e-9: of a million Gaussian samples none is lost."""
+SPIKES = 0.3
+"""Part of the power of far samples from which on spikes, which no delay explains, are the cause.
+
+A stale sample is off along the direction of motion only and leaves none; a spike of one of K readings has
+1 - 1/K of its power in the others on average (2/3 for three). Half of that."""
 BURSTS = 0.5
-"""Share of far samples that crowd together from which on they are no faults of single samples."""
+"""Share of far samples with others around them from which on they are no faults of single samples.
+
+A majority: rare faults have none around."""
 SMOOTH = 0.25
-"""Correlation of neighbouring time shifts from which on they are no jitter, which has none."""
+"""Correlation of neighbouring time shifts from which on they are no jitter, which has none.
+
+White noise has -0.09 after the running median; a gap of the model that is sampled finely comes near 1."""
 ONE_SIDED = 0.5
-"""Mean sign of samples that are late from which on they count as stale: jitter is early as often as late."""
+"""Mean sign of samples that are late from which on they count as stale: jitter is early as often as late.
+
+Between 0 of jitter and 1 of stale samples; that it is no chance is tested beside it."""
+
+
+KINDS = 6
+"""Faults that every log is asked for: those of samples here, and exchanged and inverted channels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """A fault of samples: `power` is its share of the whitened residual's variance."""
+    """A fault of samples: `power` is its share of the whitened residual's variance, `p_value` uncorrected."""
 
     name: str
     link: str
@@ -43,29 +59,37 @@ class Fault:
     p_value: float
 
 
-def faults(base: Base, found: Survey) -> list[Fault]:
-    """Return the faults that `found`, a survey of all samples, shows, largest first."""
+def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
+    """Return the faults that `found`, a survey of all samples, shows, largest first.
+
+    Each must be certain after correction for all that was `tested`.
+    """
+
+    def certain(p: float) -> bool:
+        return p * tested < SURE
+
     out = []
     variance = max(found.variance, 1e-12)
     tail = found.spike_power + found.stale_power
     rare = found.bursts < BURSTS
-    if rare and found.spike_share > RARE and found.spike_power > 0.3 * tail:
+    if rare and certain(found.spike_p) and found.spike_power > SPIKES * tail:
         out.append(
             Fault("outliers", "electronics", f"{100 * found.spike_share:.2g} % of the samples are spikes",
-                  tail / variance, {"share": Estimate(found.spike_share, None, "1")}, 0.0)
+                  tail / variance, {"share": Estimate(found.spike_share, None, "1")}, found.spike_p)
         )  # fmt: skip
-    elif rare and found.stale_share > RARE and abs(found.one_sided) > ONE_SIDED:
+    elif rare and certain(found.stale_p) and abs(found.one_sided) > ONE_SIDED:
         out.append(
             Fault("dropped_samples", "clock", f"{100 * found.stale_share:.2g} % of the samples are old",
-                  tail / variance, {"share": Estimate(found.stale_share, None, "1")}, 0.0)
+                  tail / variance, {"share": Estimate(found.stale_share, None, "1")}, found.stale_p)
         )  # fmt: skip
-    elif found.jitter_z > CERTAIN and found.smooth < SMOOTH:
+    elif certain(found.jitter_p) and found.smooth < SMOOTH:
         out.append(
             Fault("clock_jitter", "clock", f"sampling instants scatter by {1e6 * found.jitter_s:.3g} us rms",
-                  found.jitter_power / variance, {"jitter": Estimate(found.jitter_s, None, "s")}, 1e-12)
+                  found.jitter_power / variance, {"jitter": Estimate(found.jitter_s, None, "s")},
+                  found.jitter_p)
         )  # fmt: skip
     steps = found.adc_step
-    if steps.size and steps.max() > 0:
+    if steps.size and steps.max() > 0 and certain(found.step_p):
         whiten = np.linalg.inv(base.covariance)
         power = float(np.diag(whiten) @ steps**2) / 12 / len(steps)
         fine = {
@@ -74,7 +98,7 @@ def faults(base: Base, found: Survey) -> list[Fault]:
         }
         out.append(
             Fault("adc_quantisation", "electronics", f"readings come in steps of {1e6 * steps.max():.3g} um",
-                  power / variance, fine, 0.0)
+                  power / variance, fine, found.step_p)
         )  # fmt: skip
     return sorted(out, key=lambda f: -f.power)
 
@@ -91,3 +115,25 @@ def without_tail(base: Base) -> Weigh:
         return near if base.keep is None else near * base.keep(block)
 
     return weigh
+
+
+def wirings(channels: int) -> int:
+    """Return how many other orders and signs of the channels were compared with the nominal ones."""
+    return factorial(channels) * 2**channels - 1
+
+
+def wiring_p(base: Base, log: Log, runs: Sequence[int]) -> float:
+    """Return the p-value of the readings of `log` being wired as the model has them, across `runs`.
+
+    `base` holds the log as rewired. The score of a run is what its readings differ by from the rewired ones,
+    times what the model leaves of them; its noise is the same times what is left after rewiring.
+    """
+    wanted = frozenset(runs)
+    scores: dict[int, float] = {}
+    noise: dict[int, float] = {}
+    whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
+    for now, was in zip(pieces(base, wanted), pieces(replace(base, log=log), wanted), strict=True):
+        moved = (whiten @ (was.readings - now.readings)) * now.used
+        scores[now.run] = scores.get(now.run, 0.0) + float((moved * was.residual).sum())
+        noise[now.run] = noise.get(now.run, 0.0) + float((moved * now.residual).sum())
+    return beyond(np.array(list(scores.values())), np.array(list(noise.values())))

@@ -91,9 +91,9 @@ def _autocorrelation(base: Base, catalogue: Sequence[Effect], facts: Facts) -> t
     def whitened() -> Iterator[np.ndarray]:
         """Columns [parameters | effects | residual] of each block, (c, K, samples), its zeros taken out."""
         for batch in batches(log, columns):
-            A, _ = work.columns(batch, None)
+            A = work.whitened(batch, None)
             for _, at in batch.parts():
-                W = np.einsum("jk,cks->cjs", work.whiten, A[:, :, at]).reshape(len(A), -1)
+                W = A[:, :, at].reshape(len(A), -1)
                 zeros, rest = np.linalg.qr(W[: work.z].T)[0], W[work.z :]
                 yield (rest - (rest @ zeros) @ zeros.T).reshape(len(rest), len(work.whiten), -1)
 

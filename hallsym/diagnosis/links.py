@@ -221,7 +221,7 @@ def _gathered(base: Base, tried: Mapping[str, Score]) -> Blocks:
             key = group[run], part
             sums[key], count[key] = sums.get(key, 0) + M, count.get(key, 0.0) + n
     keys = sorted(sums)
-    span = {k: v for k, v in work.span.items() if k not in work.spoiled}
+    span = {k: v for k, v in work.span.items() if k not in work.slopes.spoiled}
     return Blocks(
         np.array([sums[k] for k in keys]), np.array([count[k] for k in keys]), np.array([k[0] for k in keys]),
         span, _bounds(candidates),
@@ -239,19 +239,19 @@ def _by_run(base: Base, work: Products, models: Sequence[Model], size: int) -> I
     columns = tuple(dict.fromkeys(c for m in (base.model, *models) for c in columns_of(m)))
     run, seen, parts = -1, 0, Parts()
     for batch in batches(extended(base.log, wide, base.sigma, base.values), columns):
-        A, _ = work.columns(batch, None)
+        white = work.whitened(batch, None)
         for block, at in batch.parts():
             if block.run != run:
                 if parts:
                     yield run, parts
                 run, seen, parts = block.run, 0, {}
-            white = np.einsum("jk,cks->cjs", work.whiten, A[:, :, at])
-            place = (seen + np.arange(white.shape[2])) // size
+            here = white[:, :, at]
+            place = (seen + np.arange(here.shape[2])) // size
             for part in np.unique(place):
-                rows = white[:, :, place == part].reshape(len(white), -1)
+                rows = here[:, :, place == part].reshape(len(here), -1)
                 before, n = parts.get(int(part), (np.zeros((len(rows),) * 2), 0.0))
                 parts[int(part)] = before + rows @ rows.T, n + rows.shape[1]
-            seen += white.shape[2]
+            seen += here.shape[2]
     if parts:
         yield run, parts
 

@@ -9,6 +9,7 @@ from hallsym.diagnosis.tangent import Base, Tangents, tangents
 from hallsym.model import Model
 
 STEPS = 8
+"""Gauss-Newton steps at most; two or three are usual."""
 AT_BOUND = 1e-6
 """Part of the width of its bounds within which a parameter counts as at one of them."""
 CLOSE = 1e-5

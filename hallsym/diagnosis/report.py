@@ -8,12 +8,12 @@ import numpy as np
 
 from hallsym.calibration import Fit, added_effects
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
-from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
+from hallsym.diagnosis.faults import TAILS, Fault, faults, wiring_p, wirings, without_tail
 from hallsym.diagnosis.price import price
-from hallsym.diagnosis.ranking import by_name, distance
+from hallsym.diagnosis.ranking import Exact, by_name, distance
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation
 from hallsym.diagnosis.refit import refit
-from hallsym.diagnosis.search import Search
+from hallsym.diagnosis.search import Found, Search
 from hallsym.diagnosis.separate import separation
 from hallsym.diagnosis.shape import unexplained
 from hallsym.diagnosis.size import sizes
@@ -28,11 +28,12 @@ from hallsym.model import Model
 from hallsym.wiring import Wiring
 
 APART = 25.0
-"""Whitened squared distance, over the residual's variance, from which on two fits can be told apart."""
+"""Squared distance of two fits at which they are told apart, in variances of a slow average: 5 sigma."""
 CLOSED = 0.9
-"""Part of the excess above the floor that named effects must close where much is left."""
-CLOSE_SECOND = 0.9
-"""Part of what the best explains from which on another effect is listed behind it."""
+"""Part of the excess above the floor that named effects must close where much is left.
+
+Of a gap of twice the floor a tenth of the excess is 14 % above the floor: what is left is then a gap of its
+own, and the verdict says so."""
 SMALL = 0.01
 """Significance, corrected for the catalogue, of a smaller finding."""
 
@@ -58,7 +59,7 @@ def report(
     )
     floor = dict(result.noise_floor)
     floor_metric = search.floor.metric
-    spoiled = [f for f in faults(now, final) if _cures(f) >= level]
+    spoiled = [f for f in faults(now, final, search.tested) if _cures(f) >= level]
     if after.metric <= floor_metric * (1 + ALLOWANCE):
         spoiled = []
     search_end, rest = now, structure(now, search.runs)
@@ -78,9 +79,9 @@ def report(
     left = max(left, min(floor_metric, cured.metric))
     scale = left / after.metric
     effects = _effects(search, before, after, floor_metric, inflation, apart, rows)
-    effects += [_fault_record(f, scale, before, after, floor_metric) for f in spoiled]
+    effects += [_fault_record(f, scale, before, after, floor_metric, search.tested) for f in spoiled]
     if wiring and _miswired(result.model, wiring):
-        effects.insert(0, _wiring_record(result.model, wiring, before, left, floor_metric))
+        effects.insert(0, _wiring_record(start, log, wiring, search, before, left, floor_metric))
     effects.sort(key=lambda e: -e.share)
     drop = 1 - left / before.metric
     named = bool(effects) and drop >= level
@@ -90,7 +91,7 @@ def report(
     open_ = remains(rest, slow, left if named else before.metric, search.floor, level)
     verdict = _verdict(named, open_, _closed(before.metric, left, floor_metric))
     groups, separate = _groups(search, inflation) if verdict != "no gap" else ([], [])
-    ranked = _ranked(effects, groups, search, verdict) if verdict != "no gap" else []
+    ranked = _ranked(effects, groups, search, verdict, inflation) if verdict != "no gap" else []
     smaller = _smaller(search)
     if verdict == "no gap":
         smaller = [
@@ -198,7 +199,7 @@ def _effects(
     apart: tuple[int, ...],
     rows: int,
 ) -> list[FoundEffect]:
-    out, tested = [], len(search.catalogue)
+    out, tested = [], search.tested
     N = float(search.now.tangents.count[search.now.fitted].sum()) * len(search.start.base.model.channels)
     noise = max(search.now.cost / N, 1e-12)
     spread = np.sqrt(np.maximum(np.diag(search.now.covariance()), 0.0) * noise * inflation)
@@ -252,12 +253,13 @@ def _stuck(names: Sequence[str]) -> str:
 
 
 def _fault_record(
-    fault: Fault, scale: float, before: BlockErrors, after: BlockErrors, floor: float
+    fault: Fault, scale: float, before: BlockErrors, after: BlockErrors, floor: float, tested: int
 ) -> FoundEffect:
     excess = max(before.metric**2 - floor**2, 1e-300)
     share = float(np.clip((1 - scale**2) * after.metric**2 / excess, 0.0, 1.0))
     return FoundEffect(
-        fault.name, fault.link, fault.text, fault.parameters, fault.p_value, 1 - scale,
+        fault.name, fault.link, fault.text, fault.parameters,
+        min(1.0, fault.p_value * tested), 1 - scale,
         (1 - scale, 1 - scale), share, "no parameter: a repair, not a model", note=_repair(fault.name),
     )  # fmt: skip
 
@@ -285,14 +287,16 @@ def _miswired(model: Model, wiring: Wiring) -> bool:
 
 
 def _wiring_record(
-    model: Model, wiring: Wiring, before: BlockErrors, left: float, floor: float
+    base: Base, log: Log, wiring: Wiring, search: Search, before: BlockErrors, left: float, floor: float
 ) -> FoundEffect:
+    model = base.model
     swapped = [c for c, (source, _) in zip(model.channels, wiring, strict=True) if source != c]
     flipped = [source for source, sign in wiring if sign < 0]
     what = f"{' and '.join(swapped)} exchanged" if swapped else f"{' and '.join(flipped)} inverted"
     drop = 1 - left / before.metric
+    p = min(1.0, wiring_p(base, log, search.runs) * search.tested * wirings(len(model.channels)))
     return FoundEffect(
-        "channel_swap" if swapped else "sign_inversion", "electronics", what, {}, 0.0, drop, (drop, drop),
+        "channel_swap" if swapped else "sign_inversion", "electronics", what, {}, p, drop, (drop, drop),
         _closed(before.metric, left, floor), "no parameter: the wiring is put right",
         note=_repair("channel_swap" if swapped else "sign_inversion"),
     )  # fmt: skip
@@ -303,9 +307,8 @@ def _groups(search: Search, inflation: float) -> tuple[list[tuple[str, ...]], li
     groups, separate = [], []
     for found in search.found:
         one = found.exact
-        N = float(one.fit.tangents.count[one.fit.fitted].sum()) * len(one.fit.base.model.channels)
-        limit = APART * max(one.fit.cost / N, 1e-12) * inflation
-        close = [(r, distance(one.fit, r.fit)) for r in found.rivals if r.fit.cost - one.fit.cost < limit]
+        limit = _limit(one, inflation)
+        close = [(r, distance(one.fit, r.fit)) for r in _standing(found, inflation)]
         close = [(r, d) for r, d in close if d < limit][:3]
         if not close:
             continue
@@ -321,15 +324,28 @@ def _groups(search: Search, inflation: float) -> tuple[list[tuple[str, ...]], li
     return groups, separate
 
 
+def _limit(one: Exact, inflation: float) -> float:
+    """Squares by which two fits must differ to be told apart."""
+    N = float(one.fit.tangents.count[one.fit.fitted].sum()) * len(one.fit.base.model.channels)
+    return APART * max(one.fit.cost / N, 1e-12) * inflation
+
+
+def _standing(found: Found, inflation: float) -> list[Exact]:
+    """Effects that the log does not exclude in the place of the one that was found."""
+    limit = _limit(found.exact, inflation)
+    return [r for r in found.rivals if r.fit.cost - found.exact.fit.cost < limit]
+
+
 def _ranked(
-    effects: Sequence[FoundEffect], groups: Sequence[tuple[str, ...]], search: Search, verdict: str
+    effects: Sequence[FoundEffect],
+    groups: Sequence[tuple[str, ...]],
+    search: Search,
+    verdict: str,
+    inflation: float,
 ) -> list[str]:
-    """Names that carry evidence: the effects by share, what is the same on this log, what came close."""
+    """Names that carry evidence: the effects by share, what is the same on this log, what is not excluded."""
     rivals = [
-        r.score.effect.name
-        for f in search.found
-        for r in f.rivals
-        if verdict == "explained" and r.score.gain >= CLOSE_SECOND * f.exact.score.gain
+        r.score.effect.name for f in search.found for r in _standing(f, inflation) if verdict == "explained"
     ]
     grouped = [name for group in groups for name in group]
     return list(dict.fromkeys([*(e.name for e in effects), *grouped, *rivals]))
@@ -337,7 +353,7 @@ def _ranked(
 
 def _smaller(search: Search) -> list[dict[str, Any]]:
     """Effects that are significant beside what was found, and lower the gap by less than the threshold."""
-    out, tested = [], len(search.catalogue)
+    out, tested = [], search.tested
     names = {f.exact.score.effect.name for f in search.found}
     for score in by_name(search.last):
         p = score.corrected(tested)

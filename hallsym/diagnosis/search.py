@@ -2,31 +2,36 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from hallsym.calibration import Fit
 from hallsym.diagnosis.effect import Effect, Facts
+from hallsym.diagnosis.faults import KINDS
 from hallsym.diagnosis.ranking import Exact, Score, by_name, candidates, refitted, scores
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import SEGMENT, Survey, survey
 from hallsym.diagnosis.tangent import Base
-from hallsym.diagnosis.verdict import ALLOWANCE, USED_UP, Floor, remains, slow_share, used_up
+from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.passes import cost_near
 from hallsym.wiring import rewired
 
 MOST = 3
-"""Effects that are added at most."""
+"""Effects that are added at most: a fourth would have to stand out of what three leave."""
 REPEATS = 4
-"""Times that a channel must take its very highest or lowest value for that to be a rail."""
-SURE = 0.01
-"""Significance, corrected for all that was tried, of an effect beside others."""
+"""Times that a channel must take its very highest or lowest value for that to be a rail.
+
+A turning point may fall on one step of the converter two or three times."""
 TYPICAL_INFLATION = 2.0
-"""Assumed while searching; the effects that are found are judged by what the final residual shows."""
+"""Variance of a slow average over that of white noise, assumed in BIC while searching, where it is unknown.
+
+It only weighs parameters against squares; the effects that are found are judged by what the final residual
+shows."""
 
 
 def base_of(log: Log, result: Fit) -> Base:
@@ -127,6 +132,7 @@ class Search:
     ) -> None:
         self.floor = floor
         self.runs, self.catalogue, self.level, self.say = runs, tuple(catalogue), level, say
+        self.tested = len(self.catalogue) + KINDS
         self.start = refit(base, runs)
         self.now = self.start
         self.found: list[Found] = []
@@ -139,9 +145,8 @@ class Search:
         """Add effects while they lower the gap metric by the threshold; then ask of each again."""
         for count in range(MOST + 1):
             self.say(f"testing {len(self.catalogue)} effects" + (f" beside {count}" if count else ""))
-            exact, ranked = self.step(self.now)
-            self.last = ranked
-            if count == MOST or not exact or not self.worth(exact[0].score, count):
+            exact, self.last = self.step(self.now, partial(self.worth, beside=count))
+            if not exact or not self.worth(exact[0].score, count):
                 break
             self.found.append(Found(exact[0], exact[1:]))
             self.now = exact[0].fit
@@ -160,7 +165,9 @@ class Search:
         A first effect that is certain is taken up from half the threshold on: on the held-out runs, which
         decide, it may be worth more (a temperature that only they reach).
         """
-        certain = score.corrected(len(self.catalogue)) < SURE
+        if beside == MOST:
+            return False
+        certain = score.corrected(self.tested) < SURE
         if not beside:
             return score.ratio <= 1 - self.level or (certain and score.ratio <= 1 - self.level / 2)
         needed = not self.floor.stated or self.gap(self.now) > self.floor.metric * (1 + ALLOWANCE)
@@ -190,8 +197,10 @@ class Search:
             if kept:
                 self.prune()
 
-    def step(self, at: Refitted) -> tuple[list[Exact], list[Score]]:
-        """Score the catalogue at `at` and refit what is promising."""
+    def step(
+        self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True
+    ) -> tuple[list[Exact], list[Score]]:
+        """Score the catalogue at `at` and refit what is promising, if anything is `worth` it."""
         self.survey = survey(at.base, frozenset(self.runs))
         facts = facts_of(at.base, self.survey)
         tried, trouble = candidates(at.base, self.catalogue, facts)
@@ -203,7 +212,7 @@ class Search:
         for score in by_name(ranked):
             if score.absorbed:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
-        return refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION), ranked
+        return refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth), ranked
 
     def reconsider(self) -> None:
         """Ask of each effect again, with the others in place, which one it should be."""

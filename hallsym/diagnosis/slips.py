@@ -9,6 +9,7 @@ from hallsym.diagnosis.survey import SEGMENT
 from hallsym.diagnosis.tangent import Base, Products
 
 MAX_SEGMENTS = 1200
+"""Stretches that a log is cut into at most; a slip may be at the start of each."""
 SAME = 1e-9
 """Relative difference below which two instants are the same to the fitted runs."""
 
@@ -65,54 +66,56 @@ def _gains(
     by_run: dict[int, list[tuple[int, float, np.ndarray]]] = {}
     for segment in segments:
         by_run.setdefault(segment[0], []).append(segment)
-    whole = {run: np.sum([s[2] for s in parts], axis=0) for run, parts in by_run.items()}
-    reduced = {run: _reduced(M, z) * (run in counted) for run, M in whole.items()}
+    stacks = {run: np.array([s[2] for s in parts]) for run, parts in by_run.items()}
+    wholes = {run: M.sum(axis=0) for run, M in stacks.items()}
+    zeros = {run: np.linalg.pinv(M[:z, :z], rcond=1e-12, hermitian=True) for run, M in wholes.items()}
+    reduced = {run: _reduced(M, zeros[run], z) * (run in counted) for run, M in wholes.items()}
     total = np.sum(list(reduced.values()), axis=0)
     n = len(total) - 1
     JJ = inverse(total[:n, :n])
     after, out = np.zeros_like(total), []
     for run in reversed(by_run):
         parts = by_run[run]
-        late = np.zeros_like(whole[run])
-        for j in range(len(parts) - 1, 0, -1) if run in counted else ():
-            late = late + parts[j][2]
-            step = _split(whole[run], late, after, k, column, z)
-            out.append((parts[j][1], _gain(total, JJ, *step)))
+        if run in counted and len(parts) > 1:
+            late = np.cumsum(stacks[run][:0:-1], axis=0)
+            gains = _gain(total, JJ, *_split(wholes[run], zeros[run], late, after, k, column))
+            out += list(zip((p[1] for p in parts[:0:-1]), gains.tolist(), strict=True))
         after = after + reduced[run]
         # between runs: the offset is the zero's
-        step = after[:, [column]], after[[column], [column]][:, None]
-        out.append((parts[0][1], _gain(total, JJ, *step)))
+        step = after[None, :, [column]], after[None, [column], [column]][..., None]
+        out.append((parts[0][1], float(_gain(total, JJ, *step)[0])))
     return out
 
 
-def _reduced(M: np.ndarray, z: int) -> np.ndarray:
-    return M[z:, z:] - M[z:, :z] @ np.linalg.lstsq(M[:z, :z], M[:z, z:], rcond=1e-12)[0]
+def _reduced(M: np.ndarray, zeros: np.ndarray, z: int) -> np.ndarray:
+    return M[z:, z:] - M[z:, :z] @ zeros @ M[:z, z:]
 
 
 def _split(
-    whole: np.ndarray, late: np.ndarray, after: np.ndarray, k: int, column: int, z: int
+    whole: np.ndarray, zeros: np.ndarray, late: np.ndarray, after: np.ndarray, k: int, column: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Products of the two step columns (gain, offset) with the others and each other."""
+    """Products of the two step columns (gain, offset) with the others and each other, for many instants.
+
+    `late`: (instants, c, c) products of what of the run comes after; `zeros`: inverse of those of its zeros.
+    """
+    z = len(zeros)
     pick = [z + column, k]
-    n = len(whole)
-    M = np.zeros((n + 2, n + 2))
-    M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:] = whole, late[:, pick], late[pick], late[np.ix_(pick, pick)]
-    R = _reduced(M, z)
-    m = n - z
-    cross, own = R[:m, m:].copy(), R[m:, m:].copy()
-    cross[:, 0] += after[:, column]
-    own[0, 0] += after[column, column]
+    through = zeros @ late[:, :z, :][:, :, pick]
+    cross = late[:, z:, :][:, :, pick] - whole[z:, :z] @ through
+    own = late[:, pick, :][:, :, pick] - late[:, pick, :][:, :, :z] @ through
+    cross[:, :, 0] += after[:, column]
+    own[:, 0, 0] += after[column, column]
     return cross, own
 
 
-def _gain(total: np.ndarray, JJ: np.ndarray, cross: np.ndarray, own: np.ndarray) -> float:
-    """Decrease of the squares when the step columns join the parameters."""
+def _gain(total: np.ndarray, JJ: np.ndarray, cross: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Decrease of the squares when the step columns join the parameters, for many instants."""
     n = len(total) - 1
-    through = JJ @ cross[:n]
-    A = own - cross[:n].T @ through
-    b = cross[n] - through.T @ total[:n, n]
-    d = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    if np.any(np.diag(A) <= 1e-9 * np.maximum(np.diag(own), 1e-300)):
-        return 0.0
-    x = np.linalg.lstsq(A / np.outer(d, d), b / d, rcond=1e-9)[0]
-    return float(b / d @ x)
+    through = JJ @ cross[:, :n]
+    A = own - cross[:, :n].swapaxes(1, 2) @ through
+    b = cross[:, n] - through.swapaxes(1, 2) @ total[:n, n]
+    left, raw = (np.diagonal(M, axis1=1, axis2=2) for M in (A, own))
+    d = np.sqrt(np.maximum(left, 1e-300))
+    x = np.linalg.pinv(A / (d[:, :, None] * d[:, None]), rcond=1e-9, hermitian=True) @ (b / d)[:, :, None]
+    gain = np.einsum("ij,ij->i", b / d, x[:, :, 0])
+    return np.where((left <= 1e-9 * np.maximum(raw, 1e-300)).any(axis=1), 0.0, gain)

@@ -155,5 +155,6 @@ CATALOGUE: tuple[Effect, ...] = (
                   ("x and y with Z, Rx, Ry", "all")),
            "Rx and Ry moved within a run while the rest stands still, beside a second reference"),
     Effect("reference_drift", "reference", "the reference creeps within a run",
-           lambda m, f: _one("one rate per axis", "reference_drift"), "a long run at rest"),
+           _forms("reference_drift", "degree", ("one rate per axis", 1),
+                  ("a cubic of each run's time per axis", 3)), "a long run at rest"),
 )  # fmt: skip

@@ -20,6 +20,7 @@ from hallsym.diagnosis.survey import Piece, pieces
 from hallsym.diagnosis.tangent import Base
 
 FOLDS = 13
+"""Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
 NODES = 128
 """Intervals of the finest curve over a coordinate."""
 LEVELS = (1, 4, 16)
@@ -29,9 +30,13 @@ LAGS = 24
 CHUNK = 32
 """Samples of a stretch of a run; odd ones are predicted from even ones and back."""
 SEGMENT = 128
+"""Samples of a segment of the spectrum."""
 RIDGE = 1e-3
+"""Pull of coefficients towards 0, over the squares of their column: what no fold determines stays 0."""
 STILL = 5.0
-"""An axis that moves less than this many sigma of its noise (rms) stands still."""
+"""An axis that moves less than this many sigma of its noise (rms) stands still.
+
+Its logged place is then noise to 4 % of its variance, and that noise is in the residual too."""
 CURVES = ("place", "reading", "displacement")
 """First words of the families that are curves over one coordinate."""
 

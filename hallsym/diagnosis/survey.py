@@ -15,21 +15,31 @@ from hallsym.arrays import on_arrays
 from hallsym.batches import batches
 from hallsym.computed import Computed, extended, rate
 from hallsym.decoding import columns_of
-from hallsym.diagnosis.chance import statistic_at
+from hallsym.diagnosis.chance import as_many, as_often, exceeds, statistic_at, student
 from hallsym.diagnosis.tangent import Base
 
 MAINS = ((46.0, 54.0), (56.0, 64.0))
 """Bands [Hz] in which mains lines are looked for."""
+FINE = 0.125
+"""Distance of the frequencies that are tried there [Hz]: half of what runs of 4 s resolve."""
 SEGMENT = 64
 """Samples of a segment between two instants at which a slip is looked for."""
 LAGS = 64
+"""Samples up to which the residual's memory is added up."""
 ENOUGH = 1_000_000
 """Samples that are looked at one by one; of a longer log every 64th block beyond."""
 WINDOW = 9
+"""Samples of the running median that takes out what changes smoothly: stale stretches of up to 4 stay."""
 FILTERED, FILTERED_QUARTILE = 0.945, 0.917
 """What a running median of 9 leaves of white noise: mean square and upper quartile of squares, simulated."""
 SPIKE = 6.0
-"""Standard deviations beyond which a sample counts as a spike."""
+"""Standard deviations beyond which a sample counts as a spike: 2e-9 of Gaussian samples do.
+
+That it is more than the noise's own tails is tested beside it."""
+BINS = 12
+"""Bins of speed in which the scatter of the samples is measured, each of as many samples."""
+WHOLE, MOSTLY = 0.02, 0.95
+"""How near to whole, in steps, the distance of two readings must be, and how many of them, for ADC steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +61,11 @@ class Piece:
 @dataclass(eq=False)
 class Survey:
     """Sums over the log; `finish` turns them into findings.
+
+    The p-values of samples say how likely noise alone shows as much, each fault by itself: `spike_p` and
+    `stale_p` by how many samples are far off against what the body of the noise makes expect (stale ones also
+    by how many are late rather than early), `jitter_p` by the growth of the residual with speed, `step_p` by
+    how many distances of neighbouring readings are whole steps.
 
     `inflation`: variance of a slow average of the residual over that of white noise of the same size.
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
@@ -82,8 +97,10 @@ class Survey:
     adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
     lines_hz: tuple[float, ...] = ()
     line_power: float = 0.0
-    extremes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    temperature: float | None = None
+    spike_p: float = 1.0
+    stale_p: float = 1.0
+    jitter_p: float = 1.0
+    step_p: float = 1.0
 
 
 def pieces(base: Base, runs: frozenset[int], extra: Sequence[Computed] = ()) -> Iterator[Piece]:
@@ -176,17 +193,15 @@ class _Work:
 
     def _spectrum(self, t: np.ndarray, r: np.ndarray) -> None:
         """Fourier amplitudes of the mains bands, kept per block with its middle time (blocks <= 8192)."""
-        grid = np.concatenate([np.arange(a, b, 0.125) for a, b in MAINS])
         middle = 0.5 * (t[0] + t[-1])
-        if len(t) < 16:
+        if len(t) < 16 or len(self.spectra) >= 256:
             return
         x = np.arange(len(t)) / len(t) - 0.5
         basis = np.linalg.qr(np.vander(x, 6))[0]
         smooth = r - (r @ basis) @ basis.T
-        if len(self.spectra) < 256:
-            phase = np.exp(-2j * np.pi * np.outer(grid, t - middle))
-            self.spectra.append((middle, len(t), smooth @ phase.T))
-            self.wave.append((t, smooth))
+        bands = [_waves(a, FINE, round((b - a) / FINE), t - middle) for a, b in MAINS]
+        self.spectra.append((middle, len(t), smooth @ np.vstack(bands).T))
+        self.wave.append((t, smooth))
 
     def _instants(self, piece: Piece) -> None:
         """Time shift of each sample that its residual asks for, in standard deviations.
@@ -221,7 +236,10 @@ class _Work:
         f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
         if self.shift:
             self._judge_instants()
-        f.adc_step = np.array([_step(v) for v in self.values])
+        steps = [_step(v) for v in self.values]
+        f.adc_step = np.array([q for q, _ in steps])
+        # the channels are as many attempts
+        f.step_p = min(1.0, self.K * min((p for _, p in steps), default=1.0))
         self._judge_lines()
         return f
 
@@ -236,6 +254,7 @@ class _Work:
             return
         body, slope, error = _growth(z, size)
         f.jitter_z = slope / max(error, 1e-300)
+        f.jitter_p = student(f.jitter_z, BINS - 2)
         slope = max(slope, 0.0) if f.jitter_z > 0 else 0.0
         f.jitter_s = float(np.sqrt(slope))
         f.jitter_power = float(slope * np.mean(size**2)) / self.K
@@ -252,12 +271,18 @@ class _Work:
         f.stale_power = tail_z / self.K if late.any() else 0.0
         f.one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
         f.quiet = float((rest + z**2)[normal].mean()) / self.K
+        far = exceeds(rest, max(self.K - 1, 1), quiet * (SPIKE**2 + 12))
+        f.spike_p = as_many(_events(spikes), far * len(rest))
+        relative = z**2 / expected
+        far, events = exceeds(relative, 1, SPIKE**2), _events(late)
+        sides = round(0.5 * (1 + abs(f.one_sided)) * events)
+        f.stale_p = max(as_many(events, far * len(z)), min(1.0, 2 * as_often(sides, events, 0.5)))
 
     def _judge_lines(self) -> None:
         f = self.found
         if not self.spectra:
             return
-        grid = np.concatenate([np.arange(a, b, 0.125) for a, b in MAINS])
+        grid = np.concatenate([a + FINE * np.arange(round((b - a) / FINE)) for a, b in MAINS])
         power = sum((np.abs(a) ** 2).sum(axis=0) / n for _, n, a in self.spectra)
         lines = []
         for low, high in MAINS:
@@ -273,26 +298,41 @@ class _Work:
         longest = max(t[-1] - t[0] for t, _ in self.wave) or 1.0
         span = max(times[-1] - times[0], longest)
         best = (peak, -1.0)
-        for centre in peak + np.linspace(-0.5, 0.5, 9) / longest:
-            a = np.array(
-                [
-                    s @ np.exp(-2j * np.pi * centre * (t - m))
-                    for (t, s), m in zip(self.wave, times, strict=True)
-                ]
-            )
-            offsets = np.arange(-0.07 / longest, 0.07 / longest, 0.2 / span)
+        offsets = np.arange(-0.07 / longest, 0.07 / longest, 0.2 / span)
+        step = 0.125 / longest
+        each = [
+            s @ _waves(peak - 4 * step, step, 9, t - m).T for (t, s), m in zip(self.wave, times, strict=True)
+        ]
+        for j, amplitudes in enumerate(np.array(each).transpose(2, 0, 1)):
+            centre = peak + (j - 4) * step
             turn = np.exp(-2j * np.pi * np.outer(centre + offsets, times - times[0]))
-            together = (np.abs(turn @ a) ** 2).sum(axis=1) / total
+            together = (np.abs(turn @ amplitudes) ** 2).sum(axis=1) / total
             k = int(np.argmax(together))
             if together[k] > best[1]:
                 best = (float(centre + offsets[k]), float(together[k]))
         return best
 
 
+def _waves(first: float, step: float, count: int, t: np.ndarray) -> np.ndarray:
+    """Complex waves exp(-2 pi i f t) of `count` evenly spaced frequencies, (count, samples)."""
+    out = np.empty((count, len(t)), dtype=complex)
+    out[0] = np.exp(-2j * np.pi * first * t)
+    out[1:] = np.exp(-2j * np.pi * step * t)
+    return np.multiply.accumulate(out, axis=0)
+
+
+def _events(far: np.ndarray) -> int:
+    """Count groups of neighbouring samples: what lasts for several samples happened once."""
+    return int(far[0]) + int((far[1:] & ~far[:-1]).sum()) if len(far) else 0
+
+
 def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
-    """Variance of z at rest, its growth with size^2 and the error of that, from quartiles in bins."""
+    """Variance of z at rest, its growth with size^2 and the error of that, from quartiles in bins.
+
+    The error is at least what white Gaussian noise makes, and what the bins scatter by about the line.
+    """
     order = np.argsort(size)
-    bins = np.array_split(order, 12)
+    bins = np.array_split(order, BINS)
     x = np.array([np.mean(size[b] ** 2) for b in bins])
     y = np.array([np.quantile(z[b] ** 2, 0.75) for b in bins]) / (1.3233 * FILTERED_QUARTILE)
     error = np.maximum(y, 0.3) * 2.4 / np.sqrt([len(b) for b in bins])
@@ -300,21 +340,27 @@ def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
     scale = np.linalg.norm(A, axis=0)
     covariance = np.linalg.pinv((A / scale).T @ (A / scale)) / np.outer(scale, scale)
     body, slope = covariance @ A.T @ (y / error)
-    return float(np.clip(body, 0.2, None)), float(slope), float(np.sqrt(covariance[1, 1]))
+    scatter = float(((y / error - A @ [body, slope]) ** 2).sum()) / (BINS - 2)
+    spread = float(np.sqrt(covariance[1, 1] * max(scatter, 1.0)))
+    return float(np.clip(body, 0.2, None)), float(slope), spread
 
 
-def _step(values: set[float]) -> float:
-    """Step between the values that a channel takes; 0 when it takes no steps."""
+def _step(values: set[float]) -> tuple[float, float]:
+    """Step between the values that a channel takes, 0 when it takes none, and how likely that is by chance.
+
+    Of values without steps a distance is near a whole number of any step with probability 2 WHOLE.
+    """
     v = np.sort(np.fromiter(values, float))
     if len(v) < 8:
-        return 0.0
+        return 0.0, 1.0
     gaps = np.diff(v)
     gaps = gaps[gaps > 1e-13]
     if len(gaps) < 8:
-        return 0.0
+        return 0.0, 1.0
     q = float(np.quantile(gaps, 0.05))
     near = gaps[gaps < 1.5 * q]
     q = float(np.median(near))
     ratio = gaps / q
-    off = np.abs(ratio - np.round(ratio))
-    return q if np.mean(off < 0.02) > 0.95 else 0.0
+    whole = np.abs(ratio - np.round(ratio)) < WHOLE
+    p = as_often(int(whole.sum()), len(gaps), 2 * WHOLE)
+    return (q, p) if whole.mean() > MOSTLY else (0.0, p)

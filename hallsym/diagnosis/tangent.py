@@ -9,6 +9,7 @@ fitted, cross-validated and judged without reading the log again.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -17,11 +18,14 @@ from hallsym.arrays import on_arrays
 from hallsym.batches import Batch, Weigh, batches
 from hallsym.computed import extended
 from hallsym.decoding import columns_of
+from hallsym.diagnosis.slopes import Slopes
 from hallsym.log import Log
 from hallsym.model import Model
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
+TOGETHER = 16
+"""Blocks whose products are made in one call: a matrix each, of some 0.5 MB with the whole catalogue."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +87,11 @@ class Tangents:
 
 Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 """Runs, products for the likelihood, products in the output, samples."""
-Signature = Callable[..., list[np.ndarray]]
+Function = Callable[..., list[np.ndarray]]
 
 
-def signature(model: Model, new: Sequence[str]) -> Signature:
-    """Return `(p, zeros, pose, state) -> d reading / d new parameters` on arrays, (K * n_new, samples)."""
-    s = model.symbols
-    index = [model.names.index(name) for name in new]
-    slope = ca.jacobian(s.full(s.reading), s.parameters)[:, index]
-    return on_arrays(ca.Function("signature", [s.parameters, s.zeros, s.pose, s.state], [ca.densify(slope)]))
-
-
-def _base_functions(model: Model) -> tuple[Signature, Signature]:
+@lru_cache(maxsize=8)
+def _base_functions(model: Model) -> tuple[Function, Function]:
     s = model.symbols
     reading = s.full(s.reading)
     both = [ca.densify(reading), ca.densify(ca.jacobian(reading, s.parameters))]
@@ -140,73 +137,97 @@ class Products:
         self.base = base
         self.read, self.gain = _base_functions(base.model)
         self.z, self.n = len(base.model.zeros), len(base.free)
-        self.signatures = []
-        self.span, at = {"": slice(0, self.n)}, self.n
-        for key, (model, new) in (candidates or {}).items():
-            p = model.vector(dict(zip(base.model.names, base.p.tolist(), strict=True)))
-            self.signatures.append((key, signature(model, new), model, p, len(new)))
-            self.span[key] = slice(at, at + len(new))
-            at += len(new)
-        self.size = self.z + at + 1
-        self.whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
+        self.slopes = Slopes(base.model, base.p, candidates or {})
+        own = self.z + self.n
+        self.size = own + self.slopes.columns + 1
+        self.span = {"": slice(0, self.n)}
+        self.span |= {k: slice(self.n + s.start, self.n + s.stop) for k, s in self.slopes.span.items()}
+        self.near = np.array([*range(own), self.size - 1])
+        self.precision = np.linalg.inv(base.covariance)
+        self.whiten = np.linalg.cholesky(self.precision).T
         self.scale = np.where(np.arange(len(base.model.pose)) == 2, base.length_m, 1.0)
         self.run: int | None = None
         self.done: list[Unit] = []
         self.order: list[int] = []
         self.begun = 0
         self.follow: list[np.ndarray] = []
-        self.spoiled: set[str] = set()
 
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
-        A, D = self.columns(batch, weights)
-        for block, part in batch.parts():
-            a = A[:, :, part]
-            white = self._whitened(a)
-            out = _mapped(D[:, :, part], a)
-            count = float(part.stop - part.start if weights is None else weights[part].sum())
-            self._gather(block.run, self._products(white), self._products(out), count)
+        near, D = self._near(batch, weights)
+        rows = self.slopes.rows(batch, self._zeros(batch), weights)
+        metric = np.einsum("iks,ils->kls", D, D)
+        for first, last in batch.groups(TOGETHER):
+            lay = batch.layout(first, last)
+            own, others = lay(near), [lay(r) for r in rows]
+            white = self._products(own, others, self.precision[:, :, None, None])
+            out = self._products(own, others, lay(metric))
+            for k, block in enumerate(batch.blocks[first:last]):
+                part = slice(batch.edges[first + k], batch.edges[first + k + 1])
+                count = float(part.stop - part.start if weights is None else weights[part].sum())
+                self._gather(block.run, white[k], out[k], count)
 
-    def _products(self, rows: np.ndarray) -> np.ndarray:
-        """Products of all columns with zeros, parameters and residual, and of each candidate with itself.
+    def _products(self, near: np.ndarray, rows: list[np.ndarray], metric: np.ndarray) -> np.ndarray:
+        """Products (blocks, c, c) of all columns with zeros, parameters and residual, and of each candidate
+        with itself, under `metric` (K, K, blocks or 1, samples or 1).
 
-        Those between two candidates are nobody's business and stay 0.
+        `near`: (own, K, blocks, samples); `rows`: (rows, blocks, samples) of each channel. Products between
+        two candidates are nobody's business and stay 0.
         """
-        own = self.z + self.n
-        near = np.vstack([rows[:own], rows[-1:]])
-        M = np.zeros((self.size, self.size))
-        across = rows @ near.T
-        M[:, :own], M[:, -1] = across[:, :own], across[:, -1]
-        M[:own], M[-1] = M[:, :own].T, M[:, -1]
-        for span in self.span.values():
-            k = slice(self.z + span.start, self.z + span.stop)
-            if span.start >= self.n:
-                M[k, k] = rows[k] @ rows[k].T
+        own, K = len(near), near.shape[1]
+        M = np.zeros((near.shape[2], self.size, self.size))
+        mapped = np.zeros_like(near)
+        for k in range(K):
+            for j in range(K):
+                if np.any(metric[k, j]):
+                    mapped[:, k] += metric[k, j] * near[:, j]
+        inner = np.zeros((near.shape[2], own, own))
+        for k in range(K):
+            inner += _dot(near[:, k], mapped[:, k])
+        M[:, self.near[:, None], self.near] = inner
+        first = self.z + self.n
+        for k, block in enumerate(rows):
+            if len(block):
+                across = _dot(block, mapped[:, k])
+                M[:, (first + self.slopes.column[k])[:, None], self.near] += across
+        M[:, self.near[:-1], first:-1] = M[:, first:-1, self.near[:-1]].swapaxes(1, 2)
+        M[:, -1, first:-1] = M[:, first:-1, -1]
+        for k in range(K):
+            for j in range(k, K):
+                if len(rows[k]) and len(rows[j]) and np.any(metric[k, j]):
+                    self._own(M, rows[k] * metric[k, j], rows[j], k, j)
         return M
 
-    def _whitened(self, a: np.ndarray) -> np.ndarray:
-        return _mapped(self.whiten[:, :, None], a)
+    def _own(self, M: np.ndarray, left: np.ndarray, right: np.ndarray, k: int, j: int) -> None:
+        """Add the products of each candidate's rows in channel k with its own in channel j."""
+        first = self.z + self.n
+        for a, b in zip(self.slopes.parts[k], self.slopes.parts[j], strict=True):
+            if a.start == a.stop or b.start == b.stop:
+                continue
+            P = _dot(left[a], right[b])
+            at, to = first + self.slopes.column[k][a], first + self.slopes.column[j][b]
+            M[:, at[:, None], to] += P
+            if k != j:
+                M[:, to[:, None], at] += P.swapaxes(1, 2)
 
-    def columns(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the columns, (c, K, samples), and what turns them into decoded pose, (pose, K, samples)."""
+    def _zeros(self, batch: Batch) -> np.ndarray:
+        """Zero deviations of every sample, (zeros, samples)."""
+        own = np.array([self.base.zeros.get(b.run, np.zeros(self.z)) for b in batch.blocks])
+        return np.repeat(own, np.diff(batch.edges), axis=0).T
+
+    def _near(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Columns of zeros, parameters and residual, (own + 1, K, samples), and what maps them to the pose.
+
+        The second, (pose, K, samples), turns them into the decoded pose, rotation as length.
+        """
         base, model = self.base, self.base.model
-        samples, K = len(batch), len(model.channels)
-        own = np.array([base.zeros.get(b.run, np.zeros(self.z)) for b in batch.blocks])
-        zeros = np.repeat(own, np.diff(batch.edges), axis=0).T
+        samples, K, own = len(batch), len(model.channels), self.z + self.n
         pose, state = batch.columns(model.references), batch.columns(model.state)
-        A = np.empty((self.size, K, samples))
-        reading, *slopes = self.read(base.p, zeros, pose, state)
-        A[self.z : self.z + self.n] = slopes[0].reshape(-1, K, samples)[list(base.free)]
+        A = np.empty((own + 1, K, samples))
+        reading, *slopes = self.read(base.p, self._zeros(batch), pose, state)
+        A[self.z : own] = slopes[0].reshape(-1, K, samples)[list(base.free)]
         if self.z:
             A[: self.z] = slopes[1].reshape(-1, K, samples)
-        at = self.z + self.n
-        for key, run, extended_model, p, new in self.signatures:
-            (slope,) = run(p, zeros, pose, batch.columns(extended_model.state))
-            if not np.isfinite(slope).all():
-                self.spoiled.add(key)
-                slope = np.zeros_like(slope)
-            A[at : at + new] = slope.reshape(new, K, samples)
-            at += new
         A[-1] = np.array(batch.columns(model.channels)) - reading
         if weights is not None:
             A *= np.sqrt(weights)
@@ -214,18 +235,27 @@ class Products:
         D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * self.scale[:, None, None]
         return A, D
 
+    def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
+        """Return all columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
+        near, _ = self._near(batch, weights)
+        A = np.zeros((self.size, *near.shape[1:]))
+        A[self.near] = near
+        for k, rows in enumerate(self.slopes.rows(batch, self._zeros(batch), weights)):
+            A[self.z + self.n + self.slopes.column[k], k] = rows
+        return np.einsum("jk,cks->cjs", self.whiten, A)
+
     def segments(self, size: int) -> Iterator[tuple[int, float, np.ndarray]]:
         """Yield run, first time [s since the log began] and products of each stretch of `size` samples."""
         origin: float | None = None
         log = extended(self.base.log, self.base.model, self.base.sigma, self.base.values)
         for batch in batches(log, (*columns_of(self.base.model), "t_s")):
-            A, _ = self.columns(batch, batch.weights(self.base.keep))
+            white = self.whitened(batch, batch.weights(self.base.keep))
             t = batch.data["t_s"]
             origin = float(t[0]) if origin is None else origin
             for block, part in batch.parts():
                 for low in range(part.start, part.stop, size):
-                    white = self._whitened(A[:, :, low : min(low + size, part.stop)])
-                    yield block.run, float(t[low]) - origin, white @ white.T
+                    here = white[:, :, low : min(low + size, part.stop)].reshape(len(white), -1)
+                    yield block.run, float(t[low]) - origin, here @ here.T
 
     def _gather(self, run: int, white: np.ndarray, out: np.ndarray, count: float) -> None:
         if run != self.run:
@@ -265,7 +295,7 @@ class Products:
             return entry
         follow = -np.linalg.lstsq(white[:z, :z], white[:z, z:], rcond=1e-12)[0]
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
-        self.follow.append(follow[:, :0] if self.signatures else follow)
+        self.follow.append(follow[:, :0] if self.slopes.columns else follow)
         half = out[z:, :z] @ follow
         half += half.T + follow.T @ out[:z, :z] @ follow
         return run, white[z:, z:] + white[z:, :z] @ follow, out[z:, z:] + half, count
@@ -282,15 +312,10 @@ class Products:
             self.span,
             np.array(self.follow),
             tuple(self.order),
-            frozenset(self.spoiled),
+            frozenset(self.slopes.spoiled),
         )
 
 
-def _mapped(D: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Apply (J, K, samples or 1) to columns (c, K, samples); entries that are nil throughout cost nothing."""
-    out = np.zeros((len(a), len(D), a.shape[2]))
-    for j, row in enumerate(D):
-        for k, factor in enumerate(row):
-            if np.any(factor):
-                out[:, j] += factor * a[:, k]
-    return out.reshape(len(a), -1)
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Products of rows (m, blocks, samples) with rows (n, blocks, samples), (blocks, m, n)."""
+    return a.transpose(1, 0, 2) @ b.transpose(1, 2, 0)

@@ -6,18 +6,33 @@ import numpy as np
 
 from hallsym.diagnosis.structure import CURVES, Structure
 
+SURE = 0.01
+"""Significance, corrected for all that was tried, from which on an effect or a fault is certain."""
 ALLOWANCE = 0.03
-"""How well a stated noise floor is known: what is left may be this much above it, beyond the threshold."""
+"""How well a stated noise floor is known: what is left may be this much above it, beyond the threshold.
+
+A deviation taken from n samples is known to 1 / sqrt(2 n): 3 % is that of 560 samples at rest, about what a
+data sheet or a short recording gives. What a fit leaves may also be that much larger where it is judged
+on other runs."""
 UNSTRUCTURED = 0.15
-"""Excess above a stated floor that may be plain noise stated too small, when nothing in it has a shape."""
+"""Excess above a stated floor that may be plain noise stated too small, when nothing in it has a shape.
+
+A choice, no theory: noise in motion is commonly stated from a recording at rest, and is larger. Above it, an
+excess without a shape is called a gap."""
 CERTAIN = 0.05
-"""Significance, corrected for all shapes, from which on a shape alone is a gap."""
+"""Significance, corrected for all shapes, from which on a shape alone is a gap: the false alarms per log."""
 LIKELY = 0.02
-"""Significance of a shape that an excess above the stated floor has."""
+"""Significance, of one shape, that an excess above the stated floor has: the excess is evidence too."""
 USED_UP = 0.6
-"""Part of the structure that holds it which an effect must use up."""
+"""Part of the structure that holds it which an effect must use up.
+
+An effect that is the cause uses up all but chance. One that only resembles it takes the part in which their
+shapes agree: of shapes whose squared correlation is below this nothing is mistaken. Between the two, set on
+simulated machines with effects that no catalogue lists."""
 HOLDS = 0.7
-"""Part of an effect's gain that a structure must lose with it to hold it."""
+"""Part of an effect's gain that a structure must lose with it to hold it: below it the effect lies elsewhere.
+
+A generic shape of limited resolution does not hold all of an effect; set on simulated machines."""
 
 
 @dataclass(frozen=True)

@@ -152,9 +152,10 @@ def reference_abbe_error(*, arms: str = "tilt") -> Make:
     return se.reference_abbe_error(ARMS if _among("arms", arms, "tilt all") == "tilt" else ALL_ARMS)
 
 
-def reference_drift() -> Make:
-    """The reference creeps within a run, one rate per axis."""
-    return se.reference_drift()
+def reference_drift(*, degree: int = 1) -> Make:
+    """The reference creeps within a run, one rate per axis, or with degree 3 along a cubic."""
+    _among("degree", str(degree), "1 3")
+    return se.reference_drift(degree)
 
 
 def vertical_offset_coupling() -> Make:

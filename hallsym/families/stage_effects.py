@@ -297,10 +297,11 @@ def reference_scale_error() -> Make:
     return _reference("reference_scale_error", terms, 0.1, "1")
 
 
-def reference_drift() -> Make:
-    """The reference creeps within every run at one rate per axis."""
-    terms = [(k, "run_s") for k in range(3)]
-    return _reference("reference_drift", terms, 1e-3, "m/s", run_time())
+def reference_drift(degree: int = 1) -> Make:
+    """The reference creeps within every run along a polynomial of its time, one per axis."""
+    columns = [run_time(n) for n in range(1, degree + 1)]
+    terms = [(k, c.name) for c in columns for k in range(3)]
+    return _reference("reference_drift", terms, 1e-3, "m/s", *columns)
 
 
 # -- clock and electronics ---------------------------------------------------------------------------------
