@@ -343,12 +343,15 @@ def _ranked(
     verdict: str,
     inflation: float,
 ) -> list[str]:
-    """Names that carry evidence: the effects by share, what is the same on this log, what is not excluded."""
+    """Names that carry evidence: the effects by share, what is the same on this log, what is not excluded.
+
+    An effect that does not lower the gap on the held-out runs has none.
+    """
     rivals = [
         r.score.effect.name for f in search.found for r in _standing(f, inflation) if verdict == "explained"
     ]
     grouped = [name for group in groups for name in group]
-    return list(dict.fromkeys([*(e.name for e in effects), *grouped, *rivals]))
+    return list(dict.fromkeys([*(e.name for e in effects if e.share > 0), *grouped, *rivals]))
 
 
 def _smaller(search: Search) -> list[dict[str, Any]]:
