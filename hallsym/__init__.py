@@ -10,6 +10,7 @@
 from hallsym.budget import Budget, Source, position_budget, read_budget, uncertainty_map
 from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign, write_campaign
+from hallsym.codegen import Generated, decouple, generate
 from hallsym.decoding import ErrorTable, judge
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.diagnosis.selftest import SelfTest, selftest
@@ -30,6 +31,7 @@ __all__ = [
     "Diagnosis",
     "ErrorTable",
     "Fit",
+    "Generated",
     "Identifiability",
     "InputError",
     "Log",
@@ -46,8 +48,10 @@ __all__ = [
     "Tolerances",
     "build",
     "bundled_campaign",
+    "decouple",
     "diagnose",
     "fit",
+    "generate",
     "identify",
     "judge",
     "load_fit",

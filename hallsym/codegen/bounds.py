@@ -1,0 +1,79 @@
+"""What can be said of the arithmetic over the whole box: least gains, size of the pose, rounding."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.parts import Decoupler, Step, short
+
+LEAST_PHI = 0.1
+"""Share of its gain at rest below which a probe must not fall within the box."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Over every input in the box: pose within `low`, `high`, and the computed one off by at most `error`.
+
+    `error` counts the rounding of each operation and of each table entry. `least_phi`: by channel.
+    """
+
+    low: Mapping[str, float]
+    high: Mapping[str, float]
+    error: Mapping[str, float]
+    least_phi: Mapping[str, float]
+
+
+def spreads(d: Decoupler) -> list[Step]:
+    """Return `spread_k`, how far the gain of each probe can leave its value at rest within the limits.
+
+    The largest magnitude of each term, summed: exact where the box is symmetric and the columns independent.
+    """
+    symbols = {e.name: d.symbols.get(e.name, ca.SX.sym(e.name)) for e in d.entries}
+    steps = []
+    for poly, channel in zip(d.phi, d.model.channels, strict=True):
+        total = ca.SX(0)
+        for row in poly.rest:
+            columns = poly.label(row).split("*")
+            c = symbols["_".join([f"gain_{short(channel)}", *(short(n) for n in columns)])]
+            total = total + ca.fmax(c, -c) * _reach(d, symbols, columns)
+        steps.append(Step(f"spread_{short(channel)}", total))
+    return steps
+
+
+def _reach(d: Decoupler, symbols: Mapping[str, ca.SX], columns: list[str]) -> ca.SX:
+    most = ca.SX(1)
+    for column in columns:
+        name = short(column)
+        if d.box.symmetric(column):
+            most = most * symbols[f"limit_{name}"]
+        else:
+            most = most * ca.fmax(-symbols[f"low_{name}"], symbols[f"high_{name}"])
+    return most
+
+
+def bounds(d: Decoupler, digits: int = 24) -> Bounds:
+    """Return the bounds of one table, by interval arithmetic on the printed expressions."""
+    dtype = np.float32 if digits == 24 else np.float64
+    inputs = [Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs]
+    constants = [
+        Enclosure(e.value, e.value, abs(e.value - float(dtype(e.value)))) for e in (*d.table, *d.zeros)
+    ]
+    names = [*d.inputs, *(e.name for e in (*d.table, *d.zeros))]
+    scalar = ca.Function("folded", [d.symbols[n] for n in names], ca.vertsplit(d.folded))
+    found = enclose(scalar, [*inputs, *constants], digits)
+    values = {e.name: e.value for e in d.entries}
+    least = {}
+    for step, channel in zip(spreads(d), d.model.channels, strict=True):
+        symbols = ca.symvar(step.expression)
+        f = ca.Function("spread", symbols, [step.expression])
+        spread = float(f(*(values[s.name()] for s in symbols))) if symbols else 0.0
+        least[channel] = 1 - spread / abs(values[f"gain_{short(channel)}"])
+    return Bounds(
+        low=dict(zip(d.pose, (e.low for e in found), strict=True)),
+        high=dict(zip(d.pose, (e.high for e in found), strict=True)),
+        error=dict(zip(d.pose, (e.error for e in found), strict=True)),
+        least_phi=least,
+    )

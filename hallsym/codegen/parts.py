@@ -1,0 +1,117 @@
+"""What a decoupler is made of: table entries, steps, and the whole with its inputs and its box."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.box import Box
+from hallsym.codegen.polynomials import Polynomial
+from hallsym.model import Model
+
+ENOUGH = 2e-11
+"""Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One number of the parameter table: `value` in SI, and what it means."""
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """`name` = `expression` of the symbols of inputs, table entries and earlier steps."""
+
+    name: str
+    expression: ca.SX
+    remark: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Decoupler:
+    """The arithmetic from inputs to pose: `steps` in order; the last `len(pose)` of them are the pose.
+
+    `inputs`: readings, then state. `table`: coefficients; `limits`: ends of the box of each input; `zeros`:
+    what a reset adds to each pose coordinate. `exact`: inputs (n_inputs, s) -> pose (n_pose, s) of the model
+    itself in double, zeros 0.
+    """
+
+    model: Model
+    inputs: tuple[str, ...]
+    table: tuple[Entry, ...]
+    limits: tuple[Entry, ...]
+    zeros: tuple[Entry, ...]
+    steps: tuple[Step, ...]
+    at_pose: tuple[Step, ...]
+    """Non-linear models: the same with the pose given, for the zero; empty for the others."""
+    phi: tuple[Polynomial, ...]
+    box: Box
+    exact: Callable[[np.ndarray], np.ndarray]
+    symbols: Mapping[str, ca.SX]
+
+    @property
+    def pose(self) -> tuple[str, ...]:
+        """Columns of the output."""
+        return self.model.pose
+
+    @property
+    def slack(self) -> float:
+        """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
+        return ENOUGH if self.at_pose else 0.0
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Coefficients, limits and zeros, in the order of the table."""
+        return (*self.table, *self.limits, *self.zeros)
+
+    def ends(self, column: str) -> tuple[float, float]:
+        """Return least and greatest value of an input."""
+        return self.box.ends[column]
+
+    @cached_property
+    def folded(self) -> ca.SX:
+        """The pose as one expression of inputs, table and zeros."""
+        done: dict[str, ca.SX] = {}
+        for step in self.steps:
+            earlier = {n: (self.symbols[n], e) for n, e in done.items() if n in self.symbols}
+            done[step.name] = _replaced(step.expression, earlier)
+        return ca.vertcat(*(done[step.name] for step in self.steps[-len(self.pose) :]))
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """`(inputs, coefficients and zeros) -> pose`."""
+        table = [*self.table, *self.zeros]
+        given = [
+            ca.vertcat(*(self.symbols[n] for n in names)) for names in (self.inputs, [e.name for e in table])
+        ]
+        return ca.Function("folded", given, [ca.densify(self.folded)])
+
+    @property
+    def constants(self) -> list[float]:
+        """Values of coefficients and zeros."""
+        return [e.value for e in (*self.table, *self.zeros)]
+
+
+def short(column: str) -> str:
+    """Return `hall_a` of `hall_a_m`."""
+    return column.rpartition("_")[0] or column
+
+
+def unit(column: str) -> str:
+    """Return the SI unit of a column."""
+    return {"m": "m", "rad": "rad", "degc": "degC", "s": "s", "v": "V"}.get(column.rpartition("_")[2], "1")
+
+
+def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca.SX:
+    if not pairs:
+        return expression
+    return ca.substitute(
+        expression, ca.vertcat(*(a for a, _ in pairs.values())), ca.vertcat(*(b for _, b in pairs.values()))
+    )
