@@ -23,7 +23,7 @@ from hallsym.arrays import on_arrays
 from hallsym.cli import main
 from hallsym.codegen import decouple, generate
 from hallsym.codegen.box import box_of
-from hallsym.codegen.expressions import decoupler
+from hallsym.codegen.families import decoupler
 from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.printer import DOUBLE, FLOAT
 from hallsym.codegen.vectors import Emulator, mix, worst

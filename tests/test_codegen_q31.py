@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hallsym.cli import main
 from hallsym.codegen import generate_q31
 from hallsym.codegen.box import box_of
-from hallsym.codegen.expressions import decoupler
+from hallsym.codegen.families import decoupler
 from hallsym.codegen.q31 import Line, Program, program
 from hallsym.errors import InputError
 

@@ -1,15 +1,16 @@
 """What can be said of the arithmetic over the whole box: least gains, size of the pose, rounding."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen.entries import short
 from hallsym.codegen.intervals import Enclosure, enclose
-from hallsym.codegen.parts import Decoupler, Step, short
+from hallsym.codegen.parts import Decoupler, Step
 
-LEAST_PHI = 0.1
+LEAST_GAIN = 0.1
 """Share of its gain at rest below which a probe must not fall within the box."""
 
 
@@ -17,33 +18,33 @@ LEAST_PHI = 0.1
 class Bounds:
     """Over every input in the box: pose within `low`, `high`, and the computed one off by at most `error`.
 
-    `error` counts the rounding of each operation and of each table entry. `least_phi`: by channel.
+    `error` counts the rounding of each operation and of each table entry. `least_gain`: by column of the
+    margins, as a share of its value at rest.
     """
 
     low: Mapping[str, float]
     high: Mapping[str, float]
     error: Mapping[str, float]
-    least_phi: Mapping[str, float]
+    least_gain: Mapping[str, float]
 
 
 def spreads(d: Decoupler) -> list[Step]:
-    """Return `spread_k`, how far the gain of each probe can leave its value at rest within the limits.
+    """Return `spread_k`, how far the rest of each margin can move within the limits.
 
     The largest magnitude of each term, summed: exact where the box is symmetric and the columns independent.
     """
     symbols = {e.name: d.symbols.get(e.name, ca.SX.sym(e.name)) for e in d.entries}
     steps = []
-    for poly, channel in zip(d.phi, d.model.channels, strict=True):
+    for margin in d.margins:
         total = ca.SX(0)
-        for row in poly.rest:
-            columns = poly.label(row).split("*")
-            c = symbols["_".join([f"gain_{short(channel)}", *(short(n) for n in columns)])]
+        for entry, columns in margin.terms:
+            c = symbols[entry]
             total = total + ca.fmax(c, -c) * _reach(d, symbols, columns)
-        steps.append(Step(f"spread_{short(channel)}", total))
+        steps.append(Step(f"spread_{short(margin.column)}", total))
     return steps
 
 
-def _reach(d: Decoupler, symbols: Mapping[str, ca.SX], columns: list[str]) -> ca.SX:
+def _reach(d: Decoupler, symbols: Mapping[str, ca.SX], columns: Sequence[str]) -> ca.SX:
     most = ca.SX(1)
     for column in columns:
         name = short(column)
@@ -66,14 +67,14 @@ def bounds(d: Decoupler, digits: int = 24) -> Bounds:
     found = enclose(scalar, [*inputs, *constants], digits)
     values = {e.name: e.value for e in d.entries}
     least = {}
-    for step, channel in zip(spreads(d), d.model.channels, strict=True):
+    for step, margin in zip(spreads(d), d.margins, strict=True):
         symbols = ca.symvar(step.expression)
         f = ca.Function("spread", symbols, [step.expression])
-        spread = float(f(*(values[s.name()] for s in symbols))) if symbols else 0.0
-        least[channel] = 1 - spread / abs(values[f"gain_{short(channel)}"])
+        spread = float(f(*(values[s.name()] for s in symbols))) if symbols else float(step.expression)
+        least[margin.column] = 1 - spread / abs(values[margin.rest])
     return Bounds(
         low=dict(zip(d.pose, (e.low for e in found), strict=True)),
         high=dict(zip(d.pose, (e.high for e in found), strict=True)),
         error=dict(zip(d.pose, (e.error for e in found), strict=True)),
-        least_phi=least,
+        least_gain=least,
     )

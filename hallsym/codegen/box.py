@@ -1,11 +1,12 @@
 """The calibrated box: the inputs over which generated code answers with status 0."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hallsym.calibration import Fit
+from hallsym.codegen.entries import Entry, short, unit
 from hallsym.errors import InputError, nearest
 
 NEARLY = 0.9
@@ -67,3 +68,16 @@ def _rounded(low: float, high: float) -> tuple[float, float]:
         room = max(abs(low) * 1e-3, 1e-9)
         return low - room, high + room
     return low, high
+
+
+def limits(inputs: Sequence[str], box: Box) -> tuple[Entry, ...]:
+    """Return the table entries of the ends of each input: one limit where it is symmetric."""
+    out = []
+    for column in inputs:
+        low, high = box.ends[column]
+        if box.symmetric(column):
+            out.append(Entry(f"limit_{short(column)}", high, unit(column), f"largest |{column}| of the box"))
+        else:
+            out.append(Entry(f"low_{short(column)}", low, unit(column), f"least {column} of the box"))
+            out.append(Entry(f"high_{short(column)}", high, unit(column), f"greatest {column} of the box"))
+    return tuple(out)

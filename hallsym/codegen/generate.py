@@ -1,6 +1,5 @@
 """From a calibration to the files of a decoupler."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,22 +9,20 @@ import casadi as ca
 import numpy as np
 
 from hallsym.calibration import Fit
-from hallsym.codegen import proof, selftest
-from hallsym.codegen.bounds import LEAST_PHI, Bounds, bounds
+from hallsym.codegen import proof, selftest, source_check
+from hallsym.codegen.bounds import Bounds, bounds
 from hallsym.codegen.box import box_of
-from hallsym.codegen.expressions import check_columns, decoupler
+from hallsym.codegen.checks import check, check_bounds, check_gains, check_same, digest_of, notes_of
+from hallsym.codegen.families import decoupler
 from hallsym.codegen.folder import BINARY, replace_params, write_folder
-from hallsym.codegen.parts import Decoupler
-from hallsym.codegen.printer import DOUBLE, FLOAT, Real
+from hallsym.codegen.printer import DOUBLE, FLOAT, straight
 from hallsym.codegen.project import count, makefile, template
 from hallsym.codegen.report import report
 from hallsym.codegen.source import Source
-from hallsym.codegen.table import Table, sha256
+from hallsym.codegen.source_header import header, params, params_header
+from hallsym.codegen.source_step import bare, step
+from hallsym.codegen.table import Table
 from hallsym.codegen.vectors import worst
-from hallsym.errors import InputError
-
-SAME = 1e-9
-"""Largest difference [m, rad] between the printed expressions in double and the model's own decoded pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,7 @@ class Generated:
             "box": {c: list(d.ends(c)) for c in d.inputs},
             "error_bound": dict(self.bounds.error),
             "error_met": dict(self.errors),
-            "least_gain": dict(self.bounds.least_phi),
+            "least_gain": dict(self.bounds.least_gain),
             "files": sorted(self.files),
             "notes": list(self.notes),
         }
@@ -94,17 +91,17 @@ def generate(
     `jacobian`: with `decoupler_jacobian()`. Raises `InputError` for a calibration that cannot be trusted on a
     controller.
     """
-    check_columns(fit.model)
     check(fit, allow_undetermined)
     found = decoupler(fit, box_of(fit, ranges))
     real = DOUBLE if double else FLOAT
     said = bounds(found, real.digits)
     check_gains(said)
+    check_bounds(found, said)
+    check_same(found)
     digest = calibration_sha256 or digest_of(fit)
     table = Table(found, real, {"model": fit.model.name, "calibration_sha256": digest})
     source = Source(table, jacobian)
     errors = worst(found, real)
-    _check_errors(found, real, errors, said)
     notes = notes_of(fit)
     return Generated(source, _files(source, said, errors, notes), said, errors, notes)
 
@@ -122,69 +119,6 @@ def decouple(fit: Fit) -> ca.Function:
     return ca.Function("decouple", [reading, state], [pose], ["reading", "state"], ["pose"])
 
 
-def digest_of(fit: Fit) -> str:
-    """Return the SHA-256 of a calibration that is in no file."""
-    return sha256(json.dumps(fit.to_dict(), sort_keys=True).encode())
-
-
-# -- checks ------------------------------------------------------------------------------------------------
-
-
-def check(fit: Fit, allow_undetermined: bool) -> None:
-    """Refuse a calibration that a controller cannot trust."""
-    if fit.status != "converged":
-        raise InputError(
-            f"The fit did not converge ({fit.status}); a controller needs one that did: fit the log again."
-        )
-    if not np.all(np.isfinite(fit.values)):
-        raise InputError("The calibration holds values that are not finite; fit the log again.")
-    if fit.undetermined_by_log and not allow_undetermined:
-        names = ", ".join(fit.undetermined_by_log)
-        raise InputError(
-            f"The log of this calibration does not determine {names}, which the decoded pose depends on; "
-            "record runs that move what they belong to, or give --allow-undetermined to use the values they "
-            "were held at."
-        )
-
-
-def check_gains(found: Bounds) -> None:
-    """Refuse a box within which a gain comes near zero."""
-    for channel, share in found.least_phi.items():
-        if not share >= LEAST_PHI:
-            raise InputError(
-                f"Within the box the gain of {channel} falls to {100 * share:.0f} % of its gain at rest, and "
-                "what is decoded grows without bounds where it crosses zero; give a smaller box with --range."
-            )
-
-
-def _check_errors(d: Decoupler, real: Real, errors: Mapping[str, float], found: Bounds) -> None:
-    """The printed expressions are the model's, or the model is none that can be printed."""
-    for column, error in errors.items():
-        if not error <= found.error[column] + SAME:
-            raise InputError(
-                f"The generated {column} differs by {error:.3g} from model {d.model.name}: its readings are "
-                "no polynomial of pose and state times a gain, and C cannot be generated for it."
-            )
-
-
-def notes_of(fit: Fit) -> tuple[str, ...]:
-    """Return what a user of the code should know of the calibration."""
-    notes = []
-    if fit.structural:
-        notes.append(
-            f"No recording tells {', '.join(fit.structural)} apart; only the combinations that readings "
-            "depend on are used, and those are determined."
-        )
-    if fit.undetermined_by_log:
-        notes.append(
-            f"The log does not determine {', '.join(fit.undetermined_by_log)}; the values they were held at "
-            "are used."
-        )
-    if fit.at_bound:
-        notes.append(f"{', '.join(fit.at_bound)} ended at a bound.")
-    return tuple(notes)
-
-
 # -- files -------------------------------------------------------------------------------------------------
 
 
@@ -192,11 +126,11 @@ def _files(
     source: Source, found: Bounds, errors: dict[str, float], notes: tuple[str, ...]
 ) -> dict[str, str | bytes]:
     files: dict[str, str | bytes] = {
-        "include/decoupler.h": source.header(),
-        "src/decoupler.c": source.step(),
-        "src/decoupler_check.c": source.check(),
-        "params/decoupler_params.h": source.params_header(),
-        "params/decoupler_params.c": source.params(),
+        "include/decoupler.h": header(source),
+        "src/decoupler.c": step(source),
+        "src/decoupler_check.c": source_check.check(source),
+        "params/decoupler_params.h": params_header(source),
+        "params/decoupler_params.c": params(source),
         "params/decoupler_params.json": source.table.json(),
         BINARY: source.table.binary,
         "test/selftest.h": template("selftest.h"),
@@ -204,7 +138,7 @@ def _files(
         "test/selftest_vectors.h": selftest.selftest_vectors(source, dict(found.error)),
         "test/main.c": selftest.main(source),
         "test/count.c": count(source),
-        "test/bare.c": source.bare(),
+        "test/bare.c": bare(source),
         "test/count.sh": template("count.sh"),
         "test/startup.c": template("startup.c"),
         "test/cortex_m.ld": template("cortex_m.ld"),
@@ -218,5 +152,6 @@ def _files(
     }
     if source.real.size == 4:
         files["proof/exhaustive.c"] = proof.exhaustive(source)
-        files["proof/rounding.g"] = proof.gappa(source, found)
+        if straight(source.d.steps):
+            files["proof/rounding.g"] = proof.gappa(source, found)
     return files

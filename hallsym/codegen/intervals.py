@@ -29,6 +29,10 @@ class Enclosure:
         return max(abs(self.low), abs(self.high)) + self.error
 
 
+UNBOUNDED = Enclosure(-np.inf, np.inf, np.inf)
+_BRANCHES = (ca.OP_FABS, ca.OP_NOT, ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO)
+
+
 def enclose(function: ca.Function, inputs: Sequence[Enclosure], digits: int = 24) -> list[Enclosure]:
     """Return the enclosures of the outputs of an SX function of scalars, `digits` bits of significand.
 
@@ -52,13 +56,17 @@ def enclose(function: ca.Function, inputs: Sequence[Enclosure], digits: int = 24
 
 
 def _apply(code: int, a: list[Enclosure], digits: int) -> Enclosure:
+    if not all(np.isfinite(v.most) for v in a):
+        return UNBOUNDED
+    if code in _BRANCHES:
+        return _branch(code, a)
     if code == ca.OP_NEG:
         return Enclosure(-a[0].high, -a[0].low, a[0].error)
     if code in (ca.OP_FMIN, ca.OP_FMAX):
         pick = min if code == ca.OP_FMIN else max
         return Enclosure(pick(a[0].low, a[1].low), pick(a[0].high, a[1].high), max(a[0].error, a[1].error))
     if code == ca.OP_SQ:
-        ends = sorted((a[0].low ** 2, a[0].high ** 2))
+        ends = sorted((a[0].low * a[0].low, a[0].high * a[0].high))
         low = 0.0 if a[0].low <= 0 <= a[0].high else ends[0]
         return _rounded(low, ends[1], a[0].error * (2 * a[0].most + a[0].error), digits)
     if code == ca.OP_TWICE:
@@ -75,7 +83,7 @@ def _apply(code: int, a: list[Enclosure], digits: int) -> Enclosure:
         return _rounded(min(ends), max(ends), x.error * y.most + y.error * x.most, digits)
     if code == ca.OP_DIV:
         if y.low - y.error <= 0 <= y.high + y.error:
-            return Enclosure(-np.inf, np.inf, np.inf)
+            return UNBOUNDED
         ends = [p / q for p in (x.low, x.high) for q in (y.low, y.high)]
         least = min(abs(y.low), abs(y.high)) - y.error
         error = (x.error + max(map(abs, ends)) * y.error) / least
@@ -83,6 +91,29 @@ def _apply(code: int, a: list[Enclosure], digits: int) -> Enclosure:
     raise InputError(f"Operation {code} of the model has no C without libm.")
 
 
+def _branch(code: int, a: list[Enclosure]) -> Enclosure:
+    """Comparisons (1 or 0) and what hangs on them; a comparison that rounding can turn has error 1."""
+    if code == ca.OP_FABS:
+        most = max(abs(a[0].low), abs(a[0].high))
+        low = 0.0 if a[0].low <= 0 <= a[0].high else min(abs(a[0].low), abs(a[0].high))
+        return Enclosure(low, most, a[0].error)
+    if code == ca.OP_NOT:
+        return Enclosure(1 - a[0].high, 1 - a[0].low, a[0].error)
+    x, y = a
+    if code == ca.OP_IF_ELSE_ZERO:
+        if x.low == x.high and not x.error:
+            return y if x.low else Enclosure(0.0, 0.0)
+        return Enclosure(min(y.low, 0.0), max(y.high, 0.0), y.most if x.error else y.error)
+    room = x.error + y.error
+    if x.high + room < y.low:
+        return Enclosure(1.0, 1.0)
+    if x.low - room > y.high:
+        return Enclosure(0.0, 0.0)
+    return Enclosure(0.0, 1.0, 1.0 if room else 0.0)
+
+
 def _rounded(low: float, high: float, error: float, digits: int) -> Enclosure:
     most = max(abs(low), abs(high)) + error
+    if not np.isfinite(most):
+        return UNBOUNDED
     return Enclosure(low, high, error + most * 2.0**-digits + TINY[digits])

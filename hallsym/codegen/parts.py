@@ -1,4 +1,8 @@
-"""What a decoupler is made of: table entries, steps, and the whole with its inputs and its box."""
+"""What a decoupler is made of, whatever the family: steps over inputs and table, margins, the whole.
+
+A family's own file makes a `Decoupler` (`hallsym.codegen.families`); source, table, self-test, bounds, proofs
+and reports are made from it.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -8,21 +12,11 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.box import Box
-from hallsym.codegen.polynomials import Polynomial
+from hallsym.codegen.entries import Entry
 from hallsym.model import Model
 
 ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
-
-
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """One number of the parameter table: `value` in SI, and what it means."""
-
-    name: str
-    value: float
-    unit: str
-    meaning: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +26,19 @@ class Step:
     name: str
     expression: ca.SX
     remark: str = ""
+
+
+@dataclass(frozen=True)
+class Margin:
+    """What must not come near zero in the box: entry `rest` plus, for each of `terms`, entry * columns.
+
+    `column`: the input it belongs to. `decoupler_check()` refuses a table whose terms, at their largest
+    within the limits, leave less than a tenth of `rest`.
+    """
+
+    column: str
+    rest: str
+    terms: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +58,7 @@ class Decoupler:
     steps: tuple[Step, ...]
     at_pose: tuple[Step, ...]
     """Non-linear models: the same with the pose given, for the zero; empty for the others."""
-    phi: tuple[Polynomial, ...]
+    margins: tuple[Margin, ...]
     box: Box
     exact: Callable[[np.ndarray], np.ndarray]
     symbols: Mapping[str, ca.SX]
@@ -97,16 +104,6 @@ class Decoupler:
     def constants(self) -> list[float]:
         """Values of coefficients and zeros."""
         return [e.value for e in (*self.table, *self.zeros)]
-
-
-def short(column: str) -> str:
-    """Return `hall_a` of `hall_a_m`."""
-    return column.rpartition("_")[0] or column
-
-
-def unit(column: str) -> str:
-    """Return the SI unit of a column."""
-    return {"m": "m", "rad": "rad", "degc": "degC", "s": "s", "v": "V"}.get(column.rpartition("_")[2], "1")
 
 
 def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca.SX:

@@ -39,6 +39,17 @@ class Polynomial:
         """Name of a monomial, such as `z_m*z_m`."""
         return "*".join(name for name, power in zip(self.variables, row, strict=True) for _ in range(power))
 
+    def of(self, symbols: ca.SX) -> ca.SX:
+        """Return the polynomial of `symbols` (n_variables,)."""
+        total = ca.SX(0)
+        for row, coefficient in self.terms.items():
+            term = coefficient
+            for v, power in enumerate(row):
+                for _ in range(power):
+                    term = term * symbols[v]
+            total = total + term
+        return total
+
 
 def polynomial(expression: ca.SX, symbols: ca.SX, variables: Sequence[str], what: str) -> Polynomial:
     """Return the terms of a scalar `expression` of `symbols` (v,), named `variables`.

@@ -1,4 +1,4 @@
-"""CasADi expressions as C statements: +, -, *, / and a comparison, nothing that needs libm."""
+"""CasADi expressions as C statements: +, -, *, /, magnitude, comparison, choice; nothing that needs libm."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +10,8 @@ from hallsym.codegen.parts import Step
 from hallsym.errors import InputError
 
 _SIGNS = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+_TESTS = {ca.OP_LT: "<", ca.OP_LE: "<="}
+_CONDITIONS = (*_TESTS, ca.OP_NOT)
 _CALLS = {ca.OP_FMIN: "lesser", ca.OP_FMAX: "greater"}
 
 
@@ -87,11 +89,23 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
             text[k] = real.constant(function.instruction_constant(k))
             continue
         text[k] = operation(code, [text[j] for j in sources], real)
+        if code in _CONDITIONS:
+            continue
         if uses.get(k, 0) > 1 or (code == ca.OP_SQ and "(" in text[sources[0]]):
             name = f"{step.name}_t{len(before)}"
             before.append(f"const {real.name} {name} = {_bare(text[k])};")
             text[k] = name
     return before, _bare(result)
+
+
+def straight(steps: Sequence[Step]) -> bool:
+    """Whether steps hold arithmetic only: no magnitude, comparison or choice."""
+    for step in steps:
+        f = ca.Function("step", ca.symvar(step.expression), [ca.densify(step.expression)])
+        codes = {f.instruction_id(k) for k in range(f.n_instructions())}
+        if codes & {*_CONDITIONS, *_CALLS, ca.OP_FABS, ca.OP_IF_ELSE_ZERO}:
+            return False
+    return True
 
 
 def operation(code: int, a: Sequence[str], real: Real) -> str:
@@ -100,6 +114,14 @@ def operation(code: int, a: Sequence[str], real: Real) -> str:
         return f"({a[0]} {_SIGNS[code]} {a[1]})"
     if code in _CALLS:
         return f"{_CALLS[code]}({_bare(a[0])}, {_bare(a[1])})"
+    if code in _TESTS:
+        return f"({a[0]} {_TESTS[code]} {a[1]})"
+    if code == ca.OP_NOT:
+        return f"(!{a[0]})"
+    if code == ca.OP_IF_ELSE_ZERO:
+        return f"({a[0]} ? {a[1]} : {real.constant(0.0)})"
+    if code == ca.OP_FABS:
+        return f"{'fabsf' if real.size == 4 else 'fabs'}({_bare(a[0])})"
     if code == ca.OP_SQ:
         return f"({a[0]} * {a[0]})"
     if code == ca.OP_TWICE:

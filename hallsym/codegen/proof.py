@@ -13,7 +13,8 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.parts import Step, short
+from hallsym.codegen.entries import short
+from hallsym.codegen.parts import Step
 from hallsym.codegen.printer import DOUBLE, statements
 from hallsym.codegen.source import BANNER, Source, bit, ends
 

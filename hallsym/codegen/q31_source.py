@@ -8,15 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
-from hallsym.codegen.bounds import LEAST_PHI
-from hallsym.codegen.parts import short, unit
+from hallsym.codegen.bounds import LEAST_GAIN
+from hallsym.codegen.entries import short, unit
 from hallsym.codegen.project import MARK, template
 from hallsym.codegen.q31 import UPPER, Program
-from hallsym.codegen.source import BANNER, _function, _lines, bit, ends
+from hallsym.codegen.source import BANNER, bit, ends, function, lines
 from hallsym.codegen.table import VERSION
-from hallsym.codegen.vectors import mix
 
 CPU = "-mcpu=cortex-m0 -mthumb"
 MACHINE = "microbit"
@@ -128,12 +125,12 @@ class IntegerSource:
         ]
         test = "\n    && ".join(f"(pose->{c} >= -{KNOWN}) && (pose->{c} <= {KNOWN})" for c in d.pose)
         zeros = [(c, f"p->zero_{short(c)}") for c in d.pose]
-        return _lines(
+        return lines(
             BANNER.rstrip(),
             '#include "decoupler.h"',
             "",
             UPPER,
-            _function(
+            function(
                 "static inline int32_t limited(int32_t value, int32_t low, int32_t high, uint32_t bit, uint32_t *status)",
                 [
                     "int32_t result = value;",
@@ -154,11 +151,11 @@ class IntegerSource:
                     "return result;",
                 ],
             ),
-            _function(
+            function(
                 "uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)",
                 ["uint32_t status = 0U;", *body],
             ),
-            _function(
+            function(
                 "uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose)",
                 [
                     "uint32_t status = DECOUPLER_POSE;",
@@ -184,36 +181,44 @@ class IntegerSource:
             for c in d.inputs
         ]
         gains = []
-        for poly, channel in zip(d.phi, d.model.channels, strict=True):
-            rest = f"gain_{short(channel)}"
-            e_rest, terms = p.table[rest][1], []
-            for row in poly.rest:
-                columns = poly.label(row).split("*")
-                name = "_".join([rest, *(short(c) for c in columns)])
+        for margin in d.margins:
+            e_rest, terms = p.table[margin.rest][1], ["0U"]
+            for name, columns in margin.terms:
                 text, e = f"size(p->{name})", p.table[name][1]
                 for c in columns:
                     low, high = ends(d, c)
                     reach = f"size({high})" if d.box.symmetric(c) else f"(size({low}) + size({high}))"
                     text, e = f"(({text} * {reach}) >> 31U)", e + p.inputs[c] - 31
                 terms.append(f"({text} >> {e - e_rest}U)" if e >= e_rest else f"({text} << {e_rest - e}U)")
-            if terms:
-                share = round((1 - LEAST_PHI) * 1024)
-                gains.append(f"(({' + '.join(terms)}) > ((size(p->{rest}) * {share}U) >> 10U))")
+            share = round((1 - LEAST_GAIN) * 1024)
+            spread = " + ".join(terms[1:] or terms)
+            gains.append(f"(({spread}) >= ((size(p->{margin.rest}) * {share}U) >> 10U))")
         first = next(n for n, _, _ in self.entries)
         text = template("decoupler_check_q31.c")
         return (
             text.replace("@FIRST@", first)
             .replace("@LAST@", f"zero_{short(d.pose[0])}")
             .replace("@LIMITS@", "\n        && ".join(empty))
-            .replace("@GAINS@", "\n        || ".join(gains) or "0")
+            .replace("@GAINS@", "\n        || ".join(gains))
         )
+
+    def bare(self) -> str:
+        """Return the arithmetic alone, without limits and status, to count its instructions."""
+        p, d = self.program, self.program.d
+        signature = (
+            "void decoupler_bare(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)"
+        )
+        names = {n: f"p->{n}" for n, _, _ in self.entries} | {short(c): f"in->{c}" for c in d.inputs}
+        body = [*p.c(names), *(f"out->{c} = {n};" for c, (n, _) in p.outputs.items())]
+        include = [BANNER.rstrip(), '#include "decoupler.h"', "", f"extern {signature};", ""]
+        return lines(*include, UPPER, function(signature, body))
 
     def params(self) -> str:
         """Return the table."""
         head = [("version", f"{VERSION}UL"), ("layout", f"0x{self.layout:08X}UL")]
         head += [("crc", f"0x{zlib.crc32(self._covered):08X}UL")]
         rows = [f"    .{n} = {v}," for n, v in head] + [f"    .{n} = {q}," for n, q, _ in self.entries]
-        return _lines(
+        return lines(
             BANNER.rstrip(),
             f"/* Calibration {self.source['calibration_sha256']} */",
             '#include "decoupler_params.h"',
@@ -238,69 +243,3 @@ class IntegerSource:
             "parameters": [{"name": n, "value": q, "meaning": m} for n, q, m in self.entries],
         }
         return json.dumps(record, indent=1) + "\n"
-
-    # -- numbers -------------------------------------------------------------------------------------------
-
-    def emulate(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose (n_pose, s) and status (s,) as integers, for integers (n_inputs, s)."""
-        p, d = self.program, self.program.d
-        low, high = (
-            np.array([[int(v * 2.0 ** p.inputs[c])] for c, v in zip(d.inputs, side, strict=True)])
-            for side in zip(*(d.ends(c) for c in d.inputs), strict=True)
-        )
-        outside = (inputs > high) | (inputs < low)
-        held = np.clip(inputs.astype(np.int64), low, high)
-        status = (outside * (1 << np.arange(len(inputs)))[:, None]).sum(axis=0)
-        pose = p.run({short(c): row for c, row in zip(d.inputs, held, strict=True)})
-        return np.array([pose[c] for c in d.pose]), status
-
-    def errors(self, samples: int = 100_000, seed: int = 0) -> dict[str, float]:
-        """Return the largest error against the model in double, over random integers in the box."""
-        p, d = self.program, self.program.d
-        low, high = np.array([d.ends(c) for c in d.inputs]).T[:, :, None]
-        scale = np.array([[2.0 ** p.inputs[c]] for c in d.inputs])
-        share = np.random.default_rng(seed).random((len(low), samples))
-        inputs = np.clip(
-            np.round((low + (high - low) * share) * scale), np.ceil(low * scale), np.floor(high * scale)
-        )
-        pose, _ = self.emulate(inputs.astype(np.int64))
-        found = pose * np.array([[2.0 ** -p.outputs[c][1]] for c in d.pose])
-        return dict(zip(d.pose, np.abs(found - d.exact(inputs / scale)).max(axis=1).tolist(), strict=True))
-
-    def hash(self, count: int) -> int:
-        """Return the hash of status and pose over numbered samples, as test/main.c computes it."""
-        d, n = self.program.d, np.arange(count, dtype=np.uint32)
-        raw = mix(n * np.uint32(len(d.inputs)) + np.arange(1, len(d.inputs) + 1, dtype=np.uint32)[:, None])
-        inputs = raw.view(np.int32) >> ((mix(n) & np.uint32(3)).astype(np.int32))
-        pose, status = self.emulate(inputs)
-        width, total = np.uint32(len(d.pose) + 1), 0
-        for k, row in enumerate((status, *pose)):
-            words = (row & 0xFFFFFFFF).astype(np.uint32)
-            total += int(mix(words ^ mix(n * width + np.uint32(k))).astype(np.uint64).sum())
-        return total & 0xFFFFFFFF
-
-    def main(self) -> str:
-        """Return the self-test: hash of any integers, and the zero."""
-        d = self.program.d
-        text = template("main_q31.c")
-        return (
-            text.replace("@INPUTS@", str(len(d.inputs)))
-            .replace("@WIDTH@", str(len(d.pose) + 1))
-            .replace(
-                "@SAMPLE@", "\n".join(f"    in->{c} = input(n, {k + 1}U);" for k, c in enumerate(d.inputs))
-            )
-            .replace(
-                "@WORDS@",
-                "\n".join(
-                    f"        total += mix((uint32_t)out.{c} ^ mix((n * {len(d.pose) + 1}U) + {k + 1}U));"
-                    for k, c in enumerate(d.pose)
-                ),
-            )
-            .replace("@REST@", "\n".join(f"    in.{c} = 1000;" for c in d.inputs))
-            .replace("@KNOWN@", "\n".join(f"    pose.{c} = 4096;" for c in d.pose))
-            .replace("@BACK@", " && ".join(f"(out.{c} == 4096)" for c in d.pose))
-        )
-
-    def vectors(self) -> str:
-        """Return what the self-test expects of this table."""
-        return BANNER + f"#define DECOUPLER_HASH 0x{self.hash(100_000):08X}UL\n"

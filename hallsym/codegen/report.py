@@ -1,7 +1,7 @@
 """doc/report.md of a generated folder: what is computed, how exactly, and what was proved."""
 
 from hallsym.codegen.bounds import Bounds
-from hallsym.codegen.parts import unit
+from hallsym.codegen.entries import unit
 from hallsym.codegen.project import MARK, template
 from hallsym.codegen.source import Source
 
@@ -16,7 +16,7 @@ def report(source: Source, bounds: Bounds, errors: dict[str, float], notes: tupl
         f"| {c} | {bounds.low[c]:.6g} | {bounds.high[c]:.6g} | {_small(bounds.error[c], c)} | {_small(errors[c], c)} |"
         for c in d.pose
     )
-    gains = "\n".join(f"| {c} | {bounds.least_phi[c]:.4f} |" for c in d.model.channels)
+    gains = "\n".join(f"| {c} | {bounds.least_gain[c]:.4f} |" for c in d.model.channels)
     said = "\n".join(f"- {note}" for note in notes)
     uses = (
         "\n".join(f"    {s.name} = {s.expression}" for s in d.steps)

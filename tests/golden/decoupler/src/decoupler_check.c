@@ -50,9 +50,9 @@ static uint32_t ranges(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_LIMITS;
     }
-    if ((spread_hall_a > (0.899999976f * greater(p->gain_hall_a, -p->gain_hall_a)))
-        || (spread_hall_b > (0.899999976f * greater(p->gain_hall_b, -p->gain_hall_b)))
-        || (spread_hall_c > (0.899999976f * greater(p->gain_hall_c, -p->gain_hall_c))))
+    if (!((spread_hall_a < (0.899999976f * greater(p->gain_hall_a, -p->gain_hall_a)))
+        && (spread_hall_b < (0.899999976f * greater(p->gain_hall_b, -p->gain_hall_b)))
+        && (spread_hall_c < (0.899999976f * greater(p->gain_hall_c, -p->gain_hall_c)))))
     {
         found |= DECOUPLER_BAD_GAIN;
     }
