@@ -17,19 +17,20 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from hallsym.calibration import Fit
 from hallsym.codegen.anatomy import Anatomy
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.entries import Entry, per, short, unit
 from hallsym.codegen.parts import Decoupler, Margin, Step
 from hallsym.codegen.polynomials import Polynomial, Row
+from hallsym.model import Model
 
 
-def decoupler(fit: Fit, box: Box) -> Decoupler:
-    """Return the decoupler of a calibration over a box (readings are added to it where it has none)."""
-    anatomy = Anatomy(fit.model, box)
-    sigma = np.array([fit.noise.sigmas[c].value for c in fit.model.channels])
-    return _Assembly(anatomy, fit.values, 1.0 / sigma**2).make()
+def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
+    """Return the decoupler of a model at parameters `p` over a box (readings are added where it has none).
+
+    `weight`: 1 / variance of each reading, for more channels than pose coordinates.
+    """
+    return _Assembly(Anatomy(model, box), p, weight).make()
 
 
 @dataclass(eq=False)

@@ -18,7 +18,7 @@ SAME = 1e-13
 
 def check(fit: Fit, allow_undetermined: bool) -> None:
     """Refuse a calibration that a controller cannot trust."""
-    _check_columns(fit.model)
+    check_columns(fit.model)
     if fit.status != "converged":
         raise InputError(
             f"The fit did not converge ({fit.status}); a controller needs one that did: fit the log again."
@@ -34,7 +34,7 @@ def check(fit: Fit, allow_undetermined: bool) -> None:
         )
 
 
-def _check_columns(model: Model) -> None:
+def check_columns(model: Model) -> None:
     """Refuse a model whose columns a controller does not have, or that nothing can be decoded from."""
     for column in model.computed:
         raise InputError(
