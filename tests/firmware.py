@@ -15,7 +15,8 @@ import pytest
 
 import hallsym
 from hallsym import Fit, Model, Parameter
-from hallsym.codegen.vectors import Emulator
+from hallsym.codegen import Generated, Integers, generate_q31
+from hallsym.codegen.parts import Decoupler
 from hallsym.families import stage, stage_effects
 from hallsym.log.noise import Noise, Sigma
 
@@ -41,7 +42,7 @@ def _fitted(model: Model, values: np.ndarray) -> Fit:
     n = len(values)
     return replace(
         calibration(), model=model, values=values, std=np.zeros(n), determined=np.ones(n, bool),
-        covariance=np.zeros((n, n)),
+        covariance=np.zeros((n, n)), zeros={},
     )  # fmt: skip
 
 
@@ -71,14 +72,35 @@ def four_probes() -> Fit:
     return replace(_fitted(model, model.vector(known)), noise=Noise(sigmas), zeros={})
 
 
+def plain(name: str, **values: float) -> Fit:
+    """A stage model at gains, and couplings, that are not nominal."""
+    model = hallsym.build(name)
+    known = {"eta_A": 0.87, "eta_B": 0.7, "eta_C": 0.86, "theta_A": 0.01, "theta_C": -0.02} | values
+    return _fitted(model, model.vector(known))
+
+
 CASES: dict[str, Callable[[], Fit]] = {
     "stage31": calibration,
+    "stage15": lambda: plain("stage15"),
+    "stage31_tied": lambda: plain("stage31_tied", a_A=-190.0, a_B=-150.0, a_C=-180.0, x0=0.12, y0=-0.03),
     "four probes": four_probes,
     "user's height_quadratic": lambda: with_effect(height_quadratic, 3e5),
     "exact_rotation": lambda: with_effect(stage.exact_rotation),
     "vertical_offset_coupling": lambda: with_effect(stage_effects.vertical_offset_coupling, 0.01),
     "cubic": lambda: with_effect(stage_effects.nonlinearity("cubic", [3]), 0.01),
 }
+
+
+@cache
+def made(case: str, **variant: bool) -> Generated:
+    """Generated code of a case, once per process."""
+    return hallsym.generate(CASES[case](), **variant)
+
+
+@cache
+def integers(case: str) -> Integers:
+    """Generated integers of a case, once per process."""
+    return generate_q31(CASES[case]())
 
 
 def need(*tools: str) -> None:
@@ -107,13 +129,13 @@ def ran(folder: Path, *command: str) -> str:
 class Library:
     """A generated folder compiled for this machine: `step`, `zero` and `check` on arrays of its type."""
 
-    def __init__(self, folder: Path, emulator: Emulator) -> None:
+    def __init__(self, folder: Path, d: Decoupler, dtype: type) -> None:
         sources = ["src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c"]
         path = folder / "build" / "decoupler.so"
         path.parent.mkdir(exist_ok=True)
         ran(folder, "gcc", *STRICT, "-shared", "-fPIC", "-Iinclude", "-Iparams", *sources, "-o", str(path))
         self.library = ctypes.CDLL(str(path))
-        self.dtype, self.d = emulator.real.dtype, emulator.d
+        self.dtype, self.d = dtype, d
         for name in ("decoupler_step", "decoupler_zero", "decoupler_check"):
             getattr(self.library, name).restype = ctypes.c_uint32
         size = len((folder / "params/decoupler_params.bin").read_bytes())
@@ -122,7 +144,10 @@ class Library:
 
     def step(self, inputs: np.ndarray) -> tuple[np.ndarray, int]:
         """Return pose and status of one sample."""
-        given, out = np.ascontiguousarray(inputs, self.dtype), np.full(len(self.d.pose), np.nan, self.dtype)
+        given, out = (
+            np.ascontiguousarray(inputs, self.dtype),
+            np.full(len(self.d.pose), 99).astype(self.dtype),
+        )
         return out, self._call("decoupler_step", self.table, given, out)
 
     def zero(self, inputs: np.ndarray, pose: np.ndarray) -> int:

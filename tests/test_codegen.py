@@ -14,14 +14,14 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, calibration, four_probes, height_quadratic, with_effect
+from firmware import CASES, GOLDEN, calibration, four_probes, made, with_effect
 from hypothesis import given
 from hypothesis import strategies as st
 
-import hallsym
 from hallsym.arrays import on_arrays
 from hallsym.cli import main
 from hallsym.codegen import decouple, generate
+from hallsym.codegen.bounds import bounds
 from hallsym.codegen.box import box_of
 from hallsym.codegen.families import decoupler
 from hallsym.codegen.intervals import Enclosure, enclose
@@ -55,18 +55,18 @@ def test_float_errors_over_a_million_inputs():
 
 @pytest.mark.parametrize("case", CASES)
 def test_no_error_exceeds_its_proved_bound(case):
-    made = generate(CASES[case]())
-    met = worst(made.source.d, FLOAT, 20_000, seed=5)
+    code = made(case)
+    met = worst(code.source.d, FLOAT, 20_000, seed=5)
     for column, error in met.items():
-        assert error <= made.bounds.error[column] + made.source.d.slack
-    pose, _ = Emulator(made.source.d, FLOAT).step(inputs_of(made.source.d, 20_000, 1, np.float32))
-    for row, column in zip(pose, made.source.d.pose, strict=True):
-        assert made.bounds.low[column] <= row.min() + 1e-9
-        assert row.max() <= made.bounds.high[column] + 1e-9
+        assert error <= code.bounds.error[column] + code.source.d.slack
+    pose, _ = Emulator(code.source.d, FLOAT).step(inputs_of(code.source.d, 20_000, 1, np.float32))
+    for row, column in zip(pose, code.source.d.pose, strict=True):
+        assert code.bounds.low[column] <= row.min() + 1e-9
+        assert row.max() <= code.bounds.high[column] + 1e-9
 
 
 def test_a_users_effect_follows_into_table_and_code():
-    plain, bent = generate(calibration()), generate(with_effect(height_quadratic, 3e5))
+    plain, bent = made("stage31"), made("user's height_quadratic")
     names = {e.name for e in bent.source.d.table} - {e.name for e in plain.source.d.table}
     assert names == {"gain_hall_a_z_z", "gain_hall_b_z_z", "gain_hall_c_z_z"}
     assert "p->gain_hall_a_z_z * z_z" in str(bent.files["src/decoupler.c"])
@@ -136,18 +136,18 @@ WILD = st.integers(0, 2**32 - 1)
 
 @given(st.lists(WILD, min_size=6, max_size=6))
 def test_whatever_the_bits_the_pose_is_finite_and_the_status_says_which(bits):
-    made = MADE
+    code = MADE
     inputs = np.array(bits, dtype=np.uint32).view(np.float32)[:, None]
-    pose, status = Emulator(made.source.d, FLOAT).step(inputs)
+    pose, status = Emulator(code.source.d, FLOAT).step(inputs)
     assert np.isfinite(pose).all()
-    for k, column in enumerate(made.source.d.inputs):
-        low, high = np.float32(made.source.d.ends(column))
+    for k, column in enumerate(code.source.d.inputs):
+        low, high = np.float32(code.source.d.ends(column))
         assert bool(status[0] >> k & 1) == (not low <= inputs[k, 0] <= high)
-    for row, column in zip(pose, made.source.d.pose, strict=True):
-        assert made.bounds.low[column] - 1e-9 <= row[0] <= made.bounds.high[column] + 1e-9
+    for row, column in zip(pose, code.source.d.pose, strict=True):
+        assert code.bounds.low[column] - 1e-9 <= row[0] <= code.bounds.high[column] + 1e-9
 
 
-MADE = generate(hallsym.load_fit(GOLDEN / "calib.json"))
+MADE = made("stage31")
 
 
 def test_mixing_is_one_to_one_and_even():
@@ -171,9 +171,9 @@ def test_mixing_is_one_to_one_and_even():
 
 @pytest.mark.parametrize("double", [False, True])
 def test_binary_and_json_are_the_same_table(double):
-    made = generate(calibration(), double=double)
-    binary = made.files["params/decoupler_params.bin"]
-    record = json.loads(made.files["params/decoupler_params.json"])
+    code = made("stage31", double=double)
+    binary = code.files["params/decoupler_params.bin"]
+    record = json.loads(code.files["params/decoupler_params.json"])
     version, layout, crc = struct.unpack_from("<III", binary)
     head, kind = (16, "d") if double else (12, "f")
     values = struct.unpack_from(f"<{len(record['parameters'])}{kind}", binary, head)
@@ -219,10 +219,10 @@ def test_the_box_is_what_the_log_recorded():
 
 
 def test_one_sided_ranges_keep_both_ends():
-    made = generate(calibration(), ranges={"z_m": (-1e-4, 2.5e-4)})
-    names = [e.name for e in made.source.d.limits]
+    code = generate(calibration(), ranges={"z_m": (-1e-4, 2.5e-4)})
+    names = [e.name for e in code.source.d.limits]
     assert "low_z" in names and "high_z" in names and "limit_rx" in names  # noqa: PT018
-    assert "limited(in->z_m, p->low_z, p->high_z" in str(made.files["src/decoupler.c"])
+    assert "limited(in->z_m, p->low_z, p->high_z" in str(code.files["src/decoupler.c"])
 
 
 # -- refusals --------------------------------------------------------------------------------------------
@@ -254,6 +254,51 @@ def test_a_calibration_that_a_controller_cannot_trust_is_refused(change, says):
     assert str(error.value).count(". ") <= 1
 
 
+@pytest.mark.parametrize(
+    ("name", "effect"),
+    [
+        ("time_skew", stage_effects.delayed("time_skew", True)),
+        ("first_order_lag", stage_effects.delayed("first_order_lag", False)),
+        ("hysteresis", stage_effects.hysteresis(1e-5)),
+        ("mains_hum", stage_effects.mains_hum(50.0)),
+        ("creep", stage_effects.offset_drift("creep", *stage_effects.powers_of_time(60.0, 2))),
+    ],
+)
+def test_effects_with_a_history_are_refused_by_name(name, effect):
+    with pytest.raises(InputError, match=rf"with .*{name} needs \w.* from a whole log") as error:
+        generate(with_effect(effect, 1e-3))
+    assert str(error.value).count(". ") == 0
+
+
+@pytest.mark.parametrize(
+    ("effect", "says"),
+    [
+        (stage_effects.clipping([-4e-4] * 3, [4e-4] * 3), "no polynomial of pose and state"),
+        (stage_effects.cross_axis_sensitivity(list(stage_effects.CROSS)), "spread too far"),
+    ],
+)
+def test_effects_that_have_no_bounded_c_are_refused(effect, says):
+    with pytest.raises(InputError, match=says):
+        generate(with_effect(effect, 0.01))
+
+
+@pytest.mark.parametrize("name", stage_effects.EFFECTS)
+def test_every_effect_of_a_calibration_has_its_c(name):
+    fit = with_effect(stage_effects.EFFECTS[name], 1e-3)
+    d = decoupler(fit, box_of(fit))
+    inputs = inputs_of(d)
+    found = on_arrays(d.function)(list(inputs), d.constants)[0]
+    assert np.abs(found - d.exact(inputs)).max() <= d.slack + 1e-16
+    assert np.isfinite(list(bounds(d).error.values())).all()
+
+
+def test_a_logged_temperature_is_one_more_input():
+    fit = with_effect(stage_effects.gain_drift("warm", *stage_effects.temperature(20.0)), 1e-3)
+    code = generate(fit, ranges={"temperature_degc": (15.0, 30.0)})
+    assert "DECOUPLER_TEMPERATURE" in str(code.files["include/decoupler.h"])
+    assert any(e.name == "gain_hall_a_temperature" and e.unit == "1/degC" for e in code.source.d.table)
+
+
 def test_a_gain_that_crosses_zero_in_the_box_is_refused():
     with pytest.raises(InputError, match="gain of hall_a_m falls to"):
         generate(calibration(), ranges={"z_m": (-5e-3, 5e-3)})
@@ -261,9 +306,9 @@ def test_a_gain_that_crosses_zero_in_the_box_is_refused():
 
 def test_undetermined_parameters_are_used_only_when_told_to():
     fit = replace(calibration(), undetermined_by_log=("a_A", "b_A"))
-    made = generate(fit, allow_undetermined=True)
-    assert any("a_A, b_A" in note for note in made.notes)
-    assert any("H1x, H1y" in note and "combinations" in note for note in made.notes)
+    code = generate(fit, allow_undetermined=True)
+    assert any("a_A, b_A" in note for note in code.notes)
+    assert any("H1x, H1y" in note and "combinations" in note for note in code.notes)
 
 
 def test_readings_that_are_no_polynomial_are_refused():

@@ -144,9 +144,8 @@ def test_the_price_counts_parameters_instructions_and_signals() -> None:
     assert cost_of(large).operations - cost_of(small).operations == 18
     assert cost_of(large).moves - cost_of(small).moves == 9
     a, b = cost_of(small).instructions, cost_of(large).instructions
-    assert (
-        price(small, large) == f"9 parameters; C about {a} -> {b} instructions, parameter table 84 -> 120 B"
-    )
+    said = price(small, large)
+    assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 84 -> 120 B"
     late = se.delayed("time_skew", True)(large)
     assert price(large, late).startswith("1 parameter; decoding")
     assert "12 signals to compute (d1_x_ref_m, " in price(large, late)

@@ -95,6 +95,12 @@ def eva(source: Source, found: Bounds) -> str:
         f"{_outward(found.high[c], source)};"
         for c in d.pose
     ]
+    slopes = ""
+    if source.jacobian:
+        slopes = """
+    decoupler_jacobian_t slopes;
+    const uint32_t slope_status = decoupler_jacobian(&decoupler_params, &in, &slopes);
+    //@ assert slope_status_zero: slope_status == 0;"""
     return f"""{BANNER}/* Frama-C EVA: every input in the box. No alarm means no run-time error, no NaN, no infinity. */
 #include "__fc_builtin.h"
 
@@ -108,7 +114,7 @@ int main(void)
 {chr(10).join(given)}
     const uint32_t status = decoupler_step(&decoupler_params, &in, &out);
     //@ assert status_zero: status == 0;
-{chr(10).join(said)}
+{chr(10).join(said)}{slopes}
     return (int)status;
 }}
 """

@@ -114,9 +114,11 @@ class IntegerSource:
         p, d = self.program, self.program.d
         names = {n: f"p->{n}" for n, _, _ in self.entries}
         held = []
+        used = {name for line in p.lines for name in (line.a, line.b)}
         for c in d.inputs:
             low, high = ends(d, c)
-            held.append(f"const int32_t {short(c)} = limited(in->{c}, {low}, {high}, {bit(c)}, &status);")
+            call = f"limited(in->{c}, {low}, {high}, {bit(c)}, &status);"
+            held.append(f"const int32_t {short(c)} = {call}" if short(c) in used else f"(void){call}")
         body = [
             *held,
             *p.c(names),

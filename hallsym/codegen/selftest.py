@@ -220,6 +220,16 @@ static int zero_works(void)
     {{
         good = 0;
     }}
+    in.{d.inputs[0]} = {c(1e30)}; /* no zero is taken out of the box */
+    if (decoupler_zero(&table, &in, &pose) == 0U)
+    {{
+        good = 0;
+    }}
+    in.{d.inputs[0]} = at_rest;
+    if ((decoupler_step(&table, &in, &out) != 0U) || {back})
+    {{
+        good = 0;
+    }}
     pose.{d.pose[0]} = {c(2.0)};
     if (decoupler_zero(&table, &in, &pose) != DECOUPLER_POSE)
     {{

@@ -14,7 +14,7 @@ def step(source: Source) -> str:
     """Return the code of every sample."""
     d, real = source.d, source.real
     results = {s.name: f"out->{c}" for s, c in zip(d.steps[-len(d.pose) :], d.pose, strict=True)}
-    body = [*source.saturated(), *statements(d.steps, source.names, real, results), "return status;"]
+    body = [*source.saturated(d.folded), *statements(d.steps, source.names, real, results), "return status;"]
     parts = [
         function(
             "uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)",
@@ -80,7 +80,8 @@ def bare(source: Source) -> str:
     """Return the arithmetic alone, without limits and status, to count its instructions."""
     d, real = source.d, source.real
     results = {s.name: f"out->{c}" for s, c in zip(d.steps[-len(d.pose) :], d.pose, strict=True)}
-    loads = [f"const {real.name} {short(c)} = in->{c};" for c in d.inputs]
+    used = [c for c in d.inputs if ca.depends_on(d.folded, d.symbols[c])]
+    loads = [f"const {real.name} {short(c)} = in->{c};" for c in used]
     signature = (
         "void decoupler_bare(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)"
     )
@@ -166,8 +167,9 @@ def graph(expression: ca.SX, names: dict[str, str], real: Real, results: Sequenc
     (rest,), symbols, values = ca.shared([expression], "shared_", "")
     steps: list[Step] = []
     waiting = {s.name(): e for s, e in zip(symbols, values, strict=True)}
+    needs = {n: {v.name() for v in ca.symvar(e)} & waiting.keys() for n, e in waiting.items()}
     while waiting:  # CasADi lists them in any order; C needs a value before its use
-        ready = [n for n, e in waiting.items() if not {v.name() for v in ca.symvar(e)} & waiting.keys()]
+        ready = [n for n in waiting if not needs[n] & waiting.keys()]
         steps += [Step(name, waiting.pop(name)) for name in ready]
     steps += [Step(f"result_{k}", rest[k]) for k in range(rest.numel())]
     return statements(steps, names, real, {f"result_{k}": name for k, name in enumerate(results)})

@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from hallsym.codegen.parts import Decoupler
@@ -28,7 +29,7 @@ class Table:
     source: Mapping[str, Any]
     """What it came from: model, sha256 of the calibration, sha256 of the log."""
 
-    @property
+    @cached_property
     def layout(self) -> int:
         """CRC-32 over names, units and arithmetic: code and table belong together if it is the same."""
         return layout_of(self.decoupler, self.real)

@@ -34,6 +34,16 @@ static int zero_works(void)
     {
         good = 0;
     }
+    in.hall_a_m = 1.00000002e+30f; /* no zero is taken out of the box */
+    if (decoupler_zero(&table, &in, &pose) == 0U)
+    {
+        good = 0;
+    }
+    in.hall_a_m = at_rest;
+    if ((decoupler_step(&table, &in, &out) != 0U) || (near(out.x_m, at_known) == 0) || (near(out.y_m, at_known) == 0) || (near(out.rz_rad, at_known) == 0))
+    {
+        good = 0;
+    }
     pose.x_m = 2.0f;
     if (decoupler_zero(&table, &in, &pose) != DECOUPLER_POSE)
     {
