@@ -57,14 +57,7 @@ def _reach(d: Decoupler, symbols: Mapping[str, ca.SX], columns: Sequence[str]) -
 
 def bounds(d: Decoupler, digits: int = 24) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
-    dtype = np.float32 if digits == 24 else np.float64
-    inputs = [Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs]
-    constants = [
-        Enclosure(e.value, e.value, abs(e.value - float(dtype(e.value)))) for e in (*d.table, *d.zeros)
-    ]
-    names = [*d.inputs, *(e.name for e in (*d.table, *d.zeros))]
-    scalar = ca.Function("folded", [d.symbols[n] for n in names], ca.vertsplit(d.folded))
-    found = enclose(scalar, [*inputs, *constants], digits)
+    found = _enclosed(d, ca.vertsplit(d.folded), digits)
     values = {e.name: e.value for e in d.entries}
     least = {}
     for step, margin in zip(spreads(d), d.margins, strict=True):
@@ -78,3 +71,19 @@ def bounds(d: Decoupler, digits: int = 24) -> Bounds:
         error=dict(zip(d.pose, (e.error for e in found), strict=True)),
         least_gain=least,
     )
+
+
+def slope_errors(d: Decoupler, digits: int = 24) -> dict[str, float]:
+    """Return how far each slope of `decoupler_jacobian()` can be from its expression, table included."""
+    found = _enclosed(d, list(d.slopes.values()), digits)
+    return {name: e.error for name, e in zip(d.slopes, found, strict=True)}
+
+
+def _enclosed(d: Decoupler, expressions: list[ca.SX], digits: int) -> list[Enclosure]:
+    dtype = np.float32 if digits == 24 else np.float64
+    inputs = [Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs]
+    entries = (*d.table, *d.zeros)
+    constants = [Enclosure(e.value, e.value, abs(e.value - float(dtype(e.value)))) for e in entries]
+    names = [*d.inputs, *(e.name for e in entries)]
+    scalar = ca.Function("enclosed", [d.symbols[n] for n in names], expressions)
+    return enclose(scalar, [*inputs, *constants], digits)

@@ -102,5 +102,12 @@ def check_bounds(d: Decoupler, found: Bounds) -> None:
 
 
 def digest_of(fit: Fit) -> str:
-    """Return the SHA-256 of a calibration that is in no file."""
-    return sha256(json.dumps(fit.to_dict(), sort_keys=True).encode())
+    """Return the SHA-256 of a calibration that is in no file: of its model, values, noise and log."""
+    record = {
+        "model": fit.model.name,
+        "effects": list(fit.model.effects),
+        "parameters": dict(zip(fit.model.names, fit.values.tolist(), strict=True)),
+        "noise": {c: s.value for c, s in fit.noise.sigmas.items()},
+        "log": dict(fit.log),
+    }
+    return sha256(json.dumps(record, sort_keys=True).encode())

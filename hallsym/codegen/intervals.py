@@ -30,7 +30,7 @@ class Enclosure:
 
 
 UNBOUNDED = Enclosure(-np.inf, np.inf, np.inf)
-_BRANCHES = (ca.OP_FABS, ca.OP_NOT, ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO)
+_BRANCHES = (ca.OP_FABS, ca.OP_SIGN, ca.OP_NOT, ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO)
 
 
 def enclose(function: ca.Function, inputs: Sequence[Enclosure], digits: int = 24) -> list[Enclosure]:
@@ -97,6 +97,10 @@ def _branch(code: int, a: list[Enclosure]) -> Enclosure:
         most = max(abs(a[0].low), abs(a[0].high))
         low = 0.0 if a[0].low <= 0 <= a[0].high else min(abs(a[0].low), abs(a[0].high))
         return Enclosure(low, most, a[0].error)
+    if code == ca.OP_SIGN:
+        sure = a[0].low - a[0].error > 0 or a[0].high + a[0].error < 0
+        low, high = float(np.sign(a[0].low)), float(np.sign(a[0].high))
+        return Enclosure(low, high, 0.0 if sure or not a[0].error else 2.0)
     if code == ca.OP_NOT:
         return Enclosure(1 - a[0].high, 1 - a[0].low, a[0].error)
     x, y = a

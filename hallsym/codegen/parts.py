@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.box import Box
-from hallsym.codegen.entries import Entry
+from hallsym.codegen.entries import Entry, short
 from hallsym.model import Model
 
 ENOUGH = 2e-11
@@ -90,6 +90,15 @@ class Decoupler:
             earlier = {n: (self.symbols[n], e) for n, e in done.items() if n in self.symbols}
             done[step.name] = _replaced(step.expression, earlier)
         return ca.vertcat(*(done[step.name] for step in self.steps[-len(self.pose) :]))
+
+    @cached_property
+    def slopes(self) -> dict[str, ca.SX]:
+        """d pose / d reading by CasADi's differentiation of the printed expressions, by name: `x_hall_a`."""
+        channels, n = self.model.channels, len(self.model.channels)
+        jacobian = ca.jacobian(self.folded, ca.vertcat(*(self.symbols[c] for c in channels)))
+        flat = ca.cse(ca.vertcat(*(jacobian[i, k] for i in range(len(self.pose)) for k in range(n))))
+        names = [f"{short(c)}_{short(m)}" for c in self.pose for m in channels]
+        return dict(zip(names, ca.vertsplit(ca.densify(flat)), strict=True))
 
     @cached_property
     def function(self) -> ca.Function:

@@ -91,7 +91,7 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
         text[k] = operation(code, [text[j] for j in sources], real)
         if code in _CONDITIONS:
             continue
-        if uses.get(k, 0) > 1 or (code == ca.OP_SQ and "(" in text[sources[0]]):
+        if uses.get(k, 0) > 1 or (code in (ca.OP_SQ, ca.OP_SIGN) and "(" in text[sources[0]]):
             name = f"{step.name}_t{len(before)}"
             before.append(f"const {real.name} {name} = {_bare(text[k])};")
             text[k] = name
@@ -103,7 +103,7 @@ def straight(steps: Sequence[Step]) -> bool:
     for step in steps:
         f = ca.Function("step", ca.symvar(step.expression), [ca.densify(step.expression)])
         codes = {f.instruction_id(k) for k in range(f.n_instructions())}
-        if codes & {*_CONDITIONS, *_CALLS, ca.OP_FABS, ca.OP_IF_ELSE_ZERO}:
+        if codes & {*_CONDITIONS, *_CALLS, ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO}:
             return False
     return True
 
@@ -120,6 +120,9 @@ def operation(code: int, a: Sequence[str], real: Real) -> str:
         return f"(!{a[0]})"
     if code == ca.OP_IF_ELSE_ZERO:
         return f"({a[0]} ? {a[1]} : {real.constant(0.0)})"
+    if code == ca.OP_SIGN:
+        none, one = real.constant(0.0), real.constant(1.0)
+        return f"(({a[0]} > {none}) ? {one} : (({a[0]} < {none}) ? -{one} : {none}))"
     if code == ca.OP_FABS:
         return f"{'fabsf' if real.size == 4 else 'fabs'}({_bare(a[0])})"
     if code == ca.OP_SQ:

@@ -1,9 +1,12 @@
 """C of the self-test and of what runs it on a host and in QEMU."""
 
+import casadi as ca
 import numpy as np
 
+from hallsym.arrays import on_arrays
+from hallsym.codegen.bounds import slope_errors
 from hallsym.codegen.source import BANNER, Source, ends
-from hallsym.codegen.vectors import Emulator, vectors
+from hallsym.codegen.vectors import Emulator, Vectors, vectors
 
 HASHED = (4096, 1_000_000)
 """Samples in the hash of the self-test, and in the long one."""
@@ -27,6 +30,17 @@ def selftest(source: Source) -> str:
         f"        failed |= differs(out.{c}, wanted->pose[{k}], decoupler_bounds[{k}], &result.worst);"
         for k, c in enumerate(d.pose)
     )
+    declared, width = "", ""
+    if source.jacobian:
+        width = f"\n    double slopes[{len(d.slopes)}];"
+        declared = (
+            "\n        double slope_worst = 0.0;\n        decoupler_jacobian_t slopes;\n"
+            "        const uint32_t status = decoupler_jacobian(&decoupler_params, &wanted->in, &slopes);"
+        )
+        compare += "\n        failed |= (status == wanted->status) ? 0U : 1U;\n" + "\n".join(
+            f"        failed |= differs(slopes.{name}, wanted->slopes[{k}], decoupler_slope_bounds[{k}], &slope_worst);"
+            for k, name in enumerate(d.slopes)
+        )
     if real.size == 4:
         wild = "        (void)memcpy(&value, &raw, sizeof(value));"
         word = """\
@@ -52,7 +66,7 @@ def selftest(source: Source) -> str:
 typedef struct
 {{
     decoupler_in_t in;
-    double pose[{len(d.pose)}];
+    double pose[{len(d.pose)}];{width}
     uint32_t status;
 }} vector_t;
 
@@ -134,7 +148,7 @@ decoupler_selftest_t decoupler_selftest(void)
     for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
     {{
         const vector_t *wanted = &decoupler_vectors[k];
-        decoupler_out_t out;
+        decoupler_out_t out;{declared}
         uint32_t failed = (decoupler_step(&decoupler_params, &wanted->in, &out) == wanted->status) ? 0U : 1U;
 {compare}
         result.vectors++;
@@ -151,10 +165,12 @@ def selftest_vectors(source: Source, bound: dict[str, float]) -> str:
     found = vectors(d, real)
     emulator = Emulator(d, real)
     rows = []
+    slopes, slope_bounds = _slopes(source, found) if source.jacobian else (found.pose, [])
     for k in range(found.inputs.shape[1]):
         inputs = ", ".join(_literal(float(v), source) for v in found.inputs[:, k])
         pose = ", ".join(f"{v:.12e}" for v in found.pose[:, k])
-        rows.append(f"    {{{{{inputs}}}, {{{pose}}}, 0x{int(found.status[k]):X}UL}},")
+        slope = f"{{{', '.join(f'{v:.12e}' for v in slopes[:, k])}}}, " if source.jacobian else ""
+        rows.append(f"    {{{{{inputs}}}, {{{pose}}}, {slope}0x{int(found.status[k]):X}UL}},")
     digest = {n: emulator.hash(n) for n in HASHED}
     limits = ", ".join(f"{bound[c] + d.slack + REFERENCE:.3e}" for c in d.pose)
     return "\n".join(
@@ -166,6 +182,7 @@ def selftest_vectors(source: Source, bound: dict[str, float]) -> str:
             f"#define DECOUPLER_VECTORS {found.inputs.shape[1]}U",
             "",
             f"static const double decoupler_bounds[{len(d.pose)}] = {{{limits}}};",
+            *slope_bounds,
             f"const uint32_t decoupler_hash_short = 0x{digest[HASHED[0]]:08X}UL;",
             f"const uint32_t decoupler_hash_long = 0x{digest[HASHED[1]]:08X}UL;",
             "",
@@ -175,6 +192,20 @@ def selftest_vectors(source: Source, bound: dict[str, float]) -> str:
             "",
         ]
     )
+
+
+def _slopes(source: Source, found: Vectors) -> tuple[np.ndarray, list[str]]:
+    """Return the slopes (n_slopes, s) of the vectors in double, and the line of their bounds."""
+    d = source.d
+    given = [ca.vertcat(*(d.symbols[n] for n in d.inputs))]
+    given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.zeros))))
+    run = on_arrays(ca.Function("slopes", given, [ca.vertcat(*d.slopes.values())]))
+    slopes = run(list(found.held), d.constants)[0]
+    errors = slope_errors(d, source.real.digits)
+    # the reference is computed in double and written with 13 digits
+    limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors.values(), slopes, strict=True)]
+    listed = ", ".join(f"{limit:.3e}" for limit in limits)
+    return slopes, [f"static const double decoupler_slope_bounds[{len(limits)}] = {{{listed}}};"]
 
 
 def _literal(value: float, source: Source) -> str:

@@ -93,11 +93,8 @@ def bare(source: Source) -> str:
 def _slopes(source: Source) -> str:
     """The Jacobian by CasADi's own differentiation of the printed expressions."""
     d, real = source.d, source.real
-    readings = ca.vertcat(*(d.symbols[c] for c in d.model.channels))
-    slopes = ca.jacobian(d.folded, readings)
-    flat = ca.vertcat(*(slopes[i, k] for i in range(len(d.pose)) for k in range(len(d.model.channels))))
-    names = [f"{short(c)}_{short(m)}" for c in d.pose for m in d.model.channels]
-    lines = graph(ca.cse(ca.densify(flat)), source.names, real, [f"slopes->{n}" for n in names])
+    flat = ca.vertcat(*d.slopes.values())
+    lines = graph(flat, source.names, real, [f"slopes->{n}" for n in d.slopes])
     return function(
         "uint32_t decoupler_jacobian(const decoupler_params_t *p, const decoupler_in_t *in,\n"
         "                            decoupler_jacobian_t *slopes)",

@@ -92,9 +92,12 @@ class Emulator:
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Listed vectors: `inputs` (n_inputs, s), `pose` (n_pose, s) of the model in double, `status` (s,)."""
+    """Listed vectors: `inputs` (n_inputs, s), `held` those brought back into the box, `status` (s,), `pose`
+    (n_pose, s) of the model in double.
+    """
 
     inputs: np.ndarray
+    held: np.ndarray
     pose: np.ndarray
     status: np.ndarray
 
@@ -122,7 +125,7 @@ def vectors(d: Decoupler, real: Real) -> Vectors:
         above, below = ~(given <= high[:, None]), given < low[:, None]
     held = np.where(above, high[:, None], np.where(below, low[:, None], given)).astype(float)
     status = ((above | below) * (1 << np.arange(len(low)))[:, None]).sum(axis=0)
-    return Vectors(given, d.exact(held), status)
+    return Vectors(given, held, d.exact(held), status)
 
 
 def worst(d: Decoupler, real: Real, samples: int = 100_000, seed: int = 0) -> dict[str, float]:
