@@ -53,7 +53,10 @@ def test_float_errors_over_a_million_inputs():
     assert met["rz_rad"] <= 3e-9
 
 
-@pytest.mark.parametrize("case", CASES)
+QUICK = [pytest.param(c, marks=pytest.mark.slow if c == "cubic" else ()) for c in CASES]
+
+
+@pytest.mark.parametrize("case", QUICK)
 def test_no_error_exceeds_its_proved_bound(case):
     code = made(case)
     met = worst(code.source.d, FLOAT, 20_000, seed=5)

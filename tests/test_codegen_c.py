@@ -58,8 +58,11 @@ def test_the_golden_copy_is_what_is_generated(tmp_path):
         )
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize("level", ["-O0", "-O3"])
+LEVELS = [("gcc", "-O0"), ("clang", "-O3")]
+LEVELS_LATER = [pytest.param(*each, marks=pytest.mark.slow) for each in (("gcc", "-O3"), ("clang", "-O0"))]
+
+
+@pytest.mark.parametrize(("compiler", "level"), [*LEVELS, *LEVELS_LATER])
 def test_compilers_warn_of_nothing_and_give_the_stated_bits(golden, tmp_path, compiler, level):
     need(compiler)
     out = str(tmp_path / "selftest")
@@ -71,7 +74,12 @@ def test_compilers_warn_of_nothing_and_give_the_stated_bits(golden, tmp_path, co
 
 
 VARIANTS = {"float": {}, "double": {"double": True}, "jacobian": {"jacobian": True}}
-QUICK = {("stage31", "double"), ("four probes", "float"), ("stage31_tied", "float"), ("cubic", "jacobian")}
+QUICK = {
+    ("stage31", "double"),
+    ("four probes", "float"),
+    ("stage31_tied", "float"),
+    ("exact_rotation", "jacobian"),
+}
 
 
 @pytest.mark.parametrize(
@@ -141,7 +149,7 @@ def test_the_zero_belongs_to_a_reset(compiled):
         library.table[:] = before
 
 
-@pytest.mark.parametrize("case", ["exact_rotation", "cubic"])
+@pytest.mark.parametrize("case", ["exact_rotation", pytest.param("cubic", marks=pytest.mark.slow)])
 def test_the_zero_of_a_non_linear_model(tmp_path, case):
     need("gcc")
     fit, code = CASES[case](), made(case)

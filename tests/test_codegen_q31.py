@@ -35,14 +35,14 @@ def test_a_product_is_low_by_less_than_three(a, b):
 
 @pytest.mark.parametrize("case", LINEAR)
 def test_a_tenth_of_a_nanometre_is_added_at_most(case):
-    p, met = integers(case).source.program, errors(integers(case).source, 100_000, seed=4)
+    p, met = integers(case).source.program, errors(integers(case).source, 20_000, seed=4)
     assert max(met["x_m"], met["y_m"]) <= 0.1e-9
     assert met["rz_rad"] <= 3e-9
     for column, error in met.items():
         assert error <= p.bounds[column][2]
 
 
-@pytest.mark.parametrize("z", [(-1e-3, 1e-3), (-1.8e-3, 1e-3), (-2e-4, 3e-3), (-3.2e-3, 1e-4)])
+@pytest.mark.parametrize("z", [(-1e-3, 1e-3), (-2e-4, 3e-3)])
 def test_gains_that_vary_much_take_more_newton_steps_and_stay_within_their_bound(z):
     source = generate_q31(calibration(), ranges={"z_m": z}).source
     for column, error in errors(source, 20_000, seed=1).items():
@@ -94,7 +94,7 @@ def test_stated_bits_on_this_machine(folder, compiler):
     assert "zero works" in said
 
 
-@pytest.mark.parametrize("case", ["four probes", "user's height_quadratic"])
+@pytest.mark.parametrize("case", ["four probes", pytest.param("stage15", marks=pytest.mark.slow)])
 def test_other_models_compile_and_pass(tmp_path, case):
     need("gcc", "make")
     generate_q31(CASES[case](), ranges={"z_m": (-1e-4, 2.5e-4)}).write(tmp_path / "fw")
@@ -111,6 +111,7 @@ def test_stated_bits_and_instructions_on_a_cortex_m0(folder):
     assert " U " not in symbols  # no division, no 64-bit product of a library
 
 
+@pytest.mark.slow
 def test_cppcheck_finds_nothing_that_is_not_listed(folder):
     need("cppcheck", "make")
     ran(folder, "make", "misra")
