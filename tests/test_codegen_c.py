@@ -75,7 +75,6 @@ def test_compilers_warn_of_nothing_and_give_the_stated_bits(golden, tmp_path, co
 
 VARIANTS = {"float": {}, "double": {"double": True}, "jacobian": {"jacobian": True}}
 QUICK = {
-    ("stage31", "double"),
     ("four probes", "float"),
     ("stage31_tied", "float"),
     ("exact_rotation", "jacobian"),

@@ -51,10 +51,10 @@ def replace_params(folder: Path, files: Mapping[str, str | bytes], layout: int) 
     header = folder / "include" / "decoupler.h"
     try:
         text = header.read_text(encoding="utf-8")
-    except OSError as error:
+    except OSError:
         raise InputError(
-            f"--params-only replaces the parameters of a generated folder; {header} cannot be read: "
-            f"{reason(error)}."
+            f"--params-only replaces the parameters of a generated folder; {header} cannot be read: generate "
+            "the folder first, without --params-only."
         ) from None
     found = re.search(r"DECOUPLER_LAYOUT (0x[0-9A-Fa-f]+)", text)
     if MARK not in text or not found or int(found[1], 16) != layout:
