@@ -32,8 +32,12 @@ else
 fi
 
 if command -v gappa >/dev/null && [ -f proof/rounding.g ]; then
-    if gappa proof/rounding.g >build/gappa.log 2>&1; then
+    timeout "${GAPPA_SECONDS:-300}" gappa proof/rounding.g >build/gappa.log 2>&1
+    result=$?
+    if [ "$result" = 0 ]; then
         echo "Gappa, rounding bound over the box: proved"
+    elif [ "$result" = 124 ]; then
+        echo "Gappa, rounding bound over the box: not run to its end in ${GAPPA_SECONDS:-300} s (an iterated model)"
     else
         echo "Gappa, rounding bound over the box: FAILED (build/gappa.log)"
     fi
