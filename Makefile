@@ -8,11 +8,14 @@ INSTALLED := $(VENV)/.installed
 BENCHABLE := $(VENV)/.installed-bench
 PIP       := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
+# What compiles, runs and proves the generated C; the tests that need them are skipped, with their name, without.
+FIRMWARE := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang frama-c-base gappa cmake
+
 # Continuous integration (CI=true) runs the slow tests too, in the same run.
 SLOW := $(if $(filter true,$(CI)),-m "slow or not slow")
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test bench lint clean browser
+.PHONY: help install tools demo test bench lint clean browser
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -24,7 +27,16 @@ install: $(INSTALLED) ## environment with hallsym, its tests and linters (again 
 demo: install ## the guided demonstration
 	$(BIN)/python -m hallsym demo
 
-test: install lint browser ## lint, then pytest on all cores (with the slow tests when CI=true)
+tools: ## compilers, QEMU and provers that the tests of generated C use (as root on Debian, Ubuntu)
+	@command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ] || exit 0; \
+	missing=$$(for name in $(FIRMWARE); do \
+	    dpkg-query -W -f '$${Status}' $$name 2>/dev/null | grep -q '^install ok installed' || echo $$name; done); \
+	[ -z "$$missing" ] || { echo "installing" $$missing; \
+	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
+	        apt-get install -y -qq --no-install-recommends $$missing; } >/dev/null 2>&1 || \
+	    echo "apt could not install them; the tests that need them say so"; }
+
+test: install tools lint browser ## lint, then pytest on all cores (with the slow tests when CI=true)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(SLOW)
 
 # Tests look at HTML pages in Chromium. Debian's root installs it; others run without it, or with their own.

@@ -10,6 +10,7 @@
 from hallsym.budget import Budget, Source, position_budget, read_budget, uncertainty_map
 from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign, write_campaign
+from hallsym.codegen import Generated, decouple, generate
 from hallsym.decoding import ErrorTable
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.diagnosis.selftest import SelfTest, selftest
@@ -31,6 +32,7 @@ __all__ = [
     "Diagnosis",
     "ErrorTable",
     "Fit",
+    "Generated",
     "Identifiability",
     "InputError",
     "Log",
@@ -47,8 +49,10 @@ __all__ = [
     "Tolerances",
     "build",
     "bundled_campaign",
+    "decouple",
     "diagnose",
     "fit",
+    "generate",
     "identify",
     "judge",
     "load_fit",

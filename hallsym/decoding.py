@@ -1,7 +1,7 @@
 """Decode the pose from readings over a log and tabulate its errors against the reference."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +17,8 @@ class ErrorTable:
     """Errors of the decoded pose, run by run: reference subtracted, one column per pose coordinate.
 
     `count`: (runs,) samples. `squares`: (runs, n_pose) sums of squares. `peak`: (runs, n_pose) largest
-    absolute error. Units are those of `pose` (m, rad).
+    absolute error. Units are those of `pose` (m, rad). `span`: least and greatest value by column of
+    reference and state, over the samples that took part.
     """
 
     pose: tuple[str, ...]
@@ -25,6 +26,7 @@ class ErrorTable:
     count: np.ndarray
     squares: np.ndarray
     peak: np.ndarray
+    span: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def over(self, runs: Sequence[int] | None = None) -> dict[str, dict[str, float]] | None:
         """Return `{"rmse": {x_m: ..}, "peak": {..}}` over some runs (default: all); None without any."""
@@ -94,15 +96,21 @@ def error_tables(
     """
     errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
     sums: list[dict[int, list]] = [{} for _ in versions]
+    span: dict[str, tuple[float, float]] = {}
     wide = extended(log, model, sigma, model.named(versions[-1][0]))
     for batch in batches(wide, columns_of(model), on_rows):
         weights, lengths = batch.weights(keep), np.diff(batch.edges)
+        for column in (*model.references, *model.state):
+            used = batch.data[column] if weights is None else batch.data[column][weights > 0]
+            if used.size:
+                low, high = span.get(column, (np.inf, -np.inf))
+                span[column] = (min(low, float(used.min())), max(high, float(used.max())))
         for (p, zeros), total in zip(versions, sums, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
             error = errors_of(p, np.repeat(own, lengths, axis=0).T, batch.data)
             for block, at in batch.parts():
                 _add(total, block.run, error[:, at] if weights is None else error[:, at][:, weights[at] > 0])
-    return [_table(model, total) for total in sums]
+    return [_table(model, total, span) for total in sums]
 
 
 def columns_of(model: Model) -> tuple[str, ...]:
@@ -130,7 +138,7 @@ def _add(total: dict[int, list], run: int, error: np.ndarray) -> None:
         total[run] = [n, squares, peak]
 
 
-def _table(model: Model, total: dict[int, list]) -> ErrorTable:
+def _table(model: Model, total: dict[int, list], span: Mapping[str, tuple[float, float]]) -> ErrorTable:
     rows = list(total.values())
     return ErrorTable(
         model.pose,
@@ -138,4 +146,5 @@ def _table(model: Model, total: dict[int, list]) -> ErrorTable:
         np.array([r[0] for r in rows], dtype=float),
         np.array([r[1] for r in rows]),
         np.array([r[2] for r in rows]),
+        span,
     )

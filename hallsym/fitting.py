@@ -373,6 +373,7 @@ def _result(
             "rows": task.log.rows,
             "runs": len(state.everything.summary.runs),
             "holdout": list(state.holdout),
+            "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
         },
         seconds=seconds,
         notes=notes + _zero_notes(model, state.everything.summary.runs, delta),

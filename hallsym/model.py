@@ -216,6 +216,7 @@ class Model:
             else ca.SX(0, 1),
             reading=signals["reading"],
             gain=signals["gain"],
+            displacement=signals["displacement"],
         )
 
     @cached_property
@@ -295,6 +296,7 @@ class Symbols:
     derived_as: ca.SX
     reading: ca.SX
     gain: ca.SX
+    displacement: ca.SX
 
     def full(self, expression: ca.SX) -> ca.SX:
         """Return `expression` with derived quantities replaced by what they stand for."""

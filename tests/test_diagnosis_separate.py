@@ -10,6 +10,7 @@ import pytest
 from gap_twins import listed, machine
 
 import hallsym
+from hallsym.codegen import cost_of
 from hallsym.diagnosis.price import operations, price
 from hallsym.diagnosis.ranking import distance
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
@@ -137,12 +138,14 @@ def test_recordings_stay_inside_what_the_log_moved() -> None:
 # -- price ---------------------------------------------------------------------------------------------------
 
 
-def test_the_price_counts_parameters_operations_and_signals() -> None:
+def test_the_price_counts_parameters_instructions_and_signals() -> None:
     small, large = hallsym.build("stage30"), hallsym.build("stage31")
-    assert operations(small) < operations(large)
-    assert (
-        price(small, large) == f"9 parameters; decoding {operations(small)} -> {operations(large)} operations"
-    )
+    # three products, three sums and three entries per probe more
+    assert cost_of(large).operations - cost_of(small).operations == 18
+    assert cost_of(large).moves - cost_of(small).moves == 9
+    a, b = cost_of(small).instructions, cost_of(large).instructions
+    said = price(small, large)
+    assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 84 -> 120 B"
     late = se.delayed("time_skew", True)(large)
     assert price(large, late).startswith("1 parameter; decoding")
     assert "12 signals to compute (d1_x_ref_m, " in price(large, late)

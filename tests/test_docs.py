@@ -32,6 +32,7 @@ COMMANDS = (
     "report",
     "sensitivity",
     "budget",
+    "codegen",
     "plan",
     "tolerances",
     "simulate",
@@ -105,7 +106,9 @@ def run(command: str, expected: int) -> None:
         if target:
             Path(target).write_text(said, encoding="utf-8")
     elif program == "make":
-        known = re.findall(r"^([a-z]+):", text_of(ROOT / "Makefile"), re.M)
+        folder = Path(arguments[1]) if arguments[:1] == ["-C"] else ROOT
+        arguments = arguments if folder == ROOT else arguments[2:]
+        known = re.findall(r"^([a-z]+):", text_of(folder / "Makefile"), re.M)
         assert [a for a in arguments if "=" not in a and a not in known] == [], command
     elif program == "pip":
         extras = re.search(r"\[(.*)\]", command)

@@ -2,6 +2,7 @@
 
 from hallsym.commands import (
     budget,
+    codegen,
     demo,
     diagnose,
     evaluate,
@@ -24,6 +25,7 @@ COMMANDS = (
     report,
     sensitivity,
     budget,
+    codegen,
     plan,
     tolerances,
     simulate,

@@ -1,7 +1,10 @@
-"""What an effect costs on the controller: operations of the decoded pose before and after."""
+"""What an effect costs on the controller: the C that is generated for it, before and after."""
 
 import casadi as ca
+import numpy as np
 
+from hallsym.codegen import cost_of
+from hallsym.errors import InputError
 from hallsym.model import Model
 
 NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN)
@@ -10,7 +13,7 @@ NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN
 def operations(model: Model) -> int:
     """Return the count of arithmetic operations of one decoded pose, common subexpressions counted once.
 
-    This is the expression that C is generated from, each sine or division one operation.
+    Of the model's own expression, each sine or division one operation: for models that have no C.
     """
     f = model.decoded
     inputs = f.sx_in()
@@ -19,15 +22,28 @@ def operations(model: Model) -> int:
     return sum(lean.instruction_id(k) not in NO_WORK for k in range(lean.n_instructions()))
 
 
-def price(before: Model, after: Model) -> str:
-    """Return in words what the step from one model to another adds: parameters, operations, columns."""
+def price(before: Model, after: Model, p: np.ndarray | None = None) -> str:
+    """Return in words what the step from one model to another adds: parameters, instructions, columns.
+
+    `p`: parameters of `after`, which say how often a non-linear model is iterated; nominal by default.
+    """
     new = len(after.parameters) - len(before.parameters)
     columns = [c.name for c in after.computed if c.name not in before.state]
-    work = f"decoding {operations(before)} -> {operations(after)} operations"
-    text = f"{new} parameter{'s' if new != 1 else ''}; {work}"
+    text = f"{new} parameter{'s' if new != 1 else ''}; {_work(before, after, p)}"
     if columns:
         text += f" and {len(columns)} signal{'s' if len(columns) != 1 else ''} to compute ({_some(columns)})"
     return text
+
+
+def _work(before: Model, after: Model, p: np.ndarray | None) -> str:
+    try:
+        old, new = cost_of(before), cost_of(after, p)
+    except InputError:
+        return f"decoding {operations(before)} -> {operations(after)} operations, no C"
+    return (
+        f"C about {old.instructions} -> {new.instructions} instructions, "
+        f"parameter table {old.table} -> {new.table} B"
+    )
 
 
 def _some(names: list[str]) -> str:

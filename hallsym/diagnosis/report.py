@@ -233,7 +233,7 @@ def _effects(
                 shrinkage=1 - after.metric / errors.metric,
                 interval=interval(errors, after),
                 share=float(np.clip((errors.metric**2 - after.metric**2) / excess, 0.0, 1.0)),
-                cost=price(without.base.model, model),
+                cost=price(without.base.model, model, search.now.base.p),
                 text=score.variant.text,
                 at_bound=ended,
                 note=_stuck(ended) if ended else "",

@@ -1,0 +1,57 @@
+"""What generated C costs, counted from its steps without a compiler."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.box import Box
+from hallsym.codegen.checks import check_columns
+from hallsym.codegen.entries import unit
+from hallsym.codegen.families import made
+from hallsym.codegen.parts import Decoupler
+from hallsym.model import Model
+
+TYPICAL = {"m": 5e-4, "rad": 5e-4, "degC": 10.0}
+"""Reach of a column by its unit where no box is given: what a stage moves."""
+HEAD = 12
+"""Bytes before the entries of a table."""
+NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one call: arithmetic operations, numbers it reads and writes, and bytes of its float table."""
+
+    operations: int
+    moves: int
+    table: int
+
+    @property
+    def instructions(self) -> int:
+        """About how many instructions the arithmetic takes on a Cortex-M4F: one per operation and move."""
+        return self.operations + self.moves
+
+
+def cost(d: Decoupler) -> Cost:
+    """Return the cost of a decoupler's arithmetic, range test and status apart."""
+    operations, read = 0, set()
+    for step in d.steps:
+        symbols = ca.symvar(step.expression)
+        f = ca.Function("step", symbols, [ca.densify(step.expression)])
+        operations += sum(f.instruction_id(k) not in NO_WORK for k in range(f.n_instructions()))
+        read |= {s.name() for s in symbols}
+    entries = {e.name for e in (*d.table, *d.zeros)}
+    moves = len(read & entries) + len(d.inputs) + len(d.pose)
+    return Cost(operations, moves, HEAD + 4 * len(d.entries))
+
+
+def cost_of(model: Model, p: np.ndarray | None = None) -> Cost:
+    """Return what the C of a model would cost, at parameters `p` (default nominal) over a typical box.
+
+    Raises `InputError` for a model that C cannot be generated from.
+    """
+    check_columns(model)
+    reach = {c: TYPICAL.get(unit(c), 1.0) for c in (*model.pose, *model.state)}
+    box = Box({c: (-most, most) for c, most in reach.items()})
+    return cost(made(model, model.nominal if p is None else p, np.ones(len(model.channels)), box))

@@ -1,0 +1,116 @@
+"""A family of its own: its maker alone gives a folder that compiles, passes its self-test and is proved.
+
+Independent facts: numpy's `where` and `abs` for what the C branches on; the bits of a million samples.
+"""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from firmware import calibration, need, ran
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hallsym
+from hallsym import Model, Parameter
+from hallsym.codegen import families
+from hallsym.codegen.bounds import bounds
+from hallsym.codegen.box import Box, box_of, limits
+from hallsym.codegen.entries import Entry
+from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.parts import Decoupler, Margin, Step
+from hallsym.log.noise import Noise, Sigma
+
+
+def folding() -> Model:
+    """Two probes beside one scale: whichever reads less is in its linear range."""
+
+    def field(s, p):
+        s["displacement"] = ca.vertcat(s["x_m"], s["x_m"])
+        s["gain"] = ca.vertcat(p["g"], p["g"])
+        s["reading"] = s["gain"] * s["displacement"]
+
+    return Model(
+        name="folding", family="folding", pose=("x_m",), references=("x_ref_m",), state=(),
+        channels=("hall_a_m", "hall_b_m"), parameters=(Parameter("g", 2.0, 0.5, 4.0, "1"),),
+        steps=(("field", field),),
+    )  # fmt: skip
+
+
+def maker(model, p, weight, box):
+    """x = a / g where |a| <= |b| and a is positive, else |b| / g - a."""
+    a, b, zero, gain = (ca.SX.sym(n) for n in ("hall_a", "hall_b", "zero_x", "gain"))
+    near = ca.logic_not(ca.fabs(b) < ca.fabs(a))
+    x = zero + ca.if_else(near, ca.if_else(a < 0, ca.fabs(b) / gain - a, a / gain), ca.fabs(b) / gain - a)
+    zeros = (Entry("zero_x", 0.0, "m", "added to x_m"),)
+
+    def exact(inputs):
+        m, n = inputs
+        far = np.abs(n) / p[0] - m
+        return np.where((np.abs(m) <= np.abs(n)) & (m >= 0), m / p[0], far)[None]
+
+    ends = Box({**dict.fromkeys(model.channels, (-0.001, 0.001)), **box.ends})
+    return Decoupler(
+        model=model, inputs=model.channels, table=(Entry("gain", float(p[0]), "1", "gain"),),
+        limits=limits(model.channels, ends), zeros=zeros, steps=(Step("x", x, "[m]"),), at_pose=(),
+        margins=(Margin("hall_a_m", "gain"),), box=ends, exact=exact,
+        symbols={"hall_a_m": a, "hall_b_m": b, "zero_x": zero, "gain": gain, "x_m": ca.SX.sym("x")},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def fit(monkeypatch):
+    """A calibration of the family, which is registered while a test runs."""
+    monkeypatch.setattr(families, "MAKERS", {"folding": maker})
+    model = folding()
+    noise = Noise({c: Sigma(5e-7, "given") for c in model.channels})
+    return replace(
+        calibration(), model=model, values=np.array([2.5]), std=np.zeros(1), determined=np.ones(1, bool),
+        covariance=np.zeros((1, 1)), noise=noise, zeros={}, log={"span": {"x_ref_m": [-4e-4, 4e-4]}},
+    )  # fmt: skip
+
+
+def test_its_folder_passes_its_self_test(fit, tmp_path):
+    need("gcc", "make")
+    code = hallsym.generate(fit, jacobian=True)
+    code.write(tmp_path / "fw")
+    assert "fabsf(hall_b) < fabsf(hall_a)" in str(code.files["src/decoupler.c"])
+    said = ran(tmp_path / "fw", "make", "check")
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+
+
+def test_it_has_bounds_but_no_script_for_gappa(fit):
+    code = hallsym.generate(fit)
+    assert "proof/rounding.g" not in code.files
+    assert code.bounds.least_gain == {"hall_a_m": 1.0}
+    found = bounds(families.decoupler(fit, box_of(fit)))
+    assert found.low["x_m"] <= -1e-3
+    assert found.high["x_m"] >= 1e-3 * 1.4
+    assert 0 < found.error["x_m"] < 1e-9
+
+
+@pytest.mark.parametrize("tool", ["frama-c"])
+def test_eva_raises_no_alarm(fit, tmp_path, tool):
+    need(tool)
+    hallsym.generate(fit).write(tmp_path / "fw")
+    said = ran(
+        tmp_path / "fw", tool, "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64", "-warn-special-float",
+        "non-finite", "-cpp-extra-args=-Iinclude -Iparams", "proof/eva.c", "src/decoupler.c",
+        "params/decoupler_params.c",
+    )  # fmt: skip
+    assert "  0 alarms generated" in said
+
+
+@given(st.lists(st.floats(-2, 2, width=32), min_size=2, max_size=2), st.floats(0, 1, width=32))
+def test_enclosures_hold_branches(values, width):
+    x = ca.SX.sym("x", 2)
+    a, b = x[0], x[1]
+    f = ca.Function("f", [a, b], [ca.if_else(ca.fabs(a) <= b, a * b, ca.fabs(b) - a)])
+    (found,) = enclose(f, [Enclosure(v - width, v + width) for v in values])
+    m, n = (np.float32(v) for v in values)
+    single = m * n if abs(m) <= n else abs(n) - m
+    exact = float(f(*values))
+    assert found.low <= exact <= found.high
+    assert abs(float(single) - exact) <= found.error
