@@ -36,6 +36,9 @@ Of a gap of twice the floor a tenth of the excess is 14 % above the floor: what 
 own, and the verdict says so."""
 SMALL = 0.01
 """Significance, corrected for the catalogue, of a smaller finding."""
+SMALLEST = 0.1
+"""Part of the threshold from which on a smaller finding is listed; with many samples anything is significant,
+such as the noise of the reference that its rates and the residual share."""
 
 
 def report(
@@ -360,7 +363,7 @@ def _smaller(search: Search) -> list[dict[str, Any]]:
     names = {f.exact.score.effect.name for f in search.found}
     for score in by_name(search.last):
         p = score.corrected(tested)
-        if p < SMALL and score.ratio < 1.0 and score.effect.name not in names:
+        if p < SMALL and 1 - score.ratio >= SMALLEST * search.level and score.effect.name not in names:
             out.append({"name": score.effect.name, "shrinkage": 1 - score.ratio, "p_value": p})
     return out
 
