@@ -50,7 +50,7 @@ def add(sub: Any) -> None:
         "--solver",
         default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
-        "or the global stage: shtlbo, tlbo, gbtlbo, pso, screening",
+        "or the global stage: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
     )
     group.add_argument(
         "--loss", default="auto", help="auto (take out isolated spikes if there are any), none, reject, tukey"
