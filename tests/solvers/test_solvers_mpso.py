@@ -97,7 +97,7 @@ def test_ranking_finds_the_constrained_optimum(name):
 
 
 def test_discarding_blinds_where_ranking_does_not():
-    """A limit that one point in 300 000 keeps: no first swarm of 30 holds one, and all discarded are equal."""
+    """A limit that one point in 300 000 keeps: no first swarm holds one, and all discarded are equal."""
 
     def violation(x):
         return np.abs(x - 0.7).max(axis=1) - 0.003
