@@ -11,6 +11,7 @@ from hallsym.cost import cost_of
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.summary import summarise
+from hallsym.turning import wrapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +73,8 @@ def error_tables(
             error = decode(p, np.repeat(own, lengths, axis=0).T, readings, states)
             for row, column in zip(error, model.references, strict=True):
                 row -= batch.data[column]
+                if column in model.period:
+                    row[:] = wrapped(row, model.period[column])
             for block, at in batch.parts():
                 _add(total, block.run, error[:, at] if weights is None else error[:, at][:, weights[at] > 0])
     return [_table(model, total) for total in sums]

@@ -21,13 +21,14 @@ from hallsym.cost import Cost, cost_of
 from hallsym.decoding import columns_of, error_tables
 from hallsym.determination import Determination, determine
 from hallsym.errors import InputError, nearest
-from hallsym.families import adapted, build
+from hallsym.families import adapted, build, default_model
 from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
 from hallsym.log.drop import Drop, without
-from hallsym.model import Model
+from hallsym.model import Inspection, Model
 from hallsym.search import SOLVERS, Search, refit, search
 from hallsym.summary import Summary, summarise
-from hallsym.wiring import check_wiring, find_wiring, rewired
+from hallsym.turning import continuous, nearest_turn
+from hallsym.wiring import as_read, check_wiring, find_wiring, rewired
 
 __all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]
 
@@ -59,7 +60,7 @@ def fit(
 ) -> Fit:
     """Calibrate `model` on `log` and return values, uncertainties and errors.
 
-    `model`: a name or a Model; the log's own `base_model` or stage31 by default. `solver`: "hybrid" (SHTLBO
+    `model`: a name or a Model; the log's own `base_model`, else what its columns suggest. `solver`: "hybrid" (SHTLBO
     and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method for the hybrid.
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
@@ -75,12 +76,16 @@ def fit(
     if isinstance(model, Model):
         model = adapted(model, tuple(effects), parameters or {})
     else:
-        name = model or log.meta.base_model or "stage31"
-        model = build(name, meta=log.meta, added=tuple(effects), parameters=parameters)
+        model = build(
+            model or default_model(log.meta), meta=log.meta, added=tuple(effects), parameters=parameters
+        )
     say("checking the log")
     columns = columns_of(model)
     log = clean_log(log, columns) if drop_bad else log
     notes = list(log.notes) if drop_bad else check_log(log, columns)
+    mounted = model.inspect(model, log) if model.inspect else Inspection()
+    notes += mounted.notes
+    log = as_read(log, model, mounted.wiring)
     apart = _apart(log, log.meta.holdout if holdout is None else holdout)
     task = _Task(log, model, noise_of(log, model, apart), solver, seed, say, start)
     state = task.solve(task.summary(), apart)
@@ -97,7 +102,13 @@ def fit(
         notes += said
     task.check(state)
     result = _result(
-        task, state, errors, tuple(notes), wiring if gain > 0 else None, loss, perf_counter() - began
+        task,
+        state,
+        errors,
+        tuple(notes),
+        wiring if gain > 0 else mounted.wiring,
+        loss,
+        perf_counter() - began,
     )
     return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
 
@@ -171,10 +182,14 @@ class _Task:
         solver = solver or self.solver
         self.say(f"solving with {solver}")
         found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
+        found = replace(found, p=nearest_turn(self.model, found.p))
         return State(everything, fitted, linear, merged, closed_form, determination, found, holdout)
 
     def errors(self, state: State, keep: Weigh | None) -> Errors:
-        versions = [(self.model.nominal, {}), (state.p, state.zeros())]
+        # what repeats (the zero of a turn) is a matter of mounting, which no drawing states
+        turning = np.array([name in self.model.period for name in self.model.names])
+        designed_as = np.where(turning, state.p, self.model.nominal)
+        versions = [(designed_as, {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
         designed, fitted = error_tables(
             self.log, self.model, versions, variance, keep, self.counting("tabulating errors")
@@ -246,6 +261,7 @@ def noise_of(log: Log, model: Model | None, apart: Sequence[int] = ()) -> Noise:
     Runs in `apart` (held out) take no part in the estimate.
     """
     columns = columns_of(model) if model else tuple(c for c in log.columns if c not in ("run", "t_s"))
+    log = continuous(log, model) if model else log
     missing = [c for c in columns if c not in log.noise]
     used = without(log, Drop(runs=frozenset(apart))) if missing and apart else log
     noise = log.noise.merged(estimate_noise(used, missing)) if missing else log.noise

@@ -14,6 +14,7 @@ from hallsym.batches import Batch, Weigh, batches
 from hallsym.features import Features, find_features
 from hallsym.log import Log
 from hallsym.model import Model
+from hallsym.turning import continuous
 
 PIECE = 8000
 """Entries of a piece that is reduced at once: fits the cache, and stays below the size at which BLAS starts
@@ -89,7 +90,7 @@ def summarise(
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
     `on_rows(samples so far)` is called along the way.
     """
-    features = find_features(model)
+    features, log = find_features(model), continuous(log, model)
     columns = (*model.references, *model.state, *model.channels)
     centre: np.ndarray | None = None
     gathered: dict[int, _Run] = {}

@@ -9,7 +9,7 @@ from hallsym.decoding import columns_of, judge
 from hallsym.fitting import noise_of
 from hallsym.log import check_log
 from hallsym.tables import error_rows
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 
 def add(sub: Any) -> None:
@@ -28,7 +28,7 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     known = load_fit(options.calibration)
-    log = rewired(open_log(options), known.model.channels, known.wiring)
+    log = as_read(open_log(options), known.model, known.wiring)
     columns = columns_of(known.model)
     notes = list(log.notes) if options.drop_bad else check_log(log, columns)
     noise = noise_of(log, known.model)

@@ -11,7 +11,7 @@ from hallsym.decoding import columns_of
 from hallsym.files import atomic_write
 from hallsym.log import check_log
 from hallsym.page import fit_page
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 
 def add(sub: Any) -> None:
@@ -34,7 +34,7 @@ def run(options: Namespace) -> int:
     known = load_fit(options.calibration)
     log = open_log(options)
     if not options.drop_bad:
-        columns, wired = columns_of(known.model), rewired(log, known.model.channels, known.wiring)
+        columns, wired = columns_of(known.model), as_read(log, known.model, known.wiring)
         log = replace(log, notes=tuple(check_log(wired, columns)))
     page = fit_page(log, known, command=_typed(options)).encode()
     atomic_write(options.output, page)

@@ -13,12 +13,12 @@ from hallsym import fitting
 from hallsym.calibration import Fit
 from hallsym.decoding import columns_of
 from hallsym.diagnosis.effect import Effect
+from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.errors import InputError
-from hallsym.families import build
+from hallsym.families import build, default_model
 from hallsym.log import Log, clean_log
 from hallsym.model import Model
 
@@ -50,14 +50,11 @@ def diagnose(
     level = _threshold(log, threshold)
     say("fitting the model")
     log, result = _fitted(log, model, apart, drop_bad, say)
-    if result.model.family != "stage":
-        raise InputError(
-            f"Model {result.model.name} has no catalogue of effects yet; only stage models have."
-        )
+    catalogue = kind_of(result.model).catalogue
     wiring = result.wiring
     base = base_of(log, result)
     runs = [r for r in base.log.runs if r not in apart]
-    search = Search(base, runs, (*CATALOGUE, *effects), level, floor_of(result, base.length_m), say)
+    search = Search(base, runs, (*catalogue, *effects), level, floor_of(result, base.length_m), say)
     search.run()
     return report(search, log, result, apart, wiring, level, perf_counter() - began)
 
@@ -73,7 +70,7 @@ def _fitted(
     if isinstance(model, Fit):
         model = model.model
     if not isinstance(model, Model):
-        model = build(model or log.meta.base_model or "stage31", meta=log.meta)
+        model = build(model or default_model(log.meta), meta=log.meta)
 
     def fitted(source: Log) -> Fit:
         return fitting.fit(

@@ -11,6 +11,7 @@ from hallsym.computed import extended
 from hallsym.decoding import columns_of, decoder
 from hallsym.diagnosis.tangent import Base
 from hallsym.log import Block
+from hallsym.turning import wrapped
 
 BLOCKS = 400
 RESAMPLED = 1000
@@ -56,8 +57,12 @@ def _decoded(base: Base) -> Decode:
 
     def error(block: Block) -> np.ndarray:
         readings, states = ([block.data[c] for c in names] for names in (model.channels, model.state))
-        pose = decode(base.p, base.zeros.get(block.run, none), readings, states)
-        return pose - np.array([block.data[c] for c in model.references])
+        error = decode(base.p, base.zeros.get(block.run, none), readings, states)
+        error = error - np.array([block.data[c] for c in model.references])
+        for k, c in enumerate(model.references):
+            if c in model.period:
+                error[k] = wrapped(error[k], model.period[c])
+        return error
 
     return error
 
@@ -65,13 +70,13 @@ def _decoded(base: Base) -> Decode:
 def _predicted(base: Base) -> Decode:
     """What the residual of the readings moves the pose by: for readings that no pose can be decoded from."""
     model = base.model
-    read, spread, none = on_arrays(model.reading), on_arrays(model.noise_gain), np.zeros(len(model.zeros))
+    read, spread, none = on_arrays(model.reading), on_arrays(model.noise_gain_at), np.zeros(len(model.zeros))
 
     def error(block: Block) -> np.ndarray:
         pose, states = ([block.data[c] for c in names] for names in (model.references, model.state))
         residual = np.array([block.data[c] for c in model.channels])
         residual = residual - read(base.p, base.zeros.get(block.run, none), pose, states)[0]
-        (gain,) = spread(base.p, states, base.weight)
+        (gain,) = spread(base.p, pose, states, base.weight)
         return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
 
     return error

@@ -77,7 +77,7 @@ def report(
     scale = left / after.metric
     effects = _effects(search, before, after, floor_metric, inflation, apart, rows)
     effects += [_fault_record(f, scale, before, after, floor_metric) for f in spoiled]
-    if wiring and _miswired(result.model, wiring):
+    if wiring and result.model.inspect is None and _miswired(result.model, wiring):
         effects.insert(0, _wiring_record(result.model, wiring, before, left, floor_metric))
     effects.sort(key=lambda e: -e.share)
     drop = 1 - left / before.metric
@@ -144,7 +144,7 @@ def report(
 
 def _before(plain: Base, log: Log, apart: tuple[int, ...], rows: int, result: Fit) -> BlockErrors:
     """Errors of the model as it was, on the readings as they were wired."""
-    if result.wiring is not None and _miswired(result.model, result.wiring):
+    if result.wiring is not None and result.model.inspect is None and _miswired(result.model, result.wiring):
         plain = replace(plain, log=log)
     return block_errors(plain, apart, rows, None)
 

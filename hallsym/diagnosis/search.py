@@ -18,7 +18,7 @@ from hallsym.diagnosis.verdict import ALLOWANCE, USED_UP, Floor, remains, slow_s
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.summary import summarise
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 MOST = 3
 """Effects that are added at most."""
@@ -32,7 +32,7 @@ TYPICAL_INFLATION = 2.0
 
 def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
-    wired = rewired(log, result.model.channels, result.wiring)
+    wired = as_read(log, result.model, result.wiring)
     sigma = {c: s.value for c, s in result.noise.sigmas.items()}
     cost = cost_of(summarise(wired, result.model, result.keep), sigma)
     point = cost.at(result.values)
@@ -71,8 +71,18 @@ def facts_of(base: Base, found: Survey) -> Facts:
         lines_hz=found.lines_hz,
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
-        gains=tuple(float(base.p[model.names.index(f"eta_{p.label}")]) for p in model.layout),
+        starts=starts_of(log),
+        gains=tuple(float(base.p[k]) for k, name in enumerate(model.names) if name.startswith("eta_")),
     )
+
+
+def starts_of(log: Log) -> tuple[float, ...]:
+    """Return the first moment of each run [s since the log began]."""
+    first: dict[int, float] = {}
+    for block in log.blocks(("t_s",)):
+        first.setdefault(block.run, float(block.data["t_s"][0]))
+    origin = next(iter(first.values()), 0.0)
+    return tuple(sorted(t - origin for t in first.values()))
 
 
 def _mean(log: Log, column: str) -> float:

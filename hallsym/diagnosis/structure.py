@@ -113,7 +113,7 @@ class _Work:
     def __init__(self, base: Base, ranges: dict[str, tuple[float, float]], runs: int) -> None:
         self.base, self.ranges = base, ranges
         model = base.model
-        self.gain, self.spread = on_arrays(model.gain), on_arrays(model.noise_gain)
+        self.gain, self.spread = on_arrays(model.gain), on_arrays(model.noise_gain_at)
         self.read = on_arrays(model.reading)
         self.unwhiten = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(base.covariance)).T)
         self.scale = np.where(np.arange(len(model.pose)) == 2, base.length_m, 1.0)
@@ -171,8 +171,10 @@ class _Work:
     def _errors(self, piece: Piece) -> np.ndarray:
         """Error of the decoded pose that the residual makes, rotation as length, (pose, samples) [m]."""
         base = self.base
-        (gain,) = self.spread(base.p, [piece.data[c] for c in base.model.state], base.weight)
-        K = len(base.model.channels)
+        model = base.model
+        pose, state = ([piece.data[c] for c in columns] for columns in (model.references, model.state))
+        (gain,) = self.spread(base.p, pose, state, base.weight)
+        K = len(model.channels)
         D = gain.reshape(K, self.E, -1)
         return np.einsum("kis,ks->is", D, self.unwhiten @ piece.residual) * self.scale[:, None]
 

@@ -96,7 +96,7 @@ def _base_functions(model: Model) -> tuple[Signature, Signature]:
     if len(model.zeros):
         both.append(ca.densify(ca.jacobian(reading, s.zeros)))
     run = on_arrays(ca.Function("base", [s.parameters, s.zeros, s.pose, s.state], both))
-    return run, on_arrays(model.noise_gain)
+    return run, on_arrays(model.noise_gain_at)
 
 
 def tangents(
@@ -203,7 +203,7 @@ class Products:
         A[-1] = np.array(batch.columns(model.channels)) - reading
         if weights is not None:
             A *= np.sqrt(weights)
-        (spread,) = self.gain(base.p, state, base.weight)
+        (spread,) = self.gain(base.p, pose, state, base.weight)
         D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * self.scale[:, None, None]
         return A, D
 

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import stage, stage_effects
+from hallsym.families import rotary, stage, stage_effects
 from hallsym.log import Meta
 from hallsym.model import Model
 
-FAMILIES = (stage,)
+FAMILIES = (stage, rotary)
 """Adding a family: one file with MODELS, EFFECTS, ALIASES and `from_meta`, and its name here."""
 
 
@@ -41,6 +41,12 @@ def build(
         raise _unknown("Model", name, known)
     family = next(f for f in FAMILIES if known[name] in f.MODELS)
     return adapted(family.from_meta(known[name], meta or Meta()), added, parameters or {})
+
+
+def default_model(meta: Meta) -> str:
+    """Return the model to fit where none is named: the log's own, else that of the family whose columns it has."""
+    fitting = (f.DEFAULT for f in FAMILIES if f.reads(meta.columns))
+    return meta.base_model or next(fitting, FAMILIES[0].DEFAULT)
 
 
 def adapted(model: Model, added: tuple[str, ...], parameters: Mapping[str, Mapping[str, Any]]) -> Model:

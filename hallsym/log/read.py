@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from hallsym.errors import InputError
@@ -47,6 +48,7 @@ def read_log(
             f" {listed(source.names)}; map them with --column hall_a_um=ITS_NAME."
         )
     known = _noise(meta, stated, noise or {}, table)
+    meta = replace(meta, columns=table.columns)
     log = Log(table, known, meta, file, run_notes(table.bindings))
     return clean_log(log) if drop_bad else log
 

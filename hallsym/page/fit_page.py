@@ -21,7 +21,7 @@ from hallsym.plots.names import name
 from hallsym.plots.survey import Decode
 from hallsym.summary import summarise
 from hallsym.tables import evidence
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
@@ -38,7 +38,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
     Raises `InputError` for a log that lacks the model's columns.
     """
     same = log.sha256 == fit.to_dict()["log"]["sha256"]
-    log = rewired(log, fit.model.channels, fit.wiring)
+    log = as_read(log, fit.model, fit.wiring)
     fit = fit if same else _elsewhere(log, fit)
     found = gather(log, {"decoded": fit})
     if same and _above_recorded(found, fit):

@@ -1,0 +1,28 @@
+"""How each family of sensors is diagnosed: its catalogue, and where on it a residual may live."""
+
+from dataclasses import dataclass
+
+from hallsym.diagnosis import rotary_catalogue, stage_catalogue
+from hallsym.diagnosis.effect import Effect
+from hallsym.errors import InputError
+from hallsym.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """What a family gives to the diagnosis: the effects it may have."""
+
+    catalogue: tuple[Effect, ...]
+
+
+KINDS = {"stage": Kind(stage_catalogue.CATALOGUE), "rotary": Kind(rotary_catalogue.CATALOGUE)}
+
+
+def kind_of(model: Model) -> Kind:
+    """Return how `model` is diagnosed; raises `InputError` for a family that cannot be yet."""
+    if model.family not in KINDS:
+        known = " and ".join(KINDS)
+        raise InputError(
+            f"Model {model.name} has no catalogue of effects yet; only {known} models have."
+        )
+    return KINDS[model.family]
