@@ -60,8 +60,9 @@ def fit(
 ) -> Fit:
     """Calibrate `model` on `log` and return values, uncertainties and errors.
 
-    `model`: a name or a Model; the log's own `base_model`, else what its columns suggest. `solver`: "hybrid" (SHTLBO
-    and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method for the hybrid.
+    `model`: a name or a Model; the log's own `base_model`, else what its columns suggest. `solver`: "hybrid"
+    (SHTLBO and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method for the
+    hybrid.
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
     always looks for them, "tukey" weighs every sample by Tukey's biweight, "none" is plain least squares.

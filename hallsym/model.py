@@ -108,11 +108,11 @@ class Model:
     computed: tuple[Computed, ...] = ()
     """How to make the columns among `state` that are not logged (`hallsym.computed.extended` serves them)."""
     period: Mapping[str, float] = field(default_factory=dict)
-    """Pose coordinates, channels, references and parameters that repeat, with their period (an angle: 2 pi)."""
+    """Pose coordinates, channels, references and parameters that repeat, with their period (2 pi)."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
-    """Poses over which noise is averaged where a reading is not linear in the pose; the zero pose otherwise."""
+    """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
     inspect: "Callable[[Model, Any], Inspection] | None" = None
     """`(model, log)`: what the family says of a log before it is fitted. Raises `InputError`."""
 
@@ -253,9 +253,10 @@ class Model:
     def decoded(self) -> ca.Function:
         """Decoupled form `(parameters, zeros, reading, state, weight) -> pose`.
 
-        Newton's method on the forward form from `begin` or the zero pose: one step where the reading is linear in the
-        pose (the small-angle stage: then this *is* Eq. (31)), three more where it is not. With more channels
-        than coordinates each step is the weighted least-squares one; `weight` is 1/variance per channel.
+        Newton's method on the forward form from `begin` or the zero pose: one step where a reading is linear
+        in the pose (the small-angle stage: then this *is* Eq. (31)), three more where it is not. With more
+        channels than coordinates each step is the weighted least-squares one; `weight` is 1/variance per
+        channel.
         """
         s = self.symbols
         reading = s.full(s.reading)

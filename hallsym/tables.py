@@ -9,7 +9,7 @@ import numpy as np
 from hallsym.calibration import Fit
 
 ANGLES = re.compile(r"angle\w*")
-"""Angles that go round: read in degrees, as machines are drawn, where the small ones of a stage are in urad."""
+"""Angles that go round are read in degrees; the small ones of a stage in urad."""
 READ = {"m": (1e6, "um"), "rad": (1e6, "urad"), "v": (1e3, "mV"), "s": (1e3, "ms"), "degc": (1.0, "degC")}
 """Unit of a column -> factor and unit for reading."""
 

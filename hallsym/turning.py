@@ -1,8 +1,8 @@
 """Columns that repeat, such as angles: a reference without jumps, and readings on its branch.
 
-A model says which of its columns repeat and with which period (`Model.period`). A reading that is half a period
-or less from its reference, give or take one constant for the whole log (the zero is free), is then continuous
-wherever the reference turns, however often, and a residual is an ordinary number.
+A model says which of its columns repeat and with which period (`Model.period`). A reading that is half a
+period or less from its reference, give or take one constant for the whole log (the zero is free), is then
+continuous wherever the reference turns, however often, and a residual is an ordinary number.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -53,7 +53,7 @@ def rewired(log: Log, channels: Sequence[str], wiring: Wiring | None) -> Log:
 
 
 def as_read(log: Log, model: Model, wiring: Wiring | None = None) -> Log:
-    """Return the log as `model` reads it: channels wired as a fit found them, columns that repeat continuous."""
+    """Return the log as `model` reads it: wired as a fit found it, columns that repeat made continuous."""
     return continuous(rewired(log, model.channels, wiring), model)
 
 

@@ -44,7 +44,7 @@ def build(
 
 
 def default_model(meta: Meta) -> str:
-    """Return the model to fit where none is named: the log's own, else that of the family whose columns it has."""
+    """Return the model where none is named: the log's own, else that of the family whose columns it has."""
     fitting = (f.DEFAULT for f in FAMILIES if f.reads(meta.columns))
     return meta.base_model or next(fitting, FAMILIES[0].DEFAULT)
 

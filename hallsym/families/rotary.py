@@ -5,12 +5,12 @@ Concentrator, Sensors 2014, 14, 13980, doi:10.3390/s140813980; its signs are res
 
     alpha' = atan2(Vy + Ay F(alpha - pi/2 + beta), Vx + Ax F(alpha)),  F(u) = K1 m^2 cos^2 u + K2 m cos u + K3
 
-with alpha = angle + zero, the angle that the reference gives, whose zero is free. One family, two forms of a
-log: the voltages `v_sin_v, v_cos_v` (numerator and denominator), or `angle_rad`, alpha' itself. The angle tells
-only ratios: a common factor of Vx, Vy, Ax, Ay leaves it alone.
+with alpha = angle + zero, the angle that the reference gives, whose zero is free. One family, two forms of
+a log: the voltages `v_sin_v, v_cos_v` (numerator and denominator), or `angle_rad`, alpha' itself. The angle
+tells only ratios: a common factor of Vx, Vy, Ax, Ay leaves it alone.
 
-Voltages in V, angles in rad, flux density m in T. Valid for any number of turns; the angle form for distortions
-(offset, mismatch, phase, harmonics together) up to about 20 %.
+Voltages in V, angles in rad, flux density m in T. Valid for any number of turns; the angle form for
+distortions (offset, mismatch, phase, harmonics together) up to about 20 %.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -264,7 +264,7 @@ ALIASES = {"ideal_arctan": "rotary_ideal", "ellipse": "rotary", "meng": "rotary_
 
 
 def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return parameters from the free harmonics of the readings: exact for voltages, first order for an angle.
+    """Return parameters from the harmonics of the readings: exact for voltages, first order for an angle.
 
     `coefficients`: feature name -> (n_channels,), from linear least squares. Parameters it cannot see stay
     nominal.
@@ -329,8 +329,8 @@ def reads(columns: Sequence[str]) -> bool:
 def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     """Return the model for the columns, nominal values and outputs that a log states.
 
-    Two voltages are taken where the log has them, the angle otherwise. `amplitude_v` of the nominal values is the
-    start of every amplitude; texts among them (magnet, sensor) are facts for a reader.
+    Two voltages are taken where the log has them, the angle otherwise. `amplitude_v` of the nominal values is
+    the start of every amplitude; texts among them (magnet, sensor) are facts for a reader.
     """
     model = make(_outputs(meta))
     changes: dict[str, dict[str, float]] = {}

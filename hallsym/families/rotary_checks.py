@@ -11,9 +11,9 @@ from hallsym.model import Inspection, Model
 BINS = 72
 """Sectors of a turn that are looked at: 5 deg each."""
 GAP_NOTE, GAP_REFUSE = 30.0, 120.0
-"""Widest part of a turn [deg] without a sample that is worth a note, and that no harmonic analysis survives."""
+"""Widest part of a turn [deg] without a sample: what is worth a note, and what no harmonics survive."""
 FOLLOWS = 0.5
-"""Length of the mean of exp(i (angle - reference)) above which an encoder follows its reference."""
+"""An encoder follows its reference if the mean of exp(i (angle - reference)) is longer than this."""
 RATIOS = tuple(range(2, 13))
 """Other counts of turns that are tried: pole pairs and gears."""
 
@@ -68,8 +68,8 @@ def inspect(model: Model, log: Any) -> Inspection:
     if not forward:
         channel = model.channels[0]
         notes.append(
-            f"The encoder turns against {column} (its other side faces the reference); {channel} is taken with "
-            "its sign reversed."
+            f"The encoder turns against {column} (its other side faces the reference); {channel} is taken "
+            "with its sign reversed."
         )
     wiring = None if forward else tuple((c, -1 if k == 0 else 1) for k, c in enumerate(model.channels))
     return Inspection(tuple(notes), wiring)
@@ -90,20 +90,20 @@ def _refuse(seen: _Seen, name: str, column: str) -> None:
     length = {k: abs(v) / max(seen.samples, 1) for k, v in seen.follows.items()}
     if gap > GAP_REFUSE and other > GAP_REFUSE:
         raise InputError(
-            f"Column {column} of {name} covers only {360 - gap:.0f} deg of a turn; offset, gain and phase of an "
-            "encoder show once and twice per turn, so record at least one full turn."
+            f"Column {column} of {name} covers only {360 - gap:.0f} deg of a turn; offset, gain and phase of "
+            "an encoder show once and twice per turn, so record at least one full turn."
         )
     best = max(length, key=lambda k: (round(length[k], 3), -abs(k)))
     straight = max(length[1.0], length[-1.0])
     if straight < FOLLOWS and length[best] > FOLLOWS:
         many = f"{abs(best):g} turns" if abs(best) > 1 else f"1/{1 / abs(best):.0f} of a turn"
         raise InputError(
-            f"In {name} the encoder makes {many} while {column} makes one; both must be angles of one shaft: give "
-            f"the reference in its own unit or scale it in a column file ({{name = ..., scale = {abs(best):.6g}}})."
+            f"In {name} the encoder makes {many} while {column} makes one; both must be angles of one shaft: "
+            f"scale the reference by {abs(best):.6g} in a column file, or check its unit."
         )
     if straight < FOLLOWS:
         raise InputError(
-            f"The encoder in {name} does not follow {column} (their difference is spread over the whole turn); it "
+            f"The encoder in {name} does not follow {column} (their difference is spread over the turn); it "
             "does not belong to these readings: check file, clock, columns and units."
         )
 
@@ -116,8 +116,8 @@ def _notes(seen: _Seen, column: str) -> list[str]:
         )
     if min(seen.up, seen.down) < 0.05 * (seen.up + seen.down):
         notes.append(
-            f"{column} turns in one direction only: latency and hysteresis look like another zero and are not "
-            "observable; record both directions to tell them."
+            f"{column} turns in one direction only: latency and hysteresis look like another zero and are "
+            "not observable; record both directions to tell them."
         )
     return notes
 

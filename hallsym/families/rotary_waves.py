@@ -3,7 +3,7 @@
 A wave is sum_n c_n cos(n theta) + s_n sin(n theta), n = 0, 1, ..., with coefficients that are CasADi
 expressions of parameters and logged columns. Products stay waves, so a chain of links that adds, scales and
 multiplies gives readings that are linear in cos(n a), sin(n a) of the logged angle a: functions that are
-independent of each other, which powers of cos and sin are not (cos^2 + sin^2 = 1), so ranks are counted right.
+independent of each other, which powers of cos and sin are not (cos^2 + sin^2 = 1), so ranks come out right.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import casadi as ca
 from hallsym.model import Signals
 
 ORDER = 6
-"""Powers of the distortion w that are kept in the angle of two waves; the first left out is w^7 / 7: 2e-13 rad
-at w = 2 %, 1e-8 rad (1e-6 deg) at 10 %, 2e-6 rad at 20 %."""
+"""Powers of the distortion w that are kept in the angle of two waves; the first left out is w^7 / 7: 2e-13
+rad at w = 2 %, 1e-8 rad (1e-6 deg) at 10 %, 2e-6 rad at 20 %."""
 HARMONICS = 12
 """Harmonics that are kept in the angle of two waves."""
 
@@ -94,8 +94,9 @@ def angle(y: Wave, x: Wave, state: ca.SX, order: int = ORDER, harmonics: int = H
     """Return atan2(y, x) - theta as a wave; linear in the columns `state` (taken at zero).
 
     x + i y is exp(i theta) Z (1 + w) with Z the part that turns evenly, so the angle is
-    arg Z + Im(w - w^2/2 + w^3/3 - ...). No coefficient is the small difference of large ones: a direction of the
-    parameters that leaves the angle alone (a common factor of x and y) leaves each coefficient alone to rounding.
+    arg Z + Im(w - w^2/2 + w^3/3 - ...). No coefficient is the small difference of large ones: a direction of
+    the parameters that leaves the angle alone (a common factor of x and y) leaves each coefficient alone to
+    rounding.
     """
     even = _turning(y, x)
     z = even.pop(0)
