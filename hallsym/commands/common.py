@@ -53,6 +53,10 @@ def log_options(parser: ArgumentParser) -> None:
     group.add_argument(
         "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
     )
+    group.add_argument(
+        "--counts-per-turn", type=float, metavar="N",
+        help="of an angle in counts, as in --column angle_count=raw: 16384 for 14 bits",
+    )  # fmt: skip
     group.add_argument("--format", help="parquet, csv, mat or hdf5, when the suffix does not tell")
     group.add_argument("--delimiter", help="of a CSV file, when it is not a comma")
     group.add_argument(
@@ -93,6 +97,7 @@ def open_log(options: Namespace, machine: Machine | None = None) -> Log:
         delimiter=options.delimiter,
         drop_bad=options.drop_bad,
         noise=dict(assignment(text) for text in options.noise),
+        counts_per_turn=options.counts_per_turn,
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 

@@ -89,6 +89,7 @@ def _judge(log: Log, required: Sequence[str]) -> Iterator[Finding]:
 def _values(log: Log, seen: Scan) -> Iterator[Finding]:
     spans = seen.spans()
     yield from findings.units(log, spans)
+    yield from findings.counts(log, spans)
     yield from findings.dead(log, seen, spans)
     yield from findings.saturated(log, seen)
     yield from findings.stale(log, seen, spans)
