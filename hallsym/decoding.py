@@ -11,7 +11,7 @@ from hallsym.cost import cost_of
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.summary import summarise
-from hallsym.turning import wrapped
+from hallsym.turning import near
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +71,8 @@ def error_tables(
         for (p, zeros), total in zip(versions, sums, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
             error = decode(p, np.repeat(own, lengths, axis=0).T, readings, states)
-            for row, column in zip(error, model.references, strict=True):
-                row -= batch.data[column]
-                if column in model.period:
-                    row[:] = wrapped(row, model.period[column])
+            reference = np.array(batch.columns(model.references))
+            error = near(model, error, reference) - reference if model.period else error - reference
             for block, at in batch.parts():
                 _add(total, block.run, error[:, at] if weights is None else error[:, at][:, weights[at] > 0])
     return [_table(model, total) for total in sums]

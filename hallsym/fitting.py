@@ -27,7 +27,7 @@ from hallsym.log.drop import Drop, without
 from hallsym.model import Inspection, Model
 from hallsym.search import SOLVERS, Search, refit, search
 from hallsym.summary import Summary, summarise
-from hallsym.turning import continuous, nearest_turn
+from hallsym.turning import continuous, designed, nearest_turn
 from hallsym.wiring import as_read, check_wiring, find_wiring, rewired
 
 __all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]
@@ -187,15 +187,12 @@ class _Task:
         return State(everything, fitted, linear, merged, closed_form, determination, found, holdout)
 
     def errors(self, state: State, keep: Weigh | None) -> Errors:
-        # what repeats (the zero of a turn) is a matter of mounting, which no drawing states
-        turning = np.array([name in self.model.period for name in self.model.names])
-        designed_as = np.where(turning, state.p, self.model.nominal)
-        versions = [(designed_as, {}), (state.p, state.zeros())]
+        versions = [(designed(self.model, state.p), {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
-        designed, fitted = error_tables(
+        before, after = error_tables(
             self.log, self.model, versions, variance, keep, self.counting("tabulating errors")
         )
-        return Errors(designed, fitted, state.holdout)
+        return Errors(before, after, state.holdout)
 
     def suspicious(self, state: State, errors: Errors) -> bool:
         floor = np.array(list(uncertainty.noise_floor(state.fitted, state.p).values()))

@@ -33,6 +33,20 @@ def nearest_turn(model: Model, p: np.ndarray) -> np.ndarray:
     return out
 
 
+def designed(model: Model, p: np.ndarray) -> np.ndarray:
+    """Return nominal parameters (n,), what repeats as in `p`: a zero is mounting, which no drawing states."""
+    return np.where([name in model.period for name in model.names], p, model.nominal)
+
+
+def near(model: Model, pose: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return a decoded pose (n_pose, samples) on the branch of its reference, where a coordinate repeats."""
+    out = np.array(pose, dtype=float)
+    for k, coordinate in enumerate(model.pose):
+        if coordinate in model.period:
+            out[k] = reference[k] + wrapped(out[k] - reference[k], model.period[coordinate])
+    return out
+
+
 def continuous(log: Log, model: Model) -> Log:
     """Return the log with the columns of `model` that repeat made continuous; the log itself if none do.
 

@@ -107,7 +107,7 @@ def counts(log: Log, spans: Spans) -> Iterator[Finding]:
             continue
         low, high = (value * turn / (2 * math.pi) for value in (span.min, span.max))
         one_sided, signed = (
-            -0.5 <= low and high <= turn + 0.5,
+            low >= -0.5 and high <= turn + 0.5,
             -0.5 * turn - 0.5 <= low and high <= 0.5 * turn + 0.5,
         )
         if not one_sided and not signed:

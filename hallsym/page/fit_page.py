@@ -147,7 +147,8 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
 def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> Markup:
     drawn = {label: (LOOKS[label], gap) for label, gap in rows.items()}
     note = "Dashed line: noise floor. "
-    note += "Designed: nominal parameters, no zero deviations. " if same else ""
+    none = ", no zero deviations" if fit.model.zeros else ""
+    note += f"Designed: nominal parameters{none}. " if same else ""
     note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
     return join(
         [
