@@ -6,7 +6,6 @@ within the fit runs. Only the final set is judged, once, on the held-out runs.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from time import perf_counter
 
 from hallsym import fitting
@@ -72,21 +71,22 @@ def _fitted(
     if not isinstance(model, Model):
         model = build(model or default_model(log.meta), meta=log.meta)
 
-    def fitted(source: Log) -> Fit:
+    def fitted(source: Log, drop: bool) -> Fit:
         return fitting.fit(
-            source, model, solver="direct", holdout=apart, resolve_wiring=True, on_progress=say
+            source, model, solver="direct", holdout=apart, resolve_wiring=True, drop_bad=drop, on_progress=say
         )
 
     if not drop_bad:
         try:
-            return log, fitted(log)
+            return log, fitted(log, False)
         except InputError as error:
             refused = error
     cleaned = clean_log(log, columns_of(model))
     if not drop_bad and cleaned.rows == log.rows:
         raise refused
-    result = fitted(cleaned)
-    return cleaned, replace(result, notes=(*cleaned.notes, *result.notes))
+    # a reading at its rail calibrates nothing, but shows the rail
+    whole = clean_log(log, columns_of(model), rails=False)
+    return whole, fitted(log, True)
 
 
 def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:

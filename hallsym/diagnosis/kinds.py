@@ -10,19 +10,21 @@ from hallsym.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """What a family gives to the diagnosis: the effects it may have."""
+    """What a family gives to the diagnosis: the effects it may have.
+
+    `pairs`: whether a flexible effect is held against pairs of plain ones (`plainer.plain_pairs`).
+    """
 
     catalogue: tuple[Effect, ...]
+    pairs: bool = False
 
 
-KINDS = {"stage": Kind(stage_catalogue.CATALOGUE), "rotary": Kind(rotary_catalogue.CATALOGUE)}
+KINDS = {"stage": Kind(stage_catalogue.CATALOGUE), "rotary": Kind(rotary_catalogue.CATALOGUE, pairs=True)}
 
 
 def kind_of(model: Model) -> Kind:
     """Return how `model` is diagnosed; raises `InputError` for a family that cannot be yet."""
     if model.family not in KINDS:
         known = " and ".join(KINDS)
-        raise InputError(
-            f"Model {model.name} has no catalogue of effects yet; only {known} models have."
-        )
+        raise InputError(f"Model {model.name} has no catalogue of effects yet; only {known} models have.")
     return KINDS[model.family]

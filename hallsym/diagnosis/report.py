@@ -31,6 +31,8 @@ CLOSED = 0.9
 """Part of the excess above the floor that named effects must close where much is left."""
 CLOSE_SECOND = 0.9
 """Part of what the best explains from which on another effect is listed behind it."""
+EITHER = ("sign_inversion", "channel_swap")
+"""Faults of the wiring that an angle read from two channels cannot tell apart."""
 SMALL = 0.01
 """Significance, corrected for the catalogue, of a smaller finding."""
 
@@ -77,7 +79,7 @@ def report(
     scale = left / after.metric
     effects = _effects(search, before, after, floor_metric, inflation, apart, rows)
     effects += [_fault_record(f, scale, before, after, floor_metric) for f in spoiled]
-    if wiring and result.model.inspect is None and _miswired(result.model, wiring):
+    if wiring and _miswired(result.model, wiring):
         effects.insert(0, _wiring_record(result.model, wiring, before, left, floor_metric))
     effects.sort(key=lambda e: -e.share)
     drop = 1 - left / before.metric
@@ -88,6 +90,8 @@ def report(
     open_ = remains(rest, slow, left if named else before.metric, search.floor, level)
     verdict = _verdict(named, open_, _closed(before.metric, left, floor_metric))
     groups, separate = _groups(search, inflation) if verdict != "no gap" else ([], [])
+    if effects and effects[0].name in EITHER and len(result.model.pose) == 1:
+        groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
     ranked = _ranked(effects, groups, search, verdict) if verdict != "no gap" else []
     smaller = _smaller(search)
     if verdict == "no gap":
@@ -144,7 +148,7 @@ def report(
 
 def _before(plain: Base, log: Log, apart: tuple[int, ...], rows: int, result: Fit) -> BlockErrors:
     """Errors of the model as it was, on the readings as they were wired."""
-    if result.wiring is not None and result.model.inspect is None and _miswired(result.model, result.wiring):
+    if result.wiring is not None and _miswired(result.model, result.wiring):
         plain = replace(plain, log=log)
     return block_errors(plain, apart, rows, None)
 
@@ -220,6 +224,8 @@ def _fault_record(
 
 
 def _miswired(model: Model, wiring: Wiring) -> bool:
+    if len(model.channels) == 1:
+        return False  # a direction, not a wire
     return any(source != c or sign < 0 for c, (source, sign) in zip(model.channels, wiring, strict=True))
 
 

@@ -1,10 +1,9 @@
 """The catalogue of the encoder: the field's names, each with the ways in which it may act."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
-from hallsym.computed import Computed
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.survey import MAINS
 from hallsym.families import rotary_effects as re
@@ -14,10 +13,9 @@ PLAYS = (1e-3, 1e-2, 0.1)
 """Angles [rad] within which the direction of motion turns over after a reversal: tried values."""
 DIRECTIONS = tuple(np.pi * k / 6 for k in range(6))
 """Directions in which the chip may lie off the axis: tried values."""
-SWITCHINGS = 60
-"""Pairs of moments between which a field may be on that are tried, at most."""
 LEVELS = (0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
 """Rails, in amplitudes, that are tried where only the angle is read."""
+THIRD = "third_harmonic_distortion"
 MAGNET = "turn the stator (or the chip) by a known angle against the magnet, and record a turn at each"
 REFERENCE = "couple the reference anew at another angle, and record a turn at each"
 
@@ -65,12 +63,14 @@ def _over_time(drift: Callable[..., re.Make], effect: str, facts: Facts) -> list
     T, out = facts.duration_s, []
     for degree in (1, 2, 3):
         out.append(Variant(f"polynomial of degree {degree}", drift(effect, *re.powers_of_time(T, degree))))
-    for tau in (T / 16, T / 5):
+    for tau in (T / 16, T / 8, T / 4, T / 2):
         out.append(Variant(f"settling, {tau:.3g} s", drift(effect, *re.settling(tau)), 1, tau))
     return out
 
 
-def _finer_settling(drift: Callable[..., re.Make], effect: str) -> Callable[[Model, Facts, float], list[Variant]]:
+def _finer_settling(
+    drift: Callable[..., re.Make], effect: str
+) -> Callable[[Model, Facts, float], list[Variant]]:
     def refine(model: Model, facts: Facts, tau: float) -> list[Variant]:
         tried = [tau * 1.35**k for k in (-2, -1, 1, 2)]
         return [Variant(f"settling, {t:.3g} s", drift(effect, *re.settling(t)), 1, t) for t in tried]
@@ -87,21 +87,11 @@ def _stray(model: Model, facts: Facts) -> list[Variant]:
         Variant("static", re.offset("uniform_stray_field")),
         Variant("in proportion to speed", re.offset_drift("uniform_stray_field", *re.speed())),
     ]
-    pairs = _switchings(facts.starts, facts.duration_s)
-    for on, off in pairs:
-        label = f"on from {on:.6g} s" + (f" to {off:.6g} s" if off < facts.duration_s else "")
-        make = re.offset_drift("uniform_stray_field", *re.switched(on, off))
-        out.append(Variant(label, make, 1 + (off < facts.duration_s), None, len(pairs)))
+    if facts.on_runs:
+        listed = ", ".join(map(str, facts.on_runs))
+        make = re.offset_drift("uniform_stray_field", *re.during(facts.on_runs))
+        out.append(Variant(f"on in runs {listed}", make, 1))
     return out
-
-
-def _switchings(starts: Sequence[float], end: float) -> list[tuple[float, float]]:
-    """Between which runs a field may have been on: first the steps, then stretches, as many as are allowed."""
-    later = [t for t in starts if t > 0]
-    never = end + 1.0
-    steps = [(t, never) for t in later]
-    spans = [(a, b) for i, a in enumerate(later) for b in later[i + 1 :]]
-    return [*steps, *spans][:SWITCHINGS] if len(later) <= SWITCHINGS else []
 
 
 def _hums(drift: Callable[..., re.Make], effect: str, facts: Facts) -> list[Variant]:
@@ -122,10 +112,10 @@ def _clipping(model: Model, facts: Facts) -> list[Variant]:
     if np.isfinite(facts.rails).any():
         low, high = np.array(facts.rails).T
         big = 1e3 * re.amplitude(model)
-        rails = (np.where(np.isfinite(low), low, -big).tolist(), np.where(np.isfinite(high), high, big).tolist())
-        out.append(Variant("where readings repeat", re.clipping(rails), 1))
+        low, high = np.where(np.isfinite(low), low, -big), np.where(np.isfinite(high), high, big)
+        out.append(Variant("where readings repeat", re.clipping(low.tolist(), high.tolist()), 1))
     for k, (high, low) in enumerate(zip(facts.extremes[0::2], facts.extremes[1::2], strict=True)):
-        out.append(Variant(f"rails, try {k + 1}", re.clipping((low.tolist(), high.tolist())), 1, None, 4))
+        out.append(Variant(f"rails, try {k + 1}", re.clipping(low.tolist(), high.tolist()), 1, None, 4))
     return out
 
 
@@ -145,19 +135,18 @@ def _pole_pattern(model: Model, facts: Facts) -> list[Variant]:
     ]
 
 
-Columns = tuple[Sequence[str | Computed], re.Read, int]
-
 CATALOGUE: tuple[Effect, ...] = (
     Effect("offset_error", "transducer", "constant offset of sine or cosine",
            lambda m, f: _one("both plates", re.offset("offset_error")), MAGNET),
-    Effect("uniform_stray_field", "field", "external field: static, switched, or with the speed", _stray, MAGNET),
+    Effect("uniform_stray_field", "field", "external field: static, switched, or with the speed", _stray,
+           MAGNET),
     Effect("gain_mismatch", "transducer", "sine and cosine have different gains",
            lambda m, f: _one("one ratio", re.gain_mismatch), MAGNET),
     Effect("orthogonality_error", "transducer", "the axes of sine and cosine are not perpendicular",
            lambda m, f: _one("one angle", re.orthogonality_error), MAGNET),
-    Effect("third_harmonic_distortion", "field", "third harmonic of the magnet's field: four waves per turn",
-           lambda m, f: [Variant("in phase", re.field_harmonics("third_harmonic_distortion", "field", (-3,), False)),
-                         Variant("any phase", re.field_harmonics("third_harmonic_distortion", "field", (-3,)))],
+    Effect(THIRD, "field", "third harmonic of the magnet's field: four waves per turn",
+           lambda m, f: [Variant("in phase", re.field_harmonics(THIRD, "field", (-3,), False)),
+                         Variant("any phase", re.field_harmonics(THIRD, "field", (-3,)))],
            f"another air gap; or {MAGNET}"),
     Effect("field_saturation", "field", "both plates compress softly at a high field",
            lambda m, f: _one("cubic", re.field_saturation), "another air gap: compression follows the field"),
@@ -180,7 +169,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("first_order_lag", "transducer", "low-pass in the path of the readings",
            lambda m, f: _one("one time constant", re.first_order_lag),
            "speeds so high that a low-pass lowers the amplitude, which a delay does not"),
-    Effect("hysteresis", "mechanics", "the angle depends on the direction of motion, not on the speed", _hysteresis,
+    Effect("hysteresis", "mechanics", "the angle depends on the direction, not on the speed", _hysteresis,
            "both directions at several speeds: play does not grow with the speed, a delay does"),
     Effect("gain_temperature_drift", "transducer", "gains follow the logged temperature",
            lambda m, f: _by_temperature(re.gain_drift, "gain_temperature_drift", f),
@@ -206,9 +195,10 @@ CATALOGUE: tuple[Effect, ...] = (
            lambda m, f: _hums(re.gain_drift, "reference_voltage_fluctuation", f),
            "a run at rest on the full clock"),
     Effect("reference_eccentricity", "reference", "the reference has an error once per turn",
-           lambda m, f: _one("once per turn", re.reference_harmonics("reference_eccentricity", (1,))), REFERENCE),
+           lambda m, f: _one("once per turn", re.reference_harmonics("reference_eccentricity", (1,))),
+           REFERENCE),
     Effect("reference_scale_error", "reference", "a turn of the reference is short or long",
            lambda m, f: _one("one share", re.reference_scale_error), "several turns in one direction"),
-    Effect("reference_pole_pairs", "reference", "pattern of the pole pairs of a stepper that serves as reference",
+    Effect("reference_pole_pairs", "reference", "pattern of the pole pairs of a stepper used as reference",
            _pole_pattern, f"micro-steps or another reference; or {REFERENCE}"),
 )  # fmt: skip

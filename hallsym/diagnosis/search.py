@@ -8,11 +8,14 @@ import numpy as np
 from hallsym.calibration import Fit
 from hallsym.cost import cost_of
 from hallsym.diagnosis.effect import Effect, Facts
+from hallsym.diagnosis.kinds import kind_of
+from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, Score, by_name, candidates, refitted, scores
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import SEGMENT, Survey, survey
+from hallsym.diagnosis.switching import switched_runs
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.log import Log
@@ -71,18 +74,9 @@ def facts_of(base: Base, found: Survey) -> Facts:
         lines_hz=found.lines_hz,
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
-        starts=starts_of(log),
+        on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),
         gains=tuple(float(base.p[k]) for k, name in enumerate(model.names) if name.startswith("eta_")),
     )
-
-
-def starts_of(log: Log) -> tuple[float, ...]:
-    """Return the first moment of each run [s since the log began]."""
-    first: dict[int, float] = {}
-    for block in log.blocks(("t_s",)):
-        first.setdefault(block.run, float(block.data["t_s"][0]))
-    origin = next(iter(first.values()), 0.0)
-    return tuple(sorted(t - origin for t in first.values()))
 
 
 def _mean(log: Log, column: str) -> float:
@@ -208,7 +202,10 @@ class Search:
         for score in by_name(ranked):
             if score.absorbed:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
-        return refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION), ranked
+        exact = refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION)
+        if kind_of(at.base.model).pairs:
+            exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
+        return exact, ranked
 
     def reconsider(self) -> None:
         """Ask of each effect again, with the others in place, which one it should be."""

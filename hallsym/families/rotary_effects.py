@@ -1,11 +1,11 @@
 """Effects of an encoder that its models leave out: physics only, each a function `Model -> Model`.
 
-New parameters are 0 where the effect is absent. u is the electrical angle (angle + zero). The field at the chip,
-cosine + i sine, is exp(i u) for a perfect magnet; its harmonic n is q exp(i n u) with q complex: n = 2 (and 0)
-is one wave of angle error per turn, n = -1 and 3 are two, n = -3 is four. Voltages in V, times in s.
+New parameters are 0 where the effect is absent. u is the electrical angle (angle + zero). The field at the
+chip, cosine + i sine, is exp(i u) for a perfect magnet; its harmonic n is q exp(i n u) with q complex: n = 2
+(and 0) is one wave of angle error per turn, n = -1 and 3 are two, n = -3 is four. Voltages in V, times in s.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import pi
 
 import casadi as ca
@@ -24,7 +24,7 @@ FULL_STEPS = 50
 """Periods per turn of what a stepper of 1.8 deg per full step leaves: one for each pole pair of its rotor."""
 
 Make = Callable[[Model], Model]
-P = dict[str, ca.SX]
+P = Mapping[str, ca.SX]
 Read = Callable[[Signals], list[ca.SX]]
 
 
@@ -89,9 +89,9 @@ def off_axis(effect: str, direction_rad: float) -> Make:
     """Chip and magnet both off the axis of rotation, to second order in what they are off.
 
     Near the axis the field in the frame of the magnet is 1 + a |w|^2 + (a/2) w^2 for a displacement w of the
-    chip from the magnet's axis: curl B = 0 leaves one curvature a, and the last one, c conj(w)^2, vanishes for a
-    dipole. A chip at S exp(i direction) and a magnet at M make w = S exp(i (direction - u)) - M, which gives
-    harmonics 2 and 0 by their product and -1 by the chip alone.
+    chip from the magnet's axis: curl B = 0 leaves one curvature a, and the last one, c conj(w)^2, vanishes
+    for a dipole. A chip at S exp(i direction) and a magnet at M make w = S exp(i (direction - u)) - M, which
+    gives harmonics 2 and 0 by their product and -1 by the chip alone.
     """
 
     def make(model: Model) -> Model:
@@ -124,7 +124,9 @@ def field_saturation(model: Model) -> Model:
 # -- transducer --------------------------------------------------------------------------------------------
 
 
-def _per_plate(effect: str, terms: int, read: Callable[[Signals, Wave, int], Wave], columns: Sequence = ()) -> Make:
+def _per_plate(
+    effect: str, terms: int, read: Callable[[Signals, Wave, int], Wave], columns: Sequence = ()
+) -> Make:
     """Each voltage v becomes v + sum of c_j read(s, v, j), c per plate."""
 
     def make(model: Model) -> Model:
@@ -164,7 +166,9 @@ def gain_mismatch(model: Model) -> Model:
         s["v_sin"] = s["v_sin"] * (1 + p["mismatch"] / 2)
         s["v_cos"] = s["v_cos"] * (1 - p["mismatch"] / 2)
 
-    return _add(model, "transducer", "gain_mismatch", _free(["mismatch"], 1.0, "1", "difference of gains"), step)
+    return _add(
+        model, "transducer", "gain_mismatch", _free(["mismatch"], 1.0, "1", "difference of gains"), step
+    )
 
 
 def orthogonality_error(model: Model) -> Model:
@@ -230,13 +234,12 @@ def speed() -> tuple[list[Computed], Read, int]:
     return [rate(REFERENCE)], lambda s: [s[SPEED]], 1
 
 
-def switched(on_s: float, off_s: float) -> tuple[list[Computed], Read, int]:
-    """Return 1 between two moments of the campaign, 0 outside."""
-    name = f"on_{on_s:.9g}_{off_s:.9g}"
+def during(runs: Sequence[int]) -> tuple[list[Computed], Read, int]:
+    """Return 1 in some runs, 0 in the others."""
+    name, on = f"on_in_{'_'.join(map(str, runs))}", frozenset(runs)
 
     def rule(s: Stretch) -> np.ndarray:
-        t = s.data["t_s"] - s.origin_s
-        return ((t >= on_s) & (t < off_s)).astype(float)
+        return np.full(len(s.data["t_s"]), float(s.run in on))
 
     return [Computed(name, (), rule)], lambda s: [s[name]], 1
 
@@ -362,8 +365,8 @@ def reference_scale_error(model: Model) -> Model:
 # -- electronics -------------------------------------------------------------------------------------------
 
 
-def clipping(level: Sequence[float]) -> Make:
-    """Each voltage stops at +- `level` of its own, of which `share` is cut: 1 for a rail."""
+def clipping(low: Sequence[float], high: Sequence[float]) -> Make:
+    """Each voltage stops at rails of its own [V]; the parameters say how much of what is beyond is cut."""
 
     def make(model: Model) -> Model:
         names = [f"clipped_{plate}" for plate in PLATES]
@@ -371,7 +374,7 @@ def clipping(level: Sequence[float]) -> Make:
         def step(s: Signals, p: P) -> None:
             v = s["reading"]
             rows = [
-                v[k] - p[name] * (ca.fmax(v[k] - level[1][k], 0) - ca.fmax(level[0][k] - v[k], 0))
+                v[k] - p[name] * (ca.fmax(v[k] - high[k], 0) - ca.fmax(low[k] - v[k], 0))
                 for k, name in enumerate(names)
             ]
             s["reading"] = ca.vertcat(*rows)
