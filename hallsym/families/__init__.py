@@ -1,6 +1,6 @@
 """The kinds of sensor: one file per family, only physics. Models are looked up here by name."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from hallsym.errors import InputError, nearest
@@ -47,6 +47,23 @@ def default_model(meta: Meta) -> str:
     """Return the model where none is named: the log's own, else that of the family whose columns it has."""
     fitting = (f.DEFAULT for f in FAMILIES if f.reads(meta.columns))
     return meta.base_model or next(fitting, FAMILIES[0].DEFAULT)
+
+
+def axes() -> tuple[str, ...]:
+    """Return every coordinate and state that a campaign can move."""
+    return tuple(dict.fromkeys(axis for f in FAMILIES for axis in (*f.POSE, *f.STATE)))
+
+
+def model_for(moved: Collection[str]) -> str:
+    """Return the model to simulate where none is named: that of the first family with the axes moved."""
+    fitting = (f.DEFAULT for f in FAMILIES if {*f.POSE, *f.STATE}.issuperset(moved))
+    return next(fitting, FAMILIES[0].DEFAULT)
+
+
+def example(model: Model) -> Mapping[str, Any]:
+    """Return what is simulated of a family by default: campaign, values and noise; may be empty."""
+    family = next((f for f in FAMILIES if f.FAMILY == model.family), None)
+    return getattr(family, "EXAMPLE", {})
 
 
 def adapted(model: Model, added: tuple[str, ...], parameters: Mapping[str, Mapping[str, Any]]) -> Model:

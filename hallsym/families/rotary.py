@@ -32,6 +32,7 @@ FAMILY = "rotary"
 DEFAULT = "rotary"
 POSE = ("angle_rad",)
 REFERENCES = ("angle_ref_rad",)
+STATE: tuple[str, ...] = ()
 VOLTAGES, ANGLE = ("v_sin_v", "v_cos_v"), ("angle_rad",)
 TURN = 2 * pi
 K1, K2, K3 = 0.1896, 10.0, 0.0
@@ -63,6 +64,24 @@ def two_voltages() -> tuple[Output, ...]:
 def angle_only() -> tuple[Output, ...]:
     """Return the layout of a log with the decoded angle alone."""
     return tuple(map(Output, ANGLE))
+
+
+EXAMPLE: Mapping[str, Any] = {
+    "campaign": {
+        "step_s": 1e-3,
+        "run": [
+            {"duration_s": 1.0, "angle_rad": {"kind": "ramp", "rate": rate, "about": about}}
+            for rate, about in ((13.0, 0.0), (-13.0, 13.0), (40.0, 0.0), (-40.0, 40.0))
+        ],
+    },
+    "values": {
+        "Vx": 0.008943, "Vy": 0.000491, "Ax": 1.008607, "Ay": 0.994536, "beta": 0.000368, "m": 0.113,
+        "A": 1.0, "zero": 0.6,
+    },
+    "noise": {"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_rad": 3.5e-4, "angle_ref_rad": 2e-5},
+}  # fmt: skip
+"""What is simulated where nothing is said: two speeds in both directions, situation a of the paper's Table 2,
+and noise of 0.02 deg."""
 
 
 # -- models ----------------------------------------------------------------------------------------------
@@ -243,20 +262,35 @@ _RATIOS = (_ratio("Vx", "Ax"), _ratio("Vy", "Ay"), _ratio("Ay", "Ax"))
 # -- effects ---------------------------------------------------------------------------------------------
 
 
-def third_harmonic(model: Model) -> Model:
-    """Add the third harmonic of the magnet's field to both plates: h3c, h3s, relative to the fundamental."""
-    names = ("h3c", "h3s")
+def harmonics(model: Model) -> Model:
+    """Add 3 to 8 waves of angle error per turn, whatever their cause: what a correction table would hold.
 
-    def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
-        third = Wave({3: (p["h3c"], p["h3s"])})
-        s["cosine"], s["sine"] = s["cosine"] + third, s["sine"] + third.ahead(ca.SX(pi / 2)) * -1.0
+    One and two waves are the ellipse's own. To first order: valid for errors up to about 10 mrad.
+    """
+    orders = range(3, 9)
+    added = tuple(
+        Parameter(f"h{n}{part}", 0.0, -0.1, 0.1, "rad", f"{n} waves of angle error per turn")
+        for n in orders
+        for part in "cs"
+    )
 
-    added = tuple(Parameter(n, 0.0, -0.2, 0.2, "1", "third harmonic of the field") for n in names)
-    return model.with_step("mechanics", step, effect="third_harmonic", parameters=added)
+    def error(p: Mapping[str, ca.SX]) -> Wave:
+        return Wave({n: (p[f"h{n}c"], p[f"h{n}s"]) for n in orders})
+
+    def on_voltages(s: Signals, p: Mapping[str, ca.SX]) -> None:
+        for v in ("v_sin", "v_cos"):
+            s[v] = s[v] + s[v].slope() * error(p)
+
+    def on_angle(s: Signals, p: Mapping[str, ca.SX]) -> None:
+        s["reading"] = s["reading"] + error(p).ahead(p["zero"]).of(s, POSE[0])
+
+    if model.channels == ANGLE:
+        return model.with_step("electronics", on_angle, effect="harmonics", parameters=added)
+    return model.with_step("transducer", on_voltages, effect="harmonics", parameters=added)
 
 
 MODELS = (rotary_ideal, rotary, rotary_meng)
-EFFECTS: tuple[Callable[[Model], Model], ...] = (third_harmonic,)
+EFFECTS: tuple[Callable[[Model], Model], ...] = (harmonics,)
 ALIASES = {"ideal_arctan": "rotary_ideal", "ellipse": "rotary", "meng": "rotary_meng"}
 
 
