@@ -62,7 +62,7 @@ def model_for(moved: Collection[str]) -> str:
 
 def example(model: Model) -> Mapping[str, Any]:
     """Return what is simulated of a family by default: campaign, values and noise; may be empty."""
-    family = next((f for f in FAMILIES if f.FAMILY == model.family), None)
+    family = next((f for f in FAMILIES if model.family == f.FAMILY), None)
     return getattr(family, "EXAMPLE", {})
 
 
