@@ -1,10 +1,12 @@
 """How each family of sensors is diagnosed: its catalogue, and where on it a residual may live."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from hallsym.diagnosis import rotary_catalogue, stage_catalogue
 from hallsym.diagnosis.effect import Effect
 from hallsym.errors import InputError
+from hallsym.families import rotary_effects
 from hallsym.model import Model
 
 
@@ -12,14 +14,19 @@ from hallsym.model import Model
 class Kind:
     """What a family gives to the diagnosis: the effects it may have.
 
-    `pairs`: whether a flexible effect is held against pairs of plain ones (`plainer.plain_pairs`).
+    `direct`: the model as it is cheapest to evaluate. `pairs`: whether a flexible effect is held against
+    pairs of plain ones (`plainer.plain_pairs`).
     """
 
     catalogue: tuple[Effect, ...]
+    direct: Callable[[Model], Model] = lambda model: model
     pairs: bool = False
 
 
-KINDS = {"stage": Kind(stage_catalogue.CATALOGUE), "rotary": Kind(rotary_catalogue.CATALOGUE, pairs=True)}
+KINDS = {
+    "stage": Kind(stage_catalogue.CATALOGUE),
+    "rotary": Kind(rotary_catalogue.CATALOGUE, rotary_effects.direct, pairs=True),
+}
 
 
 def kind_of(model: Model) -> Kind:

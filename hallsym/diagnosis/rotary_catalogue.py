@@ -83,10 +83,9 @@ def _by_temperature(drift: Callable[..., re.Make], effect: str, facts: Facts) ->
 
 
 def _stray(model: Model, facts: Facts) -> list[Variant]:
-    out = [
-        Variant("static", re.offset("uniform_stray_field")),
-        Variant("in proportion to speed", re.offset_drift("uniform_stray_field", *re.speed())),
-    ]
+    out = [Variant("static", re.offset("uniform_stray_field"))]
+    if "t_s" in facts.columns:
+        out.append(Variant("in proportion to speed", re.offset_drift("uniform_stray_field", *re.speed())))
     if facts.on_runs:
         listed = ", ".join(map(str, facts.on_runs))
         make = re.offset_drift("uniform_stray_field", *re.during(facts.on_runs))
@@ -165,12 +164,13 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("time_skew", "clock", "constant delay between readings and reference: latency",
            lambda m, f: [Variant("one delay", re.time_skew)] if re.decodes(m) else
            [Variant("one delay", re.time_skew), Variant("a delay per plate", re.time_skew_per_plate)],
-           "speeds so high that a low-pass lowers the amplitude, which a delay does not"),
+           "speeds so high that a low-pass lowers the amplitude, which a delay does not", needs=("t_s",)),
     Effect("first_order_lag", "transducer", "low-pass in the path of the readings",
            lambda m, f: _one("one time constant", re.first_order_lag),
-           "speeds so high that a low-pass lowers the amplitude, which a delay does not"),
+           "speeds so high that a low-pass lowers the amplitude, which a delay does not", needs=("t_s",)),
     Effect("hysteresis", "mechanics", "the angle depends on the direction, not on the speed", _hysteresis,
-           "both directions at several speeds: play does not grow with the speed, a delay does"),
+           "both directions at several speeds: play does not grow with the speed, a delay does",
+           needs=("t_s",)),
     Effect("gain_temperature_drift", "transducer", "gains follow the logged temperature",
            lambda m, f: _by_temperature(re.gain_drift, "gain_temperature_drift", f),
            "warm up and cool down, so that temperature is not a function of time",
@@ -190,10 +190,11 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("saturation", "electronics", "voltages stop at a rail", _clipping,
            "a lower gain or a wider air gap", refine=_finer_clipping),
     Effect("mains_hum", "electronics", "50 or 60 Hz pick-up",
-           lambda m, f: _hums(re.offset_drift, "mains_hum", f), "a run at rest on the full clock"),
+           lambda m, f: _hums(re.offset_drift, "mains_hum", f), "a run at rest on the full clock",
+           needs=("t_s",)),
     Effect("reference_voltage_fluctuation", "electronics", "the gain of the converter swings with the mains",
            lambda m, f: _hums(re.gain_drift, "reference_voltage_fluctuation", f),
-           "a run at rest on the full clock"),
+           "a run at rest on the full clock", needs=("t_s",)),
     Effect("reference_eccentricity", "reference", "the reference has an error once per turn",
            lambda m, f: _one("once per turn", re.reference_harmonics("reference_eccentricity", (1,))),
            REFERENCE),

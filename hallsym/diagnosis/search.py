@@ -67,7 +67,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
         step_s=found.step_s,
-        columns=log.columns,
+        columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
         temperature=temperature,
         extremes=_extremes(log, model),
         rails=rails_of(log, model),

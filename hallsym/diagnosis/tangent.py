@@ -30,7 +30,7 @@ class Base:
 
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
     parameters that the fit moves; `length_m`: what turns rotation into length in the gap metric; `apart`:
-    held-out runs.
+    held-out runs; `timed`: whether the log holds time, and not a counter in its place.
     """
 
     log: Log
@@ -43,6 +43,7 @@ class Base:
     apart: frozenset[int]
     sigma: Mapping[str, float]
     keep: Weigh | None = None
+    timed: bool = True
 
     @property
     def weight(self) -> np.ndarray:

@@ -6,12 +6,14 @@ chip, cosine + i sine, is exp(i u) for a perfect magnet; its harmonic n is q exp
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import pi
 
 import casadi as ca
 import numpy as np
 
 from hallsym.computed import Computed, Stretch, campaign_time, rate
+from hallsym.families import rotary
 from hallsym.families.rotary import ANGLE, REFERENCES
 from hallsym.families.rotary_waves import Wave
 from hallsym.families.stage_effects import stop_operator
@@ -55,6 +57,38 @@ def amplitude(model: Model) -> float:
 
 def _volt(model: Model) -> str:
     return "1" if decodes(model) else "V"
+
+
+def direct(model: Model) -> Model:
+    """Return the model with its electronics as one expression: atan2 itself, no series, no features.
+
+    A fit from run summaries needs readings that are linear in features; a diagnosis, which goes over the
+    samples, does not, and the series of many effects are long.
+    """
+    plain: dict[Step, Step] = {rotary._voltages: _direct_voltages, rotary._arctangent: _direct_angle}
+    return replace(model, steps=tuple((link, plain.get(step, step)) for link, step in model.steps))
+
+
+def _plates(s: Signals, p: P) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Angle of the magnet and both voltages there."""
+    u = s[rotary.POSE[0]] + p["zero"]
+    v = [
+        sum((c * ca.cos(n * u) + d * ca.sin(n * u) if n else c) for n, (c, d) in s[name].terms.items())
+        for name in ("v_sin", "v_cos")
+    ]
+    return u, v[0], v[1]
+
+
+def _direct_voltages(s: Signals, p: P) -> None:
+    _, y, x = _plates(s, p)
+    s["reading"] = ca.vertcat(y, x)
+
+
+def _direct_angle(s: Signals, p: P) -> None:
+    """The angle on the branch of the magnet's."""
+    u, y, x = _plates(s, p)
+    cos, sin = ca.cos(u), ca.sin(u)
+    s["reading"], s["gain"] = u + ca.atan2(y * cos - x * sin, x * cos + y * sin), ca.SX(1)
 
 
 # -- mechanics and field -----------------------------------------------------------------------------------
