@@ -24,6 +24,7 @@ from hallsym.summary import summarise
 TURN = 2 * np.pi
 ANGLE = family.angle_only()
 SITUATIONS = "abcd"
+NAMED = ("Vx/(Ax*K2*m)", "Vy/(Ay*K2*m)", "Ay/Ax")
 
 
 def truth(situation: str) -> dict[str, float]:
@@ -195,7 +196,7 @@ def test_the_angle_leaves_the_common_scale_open(k1, rank):
     assert set(fit.structural) == {"Vx", "Vy", "Ax", "Ay"} | ({"m"} if k1 == 0 else set())
     assert not fit.undetermined_by_log
     known = {c.expression for c in fit.combinations}
-    assert {"Vx/Ax", "Vy/Ay", "Ay/Ax"} <= known
+    assert {"Vx/(Ax*K2*m)", "Vy/(Ay*K2*m)", "Ay/Ax"} <= known
 
 
 def test_two_voltages_determine_everything():
@@ -204,9 +205,10 @@ def test_two_voltages_determine_everything():
     assert fit.determined[: len(truth("a"))].all()
 
 
-@pytest.mark.parametrize("situation", SITUATIONS)
-@pytest.mark.parametrize("make", [angle_log, voltage_log])
-def test_noise_free_logs_give_identifiable_combinations_exactly(situation, make):
+@pytest.mark.parametrize(
+    ("make", "situation"), [(angle_log, "b"), *((voltage_log, situation) for situation in SITUATIONS)]
+)
+def test_noise_free_logs_give_identifiable_combinations_exactly(make, situation):
     v = truth(situation) | {"zero": 3.1}
     fit = hallsym.fit(make(v, BACK_AND_FORTH), "rotary_meng", solver="direct", loss="none")
     p = dict(zip(fit.model.names, fit.values, strict=True))
@@ -217,11 +219,22 @@ def test_noise_free_logs_give_identifiable_combinations_exactly(situation, make)
 
 
 def combos(v: dict[str, float]) -> np.ndarray:
-    return np.array([v["Vx"] / v["Ax"], v["Vy"] / v["Ay"], v["Ay"] / v["Ax"], v["beta"], v["m"], v["zero"]])
+    scale = family.K2 * v["m"]
+    offsets = (v["Vx"] / v["Ax"] / scale, v["Vy"] / v["Ay"] / scale)
+    return np.array([*offsets, v["Ay"] / v["Ax"], v["beta"], v["m"], v["zero"]])
 
 
 def from_combos(c: np.ndarray) -> dict[str, float]:
-    return {"Vx": c[0], "Vy": c[1] * c[2], "Ax": 1.0, "Ay": c[2], "beta": c[3], "m": c[4], "zero": c[5]}
+    scale = family.K2 * c[4]
+    return {
+        "Vx": c[0] * scale,
+        "Vy": c[1] * c[2] * scale,
+        "Ax": 1.0,
+        "Ay": c[2],
+        "beta": c[3],
+        "m": c[4],
+        "zero": c[5],
+    }
 
 
 def cramer_rao(v: dict[str, float], a: np.ndarray, sigma: float) -> np.ndarray:
@@ -241,7 +254,7 @@ def test_estimates_scatter_as_cramer_rao_allows():
     log = angle_log(v, a, sigma)
     fit = hallsym.fit(log, "rotary_meng", solver="direct")
     found = []
-    for seed in range(150):
+    for seed in range(100):
         again = angle_log(v, a, sigma, seed)
         cost = cost_of(summarise(again, fit.model), {"angle_rad": sigma})
         p = refit(cost, fit.values, [fit.model.names.index(n) for n in fit.held])
@@ -262,7 +275,7 @@ def test_situations_of_table_2_come_back(situation):
     fit = hallsym.fit(log, "rotary_meng", solver="direct")
     said = {c.expression: (c.value, c.std) for c in fit.combinations}
     said |= {n: (fit.value(n), fit.std[fit.model.names.index(n)]) for n in ("beta", "m", "zero")}
-    want = dict(zip(("Vx/Ax", "Vy/Ay", "Ay/Ax", "beta", "m", "zero"), combos(v), strict=True))
+    want = dict(zip((*NAMED, "beta", "m", "zero"), combos(v), strict=True))
     for name, value in want.items():
         assert abs(said[name][0] - value) < 3.5 * said[name][1], name
     # compensated, the worst error is the noise; what is left without noise is a part of it

@@ -143,8 +143,7 @@ def rotary_meng(layout: tuple[Output, ...] | None = None) -> Model:
         Parameter("K2", K2, K2, K2, "1/T", "linear coefficient of F"),
         Parameter("K3", K3, K3, K3, "1", "constant of F"),
     )
-    shape = Combination("K1*m/K2", "1", ("K1", "m", "K2"), lambda p: p["K1"] * p["m"] / p["K2"])
-    model = _encoder("rotary_meng", layout, parameters, transducer, begin, (*_RATIOS, shape))
+    model = _encoder("rotary_meng", layout, parameters, transducer, begin, _MENG_RATIOS)
     return model.with_step("field", field, effect="quadratic_transfer")
 
 
@@ -255,8 +254,15 @@ def _ratio(a: str, b: str) -> Combination:
     return Combination(f"{a}/{b}", "1", (a, b), lambda p: p[a] / p[b])
 
 
+def _offset(axis: str) -> Combination:
+    v, a = f"V{axis}", f"A{axis}"
+    return Combination(f"{v}/({a}*K2*m)", "1", (v, a, "K2", "m"), lambda p: p[v] / (p[a] * p["K2"] * p["m"]))
+
+
 _RATIOS = (_ratio("Vx", "Ax"), _ratio("Vy", "Ay"), _ratio("Ay", "Ax"))
 """What an angle tells of offsets and amplitudes."""
+_MENG_RATIOS = (_offset("x"), _offset("y"), _ratio("Ay", "Ax"))
+"""The same where the flux density scales both plates."""
 
 
 # -- effects ---------------------------------------------------------------------------------------------
