@@ -259,7 +259,7 @@ def apart(log: Log, held: np.ndarray) -> Log:
 def test_recorded_encoders_calibrate_to_what_their_reference_repeats():
     """AS5047D on stepper motors: held-out knots keep what knots keep that were fitted themselves.
 
-    What is left there is the pattern of the reference's steps, four knots to a pole pair: of every second knot
+    What is left is the pattern of the steps of the reference, four knots to a pole pair: of every second knot
     the fit sees one phase and takes its mean for the zero, so that a step pattern counts twice between them.
     """
     folder = BESIDE / "real" / "rotary-mechaduino-luts"
