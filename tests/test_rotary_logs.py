@@ -222,6 +222,11 @@ def test_every_command_works_on_an_encoder(form, tmp_path, monkeypatch, capsys):
     assert "NaN" not in page
 
 
+def test_a_campaign_that_moves_what_a_model_lacks_is_refused():
+    with pytest.raises(InputError, match=r"moves .*, which rotary has not; it has angle_rad"):
+        hallsym.simulate(build("rotary"), {}, hallsym.paper_campaign(), seed=1)
+
+
 def test_the_bundled_encoder_gives_its_truth_back():
     log = hallsym.read_log(Path(__file__).resolve().parents[1] / "data" / "encoder")
     fit = hallsym.fit(log, solver="direct")
