@@ -15,17 +15,18 @@ class Kind:
     """What a family gives to the diagnosis: the effects it may have.
 
     `direct`: the model as it is cheapest to evaluate. `pairs`: whether a flexible effect is held against
-    pairs of plain ones (`plainer.plain_pairs`).
+    pairs of plain ones (`plainer.plain_pairs`). `most`: effects that are added at most.
     """
 
     catalogue: tuple[Effect, ...]
     direct: Callable[[Model], Model] = lambda model: model
     pairs: bool = False
+    most: int = 3
 
 
 KINDS = {
     "stage": Kind(stage_catalogue.CATALOGUE),
-    "rotary": Kind(rotary_catalogue.CATALOGUE, rotary_effects.direct, pairs=True),
+    "rotary": Kind(rotary_catalogue.CATALOGUE, rotary_effects.direct, pairs=True, most=6),
 }
 
 

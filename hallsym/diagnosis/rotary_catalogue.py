@@ -13,8 +13,9 @@ PLAYS = (1e-3, 1e-2, 0.1)
 """Angles [rad] within which the direction of motion turns over after a reversal: tried values."""
 DIRECTIONS = tuple(np.pi * k / 6 for k in range(6))
 """Directions in which the chip may lie off the axis: tried values."""
-LEVELS = (0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
-"""Rails, in amplitudes, that are tried where only the angle is read."""
+LEVELS = (0.95, 0.8, 0.65, 0.5)
+AXES = (0.0, np.pi / 6, -np.pi / 6)
+"""Rails, in amplitudes, and axes of the plates [rad] that are tried where only the angle is read."""
 THIRD = "third_harmonic_distortion"
 MAGNET = "turn the stator (or the chip) by a known angle against the magnet, and record a turn at each"
 REFERENCE = "couple the reference anew at another angle, and record a turn at each"
@@ -101,12 +102,14 @@ def _hums(drift: Callable[..., re.Make], effect: str, facts: Facts) -> list[Vari
     return out
 
 
+def _clipped_angle(level: float, axes: float, tried: int) -> Variant:
+    label = f"at {level:.3g} of the amplitude, axes from {np.degrees(axes):.0f} deg"
+    return Variant(label, re.clipped_angle(level, axes), 1, level, tried)
+
+
 def _clipping(model: Model, facts: Facts) -> list[Variant]:
     if re.decodes(model):
-        return [
-            Variant(f"at {level:g} of the amplitude", re.clipped_angle(level), 1, level, len(LEVELS))
-            for level in LEVELS
-        ]
+        return [_clipped_angle(x, a, len(LEVELS) * len(AXES)) for x in LEVELS for a in AXES]
     out = []
     if np.isfinite(facts.rails).any():
         low, high = np.array(facts.rails).T
@@ -119,10 +122,8 @@ def _clipping(model: Model, facts: Facts) -> list[Variant]:
 
 
 def _finer_clipping(model: Model, facts: Facts, level: float) -> list[Variant]:
-    tried = [level + 0.01 * k for k in (-4, -3, -2, -1, 1, 2, 3, 4)]
-    return [
-        Variant(f"at {x:.3g} of the amplitude", re.clipped_angle(x), 1, x) for x in tried if 0.3 < x < 1.0
-    ]
+    tried = [level + 0.03 * k for k in (-3, -2, -1, 0, 1, 2, 3)]
+    return [_clipped_angle(x, a, 1) for x in tried if 0.2 < x < 1.0 for a in AXES]
 
 
 def _pole_pattern(model: Model, facts: Facts) -> list[Variant]:

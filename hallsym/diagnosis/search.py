@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hallsym.batches import remembered
 from hallsym.calibration import Fit
 from hallsym.cost import cost_of
 from hallsym.diagnosis.effect import Effect, Facts
@@ -23,8 +24,6 @@ from hallsym.model import Model
 from hallsym.summary import summarise
 from hallsym.wiring import as_read
 
-MOST = 3
-"""Effects that are added at most."""
 REPEATS = 4
 """Times that a channel must take its very highest or lowest value for that to be a rail."""
 SURE = 0.01
@@ -49,7 +48,7 @@ def base_of(log: Log, result: Fit) -> Base:
         length_m=log.meta.gap_length_scale_m or 0.35,
         apart=frozenset(result.log["holdout"]),
         sigma=sigma,
-        keep=result.keep,
+        keep=remembered(result.keep, wired.rows),
     )
 
 
@@ -141,11 +140,12 @@ class Search:
 
     def run(self) -> None:
         """Add effects while they lower the gap metric by the threshold; then ask of each again."""
-        for count in range(MOST + 1):
+        most = kind_of(self.start.base.model).most
+        for count in range(most + 1):
             self.say(f"testing {len(self.catalogue)} effects" + (f" beside {count}" if count else ""))
             exact, ranked = self.step(self.now)
             self.last = ranked
-            if count == MOST or not exact or not self.worth(exact[0].score, count):
+            if count == most or not exact or not self.worth(exact[0].score, count):
                 break
             self.found.append(Found(exact[0], exact[1:]))
             self.now = exact[0].fit

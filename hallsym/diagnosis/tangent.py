@@ -9,6 +9,7 @@ fitted, cross-validated and judged without reading the log again.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -90,6 +91,7 @@ def signature(model: Model, new: Sequence[str]) -> Signature:
     return on_arrays(ca.Function("signature", [s.parameters, s.zeros, s.pose, s.state], [ca.densify(slope)]))
 
 
+@lru_cache(maxsize=16)
 def _base_functions(model: Model) -> tuple[Signature, Signature]:
     s = model.symbols
     reading = s.full(s.reading)

@@ -418,16 +418,25 @@ def clipping(low: Sequence[float], high: Sequence[float]) -> Make:
     return make
 
 
-def clipped_angle(level: float) -> Make:
-    """Both voltages stop at +- `level` of their amplitude before the angle is taken from them."""
+def clipped_angle(level: float, axes_rad: float) -> Make:
+    """Both voltages stop at +- `level` of their amplitude before the angle is taken from them.
+
+    The zero of the reading may have been set apart from the plates' axes: `axes_rad` is a start for theirs.
+    """
 
     def make(model: Model) -> Model:
         def step(s: Signals, p: P) -> None:
             r = s["reading"]
-            y, x = ca.sin(r), ca.cos(r)
+            y, x = ca.sin(r - p["axes"]), ca.cos(r - p["axes"])
             v, u = (q - p["clipped"] * (ca.fmax(q - level, 0) - ca.fmax(-level - q, 0)) for q in (y, x))
             s["reading"] = r + ca.atan2(v * x - u * y, u * x + v * y)
 
-        return _add(model, "electronics", "saturation", _free(["clipped"], 1.5, "1", "share clipped"), step)
+        new = (
+            Parameter("clipped", 0.0, -1.5, 1.5, "1", "share clipped"),
+            Parameter(
+                "axes", axes_rad, -pi, pi, "rad", "angle at which the reading's plates have their axes"
+            ),
+        )
+        return _add(model, "electronics", "saturation", new, step)
 
     return make
