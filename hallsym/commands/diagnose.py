@@ -20,7 +20,7 @@ from hallsym.diagnosis import Diagnosis, diagnose, diagnosis_text, load_effects
 from hallsym.diagnosis.compare import compare
 from hallsym.diagnosis.compare_text import comparison_text
 from hallsym.errors import InputError
-from hallsym.families import build
+from hallsym.families import build, default_model
 from hallsym.files import atomic_write
 from hallsym.fitting import fit
 from hallsym.log import Log
@@ -57,7 +57,7 @@ def add(sub: Any) -> None:
         "-o", "--output", action="append", default=[], metavar="FILE",
         help="save the diagnosis: .html for one page to read and print, anything else for JSON (repeat)",
     )  # fmt: skip
-    model_options(parser, "the log's base_model, else stage31")
+    model_options(parser, "the log's base_model, else by its columns")
     log_options(parser)
 
 
@@ -69,7 +69,7 @@ def run(options: Namespace) -> int:
         raise InputError("A log to diagnose must be given, or --compare with two saved diagnoses.")
     machine = read_machine(options.machine)
     log = open_log(options, machine)
-    name = options.model or log.meta.base_model or "stage31"
+    name = options.model or default_model(log.meta)
     if str(name).endswith(".json"):
         model: Model | Fit = load_fit(name)
     else:

@@ -41,7 +41,7 @@ def add(sub: Any) -> None:
     )
     parser.add_argument("-o", "--output", metavar="JSON", help="save the calibration")
     parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
-    model_options(parser, "the log's base_model, else stage31")
+    model_options(parser, "the log's base_model, else by its columns")
     group = parser.add_argument_group("fit")
     group.add_argument(
         "--holdout", metavar="RUNS", help="runs to judge on and not to fit, such as 2,7,12 or 40-45"
