@@ -72,6 +72,26 @@ class Batch:
         return None if weigh is None else np.concatenate([weigh(block) for block in self.blocks])
 
 
+REMEMBERED = 4_000_000
+"""Samples whose weights are kept: 32 MB."""
+
+
+def remembered(weigh: Weigh | None, rows: int) -> Weigh | None:
+    """Return the same weights, computed once per block where a log of `rows` samples is not too long."""
+    if weigh is None or rows > REMEMBERED:
+        return weigh
+    known: dict[tuple, np.ndarray] = {}
+
+    def weights(block: Block) -> np.ndarray:
+        first = next(iter(block.data.values()))
+        key = (block.run, len(first), *(float(v[0]) for v in block.data.values() if len(v)))
+        if key not in known:
+            known[key] = weigh(block)
+        return known[key]
+
+    return weights
+
+
 def batches(
     log: Log, columns: Sequence[str], on_rows: Callable[[int], None] | None = None
 ) -> Iterator[Batch]:

@@ -149,7 +149,7 @@ class Fit:
                 for run, d in self.zeros.items()
             },
             "wiring": None if self.wiring is None else [list(pair) for pair in self.wiring],
-            "layout": [_probe(p) for p in model.layout],
+            "layout": [dict(p.entry) for p in model.layout],
             "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
             "versions": dict(self.versions),
         }
@@ -199,9 +199,7 @@ def _from_dict(raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model
         n: {"lower": _bound(low, -1), "upper": _bound(high, 1)}
         for n, (low, high) in raw["zero_bounds"].items()
     }
-    probes = [
-        {"channel": p["channel"], "position_m": p["position_m"], "senses": p["senses"]} for p in raw["layout"]
-    ]
+    probes = [dict(entry) for entry in raw["layout"]]
     unknown = [name for name in raw.get("own_effects", ()) if name not in own]
     if unknown:
         raise InputError(
@@ -244,13 +242,9 @@ def _from_dict(raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model
 
 def added_effects(model: Model) -> Sequence[str]:
     """Return the effects that `model` has beyond those its name stands for, with their numbers."""
-    base = build(model.name, meta=Meta(probes=[_probe(p) for p in model.layout])).effects
+    base = build(model.name, meta=Meta(probes=[dict(p.entry) for p in model.layout])).effects
     new = [model.texts.get(effect, effect) for effect in model.effects[len(base) :]]
     return list(dict.fromkeys(new))
-
-
-def _probe(probe: Any) -> dict[str, Any]:
-    return {"channel": probe.channel, "position_m": list(probe.position), "senses": list(probe.senses)}
 
 
 def _number(value: float) -> float | None:

@@ -15,10 +15,12 @@ import numpy as np
 
 from hallsym import published
 from hallsym.errors import InputError, nearest
+from hallsym.families import axes
 from hallsym.files import atomic_write
 from hallsym.toml import known, number, numbers, positive, read_toml, table, tables
 
 AXES = ("x_m", "y_m", "rz_rad", "z_m", "rx_rad", "ry_rad")
+"""Axes of the paper's stage."""
 AtTimes = Callable[[np.ndarray], np.ndarray]
 
 
@@ -120,11 +122,18 @@ def steps(levels: list[float], dwell_s: float) -> Signal:
     return Signal("steps", values, lambda t: held[np.floor(t / dwell_s + 1e-9).astype(int) % len(held)])
 
 
+def ramp(rate: float, acceleration: float = 0.0) -> Signal:
+    """Return rate * t + acceleration * t^2 / 2: turning at a constant or a growing speed."""
+    values = {"rate": rate} | ({"acceleration": acceleration} if acceleration else {})
+    return Signal("ramp", values, lambda t: rate * t + 0.5 * acceleration * t**2)
+
+
 SIGNALS: Mapping[str, tuple[Callable[..., Signal], tuple[str, ...], tuple[str, ...]]] = {
     "sine": (sine, ("amplitude", "frequency_hz"), ("phase_rad",)),
     "multi-sine": (multi_sine, ("amplitude", "frequencies_hz"), ()),
     "triangle": (triangle, ("amplitude", "frequency_hz"), ()),
     "steps": (steps, ("levels", "dwell_s"), ()),
+    "ramp": (ramp, ("rate",), ("acceleration",)),
 }
 
 
@@ -165,8 +174,11 @@ def read_campaign(path: str | Path) -> Campaign:
     Raises `InputError` for a missing file, an unknown key or signal, or a value that cannot be.
     """
     path = Path(path)
-    raw = read_toml(path, "Campaign file")
-    where = f"campaign {path.name}"
+    return campaign_from(read_toml(path, "Campaign file"), f"campaign {path.name}")
+
+
+def campaign_from(raw: Mapping[str, Any], where: str) -> Campaign:
+    """Return the campaign that the tables of a campaign file describe; `where` is what messages call it."""
     known(raw, ("step_s", "zero_spread_m", "setting", "trajectory", "run", "noise"), where)
     settings = [_setting(entry, where) for entry in tables(raw.get("setting", [{}]), "setting", where)]
     trajectories = tables(raw.get("trajectory", []), "trajectory", where)
@@ -191,14 +203,14 @@ def noise_table(raw: Mapping[str, Any], where: str) -> dict[str, float]:
 
 
 def _setting(raw: Mapping[str, Any], where: str) -> dict[str, float]:
-    known(raw, AXES, f"a [[setting]] of {where}")
+    known(raw, axes(), f"a [[setting]] of {where}")
     return {axis: number(value, axis, f"a [[setting]] of {where}") for axis, value in raw.items()}
 
 
 def _run(setting: Mapping[str, float], entry: Mapping[str, Any], where: str) -> Run:
     where = f"a [[trajectory]] of {where}"
-    known(entry, ("duration_s", "raster", *AXES), where)
-    motion = {axis: _signal(entry[axis], f"{axis} in {where}") for axis in AXES if axis in entry}
+    known(entry, ("duration_s", "raster", *axes()), where)
+    motion = {axis: _signal(entry[axis], f"{axis} in {where}") for axis in axes() if axis in entry}
     motion = _with_raster(entry, motion, where)
     return Run(positive(entry.get("duration_s"), "duration_s", where), setting, motion)
 
@@ -206,12 +218,12 @@ def _run(setting: Mapping[str, float], entry: Mapping[str, Any], where: str) -> 
 def _single(entry: Mapping[str, Any], where: str) -> Run:
     """A [[run]]: each axis held at a number or moved by a signal, about a place of its own."""
     where = f"a [[run]] of {where}"
-    known(entry, ("name", "duration_s", "zero_deviations_m", "raster", *AXES), where)
+    known(entry, ("name", "duration_s", "zero_deviations_m", "raster", *axes()), where)
     name, zeros = entry.get("name", ""), entry.get("zero_deviations_m")
     if not isinstance(name, str):
         raise InputError(f"'name' of {where} must be a text; instead received {name!r}.")
     setting, motion = {}, {}
-    for axis in (axis for axis in AXES if axis in entry):
+    for axis in (axis for axis in axes() if axis in entry):
         raw, what = entry[axis], f"{axis} in {where}"
         if not isinstance(raw, Mapping):
             setting[axis] = number(raw, axis, where)
@@ -249,10 +261,10 @@ def _raster(raw: Mapping[str, Any], where: str) -> dict[str, Signal]:
     if missing:
         raise InputError(f"A {where} needs {', '.join(keys)}; missing {missing[0]}.")
     fast, slow = raw["fast"], raw["slow"]
-    if fast not in AXES or slow not in AXES or fast == slow:
-        axes = ", ".join(AXES)
+    if fast not in axes() or slow not in axes() or fast == slow:
+        known_axes = ", ".join(axes())
         raise InputError(
-            f"'fast' and 'slow' of {where} must be two of {axes}; instead received {fast!r}, {slow!r}."
+            f"'fast' and 'slow' of {where} must be two of {known_axes}; instead received {fast!r}, {slow!r}."
         )
     line_hz, lines = (positive(raw[k], k, where) for k in ("line_hz", "lines"))
     wide, high = (number(raw[k], k, where) for k in ("fast_amplitude", "slow_amplitude"))
@@ -304,7 +316,7 @@ def _run_lines(run: Run, k: int) -> list[str]:
     lines.append(f"duration_s = {float(run.duration_s)!r}")
     if run.zeros:
         lines.append(f"zero_deviations_m = {_plain(run.zeros)}")
-    for axis in AXES:
+    for axis in axes():
         place = run.setting.get(axis)
         if axis in run.motion:
             lines.append(f"{axis} = {_signal_text(run.motion[axis], place, f'{axis} in run {k}')}")

@@ -10,6 +10,7 @@ from hallsym.batches import Weigh, batches
 from hallsym.computed import extended
 from hallsym.log import Log
 from hallsym.model import Model
+from hallsym.turning import near
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +67,16 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
 
         def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
-            return decode(p, zeros, readings, states) - np.array([data[c] for c in model.references])
+            reference = np.array([data[c] for c in model.references])
+            return near(model, decode(p, zeros, readings, states), reference) - reference
 
         return decoded
-    read, spread = on_arrays(model.reading), on_arrays(model.noise_gain)
+    read, spread = on_arrays(model.reading), on_arrays(model.noise_gain_at)
 
     def mapped(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
         pose, states = ([data[c] for c in names] for names in (model.references, model.state))
         residual = np.array([data[c] for c in model.channels]) - read(p, zeros, pose, states)[0]
-        (gain,) = spread(p, states, weight)
+        (gain,) = spread(p, pose, states, weight)
         return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
 
     return mapped

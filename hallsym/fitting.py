@@ -21,15 +21,16 @@ from hallsym.cost import Cost, cost_of
 from hallsym.decoding import error_tables, logged_columns
 from hallsym.determination import Determination, determine
 from hallsym.errors import InputError, nearest
-from hallsym.families import adapted, build, plain
+from hallsym.families import adapted, build, default_model, plain
 from hallsym.linearised import exact
 from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
 from hallsym.log.drop import Drop, without
-from hallsym.model import Model
+from hallsym.model import Inspection, Model
 from hallsym.passes import optimum
 from hallsym.search import SOLVERS, Search, refit, search
 from hallsym.summary import Summary, summarise
-from hallsym.wiring import check_wiring, find_wiring, rewired
+from hallsym.turning import continuous, designed, nearest_turn
+from hallsym.wiring import as_read, check_wiring, find_wiring, rewired
 
 __all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]
 
@@ -62,8 +63,9 @@ def fit(
 ) -> Fit:
     """Calibrate `model` on `log` and return values, uncertainties and errors.
 
-    `model`: a name or a Model; the log's own `base_model` or stage31 by default. `solver`: "hybrid" (SHTLBO
-    and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method for the hybrid.
+    `model`: a name or a Model; the log's own `base_model`, else what its columns suggest. `solver`: "hybrid"
+    (SHTLBO and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method for the
+    hybrid.
     `holdout`: runs that take no part in the fit; the log's own by default. Their zero deviations are
     estimated from themselves. `loss`: "auto" takes out isolated spikes if there are any and says so, "reject"
     always looks for them, "tukey" weighs every sample by Tukey's biweight, "none" is plain least squares.
@@ -82,12 +84,15 @@ def fit(
     if isinstance(model, Model):
         model = adapted(model, tuple(effects), parameters or {}, own)
     else:
-        name = model or log.meta.base_model or "stage31"
+        name = model or default_model(log.meta)
         model = build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
     say("checking the log")
     columns = logged_columns(model)
     log = clean_log(log, columns) if drop_bad else log
     notes = list(log.notes) if drop_bad else check_log(log, columns)
+    mounted = model.inspect(model, log) if model.inspect else Inspection()
+    notes += mounted.notes
+    log = as_read(log, model, mounted.wiring)
     apart = _apart(log, log.meta.holdout if holdout is None else holdout)
     if not exact(model):
         first = None
@@ -96,7 +101,9 @@ def fit(
                 log, base, solver=solver, holdout=apart, loss=loss, resolve_wiring=resolve_wiring, seed=seed,
                 on_progress=on_progress,
             )  # fmt: skip
-        return _by_passes(log, model, first, apart, notes, solver, loss, seed, start, say, began)
+        result = _by_passes(log, model, first, apart, notes, solver, loss, seed, start, say, began)
+        everything = tuple(dict.fromkeys((*mounted.notes, *result.notes)))
+        return replace(result, wiring=result.wiring or mounted.wiring, notes=everything)
     task = _Task(log, model, noise_of(log, model, apart), solver, seed, say, start)
     state = task.solve(task.summary(), apart)
     wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
@@ -112,7 +119,13 @@ def fit(
         notes += said
     task.check(state)
     result = _result(
-        task, state, errors, tuple(notes), wiring if gain > 0 else None, loss, perf_counter() - began
+        task,
+        state,
+        errors,
+        tuple(notes),
+        wiring if gain > 0 else mounted.wiring,
+        loss,
+        perf_counter() - began,
     )
     return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
 
@@ -225,15 +238,16 @@ class _Task:
         solver = solver or self.solver
         self.say(f"solving with {solver}")
         found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
+        found = replace(found, p=nearest_turn(self.model, found.p))
         return Started(everything, fitted, determination, found, holdout, linear, merged, closed_form)
 
     def errors(self, state: State, keep: Weigh | None) -> Errors:
-        versions = [(self.model.nominal, {}), (state.p, state.zeros())]
+        versions = [(designed(self.model, state.p), {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
-        designed, fitted = error_tables(
+        before, after = error_tables(
             self.log, self.model, versions, variance, keep, self.counting("tabulating errors"), self.sigmas
         )
-        return Errors(designed, fitted, state.holdout)
+        return Errors(before, after, state.holdout)
 
     def suspicious(self, state: State, errors: Errors) -> bool:
         floor = np.array(list(uncertainty.noise_floor(state.fitted, state.p).values()))
@@ -301,6 +315,7 @@ def noise_of(log: Log, model: Model | None, apart: Sequence[int] = ()) -> Noise:
     """
     columns = logged_columns(model) if model else tuple(c for c in log.columns if c not in ("run", "t_s"))
     columns = tuple(c for c in columns if c != "t_s")
+    log = continuous(log, model) if model else log
     missing = [c for c in columns if c not in log.noise]
     used = without(log, Drop(runs=frozenset(apart))) if missing and apart else log
     noise = log.noise.merged(estimate_noise(used, missing)) if missing else log.noise

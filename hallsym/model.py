@@ -71,6 +71,17 @@ class Combination:
     value: Callable[[Mapping[str, ca.SX]], ca.SX]
 
 
+@dataclass(frozen=True)
+class Inspection:
+    """What a family finds in a log before a fit: notes, and for each channel its source and sign.
+
+    `wiring` None: the channels are as the model takes them.
+    """
+
+    notes: tuple[str, ...] = ()
+    wiring: tuple[tuple[str, int], ...] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """A chain with its parameters; immutable, extended by `with_step`.
@@ -98,6 +109,14 @@ class Model:
     """How to make the columns among `state` that are not logged (`hallsym.computed.extended` serves them)."""
     texts: Mapping[str, str] = field(default_factory=dict)
     """What an effect is saved as where its name does not say all: `hysteresis:half_width_m=6e-05`."""
+    period: Mapping[str, float] = field(default_factory=dict)
+    """Pose coordinates, channels, references and parameters that repeat, with their period (2 pi)."""
+    begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
+    """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
+    typical: tuple[tuple[float, ...], ...] = ()
+    """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
+    inspect: "Callable[[Model, Any], Inspection] | None" = None
+    """`(model, log)`: what the family says of a log before it is fitted. Raises `InputError`."""
 
     def with_step(
         self,
@@ -216,7 +235,7 @@ class Model:
             else ca.SX(0, 1),
             reading=signals["reading"],
             gain=signals["gain"],
-            displacement=signals["displacement"],
+            displacement=signals["displacement"] if "displacement" in signals else ca.SX(0, 1),
         )
 
     @cached_property
@@ -241,9 +260,10 @@ class Model:
     def decoded(self) -> ca.Function:
         """Decoupled form `(parameters, zeros, reading, state, weight) -> pose`.
 
-        Newton's method on the forward form from the zero pose: one step where the reading is linear in the
-        pose (the small-angle stage: then this *is* Eq. (31)), three more where it is not. With more channels
-        than coordinates each step is the weighted least-squares one; `weight` is 1/variance per channel.
+        Newton's method on the forward form from `begin` or the zero pose: one step where a reading is linear
+        in the pose (the small-angle stage: then this *is* Eq. (31)), three more where it is not. With more
+        channels than coordinates each step is the weighted least-squares one; `weight` is 1/variance per
+        channel.
         """
         s = self.symbols
         reading = s.full(s.reading)
@@ -252,6 +272,8 @@ class Model:
         measured = ca.SX.sym("reading", len(self.channels))
         weight = ca.SX.sym("weight", len(self.channels))
         pose: ca.SX = ca.SX.zeros(len(self.pose))
+        if self.begin is not None:
+            pose = self.begin(measured, dict(zip(self.names, ca.vertsplit(s.parameters), strict=True)))
         for _ in range(1 if linear else 4):
             residual, slope = ca.substitute([measured - reading, jacobian], [s.pose], [pose])
             pose = pose + _solve(slope, residual, weight)
@@ -266,11 +288,18 @@ class Model:
     @cached_property
     def noise_gain(self) -> ca.Function:
         """d pose / d reading at rest, `(parameters, state, weight) -> (n_pose, n_channels)`."""
-        s, reading = self.symbols, ca.SX.sym("reading", len(self.channels))
-        weight = ca.SX.sym("weight", len(self.channels))
-        pose = self.decoded(s.parameters, ca.SX.zeros(len(self.zeros)), reading, s.state, weight)
-        slope = ca.substitute(ca.jacobian(pose, reading), reading, ca.SX.zeros(len(self.channels)))
+        s, weight = self.symbols, ca.SX.sym("weight", len(self.channels))
+        slope = self.noise_gain_at(s.parameters, ca.SX.zeros(len(self.pose)), s.state, weight)
         return ca.Function("noise_gain", [s.parameters, s.state, weight], [ca.densify(slope)])
+
+    @cached_property
+    def noise_gain_at(self) -> ca.Function:
+        """d pose / d reading, `(parameters, pose, state, weight) -> (n_pose, n_channels)`, zeros at zero."""
+        s, weight = self.symbols, ca.SX.sym("weight", len(self.channels))
+        reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(len(self.zeros)))
+        slope = _solve(ca.jacobian(reading, s.pose), ca.SX.eye(len(self.channels)), weight)
+        inputs = [s.parameters, s.pose, s.state, weight]
+        return ca.Function("noise_gain_at", inputs, [ca.densify(slope)])
 
     @cached_property
     def combined(self) -> ca.Function:
@@ -310,8 +339,12 @@ def _solve(slope: ca.SX, residual: ca.SX, weight: ca.SX) -> ca.SX:
     if slope.size1() > slope.size2():
         scaled = slope * ca.repmat(weight, 1, slope.size2())
         slope, residual = scaled.T @ slope, scaled.T @ residual
+    if slope.size1() == 1:
+        return residual / slope
     if slope.size1() != 3:
         return ca.solve(slope, residual)
+    if residual.size2() > 1:
+        return ca.horzcat(*(_solve(slope, column, weight) for column in ca.horzsplit(residual)))
     a, b, c = slope[:, 0], slope[:, 1], slope[:, 2]
     bc = ca.cross(b, c)
     determinant = ca.dot(a, bc)

@@ -10,6 +10,7 @@ from hallsym.arrays import on_arrays
 from hallsym.batches import Weigh
 from hallsym.log import Block
 from hallsym.model import Model
+from hallsym.turning import wrapped
 
 WINDOW = 7
 SPIKE = 10.0
@@ -28,7 +29,11 @@ def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> C
         pose = [block.data[c] for c in model.references]
         state = [block.data[c] for c in model.state]
         (expected,) = read(p, zeros.get(block.run, none), pose, state)
-        return np.array([block.data[c] for c in model.channels]) - expected
+        left = np.array([block.data[c] for c in model.channels]) - expected
+        for k, channel in enumerate(model.channels):
+            if channel in model.period:
+                left[k] = wrapped(left[k], model.period[channel])
+        return left
 
     return residual
 

@@ -1,8 +1,10 @@
-"""The published tables of the 6-DOF stage, in SI units.
+"""The published tables of the 6-DOF stage and of the rotary encoder, in SI units.
 
 Chen, Liu, Fu, Song, Tan, "Calibration of the Hall Measurement System for a 6-DOF Precision Stage Using
-Self-Adaptive Hybrid TLBO", Sensors 2016, 16(6), 872, https://doi.org/10.3390/s16060872. The files and what
-was restored in them are described in `data/README.md`.
+Self-Adaptive Hybrid TLBO", Sensors 2016, 16(6), 872, https://doi.org/10.3390/s16060872. Meng, Wang, Sun,
+Yuan, "A Novel Diagnosis Method for a Hall Plates-Based Rotary Encoder with a Magnetic Concentrator", Sensors
+2014, 14(8), 13980, https://doi.org/10.3390/s140813980. The files and what was restored in them are described
+in `data/README.md`.
 
 >>> values("table7_estimates")["a_A"]
 -188.1873
@@ -17,7 +19,7 @@ from typing import Any
 
 from hallsym.errors import InputError, nearest
 
-_TEXT = {"parameter", "quantity", "axis", "unit", "printed"}  # every other column holds numbers
+_TEXT = {"parameter", "quantity", "axis", "unit", "printed", "factor"}  # every other column holds numbers
 
 
 def data_folder() -> Path:
@@ -39,7 +41,7 @@ def table(name: str) -> Mapping[str, tuple[Any, ...]]:
     The unit is in the column name (`_m`, `_rad`), or row by row in a column `unit` (`m`, `rad`, `1/m`,
     `1/rad`, `1`). Numbers are floats, `setting` is an int, the rest is text.
     """
-    files = {path.stem: path for path in (data_folder() / "chen2016").glob("*.csv")}
+    files = {path.stem: path for path in data_folder().glob("*20??/*.csv")}
     if name not in files:
         known = sorted(files)
         raise InputError(

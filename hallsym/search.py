@@ -20,6 +20,8 @@ WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
 """IPOPT's barrier for a start that is close already: 4 evaluations instead of 9."""
 SCREENED, ELSEWHERE = 100, 2
 """Latin-hypercube points that are looked at, and how many of the best that are apart are refined too."""
+POLISH = 10
+"""Steps of Newton's method after IPOPT, at most."""
 SAME = 1e-6
 """Relative difference of cost within which two optima are the same."""
 
@@ -64,13 +66,15 @@ def search(
         )
         first = scaled.from_unit(explored.x)
     local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first), **WARM)
+    # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
+    polished = solvers.newton(scaled.problem(fitted), local.x, max_iterations=POLISH)
     interrupted = explored is not None and explored.status == "interrupted"
     return Search(
-        p=scaled.from_unit(local.x),
-        cost=local.cost * scaled.samples(fitted),
+        p=scaled.from_unit(polished.x),
+        cost=polished.cost * scaled.samples(fitted),
         status="interrupted" if interrupted else local.status,
         message=explored.message if interrupted and explored else local.message,
-        evaluations=local.evaluations + (explored.evaluations if explored else 0),
+        evaluations=local.evaluations + polished.evaluations + (explored.evaluations if explored else 0),
         starts=1 if explored is None else len(explored.local),
         share=1.0 if explored is None else float(explored.share),
     )

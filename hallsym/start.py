@@ -50,7 +50,9 @@ def closed_form(cost: Cost, linear: LinearFit) -> np.ndarray:
     features = cost.summary.features
     if features.model.closed_form is None:
         return features.model.nominal
-    named = {features.label(j): linear.coefficients[j] for j in range(features.size)}
+    # a family thinks of columns that start at zero, not at the centre of the log
+    at_zero = features.shift(-cost.coefficients.centre) @ linear.coefficients
+    named = {features.label(j): at_zero[j] for j in range(features.size)}
     return features.model.closed_form(features.model, named)
 
 

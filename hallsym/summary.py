@@ -14,6 +14,7 @@ from hallsym.batches import Batch, Weigh, batches
 from hallsym.features import Features, find_features
 from hallsym.log import Log
 from hallsym.model import Model
+from hallsym.turning import continuous
 
 PIECE = 8000
 """Entries of a piece that is reduced at once: fits the cache, and stays below the size at which BLAS starts
@@ -90,6 +91,7 @@ def summarise(
     `on_rows(samples so far)` is called along the way.
     """
     features, known = find_features(model), list[np.ndarray]()
+    log = continuous(log, model)
 
     def centre(batch: Batch) -> np.ndarray:
         if not known:

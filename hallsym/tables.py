@@ -1,5 +1,6 @@
 """What a person reads: tables of parameters and errors, in um and urad where SI is unwieldy."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -7,6 +8,8 @@ import numpy as np
 
 from hallsym.calibration import Fit
 
+ANGLES = re.compile(r"angle\w*")
+"""Angles that go round are read in degrees; the small ones of a stage in urad."""
 READ = {"m": (1e6, "um"), "rad": (1e6, "urad"), "v": (1e3, "mV"), "s": (1e3, "ms"), "degc": (1.0, "degC")}
 """Unit of a column -> factor and unit for reading."""
 
@@ -14,6 +17,8 @@ READ = {"m": (1e6, "um"), "rad": (1e6, "urad"), "v": (1e3, "mV"), "s": (1e3, "ms
 def readable(column: str) -> tuple[float, str, str]:
     """Return factor, unit and short name of a column: `x_ref_m` -> 1e6, "um", "x_ref"."""
     name, _, unit = column.rpartition("_")
+    if unit == "rad" and ANGLES.fullmatch(name):
+        return 180 / np.pi, "deg", name
     factor, shown = READ.get(unit, (1.0, unit))
     return factor, shown, name
 

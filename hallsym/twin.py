@@ -26,7 +26,7 @@ class NoiseModel:
     makes the noise of all columns first-order autoregressive with that time constant, same variance.
     `degrees_of_freedom`: Student's t instead of Gaussian, scaled to the same variance (> 2).
     `outlier_share`, `outlier_size`: share of samples of each reading and reference that are off by a uniform
-    error of up to +-size [the column's unit]. `adc_step_m`: readings are rounded to it.
+    error of up to +-size [the column's unit]. `adc_step_m`: readings are rounded to it [their unit].
     """
 
     sigma: Mapping[str, float] = field(default_factory=dict)
@@ -100,6 +100,7 @@ def simulate_blocks(
     seed: int,
 ) -> Iterator[dict[str, np.ndarray]]:
     """Yield the simulated log in blocks of one run each and at most 65 536 samples."""
+    _check_axes(model, campaign)
     p, rng = model.vector(values), np.random.default_rng(seed)
     disturb = _Disturbance(model, noise or NoiseModel(), campaign.step_s, rng)
     read = on_arrays(model.reading)
@@ -123,6 +124,15 @@ def simulate_blocks(
         start += total * campaign.step_s + 1.0
 
 
+def _check_axes(model: Model, campaign: Campaign) -> None:
+    """Refuse a campaign that moves what the model does not have."""
+    own = (*model.pose, *model.state)
+    for run in campaign.runs:
+        for axis in (*run.setting, *run.motion):
+            if axis not in own:
+                raise InputError(f"A run moves {axis}, which {model.name} has not; it has {', '.join(own)}.")
+
+
 def _zeros(model: Model, p: np.ndarray, run: Run, campaign: Campaign, rng: np.random.Generator) -> np.ndarray:
     """Displacements d = delta / phi(0) of one run."""
     n = len(model.zeros)
@@ -144,6 +154,7 @@ class _Disturbance:
         if unknown:
             raise InputError(f"Noise is given for {unknown[0]!r}, which is no column of {model.name}.")
         self.noise, self.rng, self.channels = noise, rng, model.channels
+        self.turns = {c: model.period[c] for c in model.channels if c in model.period}
         self.spiky = (*model.channels, *model.references)
         self.memory = float(np.exp(-step_s / noise.correlation_s)) if noise.correlation_s > 0 else 0.0
         self.last: dict[str, float] = {}
@@ -157,7 +168,7 @@ class _Disturbance:
             column = column + hit * self.rng.uniform(-noise.outlier_size, noise.outlier_size, len(column))
         if noise.adc_step_m and name in self.channels:
             column = np.round(column / noise.adc_step_m) * noise.adc_step_m
-        return column
+        return np.mod(column, self.turns[name]) if name in self.turns else column
 
     def _unit(self, name: str, n: int) -> np.ndarray:
         dof = self.noise.degrees_of_freedom

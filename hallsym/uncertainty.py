@@ -1,7 +1,9 @@
 """Standard uncertainties of a fit: from the likelihood, or from what differs between runs."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from hallsym.arrays import on_arrays
@@ -187,10 +189,27 @@ def _std(gradient: np.ndarray, covariance: np.ndarray) -> float:
 
 def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
     """RMSE of the decoded pose that reading and reference noise alone would leave, by pose coordinate."""
-    summary, covariance = cost.summary, cost.at(p).covariance
-    model = summary.model
-    (flat,) = on_arrays(model.noise_gain)(p, summary.mean_state.T, 1.0 / cost.reading_variance)
-    D = np.transpose(flat.reshape(len(model.channels), len(model.pose), -1), (2, 1, 0))  # (r, pose, K)
-    weights = cost.weights * summary.counts
-    variance = np.einsum("r,rij,rjk,rik->i", weights / weights.sum(), D, covariance, D)
+    summary, model = cost.summary, cost.summary.model
+    gain, weight = on_arrays(model.noise_gain_at), 1.0 / cost.reading_variance
+    share = cost.weights * summary.counts / (cost.weights @ summary.counts)
+    poses = model.typical or (np.zeros(len(model.pose)),)
+    variance = np.zeros(len(model.pose))
+    for pose in poses:
+        (flat,) = gain(p, pose, summary.mean_state.T, weight)
+        D = np.transpose(flat.reshape(len(model.channels), len(model.pose), -1), (2, 1, 0))  # (r, pose, K)
+        covariance = _covariance_at(cost, p, pose) if model.typical else cost.at(p).covariance
+        variance += np.einsum("r,rij,rjk,rik->i", share, D, covariance, D) / len(poses)
     return dict(zip(model.pose, np.sqrt(variance).tolist(), strict=True))
+
+
+def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Covariance of a residual (r, K, K) at one pose, where it is not the same all over a run."""
+    summary, s = cost.summary, cost.summary.model.symbols
+    columns, zeros = ca.vertcat(s.pose, s.state), ca.SX.zeros(s.zeros.numel())
+    slope = ca.jacobian(ca.substitute(s.full(s.reading), s.zeros, zeros), columns)
+    run = on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
+    (flat,) = run(p, pose, summary.mean_state.T)
+    K = len(cost.reading_variance)
+    J = np.transpose(flat.reshape(len(cost.column_variance), K, -1), (2, 1, 0))  # (r, K, columns)
+    C = np.diag(cost.reading_variance) + (J * cost.column_variance) @ np.swapaxes(J, 1, 2)
+    return np.broadcast_to(C, (len(summary.runs), K, K))

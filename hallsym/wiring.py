@@ -10,7 +10,9 @@ from scipy.optimize import linear_sum_assignment
 from hallsym.cost import Cost
 from hallsym.errors import InputError
 from hallsym.log import Log, Noise
+from hallsym.model import Model
 from hallsym.start import LinearFit
+from hallsym.turning import continuous
 
 MISWIRED = 0.5
 """Distance between wirings, in sines of angles, that cannot be misalignment."""
@@ -48,6 +50,11 @@ def rewired(log: Log, channels: Sequence[str], wiring: Wiring | None) -> Log:
     sigmas |= {c: log.noise.sigmas[s] for c, (s, _) in sources.items() if s in log.noise.sigmas}
     table: Any = _Rewired(log.table, sources)
     return replace(log, table=table, noise=Noise(sigmas))
+
+
+def as_read(log: Log, model: Model, wiring: Wiring | None = None) -> Log:
+    """Return the log as `model` reads it: wired as a fit found it, columns that repeat made continuous."""
+    return continuous(rewired(log, model.channels, wiring), model)
 
 
 def find_wiring(cost: Cost, linear: LinearFit) -> tuple[Wiring, float]:

@@ -11,6 +11,7 @@ Needs numpy and casadi, nothing else, and nothing of hallsym.
 from solvers.driver import SOLVERS, Stop, minimize
 from solvers.hybrid import HybridResult, hybrid
 from solvers.ipopt import Ipopt, ipopt
+from solvers.limits import discarding, ranking
 from solvers.multistart import best_apart, latin_hypercube, screened_starts
 from solvers.newton import newton
 from solvers.problem import Population, Problem, Result
@@ -24,10 +25,12 @@ __all__ = [
     "Result",
     "Stop",
     "best_apart",
+    "discarding",
     "hybrid",
     "ipopt",
     "latin_hypercube",
     "minimize",
     "newton",
+    "ranking",
     "screened_starts",
 ]

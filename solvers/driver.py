@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solvers.box import BOUNDS, require_finite_box
+from solvers.mpso import mpso
 from solvers.multistart import latin_hypercube
 from solvers.problem import (
     INTERRUPTED,
@@ -29,7 +30,7 @@ from solvers.pso import pso
 from solvers.shtlbo import shtlbo
 from solvers.tlbo import gbtlbo, tlbo
 
-SOLVERS: tuple[Solver, ...] = (tlbo, gbtlbo, shtlbo, pso)
+SOLVERS: tuple[Solver, ...] = (tlbo, gbtlbo, shtlbo, pso, mpso)
 OnGeneration = Callable[[int, float, Population], None]
 
 
@@ -68,7 +69,8 @@ def minimize(
     start: `(k, dim)` points to begin with, clipped into the box; a Latin hypercube fills up the rest.
     on_generation: called with (evaluations, best cost, population) after the first population and after
         each generation; may raise KeyboardInterrupt. An interrupted search returns its best point so far.
-    options: those of the method, such as `p_rule` of `shtlbo`.
+    options: those of the method, such as `p_rule` of `shtlbo`; `generations`, the number that a method plans
+        for, follows from the budget unless told.
 
     >>> bowl = Problem(lambda x: (x**2).sum(axis=1), [-1.0, -1.0], [1.0, 2.0])
     >>> minimize(bowl, seed=1, budget=3000).cost < 1e-6
@@ -84,6 +86,8 @@ def minimize(
     choice(bounds, tuple(BOUNDS), "bounds", "minimize")
     require_finite_box(problem, "minimize")
     rng = np.random.default_rng(seed)
+    if "generations" in inspect.signature(method).parameters:
+        options = {"generations": max(1, (budget - size) // size)} | options
     run = _Run(problem, budget, bounds, stop or Stop(), _first(problem, size, start, rng))
     status: Status
     try:

@@ -21,7 +21,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-LISTED = ("README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.md")
+LISTED = (
+    "README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.md", "data/encoder/README.md",
+)  # fmt: skip
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = (
     "demo",

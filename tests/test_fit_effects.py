@@ -294,9 +294,10 @@ def diagnose_only(log: Log, make):
     """Diagnose with one effect alone."""
     from unittest.mock import patch
 
-    from hallsym.diagnosis import engine, user_effect
+    from hallsym.diagnosis import user_effect
+    from hallsym.diagnosis.kinds import KINDS, Kind
 
-    with patch.object(engine, "CATALOGUE", ()):
+    with patch.dict(KINDS, {"stage": Kind(())}):
         return diagnose(log, "stage31", effects=[user_effect(make)])
 
 

@@ -185,6 +185,8 @@ def weights(fit: Fit) -> np.ndarray:
 def check_gain(fit: Fit, state: np.ndarray, settings: Settings) -> None:
     """Refuse states (n_state, s) where a gain is not clearly on the side of zero it has at the reset."""
     model = fit.model
+    if not model.state:  # a gain that follows nothing cannot cross zero
+        return
     _, s0 = zero_point(model, settings)
     states = np.column_stack([s0, np.asarray(state, dtype=float).reshape(len(s0), -1)])
     gain, flat = _gain_slopes(model)(fit.values, states)

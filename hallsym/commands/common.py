@@ -11,10 +11,10 @@ from typing import Any
 
 from hallsym import twin
 from hallsym.calibration import Fit, load_fit
-from hallsym.campaign import Campaign, paper_campaign, read_campaign
+from hallsym.campaign import Campaign, campaign_from, paper_campaign, read_campaign
 from hallsym.diagnosis.user import load_effects, makes
 from hallsym.errors import InputError
-from hallsym.families import build
+from hallsym.families import build, example, model_for
 from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
 from hallsym.log.noise import check_noise_keys
 from hallsym.machine import Machine
@@ -54,6 +54,10 @@ def log_options(parser: ArgumentParser) -> None:
     group.add_argument(
         "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
     )
+    group.add_argument(
+        "--counts-per-turn", type=float, metavar="N",
+        help="of an angle in counts, as in --column angle_count=raw: 16384 for 14 bits",
+    )  # fmt: skip
     group.add_argument("--format", help="parquet, csv, mat or hdf5, when the suffix does not tell")
     group.add_argument("--delimiter", help="of a CSV file, when it is not a comma")
     group.add_argument(
@@ -68,7 +72,9 @@ def log_options(parser: ArgumentParser) -> None:
 def model_options(parser: ArgumentParser, default: str) -> None:
     """Options of every command that builds a model."""
     group = parser.add_argument_group("model")
-    group.add_argument("--model", help=f"stage15, stage30, stage31, stage31_tied (default: {default})")
+    group.add_argument(
+        "--model", help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})"
+    )
     group.add_argument(
         "--effect",
         action="append",
@@ -104,6 +110,7 @@ def open_log(options: Namespace, machine: Machine | None = None) -> Log:
         delimiter=options.delimiter,
         drop_bad=options.drop_bad,
         noise=dict(assignment(text) for text in options.noise),
+        counts_per_turn=options.counts_per_turn,
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 
@@ -172,11 +179,16 @@ def noted(notes: Sequence[str]) -> list[str]:
 
 
 def campaign_of(options: Namespace) -> Campaign:
-    """Return the campaign of a file, else the paper's."""
+    """Return the campaign of a file, else the paper's, else the example of the model's family."""
     for name in ("step", "duration"):
         value = getattr(options, name)
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"--{name} must be a positive number of seconds; instead received {value:g}.")
+    own = example(build(options.model)) if options.model and options.campaign is None else {}
+    if own:
+        if options.step or options.duration:
+            raise InputError("--step and --duration belong to the paper's campaign of the stage.")
+        return campaign_from(own["campaign"], f"example of {options.model}")
     if options.campaign is None:
         return paper_campaign(options.step or 2e-3, options.duration or 1.0)
     if options.step or options.duration:
@@ -186,26 +198,38 @@ def campaign_of(options: Namespace) -> Campaign:
     return read_campaign(options.campaign)
 
 
-def truth_of(options: Namespace, machine: Machine) -> tuple[Model, dict[str, float]]:
-    """Model and values of the twin: a calibration's, else Table 7's as far as the model has them."""
+def truth_of(
+    options: Namespace, machine: Machine, campaign: Campaign | None = None
+) -> tuple[Model, dict[str, float]]:
+    """Model and values of the twin: a calibration's, else the published ones as far as the model has them.
+
+    Where no model is named, that of the axes which `campaign` moves.
+    """
     if options.values:
         known = load_fit(options.values)
         if options.model and options.model != known.model.name:
             raise InputError(f"--values holds a {known.model.name}; leave --model out or give that name.")
         return known.model, dict(zip(known.model.names, known.values.tolist(), strict=True))
+    runs = campaign.runs if campaign else ()
+    moved = {axis for run in runs for axis in (*run.setting, *run.motion)}
     model = build(
-        options.model or "stage31",
+        options.model or model_for(moved),
         meta=machine.applied(Meta()),
         added=tuple(options.effect),
         parameters=machine.parameters,
     )
-    paper_values = published_values("table7_estimates") if machine.probes is None else {}
+    own = example(model)
+    paper_values = published_values("table7_estimates") if machine.probes is None and not own else {}
+    paper_values = paper_values | own.get("values", {})
     given = {name: entry["nominal"] for name, entry in machine.parameters.items() if "nominal" in entry}
     return model, {n: v for n, v in (paper_values | given).items() if n in model.names}
 
 
 def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dict[str, float]:
     """Noise by column: the campaign file's own, else Table 8's."""
+    own = example(model).get("noise")
+    if not campaign.noise and own:
+        return {c: s for c, s in own.items() if c in (*model.channels, *model.references)}
     if not campaign.noise:
         return dict(twin.table8_noise(model, values).sigma)
     columns = (*model.channels, *model.state, *model.references)

@@ -27,6 +27,7 @@ from hallsym.diagnosis.engine import Examined, examine
 from hallsym.diagnosis.errors import errors_of
 from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError
+from hallsym.families import default_model
 from hallsym.files import atomic_write
 from hallsym.machine import read_machine
 from hallsym.model import Model
@@ -61,7 +62,7 @@ def add(sub: Any) -> None:
         "-o", "--output", action="append", default=[], metavar="FILE",
         help="save the diagnosis: .html for one page to read and print, anything else for JSON (repeat)",
     )  # fmt: skip
-    model_options(parser, "the log's base_model, else stage31")
+    model_options(parser, "the log's base_model, else by its columns")
     log_options(parser)
 
 
@@ -73,7 +74,7 @@ def run(options: Namespace) -> int:
         raise InputError("A log to diagnose must be given, or --compare with two saved diagnoses.")
     machine = read_machine(options.machine)
     log = open_log(options, machine)
-    name = options.model or log.meta.base_model or "stage31"
+    name = options.model or default_model(log.meta)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
     listed = load_effects(options.effects) if options.effects else ()
     if str(name).endswith(".json"):

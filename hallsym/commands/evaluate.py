@@ -10,7 +10,7 @@ from hallsym.fitting import noise_of
 from hallsym.log import check_log
 from hallsym.passes import judge
 from hallsym.tables import error_rows
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 
 def add(sub: Any) -> None:
@@ -30,7 +30,7 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     known = load_fit(options.calibration, own_effects(options))
-    log = rewired(open_log(options), known.model.channels, known.wiring)
+    log = as_read(open_log(options), known.model, known.wiring)
     columns = logged_columns(known.model)
     notes = list(log.notes) if options.drop_bad else check_log(log, columns)
     noise = noise_of(log, known.model)

@@ -46,7 +46,7 @@ def add(sub: Any) -> None:
     )
     parser.add_argument("-o", "--output", metavar="JSON", help="save the calibration")
     parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
-    model_options(parser, "the log's base_model, else stage31")
+    model_options(parser, "the log's base_model, else by its columns")
     own_option(parser)
     group = parser.add_argument_group("fit")
     group.add_argument(
@@ -56,7 +56,7 @@ def add(sub: Any) -> None:
         "--solver",
         default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
-        "or the global stage: shtlbo, tlbo, gbtlbo, pso, screening",
+        "or the global stage: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
     )
     group.add_argument(
         "--loss", default="auto", help="auto (take out isolated spikes if there are any), none, reject, tukey"

@@ -11,7 +11,7 @@ from hallsym.decoding import logged_columns
 from hallsym.files import atomic_write
 from hallsym.log import check_log
 from hallsym.page import fit_page
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 
 def add(sub: Any) -> None:
@@ -35,7 +35,7 @@ def run(options: Namespace) -> int:
     known = load_fit(options.calibration, own_effects(options))
     log = open_log(options)
     if not options.drop_bad:
-        columns, wired = logged_columns(known.model), rewired(log, known.model.channels, known.wiring)
+        columns, wired = logged_columns(known.model), as_read(log, known.model, known.wiring)
         log = replace(log, notes=tuple(check_log(wired, columns)))
     page = fit_page(log, known, command=_typed(options)).encode()
     atomic_write(options.output, page)

@@ -20,7 +20,7 @@ from hallsym.commands.common import (
 from hallsym.diagnosis import load_effects
 from hallsym.diagnosis.selftest import RATIOS, ROWS, selftest
 from hallsym.diagnosis.selftest_text import selftest_text
-from hallsym.families import build
+from hallsym.families import build, default_model
 from hallsym.files import atomic_write
 from hallsym.machine import read_machine
 
@@ -57,7 +57,7 @@ def add(sub: Any) -> None:
         "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
     )
     parser.add_argument("-o", "--output", metavar="JSON", help="save the result")
-    model_options(parser, "the log's base_model, else stage31")
+    model_options(parser, "the log's base_model, else by its columns")
     log_options(parser)
 
 
@@ -75,7 +75,7 @@ def run(options: Namespace) -> int:
     """Carry the command out."""
     machine = read_machine(options.machine)
     log = open_log(options, machine)
-    name = options.model or log.meta.base_model or "stage31"
+    name = options.model or default_model(log.meta)
     if str(name).endswith(".json"):
         model: Any = load_fit(name)
     else:

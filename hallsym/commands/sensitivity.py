@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.calibration import load_fit
-from hallsym.campaign import paper_campaign, read_campaign
+from hallsym.campaign import campaign_from, paper_campaign, read_campaign
 from hallsym.commands.common import (
     NOT_DETERMINED,
     OK,
@@ -23,7 +23,7 @@ from hallsym.commands.common import (
     truth_of,
 )
 from hallsym.errors import InputError
-from hallsym.families import build
+from hallsym.families import build, example
 from hallsym.files import atomic_write
 from hallsym.fitting import fit
 from hallsym.machine import read_machine
@@ -124,8 +124,12 @@ def _planned(options: Namespace) -> Identifiability:
         raise InputError("Give a log or --plan, not both: a plan is what is not recorded yet.")
     if options.beside:
         raise InputError("--beside compares models on a log; a plan has none.")
+    own = example(build(options.model)) if options.model and not options.plan else {}
     campaign = read_campaign(options.plan) if options.plan else paper_campaign()
     name = Path(options.plan).name if options.plan else PAPER
+    if own:
+        name = f"the example of {options.model}"
+        campaign = campaign_from(own["campaign"], name)
     if options.calibration is not None:
         known = load_fit(options.calibration, own_effects(options))
         return identify(known, campaign, noise=campaign.noise or None, name=name)

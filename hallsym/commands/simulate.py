@@ -27,7 +27,10 @@ def add(sub: Any) -> None:
         "sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from TOML.",
     )  # fmt: skip
     parser.add_argument(
-        "campaign", metavar="TOML", nargs="?", help="campaign file (default: the paper's campaign)"
+        "campaign",
+        metavar="TOML",
+        nargs="?",
+        help="campaign file (default: the paper's campaign, or the example of the model's family)",
     )
     parser.add_argument(
         "-o", "--output", required=True, metavar="LOG", help="log to write: .parquet, .csv, .h5 or .mat"
@@ -50,7 +53,7 @@ def add(sub: Any) -> None:
         help="share of samples that are off by up to 1 mm or 1 mrad",
     )
     parser.add_argument(
-        "--adc-step", type=float, default=0.0, metavar="M", help="round readings to this step [m]"
+        "--adc-step", type=float, default=0.0, metavar="STEP", help="round readings to this step [SI]"
     )
     parser.add_argument(
         "--step", type=float, metavar="S", help="clock of the paper's campaign [s] (default 0.002)"
@@ -61,14 +64,14 @@ def add(sub: Any) -> None:
         metavar="S",
         help="length of each run of the paper's campaign [s] (default 1)",
     )
-    model_options(parser, "stage31")
+    model_options(parser, "that of the axes moved, else stage31")
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
     machine = read_machine(options.machine)
     campaign = campaign_of(options)
-    model, values = truth_of(options, machine)
+    model, values = truth_of(options, machine, campaign)
     noise = twin.NoiseModel(
         {c: s * options.noise_scale for c, s in levels(campaign, model, values).items()},
         correlation_s=options.correlation,

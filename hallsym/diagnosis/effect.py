@@ -29,6 +29,8 @@ class Facts:
     instants: tuple[tuple[int, float], ...] = ()
     instants_tried: int = 1
     gains: tuple[float, ...] = ()
+    on_runs: tuple[int, ...] = ()
+    """Runs in which an external field may have been on, `switching.switched_runs`."""
 
 
 @dataclass(frozen=True, eq=False)

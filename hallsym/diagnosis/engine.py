@@ -12,14 +12,15 @@ from time import perf_counter
 from hallsym import fitting
 from hallsym.calibration import Fit
 from hallsym.decoding import logged_columns
+from hallsym.diagnosis import split
 from hallsym.diagnosis.effect import Effect
+from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError
-from hallsym.families import build
+from hallsym.families import build, default_model
 from hallsym.log import Log, clean_log
 from hallsym.model import Model
 
@@ -27,6 +28,7 @@ THRESHOLD = 0.05
 """Relative decrease of the gap metric from which on a gap is worth reporting."""
 HOLD_EVERY = 5
 """Of runs without a named holdout every fifth is held out."""
+FEWEST_RUNS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,58 +80,68 @@ def examine(
 ) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     began, say = perf_counter(), on_progress or (lambda _: None)
-    apart = _holdout(log, holdout)
+    model, timed = _built(log, model), "t_s" in log.columns
+    kind = kind_of(model)
+    log, apart = _pieces(log, model) if holdout is None else (log, None)
+    apart = apart or _holdout(log, holdout)
     level = _threshold(log, threshold)
     say("fitting the model")
     log, result = _fitted(log, model, apart, drop_bad, say)
-    if result.model.family != "stage":
-        raise InputError(
-            f"Model {result.model.name} has no catalogue of effects yet; only stage models have."
-        )
     wiring = result.wiring
     base = base_of(log, result)
+    base = replace(base, model=kind.direct(base.model), timed=timed)
     runs = [r for r in base.log.runs if r not in apart]
-    search = Search(base, runs, (*CATALOGUE, *effects), level, floor_of(result, base.length_m), say)
+    search = Search(base, runs, (*kind.catalogue, *effects), level, floor_of(result, base.length_m), say)
     search.run()
     said = report(search, log, result, apart, wiring, level, perf_counter() - began)
     return Examined(said, result, base, search.now.base if said.effects else None)
 
 
+def _built(log: Log, model: str | Model | Fit | None) -> Model:
+    if isinstance(model, Fit):
+        model = model.model
+    return model if isinstance(model, Model) else build(model or default_model(log.meta), meta=log.meta)
+
+
+def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...] | None]:
+    """Take a recording of too few runs to pieces, where runs have nothing of their own."""
+    if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < split.FEWEST:
+        return log, None
+    return split.split(replace(log, noise=fitting.noise_of(log, model)))
+
+
 def _fitted(
     log: Log,
-    model: str | Model | Fit | None,
+    model: Model,
     apart: tuple[int, ...],
     drop_bad: bool,
     say: Callable[[str], None],
 ) -> tuple[Log, Fit]:
     """Fit the model; samples that no fit can use are left out, which is then noted."""
-    if isinstance(model, Fit):
-        model = model.model
-    if not isinstance(model, Model):
-        model = build(model or log.meta.base_model or "stage31", meta=log.meta)
 
-    def fitted(source: Log) -> Fit:
+    def fitted(source: Log, drop: bool) -> Fit:
         return fitting.fit(
-            source, model, solver="direct", holdout=apart, resolve_wiring=True, on_progress=say
+            source, model, solver="direct", holdout=apart, resolve_wiring=True, drop_bad=drop, on_progress=say
         )
 
     if not drop_bad:
         try:
-            return log, fitted(log)
+            return log, fitted(log, False)
         except InputError as error:
             refused = error
     cleaned = clean_log(log, logged_columns(model))
     if not drop_bad and cleaned.rows == log.rows:
         raise refused
-    result = fitted(cleaned)
-    return cleaned, replace(result, notes=(*cleaned.notes, *result.notes))
+    # a reading at its rail calibrates nothing, but shows the rail
+    whole = clean_log(log, logged_columns(model), rails=False)
+    return whole, fitted(log, True)
 
 
 def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:
     """Held-out runs: as asked, the log's own, else every fifth."""
     if holdout is None:
         holdout = log.meta.holdout or log.runs[HOLD_EVERY // 2 :: HOLD_EVERY]
-    if len(log.runs) < 3 or len(log.runs) - len(set(holdout)) < 2 or not holdout:
+    if len(log.runs) < FEWEST_RUNS or len(log.runs) - len(set(holdout)) < 2 or not holdout:
         raise InputError(
             f"{log.name} has {len(log.runs)} runs, too few to hold any out and still choose an effect on the "
             "others (2 to fit and 1 to judge on at least); record more runs or split a long one."

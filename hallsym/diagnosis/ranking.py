@@ -74,7 +74,8 @@ def candidates(
     for effect in catalogue:
         missing = [c for c in effect.needs if c not in facts.columns]
         if missing:
-            trouble.append(Trouble(effect.name, f"no {missing[0].rsplit('_', 1)[0]} logged"))
+            what = "time" if missing[0] == "t_s" else missing[0].rsplit("_", 1)[0]
+            trouble.append(Trouble(effect.name, f"no {what} logged"))
             continue
         if effect.name in base.model.effects:
             continue

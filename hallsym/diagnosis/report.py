@@ -34,6 +34,8 @@ CLOSED = 0.9
 
 Of a gap of twice the floor a tenth of the excess is 14 % above the floor: what is left is then a gap of its
 own, and the verdict says so."""
+EITHER = ("sign_inversion", "channel_swap")
+"""Faults of the wiring that an angle read from two channels cannot tell apart."""
 SMALL = 0.01
 """Significance, corrected for the catalogue, of a smaller finding."""
 SMALLEST = 0.1
@@ -94,6 +96,8 @@ def report(
     open_ = remains(rest, slow, left if named else before.metric, search.floor, level)
     verdict = _verdict(named, open_, _closed(before.metric, left, floor_metric))
     groups, separate = _groups(search, inflation) if verdict != "no gap" else ([], [])
+    if effects and effects[0].name in EITHER and len(result.model.pose) == 1:
+        groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
     ranked = _ranked(effects, groups, search, verdict, inflation) if verdict != "no gap" else []
     smaller = _smaller(search)
     if verdict == "no gap":
@@ -286,6 +290,8 @@ def _next_step(
 
 
 def _miswired(model: Model, wiring: Wiring) -> bool:
+    if len(model.channels) == 1:
+        return False  # a direction, not a wire
     return any(source != c or sign < 0 for c, (source, sign) in zip(model.channels, wiring, strict=True))
 
 

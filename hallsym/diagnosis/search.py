@@ -6,23 +6,25 @@ from functools import partial
 
 import numpy as np
 
+from hallsym.batches import remembered
 from hallsym.calibration import Fit
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
+from hallsym.diagnosis.kinds import kind_of
+from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, Score, by_name, candidates, refitted, scores
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import SEGMENT, Survey, survey
+from hallsym.diagnosis.switching import switched_runs
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.passes import cost_near
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
-MOST = 3
-"""Effects that are added at most: a fourth would have to stand out of what three leave."""
 REPEATS = 4
 """Times that a channel must take its very highest or lowest value for that to be a rail.
 
@@ -36,7 +38,7 @@ shows."""
 
 def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
-    wired = rewired(log, result.model.channels, result.wiring)
+    wired = as_read(log, result.model, result.wiring)
     sigma = {c: s.value for c, s in result.noise.sigmas.items()}
     cost = cost_near(wired, result.model, result.values, sigma, result.keep)
     point = cost.at(result.values)
@@ -50,7 +52,7 @@ def base_of(log: Log, result: Fit) -> Base:
         length_m=log.meta.gap_length_scale_m or 0.35,
         apart=frozenset(result.log["holdout"]),
         sigma=sigma,
-        keep=result.keep,
+        keep=remembered(result.keep, wired.rows),
     )
 
 
@@ -68,14 +70,15 @@ def facts_of(base: Base, found: Survey) -> Facts:
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
         step_s=found.step_s,
-        columns=log.columns,
+        columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
         temperature=temperature,
         extremes=_extremes(log, model),
         rails=rails_of(log, model),
         lines_hz=found.lines_hz,
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
-        gains=tuple(float(base.p[model.names.index(f"eta_{p.label}")]) for p in model.layout),
+        on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),
+        gains=tuple(float(base.p[k]) for k, name in enumerate(model.names) if name.startswith("eta_")),
     )
 
 
@@ -140,10 +143,11 @@ class Search:
         self.last: list[Score] = []
         self.scored: list[tuple[Refitted, list[Score]]] = []
         self.survey = Survey()
+        self.most = kind_of(base.model).most
 
     def run(self) -> None:
         """Add effects while they lower the gap metric by the threshold; then ask of each again."""
-        for count in range(MOST + 1):
+        for count in range(self.most + 1):
             self.say(f"testing {len(self.catalogue)} effects" + (f" beside {count}" if count else ""))
             exact, self.last = self.step(self.now, partial(self.worth, beside=count))
             if not exact or not self.worth(exact[0].score, count):
@@ -165,7 +169,7 @@ class Search:
         A first effect that is certain is taken up from half the threshold on: on the held-out runs, which
         decide, it may be worth more (a temperature that only they reach).
         """
-        if beside == MOST:
+        if beside == self.most:
             return False
         certain = score.corrected(self.tested) < SURE
         if not beside:
@@ -212,7 +216,10 @@ class Search:
         for score in by_name(ranked):
             if score.absorbed:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
-        return refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth), ranked
+        exact = refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth)
+        if kind_of(at.base.model).pairs:
+            exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
+        return exact, ranked
 
     def reconsider(self) -> None:
         """Ask of each effect again, with the others in place, which one it should be."""

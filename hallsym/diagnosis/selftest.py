@@ -160,7 +160,7 @@ def selftest(
         raise InputError(f"Input rows of the self-test must be 1 or more; instead received {rows}.")
     apart, level = engine._holdout(log, holdout), engine._threshold(log, threshold)
     say("fitting the model")
-    log, result = engine._fitted(log, model, apart, drop_bad, say)
+    log, result = engine._fitted(log, engine._built(log, model), apart, drop_bad, say)
     if result.model.family != "stage":
         raise InputError(
             f"Model {result.model.name} has no catalogue of effects yet; only stage models have."

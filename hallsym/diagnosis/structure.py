@@ -99,6 +99,7 @@ class _Products:
     """Sums over the run that is being read, and over the folds."""
 
     size: int
+    centred: bool = True
     run: np.ndarray = field(init=False)
     folds: np.ndarray = field(init=False)
 
@@ -107,10 +108,13 @@ class _Products:
         self.folds = np.zeros((FOLDS, self.size, self.size))
 
     def close(self, fold: int) -> None:
-        """Take the run's mean out (row 0 is the constant) and add it to its fold."""
+        """Take the run's mean out (row 0 is the constant) and add it to its fold.
+
+        The mean of a run is only its zero's where runs have zeros; otherwise it is part of the gap.
+        """
         M = self.run
         if M[0, 0] > 0:
-            self.folds[fold] += M - np.outer(M[0], M[0]) / M[0, 0]
+            self.folds[fold] += M - np.outer(M[0], M[0]) / M[0, 0] if self.centred else M
         self.run = np.zeros_like(M)
 
 
@@ -118,11 +122,12 @@ class _Work:
     def __init__(self, base: Base, ranges: dict[str, tuple[float, float]], runs: int) -> None:
         self.base, self.ranges = base, ranges
         model = base.model
-        self.gain, self.spread = on_arrays(model.gain), on_arrays(model.noise_gain)
+        self.gain, self.spread = on_arrays(model.gain), on_arrays(model.noise_gain_at)
         self.read = on_arrays(model.reading)
         self.unwhiten = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(base.covariance)).T)
         self.scale = np.where(np.arange(len(model.pose)) == 2, base.length_m, 1.0)
         self.E = len(model.pose)
+        self.turning = all(c in model.period for c in model.references)
         self.waves = int(np.clip(runs // 3, 3, 12))
         self.families: dict[str, _Products] = {}
         self.run: int | None = None
@@ -170,14 +175,16 @@ class _Work:
 
     def _of(self, by: str, size: int) -> _Products:
         if by not in self.families:
-            self.families[by] = _Products(size)
+            self.families[by] = _Products(size, bool(self.base.model.zeros))
         return self.families[by]
 
     def _errors(self, piece: Piece) -> np.ndarray:
         """Error of the decoded pose that the residual makes, rotation as length, (pose, samples) [m]."""
         base = self.base
-        (gain,) = self.spread(base.p, [piece.data[c] for c in base.model.state], base.weight)
-        K = len(base.model.channels)
+        model = base.model
+        pose, state = ([piece.data[c] for c in columns] for columns in (model.references, model.state))
+        (gain,) = self.spread(base.p, pose, state, base.weight)
+        K = len(model.channels)
         D = gain.reshape(K, self.E, -1)
         return np.einsum("kis,ks->is", D, self.unwhiten @ piece.residual) * self.scale[:, None]
 
@@ -188,6 +195,9 @@ class _Work:
     def _coordinates(self, piece: Piece) -> dict[str, np.ndarray]:
         """Coordinates of the curves, each scaled to 0 .. 1."""
         model = self.base.model
+        if self.turning:
+            where = {c: f"place in the turn of {c.removesuffix('_ref_rad')}" for c in model.references}
+            return {by: piece.data[c] / model.period[c] % 1.0 for c, by in where.items()}
         out = {f"place of {c.removesuffix('_ref_m').removesuffix('_ref_rad')}": (self._unit(piece, c) + 1) / 2
                for c in model.references}  # fmt: skip
         (gain,) = self.gain(self.base.p, [piece.data[c] for c in model.state])
@@ -202,10 +212,12 @@ class _Work:
     def _dense(self, piece: Piece) -> dict[str, np.ndarray]:
         """Families of few functions, each (n_functions, samples)."""
         model, unit = self.base.model, lambda c: self._unit(piece, c)
-        q = np.array([unit(c) for c in model.references])
+        q = self._moved(piece)
         v = np.array([piece.data[f"d1_{c}"] / self.ranges[f"d1_{c}"][1] for c in model.references])
         a = np.array([piece.data[f"d2_{c}"] / self.ranges[f"d2_{c}"][1] for c in model.references])
         j = np.array([piece.data[f"d3_{c}"] / self.ranges[f"d3_{c}"][1] for c in model.references])
+        if self.turning:
+            return self._around(piece, q, v, a)
         out = {"the pose together": _powers(q, 4)}
         heights = [c for c in ("z_m", "rx_rad", "ry_rad") if c in piece.data]
         if heights:
@@ -226,6 +238,28 @@ class _Work:
         out["acceleration"] = np.vstack([a, np.abs(a), j, *(a * x for x in q), *(j * x for x in q)])
         past = [np.roll(q, k, axis=1) for k in range(LAGS)]
         out["the past of the motion"] = np.vstack(past)
+        return out
+
+    def _moved(self, piece: Piece) -> np.ndarray:
+        """Where the pose was: its coordinates over their ranges, two harmonics of what goes round."""
+        model = self.base.model
+        if not self.turning:
+            return np.array([self._unit(piece, c) for c in model.references])
+        angles = [2 * np.pi * n / model.period[c] * piece.data[c] for c in model.references for n in (1, 2)]
+        return np.array([f(angle) for angle in angles for f in (np.cos, np.sin)])
+
+    def _around(self, piece: Piece, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> dict[str, np.ndarray]:
+        """Families of what goes round: q are harmonics of the turn, v and a its speed and acceleration."""
+
+        def both(x: np.ndarray) -> np.ndarray:
+            return np.vstack([x, *(x * row for row in q)])
+
+        out = {"time": both(_hats((self._unit(piece, "t_s") + 1) / 2, self.waves))}
+        if "temperature_degc" in piece.data:
+            out["temperature"] = both(_powers(self._unit(piece, "temperature_degc")[None], 3))
+        out["velocity"] = both(np.vstack([v, np.abs(v), v * np.abs(v), v**3]))
+        out["direction of motion"] = both(np.tanh(v / 0.05))
+        out["acceleration"] = both(np.vstack([a, np.abs(a)]))
         return out
 
     def _curve(self, by: str, x: np.ndarray, e: np.ndarray) -> None:
@@ -258,7 +292,7 @@ class _Work:
 
     def _stretches(self, piece: Piece, e: np.ndarray) -> None:
         """Products of a run's own gains and trend, over its even and its odd stretches."""
-        q = np.array([self._unit(piece, c) for c in self.base.model.references])
+        q = self._moved(piece)
         x = np.vstack([q, self._unit(piece, "t_s"), np.ones(len(piece.t)), e])[:, piece.used]
         side = (np.arange(x.shape[1]) // CHUNK) % 2
         for k in (0, 1):
@@ -347,7 +381,8 @@ def _coarse(folds: np.ndarray, level: int, E: int) -> np.ndarray:
 def _solved(train: np.ndarray, n: int) -> np.ndarray:
     """Coefficients of the first n columns for the others, (n, E), pulled to 0 a little."""
     G = train[:n, :n]
-    d = np.sqrt(np.maximum(np.diag(G), 1e-300))
+    size = np.sqrt(np.diag(G))
+    d = np.maximum(size, 1e-9 * max(size.max(initial=0.0), 1e-140))  # what never moved has no coefficient
     A = G / np.outer(d, d) + RIDGE * np.eye(n)
     return np.linalg.solve(A, train[:n, n:] / d[:, None]) / d[:, None]
 

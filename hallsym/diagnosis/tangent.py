@@ -34,7 +34,7 @@ class Base:
 
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
     parameters that the fit moves; `length_m`: what turns rotation into length in the gap metric; `apart`:
-    held-out runs.
+    held-out runs; `timed`: whether the log holds time, and not a counter in its place.
     """
 
     log: Log
@@ -47,6 +47,7 @@ class Base:
     apart: frozenset[int]
     sigma: Mapping[str, float]
     keep: Weigh | None = None
+    timed: bool = True
 
     @property
     def values(self) -> dict[str, float]:
@@ -90,7 +91,7 @@ Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 Function = Callable[..., list[np.ndarray]]
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def _base_functions(model: Model) -> tuple[Function, Function]:
     s = model.symbols
     reading = s.full(s.reading)
@@ -98,7 +99,7 @@ def _base_functions(model: Model) -> tuple[Function, Function]:
     if len(model.zeros):
         both.append(ca.densify(ca.jacobian(reading, s.zeros)))
     run = on_arrays(ca.Function("base", [s.parameters, s.zeros, s.pose, s.state], both))
-    return run, on_arrays(model.noise_gain)
+    return run, on_arrays(model.noise_gain_at)
 
 
 def tangents(
@@ -231,7 +232,7 @@ class Products:
         A[-1] = np.array(batch.columns(model.channels)) - reading
         if weights is not None:
             A *= np.sqrt(weights)
-        (spread,) = self.gain(base.p, state, base.weight)
+        (spread,) = self.gain(base.p, pose, state, base.weight)
         D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * self.scale[:, None, None]
         return A, D
 

@@ -1,14 +1,14 @@
 """The kinds of sensor: one file per family, only physics. Models are looked up here by name."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import recipes, stage
+from hallsym.families import recipes, rotary, stage
 from hallsym.log import Meta
 from hallsym.model import Model
 
-FAMILIES = (stage,)
+FAMILIES = (stage, rotary)
 """Adding a family: one file with MODELS, EFFECTS, ALIASES and `from_meta`, and its name here."""
 
 
@@ -58,6 +58,29 @@ def build(
         raise _unknown("Model", name, known)
     family = next(f for f in FAMILIES if known[name] in f.MODELS)
     return adapted(family.from_meta(known[name], meta or Meta()), added, parameters or {}, own)
+
+
+def default_model(meta: Meta) -> str:
+    """Return the model where none is named: the log's own, else that of the family whose columns it has."""
+    fitting = (f.DEFAULT for f in FAMILIES if f.reads(meta.columns))
+    return meta.base_model or next(fitting, FAMILIES[0].DEFAULT)
+
+
+def axes() -> tuple[str, ...]:
+    """Return every coordinate and state that a campaign can move."""
+    return tuple(dict.fromkeys(axis for f in FAMILIES for axis in (*f.POSE, *f.STATE)))
+
+
+def model_for(moved: Collection[str]) -> str:
+    """Return the model to simulate where none is named: that of the first family with the axes moved."""
+    fitting = (f.DEFAULT for f in FAMILIES if {*f.POSE, *f.STATE}.issuperset(moved))
+    return next(fitting, FAMILIES[0].DEFAULT)
+
+
+def example(model: Model) -> Mapping[str, Any]:
+    """Return what is simulated of a family by default: campaign, values and noise; may be empty."""
+    family = next((f for f in FAMILIES if model.family == f.FAMILY), None)
+    return getattr(family, "EXAMPLE", {})
 
 
 def adapted(

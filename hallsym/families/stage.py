@@ -9,7 +9,7 @@ One model and its effects: `stage15` is Eq. (15); with `zero_deviation` it is Eq
 Valid for planar motion up to about 2 mm and 1 mrad (`exact_rotation` beyond that).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from math import radians
@@ -25,6 +25,7 @@ from hallsym.model import Combination, Model, Parameter, Signals, Step
 
 FAMILY = "stage"
 POSE = ("x_m", "y_m", "rz_rad")
+DEFAULT = "stage31"
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 STATE = ("z_m", "rx_rad", "ry_rad")
 
@@ -42,6 +43,11 @@ class Probe:
         """Letter used in parameter names: `hall_a_m` gives `A`."""
         parts = self.channel.split("_")
         return parts[1].upper() if len(parts) > 2 else self.channel
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """The probe as a log's meta.json and a saved calibration describe it."""
+        return {"channel": self.channel, "position_m": list(self.position), "senses": list(self.senses)}
 
 
 def paper_layout() -> tuple[Probe, ...]:
@@ -381,6 +387,11 @@ def _lever_arm(k: int, probe: Probe) -> Combination:
 
 
 # -- machines described by a log folder ------------------------------------------------------------------
+
+
+def reads(columns: Sequence[str]) -> bool:
+    """Return whether a log with these columns can be a stage's."""
+    return REFERENCES[0] in columns
 
 
 def from_meta(make: Callable[..., Model], meta: Meta) -> Model:

@@ -25,17 +25,20 @@ def check_log(log: Log, required: Sequence[str] = (), *, drop_bad: bool = False)
     return list(clean_log(log, required).notes) if drop_bad else [*log.notes, *_notes(log, required)]
 
 
-def clean_log(log: Log, required: Sequence[str] = ()) -> Log:
+def clean_log(log: Log, required: Sequence[str] = (), *, rails: bool = True) -> Log:
     """Return the log without its bad samples and runs; its `notes` say what was left out.
 
     Left out: samples with NaN or infinity, with time that does not advance, at a level where a reading is
-    saturated, runs that are too short or in which a reading is dead. A log that streams goes on streaming.
+    saturated (unless not `rails`), runs that are too short or in which a reading is dead. A log that streams
+    goes on streaming.
     """
     dropped: list[str] = []
     for _ in range(_PASSES):
         notes, drop = [], Drop()
         for finding in _judge(log, required):
-            if finding.refuse and finding.drop:
+            if finding.drop and finding.drop.levels and not rails:
+                notes.append(f"{finding.text}.")
+            elif finding.refuse and finding.drop:
                 drop |= finding.drop
                 dropped.append(f"{finding.text}; left out.")
             elif finding.refuse and not finding.bear:
@@ -89,6 +92,7 @@ def _judge(log: Log, required: Sequence[str]) -> Iterator[Finding]:
 def _values(log: Log, seen: Scan) -> Iterator[Finding]:
     spans = seen.spans()
     yield from findings.units(log, spans)
+    yield from findings.counts(log, spans)
     yield from findings.dead(log, seen, spans)
     yield from findings.saturated(log, seen)
     yield from findings.stale(log, seen, spans)

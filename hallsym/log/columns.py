@@ -12,27 +12,32 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.log.units import Array, require_unit, si_name, split_unit
+from hallsym.log.units import Array, quantity, require_unit, si_name, split_unit
 
 RUN = "run"
 
 
 @dataclass(frozen=True)
 class Foreign:
-    """A column under another program's name; `scale` (and sign) is applied before the unit's factor."""
+    """A column under another program's name; `scale` (and sign) is applied before the unit's factor.
+
+    `counts_per_turn`: of an angle in counts.
+    """
 
     name: str
     scale: float = 1.0
+    counts_per_turn: float | None = None
 
 
 @dataclass(frozen=True)
 class Binding:
-    """SI column `name` is `factor * file[source] + offset`."""
+    """SI column `name` is `factor * file[source] + offset`; `counts_per_turn`: of an angle in counts."""
 
     name: str
     source: str
     factor: float = 1.0
     offset: float = 0.0
+    counts_per_turn: float | None = None
 
     def si(self, raw: Array) -> Array:
         """Return SI values (float64; the run column as integers) of raw values of shape (rows,)."""
@@ -50,6 +55,7 @@ class ColumnFile:
 
     columns: dict[str, Foreign] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
+    counts_per_turn: float | None = None
 
 
 def parse_column_option(text: str) -> tuple[str, str]:
@@ -77,17 +83,38 @@ def read_column_file(path: str | Path) -> ColumnFile:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"Column file {path} must be TOML: {error}.") from error
     for key in content:
-        if key not in ("columns", "noise"):
-            raise InputError(f"Column file {path} may hold [columns] and [noise]; it has '{key}'.")
+        if key not in ("columns", "noise", "counts_per_turn"):
+            raise InputError(
+                f"Column file {path} may hold counts_per_turn, [columns] and [noise]; it has '{key}'."
+            )
     columns = {ours: _foreign(ours, entry, path) for ours, entry in content.get("columns", {}).items()}
     noise = {key: _positive(key, value, path) for key, value in content.get("noise", {}).items()}
-    return ColumnFile(columns, noise)
+    counts = content.get("counts_per_turn")
+    return ColumnFile(
+        columns, noise, None if counts is None else counts_in_turn(counts, f"Column file {path}")
+    )
 
 
-def bind(found: Sequence[str], wanted: Mapping[str, str | Foreign], where: str) -> dict[str, Binding]:
+def counts_in_turn(value: Any, where: str) -> float:
+    """Return the counts of a turn, 2 or more; raise `InputError` for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 2 <= value < math.inf:
+        raise InputError(
+            f"{where} must give counts_per_turn as a number of 2 or more, such as 16384 for 14 bits; "
+            f"instead received {value!r}."
+        )
+    return float(value)
+
+
+def bind(
+    found: Sequence[str],
+    wanted: Mapping[str, str | Foreign],
+    where: str,
+    counts_per_turn: float | None = None,
+) -> dict[str, Binding]:
     """Return the SI columns that a file with columns `found` offers, by SI name.
 
-    A file's own column whose name states its unit needs no mapping; one without a unit is left out.
+    A file's own column whose name states its unit needs no mapping; one without a unit is left out. Angles in
+    counts need `counts_per_turn`.
     """
     bindings: dict[str, Binding] = {}
     for ours, entry in wanted.items():
@@ -97,14 +124,15 @@ def bind(found: Sequence[str], wanted: Mapping[str, str | Foreign], where: str) 
                 f"{where} has no column '{foreign.name}' for {ours}{nearest(foreign.name, list(found))};"
                 f" it has {listed(found)}."
             )
-        _add(bindings, _binding(ours, foreign), where)
+        _add(bindings, _binding(ours, foreign, where, counts_per_turn), where)
     taken = {b.source for b in bindings.values()}
     for column in found:
         if column in taken or not (column == RUN or split_unit(column)[1]):
             continue
-        if si_name(column) in bindings and bindings[si_name(column)].source in _names(wanted):
+        own = _binding(column, Foreign(column), where, counts_per_turn)
+        if own.name in bindings and bindings[own.name].source in _names(wanted):
             continue  # the mapping, which somebody wrote, wins over the file's own name
-        _add(bindings, _binding(column, Foreign(column)), where)
+        _add(bindings, own, where)
     return bindings
 
 
@@ -119,10 +147,18 @@ def _names(wanted: Mapping[str, str | Foreign]) -> list[str]:
     return [entry if isinstance(entry, str) else entry.name for entry in wanted.values()]
 
 
-def _binding(ours: str, foreign: Foreign) -> Binding:
+def _binding(ours: str, foreign: Foreign, where: str, counts_per_turn: float | None) -> Binding:
     if ours == RUN:
         return Binding(RUN, foreign.name)
-    unit = require_unit(ours)
+    unit, (stem, _) = require_unit(ours), split_unit(ours)
+    if unit.si == "count" and "rad" in quantity(stem):
+        counts = foreign.counts_per_turn or counts_per_turn
+        if counts is None:
+            raise InputError(
+                f"Column '{foreign.name}' of {where} is an angle in counts; say how many make a turn with "
+                "--counts-per-turn 16384 (14 bits), or as counts_per_turn in the column file or meta.json."
+            )
+        return Binding(f"{stem}_rad", foreign.name, 2 * math.pi / counts * foreign.scale, 0.0, counts)
     return Binding(si_name(ours), foreign.name, unit.factor * foreign.scale, unit.offset)
 
 
@@ -140,7 +176,7 @@ def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
         require_unit(ours)
     if isinstance(entry, str):
         return Foreign(entry)
-    known = isinstance(entry, dict) and set(entry) <= {"name", "sign", "scale"}
+    known = isinstance(entry, dict) and set(entry) <= {"name", "sign", "scale", "counts_per_turn"}
     if not (known and isinstance(entry.get("name"), str)):
         raise InputError(
             f'Column file {path}: {ours} must be "Name" or {{name = "Name", sign = -1, scale = 1.0}}.'
@@ -149,7 +185,9 @@ def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
     number = isinstance(scale, int | float) and math.isfinite(scale) and scale != 0
     if sign not in (1, -1) or not number:
         raise InputError(f"Column file {path}: {ours} needs sign 1 or -1 and a finite scale other than zero.")
-    return Foreign(entry["name"], sign * float(scale))
+    counts = entry.get("counts_per_turn")
+    counts = None if counts is None else counts_in_turn(counts, f"Column file {path}: {ours}")
+    return Foreign(entry["name"], sign * float(scale), counts)
 
 
 def _positive(key: str, value: Any, path: str | Path) -> float:

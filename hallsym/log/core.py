@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -54,7 +54,8 @@ class Log:
                     f"Column {key} of {name} must be a vector as long as the others; it is {values.shape}."
                 )
         table = Table(Arrays(arrays), bind(tuple(arrays), {}, name), name)
-        return Log(table, noise or Noise(), meta or Meta(), notes=run_notes(table.bindings))
+        known = replace(meta or Meta(), columns=table.columns)
+        return Log(table, noise or Noise(), known, notes=run_notes(table.bindings))
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -96,6 +97,24 @@ def units(log: Log, spans: Spans) -> Iterator[Finding]:
         else:
             continue
         yield _unit(log, name, what, likely_unit(limit, extent))
+
+
+def counts(log: Log, spans: Spans) -> Iterator[Finding]:
+    """Readings in counts beyond what a turn has."""
+    for name, span in spans.overall.items():
+        turn = log.table.counts_per_turn(name)
+        if turn is None or not is_reading(name):
+            continue
+        low, high = (value * turn / (2 * math.pi) for value in (span.min, span.max))
+        one_sided, signed = (
+            low >= -0.5 and high <= turn + 0.5,
+            -0.5 * turn - 0.5 <= low and high <= 0.5 * turn + 0.5,
+        )
+        if not one_sided and not signed:
+            yield Finding(
+                f"{_the(log, name)} holds counts from {low:.6g} to {high:.6g} where a turn has {turn:.6g}",
+                True, remedy="check --counts-per-turn, and samples that are not readings",
+            )  # fmt: skip
 
 
 def short_runs(log: Log, scan: Scan) -> Iterator[Finding]:

@@ -35,13 +35,13 @@ LIMITS = (
     Limit(r"temperature\w*_degc", 500.0, "a machine warms", ("k",), 200.0, 200.0),
 )
 
-_READING = re.compile(r"(hall|col|v)_[a-z0-9]+_(m|v|t|count)")
+_READING = re.compile(r"(hall|col|v)_[a-z0-9]+_(m|v|t|count)|angle_rad")
 _REFERENCE = re.compile(r"([xyz]|r[xyz]|angle)_ref_(m|rad)")
 _POSE = re.compile(r"(z|r[xy])_(m|rad)")
 
 
 def is_reading(column: str) -> bool:
-    """Say whether a column is a sensor's reading (`hall_a_m`, `col_3_v`, `v_sin_v`)."""
+    """Say whether a column is a sensor's reading (`hall_a_m`, `col_3_v`, `v_sin_v`, `angle_rad`)."""
     return bool(_READING.fullmatch(column))
 
 

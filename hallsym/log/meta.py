@@ -32,6 +32,8 @@ class Meta:
     sampling_clock_s: float | None = None
     noise_1sigma: dict[str, float] = field(default_factory=dict)
     raw: dict[str, Any] = field(default_factory=dict)
+    columns: tuple[str, ...] = ()
+    """SI columns of the log it belongs to, which say in what form the sensor was read."""
 
     @staticmethod
     def from_dict(raw: Mapping[str, Any], where: str = "meta") -> Meta:

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from hallsym.errors import InputError
 from hallsym.files import reason
 from hallsym.log.check import clean_log
-from hallsym.log.columns import RUN, ColumnFile, Foreign, bind, listed, read_column_file
+from hallsym.log.columns import (
+    RUN,
+    ColumnFile,
+    Foreign,
+    bind,
+    counts_in_turn,
+    listed,
+    read_column_file,
+)
 from hallsym.log.core import Log, run_notes
 from hallsym.log.format_csv import CsvSource
 from hallsym.log.formats import FORMATS, format_of
@@ -26,6 +35,7 @@ def read_log(
     delimiter: str | None = None,
     drop_bad: bool = False,
     noise: Mapping[str, float] | None = None,
+    counts_per_turn: float | None = None,
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
@@ -33,6 +43,7 @@ def read_log(
     `columns` maps our name, ending with the unit the foreign column is in, to the foreign name:
     `{"hall_a_um": "HallA"}` gives the SI column `hall_a_m`. A column file (TOML) says the same and may give
     noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
+    `counts_per_turn`: of angles in counts (`{"angle_count": "raw"}`); it wins in the same way.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
     file, folder = _locate(Path(path))
@@ -40,13 +51,20 @@ def read_log(
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
-    table = Table(source, bind(source.names, wanted, str(file)), str(file))
+    counts = (
+        counts_per_turn
+        if counts_per_turn is not None
+        else stated.counts_per_turn or meta.raw.get("counts_per_turn")
+    )
+    turn = None if counts is None else counts_in_turn(counts, str(file))
+    table = Table(source, bind(source.names, wanted, str(file), turn), str(file))
     if not any(name != RUN for name in table.columns):
         raise InputError(
             f"{file} has no column whose name ends with a unit, such as hall_a_m; it has"
             f" {listed(source.names)}; map them with --column hall_a_um=ITS_NAME."
         )
     known = _noise(meta, stated, noise or {}, table)
+    meta = replace(meta, columns=table.columns)
     log = Log(table, known, meta, file, run_notes(table.bindings))
     return clean_log(log) if drop_bad else log
 
@@ -92,7 +110,7 @@ def _open(file: Path, format: str | None, delimiter: str | None) -> Source:
 def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:
     """Let a mapping use a column's long name (`log.HallA`) as well as its short one."""
     entries = {ours: Foreign(e) if isinstance(e, str) else e for ours, e in wanted.items()}
-    return {ours: Foreign(source.aliases.get(e.name, e.name), e.scale) for ours, e in entries.items()}
+    return {ours: replace(e, name=source.aliases.get(e.name, e.name)) for ours, e in entries.items()}
 
 
 def _noise(meta: Meta, stated: ColumnFile, given: Mapping[str, float], table: Table) -> Noise:

@@ -119,6 +119,10 @@ class Table:
         """Return the name that an SI column has in the file."""
         return self.bindings[column].source if column in self.bindings else column
 
+    def counts_per_turn(self, column: str) -> float | None:
+        """Return how many counts of the file make a turn, for an angle in counts."""
+        return self.bindings[column].counts_per_turn if column in self.bindings else None
+
     def _any(self) -> str:
         return self.source.names[0]
 
@@ -196,6 +200,10 @@ class Filtered:
     def source_name(self, column: str) -> str:
         """Return the name that an SI column has in the file."""
         return self.table.source_name(column)
+
+    def counts_per_turn(self, column: str) -> float | None:
+        """Return how many counts of the file make a turn, for an angle in counts."""
+        return self.table.counts_per_turn(column)
 
 
 TableLike = Table | Filtered

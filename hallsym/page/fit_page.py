@@ -21,7 +21,7 @@ from hallsym.passes import cost_near
 from hallsym.plots.names import name
 from hallsym.plots.survey import Decode
 from hallsym.tables import evidence
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
@@ -38,7 +38,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
     Raises `InputError` for a log that lacks the model's columns.
     """
     same = log.sha256 == fit.to_dict()["log"]["sha256"]
-    log = rewired(log, fit.model.channels, fit.wiring)
+    log = as_read(log, fit.model, fit.wiring)
     fit = fit if same else _elsewhere(log, fit)
     found = gather(log, {"decoded": fit})
     if same and _above_recorded(found, fit):
@@ -147,7 +147,8 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
 def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> Markup:
     drawn = {label: (LOOKS[label], gap) for label, gap in rows.items()}
     note = "Dashed line: noise floor. "
-    note += "Designed: nominal parameters, no zero deviations. " if same else ""
+    none = ", no zero deviations" if fit.model.zeros else ""
+    note += f"Designed: nominal parameters{none}. " if same else ""
     note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
     return join(
         [

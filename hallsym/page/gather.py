@@ -163,14 +163,19 @@ def _maps(fit: Fit, survey: Survey) -> list[_Map]:
 
 
 def _along(column: str, reach: Sequence[float], fit: Fit, fine: np.ndarray) -> _Map:
-    edges = np.linspace(reach[0], reach[1], ALONG + 1)
+    turn = fit.model.period.get(column, np.inf)
+    goes_round = reach[1] - reach[0] > turn  # one map of all turns
+    edges = np.linspace(0.0, turn, ALONG + 1) if goes_round else np.linspace(reach[0], reach[1], ALONG + 1)
     factor, unit = scale(column, float(np.abs(edges).max()))
     by, pose = f"{_name(column)} [{unit}]", fit.model.pose
 
     def named(tally: Tally) -> Cells:
         return Cells(by, pose, tally.count, tally.median, tally.rms, edges=factor * edges)
 
-    return _Map(lambda block: _cell(block.data[column], edges), Tally(ALONG, fine), named)
+    def place(block: Block) -> np.ndarray:
+        return _cell(np.mod(block.data[column], turn) if goes_round else block.data[column], edges)
+
+    return _Map(place, Tally(ALONG, fine), named)
 
 
 def _plane(columns: Sequence[str], reach: Mapping[str, Sequence[float]], fit: Fit, fine: np.ndarray) -> _Map:

@@ -27,7 +27,7 @@ from hallsym.plots.saving import SUFFIXES, save_figures
 from hallsym.plots.style import DPI, STYLE, WIDTH
 from hallsym.plots.survey import Survey, look_over
 from hallsym.plots.trace import COLUMNS, Trace
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 __all__ = [
     "COLUMNS",
@@ -66,7 +66,7 @@ def save_pictures(
     `suffixes`: any of png, pdf, svg. The log is read twice, in blocks.
     """
     steps = dict(steps or {})
-    log = rewired(log, fit.model.channels, fit.wiring)
+    log = as_read(log, fit.model, fit.wiring)
     survey = cache(lambda: look_over(log, fit, keep))  # once, and only when the folder is there
     return save_figures(
         {

@@ -77,12 +77,14 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
     finer = ", ".join(">10000" if ratio > 1e4 else short(float(f"{ratio:.2g}")) for ratio in ratios)
     for ax in axes[-1]:
         label_x(ax, _campaign_label(survey))
-    for ax, title in zip(
-        axes[0], ("Designed parameters, no zero deviations", f"Fitted; scales {finer} × finer"), strict=True
-    ):
+    for ax, title in zip(axes[0], (_designed_words(fit), f"Fitted; scales {finer} × finer"), strict=True):
         ax.set_title(f"{title}\n{ax.get_title('left')}", loc="left", linespacing=1.6)
     _campaign_legend(figure, fit, survey, solid)
     return figure
+
+
+def _designed_words(fit: Fit) -> str:
+    return "Designed parameters" + (", no zero deviations" if fit.model.zeros else "")
 
 
 def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> bool:

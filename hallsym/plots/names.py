@@ -13,6 +13,8 @@ _PREFIXES = ("n", "µ", "m", "")
 _MOST = {"µ": 2e4, "m": 500.0}
 """Values above this are shown with the next larger prefix, below `_LEAST` with the next smaller one."""
 _LEAST = 0.02
+_SMALL_DEG = 0.5
+"""Degrees up to this are shown in mdeg."""
 
 
 def name(column: str) -> str:
@@ -36,6 +38,8 @@ def scale(column: str, largest: float) -> tuple[float, str]:
     factor, shown = readable(column)[0], unit(column)
     if factor == 1.0:
         return factor, shown
+    if shown == "deg":
+        return (1e3 * factor, "mdeg") if 0 <= largest * factor <= _SMALL_DEG else (factor, shown)
     prefix, base = shown[0], shown[1:]
     if 0 <= largest * factor <= _LEAST and prefix == "µ":
         return 1e3 * factor, "n" + base

@@ -12,6 +12,7 @@ from hallsym.computed import extended
 from hallsym.decoding import ErrorTable, columns_of, decoder
 from hallsym.log import Block, Log
 from hallsym.plots.trace import Trace
+from hallsym.turning import designed, near
 
 
 @dataclass
@@ -71,12 +72,14 @@ class Decode:
         return np.asarray(delta) / np.asarray(self.model.gain(self.fit.values, first_state)).ravel()
 
     def __call__(self, block: Block, zeros: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose by the designed and by the fitted model."""
+        """Return the pose by the designed and by the fitted model; `block` holds the references too."""
         readings, state = (
             [block.data[c] for c in names] for names in (self.model.channels, self.model.state)
         )
-        designed = self.run(self.model.nominal, np.zeros_like(zeros), readings, state)
-        return designed, self.run(self.fit.values, zeros, readings, state)
+        reference = np.array([block.data[c] for c in self.model.references])
+        before = self.run(designed(self.model, self.fit.values), np.zeros_like(zeros), readings, state)
+        after = self.run(self.fit.values, zeros, readings, state)
+        return near(self.model, before, reference), near(self.model, after, reference)
 
 
 def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
@@ -91,8 +94,8 @@ def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
     wide = extended(log, model, sigma, model.named(fit.values))
     for block in wide.blocks(columns, size=SIZE):
         reference = np.array([block.data[c] for c in model.references])
-        state = np.array([block.data[c] for c in model.state]).reshape(len(model.state), -1)
         n = reference.shape[1]
+        state = np.array([block.data[c] for c in model.state]).reshape(len(model.state), n)
         kept = np.ones(n, dtype=bool) if keep is None else keep(block) > 0
         if block.run not in runs:
             runs[block.run] = _Run(total, state[:, 0], decode.zeros(block.run, state[:, 0]))

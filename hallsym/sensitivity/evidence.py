@@ -18,7 +18,7 @@ from hallsym.model import Model
 from hallsym.passes import cost_near
 from hallsym.sensitivity.workspace import Workspace, visited
 from hallsym.twin import simulate
-from hallsym.wiring import rewired
+from hallsym.wiring import as_read
 
 MOVED = 5.0
 """Standard uncertainties by which another log may move a parameter before the report says so."""
@@ -132,7 +132,7 @@ def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:
             f"The probes in the meta.json of {log.name} are not those of the calibration: another machine, "
             "or another layout; fit this log by itself."
         )
-    log = rewired(log, model.channels, known.wiring)
+    log = as_read(log, model, known.wiring)
     if own:
         log = replace(log, noise=log.noise.merged(known.noise))
     again = fit(

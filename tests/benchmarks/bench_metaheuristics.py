@@ -162,6 +162,7 @@ METHODS = {
     "SHTLBO, decline": lambda: ours("shtlbo"),
     "SHTLBO, success": lambda: ours("shtlbo", p_rule="success"),
     "PSO": lambda: ours("pso"),
+    "modified PSO": lambda: ours("mpso"),
     "scipy DE": scipy_de,
     "CMA-ES": cma_es,
     "mealpy TLBO": mealpy_tlbo,

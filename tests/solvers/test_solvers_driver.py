@@ -179,7 +179,10 @@ def test_seed_may_be_a_generator():
 
 
 MISUSE = {
-    "unknown solver": (lambda p: minimize(p, "tblo", seed=0), "one of tlbo, gbtlbo, shtlbo, pso; .* 'tblo'"),
+    "unknown solver": (
+        lambda p: minimize(p, "tblo", seed=0),
+        "one of tlbo, gbtlbo, shtlbo, pso, mpso; .* 'tblo'",
+    ),
     "unknown bounds": (lambda p: minimize(p, seed=0, bounds="wrap"), "one of reflect, clip"),
     "unknown option": (lambda p: minimize(p, seed=0, prule=1), "among p_rule, p_start, p_limits"),
     "no options": (lambda p: minimize(p, "tlbo", seed=0, p_rule="decline"), "nothing: it has none"),

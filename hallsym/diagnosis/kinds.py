@@ -1,0 +1,38 @@
+"""How each family of sensors is diagnosed: its catalogue, and where on it a residual may live."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hallsym.diagnosis import rotary_catalogue, stage_catalogue
+from hallsym.diagnosis.effect import Effect
+from hallsym.errors import InputError
+from hallsym.families import rotary_effects
+from hallsym.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """What a family gives to the diagnosis: the effects it may have.
+
+    `direct`: the model as it is cheapest to evaluate. `pairs`: whether a flexible effect is held against
+    pairs of plain ones (`plainer.plain_pairs`). `most`: effects that are added at most.
+    """
+
+    catalogue: tuple[Effect, ...]
+    direct: Callable[[Model], Model] = lambda model: model
+    pairs: bool = False
+    most: int = 3
+
+
+KINDS = {
+    "stage": Kind(stage_catalogue.CATALOGUE),
+    "rotary": Kind(rotary_catalogue.CATALOGUE, rotary_effects.direct, pairs=True, most=6),
+}
+
+
+def kind_of(model: Model) -> Kind:
+    """Return how `model` is diagnosed; raises `InputError` for a family that cannot be yet."""
+    if model.family not in KINDS:
+        known = " and ".join(KINDS)
+        raise InputError(f"Model {model.name} has no catalogue of effects yet; only {known} models have.")
+    return KINDS[model.family]

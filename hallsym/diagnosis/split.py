@@ -1,0 +1,38 @@
+"""A recording of one or two runs, taken to pieces that can be held out: an encoder's turn, a table of knots.
+
+Only for models whose runs have nothing of their own (no zeros): any piece then judges a fit of the others.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from hallsym.log import Log
+
+PIECES = 20
+"""Pieces of a recording: every second is held out, so that ten are fitted and held against each other."""
+FEWEST = 40
+"""Samples that a recording must have to be taken to pieces."""
+BLOCK = 4
+"""Knots that stay together. Every second is held out, the other ones in the next block, so that a pattern of
+two or four knots (a stepper's) is seen on both sides."""
+TIME = "t_s"
+
+
+def split(log: Log) -> tuple[Log, tuple[int, ...]]:
+    """Return the log in pieces as runs, with a note that says how it was done, and the pieces to hold out.
+
+    With time, pieces are stretches of it, every second held out. Without, samples are knots: every second is
+    held out, and a counter stands for the time that the log does not have.
+    """
+    n, timed = log.rows, TIME in log.columns
+    at, held = np.arange(n), tuple(range(1, PIECES, 2))
+    piece = at * PIECES // n if timed else 2 * (at // (2 * BLOCK) % (PIECES // 2)) + (at + at // BLOCK) % 2
+    order = np.argsort(piece, kind="stable")
+    columns = {c: log.array(c)[order] for c in log.columns if c != "run"}
+    columns = {TIME: at.astype(float)} | columns | {"run": piece[order]}
+    how = f"{PIECES} stretches of time" if timed else f"single knots in {PIECES} groups"
+    short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
+    many = f"{len(log.runs)} run{'s' if len(log.runs) > 1 else ''}"
+    note = f"{many} cannot be held out whole: taken as {how}, every second held out."
+    return replace(short, notes=(*log.notes, note)), held

@@ -1,0 +1,131 @@
+"""Columns that repeat, such as angles: a reference without jumps, and readings on its branch.
+
+A model says which of its columns repeat and with which period (`Model.period`). A reading that is half a
+period or less from its reference, give or take one constant for the whole log (the zero is free), is then
+continuous wherever the reference turns, however often, and a residual is an ordinary number.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hallsym.log import Log
+from hallsym.log.columns import RUN
+from hallsym.model import Model
+
+CHUNK = 65_536
+
+
+def wrapped(values: np.ndarray, period: float) -> np.ndarray:
+    """Return values moved by whole periods to -period / 2 .. period / 2, same shape."""
+    return values - period * np.round(values / period)
+
+
+def nearest_turn(model: Model, p: np.ndarray) -> np.ndarray:
+    """Return parameters (n,) with those that repeat within half a period of zero."""
+    out = np.array(p, dtype=float)
+    for k, name in enumerate(model.names):
+        if name in model.period:
+            out[k] = wrapped(out[k], model.period[name])
+    return out
+
+
+def designed(model: Model, p: np.ndarray) -> np.ndarray:
+    """Return nominal parameters (n,), what repeats as in `p`: a zero is mounting, which no drawing states."""
+    return np.where([name in model.period for name in model.names], p, model.nominal)
+
+
+def near(model: Model, pose: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return a decoded pose (n_pose, samples) on the branch of its reference, where a coordinate repeats."""
+    out = np.array(pose, dtype=float)
+    for k, coordinate in enumerate(model.pose):
+        if coordinate in model.period:
+            out[k] = reference[k] + wrapped(out[k] - reference[k], model.period[coordinate])
+    return out
+
+
+def continuous(log: Log, model: Model) -> Log:
+    """Return the log with the columns of `model` that repeat made continuous; the log itself if none do.
+
+    References are unwrapped along each run. A channel that repeats is brought next to the first reference,
+    less the circular mean of their difference over the log.
+    """
+    references = {c: model.period[c] for c in model.references if c in model.period}
+    channels = {c: model.period[c] for c in model.channels if c in model.period}
+    if (not references and not channels) or isinstance(log.table, _Continuous):
+        return log
+    log.table.require((*references, *channels))
+    along = next(iter(references), None)
+    middle = _middles(log, channels, along) if along else {}
+    table: Any = _Continuous(log.table, references, channels if along else {}, along, middle)
+    return replace(log, table=table)
+
+
+def _middles(log: Log, channels: Mapping[str, float], along: str) -> dict[str, float]:
+    """Circular mean of channel - reference over the log, by channel."""
+    sums = dict.fromkeys(channels, 0j)
+    if not channels:
+        return {}
+    for piece in log.table.pieces((*channels, along), CHUNK):
+        for c, period in channels.items():
+            turn = 2j * np.pi / period * (piece[c] - piece[along])
+            sums[c] += np.exp(turn[np.isfinite(turn)]).sum()
+    return {c: float(np.angle(total)) * channels[c] / (2 * np.pi) for c, total in sums.items()}
+
+
+class _Continuous:
+    """The table of a log whose repeating columns are continuous."""
+
+    def __init__(
+        self,
+        table: Any,
+        references: Mapping[str, float],
+        channels: Mapping[str, float],
+        along: str | None,
+        middle: Mapping[str, float],
+    ) -> None:
+        self.table, self.references, self.channels = table, references, channels
+        self.along, self.middle = along, middle
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.table, name)
+
+    def pieces(self, columns: Sequence[str], size: int) -> Iterator[dict[str, np.ndarray]]:
+        needs: dict[str, None] = dict.fromkeys(columns)
+        if any(c in self.references or c in self.channels for c in columns):
+            needs |= {RUN: None}
+        if self.along and any(c in self.channels for c in columns):
+            needs |= {self.along: None}
+        last: dict[str, tuple[int, float]] = {}
+        for piece in self.table.pieces(tuple(needs), size):
+            done = {
+                c: v if c not in self.references else self._unwrapped(c, piece, last)
+                for c, v in piece.items()
+            }
+            for c in columns:
+                if c in self.channels:
+                    base, period = done[str(self.along)] + self.middle[c], self.channels[c]
+                    done[c] = base + wrapped(piece[c] - base, period)
+            yield {c: done[c] for c in columns}
+
+    def _unwrapped(
+        self, column: str, piece: Mapping[str, np.ndarray], last: dict[str, tuple[int, float]]
+    ) -> np.ndarray:
+        """Return a reference without jumps of a period, run by run, going on from the piece before."""
+        values, run, period = piece[column], piece[RUN], self.references[column]
+        out = np.array(values, dtype=float)
+        edges = [0, *(np.flatnonzero(run[1:] != run[:-1]) + 1).tolist(), len(run)]
+        for start, stop in pairwise(edges):
+            if stop == start:
+                continue
+            part = np.unwrap(out[start:stop], period=period)
+            if last.get(column, (None, 0.0))[0] == run[start]:
+                before = last[column][1]
+                part = part + (before + wrapped(out[start] - before, period)[()] - out[start])
+            out[start:stop] = part
+        if len(run):
+            last[column] = (int(run[-1]), float(out[-1]))
+        return out
