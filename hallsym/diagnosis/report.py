@@ -9,6 +9,7 @@ import numpy as np
 from hallsym.calibration import Fit
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
+from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.price import price
 from hallsym.diagnosis.ranking import by_name, distance
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation
@@ -33,6 +34,8 @@ CLOSE_SECOND = 0.9
 """Part of what the best explains from which on another effect is listed behind it."""
 EITHER = ("sign_inversion", "channel_swap")
 """Faults of the wiring that an angle read from two channels cannot tell apart."""
+REASON = 20.0
+"""Difference of BIC from which on parameters that are not needed tell an effect from a plainer one."""
 SMALL = 0.01
 """Significance, corrected for the catalogue, of a smaller finding."""
 
@@ -249,7 +252,12 @@ def _groups(search: Search, inflation: float) -> tuple[list[tuple[str, ...]], li
         one = found.exact
         N = float(one.fit.tangents.count[one.fit.fitted].sum()) * len(one.fit.base.model.channels)
         limit = APART * max(one.fit.cost / N, 1e-12) * inflation
-        close = [(r, distance(one.fit, r.fit)) for r in found.rivals if r.fit.cost - one.fit.cost < limit]
+        rivals = found.rivals
+        if kind_of(
+            one.fit.base.model
+        ).pairs:  # more parameters, for which the log gives no reason, are no rival
+            rivals = [r for r in rivals if r.bic - one.bic < REASON]
+        close = [(r, distance(one.fit, r.fit)) for r in rivals if r.fit.cost - one.fit.cost < limit]
         close = [(r, d) for r, d in close if d < limit][:3]
         if not close:
             continue
