@@ -126,8 +126,7 @@ def off_axis(effect: str, direction_rad: float, tilted: bool = False) -> Make:
     chip from the magnet's axis: curl B = 0 leaves one curvature a, and the last one, c conj(w)^2, vanishes
     for a dipole. A chip at S exp(i direction) and a magnet at M make w = S exp(i (direction - u)) - M, which
     gives harmonics 2 and 0 by their product and -1 by the chip alone. A `tilted` magnet gives the same with
-    other shares of both parts of harmonic 0, which sum to 1 and are free within bounds: without harmonic 2
-    there is no harmonic 0.
+    other shares of both parts of harmonic 0, free within bounds: without harmonic 2 there is none.
     """
 
     def make(model: Model) -> Model:
@@ -136,15 +135,17 @@ def off_axis(effect: str, direction_rad: float, tilted: bool = False) -> Make:
 
         def step(s: Signals, p: P) -> None:
             re, im, chip = (p[n] for n in names)
-            a = p["share"] if tilted else ca.SX(1)
-            b = 1 - a if tilted else ca.SX(1)
+            a, b = (p["mirrored"], p["turned"]) if tilted else (ca.SX(1), ca.SX(1))
             _harmonic(s, 2, re, im)
             _harmonic(s, 0, a * re + b * (re * cos - im * sin), -a * im + b * (re * sin + im * cos))
             _harmonic(s, -1, chip * cos, chip * sin)
 
         new = _free(names, 0.5, "1", "field off the axis")
         if tilted:
-            new += (Parameter("share", 0.5, -2.0, 3.0, "1", "part of harmonic 0 that mirrors harmonic 2"),)
+            shares = ("mirrored", "turned")
+            new += tuple(
+                Parameter(n, 0.5, -2.0, 3.0, "1", "part of harmonic 2 in harmonic 0") for n in shares
+            )
         return _add(model, "mechanics", effect, new, step)
 
     return make
