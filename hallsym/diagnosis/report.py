@@ -117,7 +117,9 @@ def report(
         remainder = gap if now is start else located(now, log.runs)
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, effects, groups, before.metric, left, floor_metric),
+        sentence=_sentence(
+            verdict, effects, groups, before.metric, left, floor_metric, unit_of(result.model)
+        ),
         noise_floor={**floor, "source": _source(result)},
         gap_before=before.gap(),
         gap_after=gap_after,
@@ -298,6 +300,11 @@ def _smaller(search: Search) -> list[dict[str, Any]]:
     return out
 
 
+def unit_of(model: Model) -> tuple[float, str]:
+    """Return factor and unit in which a person reads the gap metric."""
+    return (1e6, "um") if any(c.endswith("_m") for c in model.pose) else (180 / np.pi, "deg")
+
+
 def _sentence(
     verdict: str,
     effects: Sequence[FoundEffect],
@@ -305,17 +312,20 @@ def _sentence(
     before: float,
     left: float,
     floor: float,
+    unit: tuple[float, str],
 ) -> str:
+    size, name = unit
     times = before / max(floor, 1e-300)
-    said = f"The gap on the held-out runs is {1e6 * before:.3g} um, {times:.3g} x the noise floor"
+    said = f"The gap on the held-out runs is {size * before:.3g} {name}, {times:.3g} x the noise floor"
     if verdict == "no gap":
         what = "is what noise leaves" if before <= floor * (1 + ALLOWANCE) else "holds no gap worth reporting"
-        return f"No gap: {1e6 * before:.3g} um on the held-out runs {what} (noise: {1e6 * floor:.3g} um)."
+        noise = f"{size * floor:.3g} {name}"
+        return f"No gap: {size * before:.3g} {name} on the held-out runs {what} (noise: {noise})."
     if not effects:
         return f"{said}; no known effect explains it."
     named = " and ".join(next((" or ".join(g) for g in groups if e.name in g), e.name) for e in effects)
     rest = "" if verdict == "explained" else ", and the rest has no known cause"
-    return f"{said}; {named} brings it to {1e6 * left:.3g} um{rest}."
+    return f"{said}; {named} brings it to {size * left:.3g} {name}{rest}."
 
 
 def _cures(fault: Fault) -> float:

@@ -85,6 +85,9 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
         at = np.flatnonzero(piece.used)[::stride]
         data = {c: v[at] for c, v in piece.data.items()}
         for c in model.references:
+            if c in model.period:
+                data["turn_rad"] = data[f"d0_{c}"] % model.period[c]
+                data["turning_rad_s"] = data[f"d1_{c}"]
             data[f"d0_{c}"] = _moved(data[f"d0_{c}"], base.sigma.get(c, 0.0))
         smooth = [data[f"d0_{c}"] for c in model.references]
         (felt,) = read(base.p, base.zeros.get(piece.run, none), smooth, [data[c] for c in model.state])
@@ -167,6 +170,20 @@ COORDINATES = (
     Coordinate("time since the start of the run", "run_s", "s", gain=False),
 )
 """From the most telling to the least: of two that explain the same the first is named."""
+
+TURNING = (
+    Coordinate("temperature", "temperature_degc", "degC"),
+    Coordinate("place in the turn", "turn_rad", "rad", gain=False),
+    Coordinate("speed", "turning_rad_s", "rad/s"),
+    Coordinate("time in the campaign", "campaign_s", "s"),
+    Coordinate("time since the start of the run", "run_s", "s", gain=False),
+)
+"""The same for what goes round."""
+
+
+def coordinates_of(r: Residue) -> tuple[Coordinate, ...]:
+    """Return what the residual may go with."""
+    return TURNING if "turn_rad" in r.columns else COORDINATES
 
 
 def knots(x: np.ndarray) -> np.ndarray:

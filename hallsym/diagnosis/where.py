@@ -12,7 +12,7 @@ import numpy as np
 
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.record import Statement
-from hallsym.diagnosis.residue import COORDINATES, Residue, residue
+from hallsym.diagnosis.residue import Residue, coordinates_of, residue
 from hallsym.diagnosis.smooth import NO_ORDER, Curve, FineMap, Smooth, own_gains
 from hallsym.diagnosis.tangent import Base
 
@@ -38,7 +38,10 @@ ROUGH = 0.4
 """Part of a fine map's power that is short against the range, from which on it counts as fine structure."""
 CLIP = 9.0
 """Whitened square per reading at which a sample stops counting when runs are compared."""
-PLACES = ("the reading itself", "place in the stroke of x", "place in the stroke of y", "rotation Rz")
+PLACES = (
+    "the reading itself", "place in the stroke of x", "place in the stroke of y", "rotation Rz",
+    "place in the turn",
+)  # fmt: skip
 UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s")}
 """How places are shown to a person."""
 
@@ -95,8 +98,9 @@ def _means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 def _coordinates(r: Residue) -> tuple[list[Statement], list[Curve]]:
     """Coordinates one after the other, each with what it explains beyond those before."""
-    tried: list[Smooth | FineMap] = [Smooth(r, c) for c in COORDINATES]
-    tried += [FineMap(r, c) for c in COORDINATES if c.name in PLACES]
+    coordinates = coordinates_of(r)
+    tried: list[Smooth | FineMap] = [Smooth(r, c) for c in coordinates]
+    tried += [FineMap(r, c) for c in coordinates if c.name in PLACES]
     tried = [t for t in tried if t.values is not None]
     count, excess = len(tried) + 1, r.excess
     statements: list[Statement] = []
@@ -151,6 +155,8 @@ def _statement(r: Residue, c: Curve, share: float, p: float, further: bool) -> S
 
 def _form(r: Residue, c: Curve) -> str:
     """Whether the gain follows the coordinate or the reading as such, or with which period."""
+    if c.coordinate.column == "turn_rad":
+        return _waves(r, c)
     if c.fine:
         period = _period(c)
         if period:
@@ -169,6 +175,20 @@ def _form(r: Residue, c: Curve) -> str:
     level = c.offset - c.offset.mean(axis=1, keepdims=True)
     gain, offset = float((along**2).mean()), float((level**2).mean())
     return " (the gain)" if gain > 4 * offset else " (the offset)" if offset > 4 * gain else ""
+
+
+def _waves(r: Residue, c: Curve) -> str:
+    """Waves of angle error per turn that hold most of a curve over the turn, the largest first."""
+    if len(r.channels) == 2:  # along the turn of the two voltages
+        y, x = r.felt - r.felt.mean(axis=1, keepdims=True)
+        error = (x * c.predicted[0] - y * c.predicted[1]) / (x**2 + y**2)
+    else:
+        error = c.predicted[0]
+    at, orders = c.values, np.arange(1, 105)
+    power = np.array([abs(np.mean((error - error.mean()) * np.exp(-1j * n * at))) for n in orders]) ** 2
+    most = orders[np.argsort(-power)[:3]]
+    said = [n for n in most if power[n - 1] > 0.1 * power.sum()]
+    return f", {' and '.join(map(str, said))} waves per turn" if said else ""
 
 
 def _period(c: Curve) -> float | None:
