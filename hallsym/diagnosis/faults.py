@@ -93,14 +93,24 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
         whiten = np.linalg.inv(base.covariance)
         power = float(np.diag(whiten) @ steps**2) / 12 / len(steps)
         fine = {
-            f"step_{c}": Estimate(float(q), None, "m")
+            f"step_{c}": Estimate(float(q), None, _unit(c))
             for c, q in zip(base.model.channels, steps, strict=True)
         }
         out.append(
-            Fault("adc_quantisation", "electronics", f"readings come in steps of {1e6 * steps.max():.3g} um",
+            Fault("adc_quantisation", "electronics", _steps(base.model.channels, steps),
                   power / variance, fine, found.step_p)
         )  # fmt: skip
     return sorted(out, key=lambda f: -f.power)
+
+
+def _unit(channel: str) -> str:
+    return {"v": "V"}.get(channel.rpartition("_")[2], channel.rpartition("_")[2])
+
+
+def _steps(channels: Sequence[str], steps: np.ndarray) -> str:
+    unit = _unit(channels[int(np.argmax(steps))])
+    factor, name = {"V": (1e3, "mV"), "rad": (1e6, "urad")}.get(unit, (1e6, "um"))
+    return f"readings come in steps of {factor * steps.max():.3g} {name}"
 
 
 def without_tail(base: Base) -> Weigh:

@@ -9,6 +9,7 @@ import numpy as np
 from hallsym.calibration import Fit, added_effects
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.faults import TAILS, Fault, faults, wiring_p, wirings, without_tail
+from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.price import price
 from hallsym.diagnosis.ranking import Exact, by_name, distance
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation
@@ -36,6 +37,8 @@ Of a gap of twice the floor a tenth of the excess is 14 % above the floor: what 
 own, and the verdict says so."""
 EITHER = ("sign_inversion", "channel_swap")
 """Faults of the wiring that an angle read from two channels cannot tell apart."""
+REASON = 20.0
+"""Difference of BIC from which on parameters that are not needed tell an effect from a plainer one."""
 SMALL = 0.01
 """Significance, corrected for the catalogue, of a smaller finding."""
 SMALLEST = 0.1
@@ -120,7 +123,9 @@ def report(
         remainder = gap if now is start else located(now, log.runs, search.scores_at(now))
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, effects, groups, before.metric, left, floor_metric),
+        sentence=_sentence(
+            verdict, effects, groups, before.metric, left, floor_metric, unit_of(result.model)
+        ),
         noise_floor={**floor, "source": _source(result)},
         gap_before=before.gap(),
         gap_after=gap_after,
@@ -317,7 +322,10 @@ def _groups(search: Search, inflation: float) -> tuple[list[tuple[str, ...]], li
     for found in search.found:
         one = found.exact
         limit = _limit(one, inflation)
-        close = [(r, distance(one.fit, r.fit)) for r in _standing(found, inflation)]
+        rivals = _standing(found, inflation)
+        if kind_of(one.fit.base.model).pairs:  # parameters for which the log gives no reason make no rival
+            rivals = [r for r in rivals if r.bic - one.bic < REASON]
+        close = [(r, distance(one.fit, r.fit)) for r in rivals]
         close = [(r, d) for r, d in close if d < limit][:3]
         if not close:
             continue
@@ -374,6 +382,11 @@ def _smaller(search: Search) -> list[dict[str, Any]]:
     return out
 
 
+def unit_of(model: Model) -> tuple[float, str]:
+    """Return factor and unit in which a person reads the gap metric."""
+    return (1e6, "um") if any(c.endswith("_m") for c in model.pose) else (180 / np.pi, "deg")
+
+
 def _sentence(
     verdict: str,
     effects: Sequence[FoundEffect],
@@ -381,17 +394,20 @@ def _sentence(
     before: float,
     left: float,
     floor: float,
+    unit: tuple[float, str],
 ) -> str:
+    size, name = unit
     times = before / max(floor, 1e-300)
-    said = f"The gap on the held-out runs is {1e6 * before:.3g} um, {times:.3g} x the noise floor"
+    said = f"The gap on the held-out runs is {size * before:.3g} {name}, {times:.3g} x the noise floor"
     if verdict == "no gap":
         what = "is what noise leaves" if before <= floor * (1 + ALLOWANCE) else "holds no gap worth reporting"
-        return f"No gap: {1e6 * before:.3g} um on the held-out runs {what} (noise: {1e6 * floor:.3g} um)."
+        noise = f"{size * floor:.3g} {name}"
+        return f"No gap: {size * before:.3g} {name} on the held-out runs {what} (noise: {noise})."
     if not effects:
         return f"{said}; no known effect explains it."
     named = " and ".join(next((" or ".join(g) for g in groups if e.name in g), e.name) for e in effects)
     rest = "" if verdict == "explained" else ", and the rest has no known cause"
-    return f"{said}; {named} brings it to {1e6 * left:.3g} um{rest}."
+    return f"{said}; {named} brings it to {size * left:.3g} {name}{rest}."
 
 
 def _cures(fault: Fault) -> float:

@@ -90,6 +90,9 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
         at = np.flatnonzero(piece.used)[::stride]
         data = {c: v[at] for c, v in piece.data.items()}
         for c in model.references:
+            if c in model.period:
+                data["turn_rad"] = data[f"d0_{c}"] % model.period[c]
+                data["turning_rad_s"] = data[f"d1_{c}"]
             data[f"d0_{c}"] = moved(data[f"d0_{c}"], base.sigma.get(c, 0.0))
         smooth = [data[f"d0_{c}"] for c in model.references]
         (felt,) = read(base.p, base.zeros.get(piece.run, none), smooth, [data[c] for c in model.state])
@@ -169,11 +172,23 @@ TURN = 2 * np.pi
 """An angle that goes further than this is taken within the turn."""
 
 
+TURNING = (
+    Coordinate("temperature", "temperature_degc", "degC"),
+    Coordinate("place in the turn", "turn_rad", "rad", gain=False, fine=True),
+    Coordinate("speed", "turning_rad_s", "rad/s"),
+    Coordinate("time in the campaign", "campaign_s", "s"),
+    Coordinate("time since the start of the run", "run_s", "s", gain=False),
+)
+"""What the residual of a sensor that goes round may go with."""
+
+
 def coordinates(r: Residue) -> tuple[Coordinate, ...]:
     """Return what the residual of a model may go with: from the most telling to the least.
 
     Of two that explain the same the first is named.
     """
+    if "turn_rad" in r.columns:
+        return TURNING
     states = [Coordinate(NAMES.get(c, readable(c)[2].replace("_", " ")), c, _unit(c)) for c in r.state]
     reading = _unit(r.channels[0])
     together = TOGETHER.get(r.state, ", ".join(s.name for s in states) + " together")

@@ -1,6 +1,6 @@
 """The catalogue of the encoder: the field's names, each with the ways in which it may act."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -36,16 +36,22 @@ def _off_axis(model: Model, facts: Facts) -> list[Variant]:
     if _free_offset(model):
         return [first, both]
     chip = Variant("chip off the axis", re.field_harmonics("eccentricity", "mechanics", (-1,)))
-    tied = [
-        Variant(f"towards {np.degrees(d):.0f} deg", re.off_axis("eccentricity", d), 1, d, len(DIRECTIONS))
-        for d in DIRECTIONS
+    return [chip, first, *_towards("eccentricity", DIRECTIONS, len(DIRECTIONS))]
+
+
+def _towards(effect: str, directions: Sequence[float], tried: int = 1) -> list[Variant]:
+    tilted = effect == "magnet_tilt"
+    return [
+        Variant(f"chip towards {np.degrees(d):.0f} deg", re.off_axis(effect, d, tilted), 1, d, tried)
+        for d in directions
     ]
-    return [chip, first, *tied]
 
 
-def _finer_off_axis(model: Model, facts: Facts, direction: float) -> list[Variant]:
-    near = [direction + np.pi / 6 * k / 8 for k in (-4, -3, -2, -1, 1, 2, 3, 4)]
-    return [Variant(f"towards {np.degrees(d):.0f} deg", re.off_axis("eccentricity", d), 1, d) for d in near]
+def _finer_direction(effect: str) -> Callable[[Model, Facts, float], list[Variant]]:
+    def refine(model: Model, facts: Facts, direction: float) -> list[Variant]:
+        return _towards(effect, [direction + np.pi / 6 * k / 8 for k in (-4, -2, -1, 1, 2, 4)])
+
+    return refine
 
 
 def _tilted(model: Model, facts: Facts) -> list[Variant]:
@@ -53,7 +59,7 @@ def _tilted(model: Model, facts: Facts) -> list[Variant]:
     if _free_offset(model):
         return [off]
     chip = Variant("chip tilted", re.field_harmonics("magnet_tilt", "mechanics", (-1,)))
-    return [chip, off]
+    return [chip, off, *_towards("magnet_tilt", DIRECTIONS, len(DIRECTIONS))]
 
 
 def _hysteresis(model: Model, facts: Facts) -> list[Variant]:
@@ -159,9 +165,9 @@ CATALOGUE: tuple[Effect, ...] = (
                          Variant("square and fourth power", re.nonlinearity("even_nonlinearity", (2, 4)))],
            "another air gap"),
     Effect("eccentricity", "mechanics", "chip or magnet off the axis of rotation", _off_axis,
-           f"{MAGNET}; or {REFERENCE}", refine=_finer_off_axis),
+           f"{MAGNET}; or {REFERENCE}", refine=_finer_direction("eccentricity")),
     Effect("magnet_tilt", "mechanics", "the axis of the magnet or the chip is tilted", _tilted,
-           f"{MAGNET}; or {REFERENCE}"),
+           f"{MAGNET}; or {REFERENCE}", refine=_finer_direction("magnet_tilt")),
     Effect("time_skew", "clock", "constant delay between readings and reference: latency",
            lambda m, f: [Variant("one delay", re.time_skew)] if re.decodes(m) else
            [Variant("one delay", re.time_skew), Variant("a delay per plate", re.time_skew_per_plate)],

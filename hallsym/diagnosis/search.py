@@ -214,7 +214,7 @@ class Search:
         for key in t.spoiled:
             self.not_testable[key.split("|")[0]] = "its readings are not finite on this log"
         for score in by_name(ranked):
-            if score.absorbed:
+            if score.absorbed and at is self.start:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
         exact = refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth)
         if kind_of(at.base.model).pairs:

@@ -222,7 +222,7 @@ class _Work:
         if len(z) > 1:
             self.neighbours += np.array([float(z[1:] @ z[:-1]), float(z @ z) * (len(z) - 1) / len(z)])
         far = (rest > 40 * max(np.median(rest), 0.25)) | (z**2 > 40 * max(np.median(z**2), 0.25))
-        if far.any():
+        if far.any() and len(far) > 2 * WINDOW:
             near = np.convolve(far, np.ones(2 * WINDOW + 1), "same") > WINDOW
             self.crowd += np.array([float((far & near).sum()), float(far.sum())])
         self.shift.append(np.array([z, size, rest, piece.used]))

@@ -201,6 +201,8 @@ def _statement(r: Residue, c: Curve, share: float, p: float, further: bool) -> S
 
 def _form(r: Residue, c: Curve) -> str:
     """Whether the gain follows the coordinate or the reading as such, or with which period."""
+    if c.coordinate.column == "turn_rad":
+        return _waves(r, c)
     if c.fine:
         period = _period(c)
         if period:
@@ -221,6 +223,20 @@ def _form(r: Residue, c: Curve) -> str:
     level = c.offset - c.offset.mean(axis=1, keepdims=True)
     gain, offset = float((along**2).mean()), float((level**2).mean())
     return " (the gain)" if gain > 4 * offset else " (the offset)" if offset > 4 * gain else ""
+
+
+def _waves(r: Residue, c: Curve) -> str:
+    """Waves of angle error per turn that hold most of a curve over the turn, the largest first."""
+    if len(r.channels) == 2:  # along the turn of the two voltages
+        y, x = r.felt - r.felt.mean(axis=1, keepdims=True)
+        error = (x * c.predicted[0] - y * c.predicted[1]) / (x**2 + y**2)
+    else:
+        error = c.predicted[0]
+    at, orders = c.values, np.arange(1, 105)
+    power = np.array([abs(np.mean((error - error.mean()) * np.exp(-1j * n * at))) for n in orders]) ** 2
+    most = orders[np.argsort(-power)[:3]]
+    said = [n for n in most if power[n - 1] > 0.1 * power.sum()]
+    return f", {' and '.join(map(str, said))} waves per turn" if said else ""
 
 
 def _period(c: Curve) -> float | None:

@@ -119,26 +119,34 @@ def field_harmonics(effect: str, link: str, orders: Sequence[int], phase: bool =
     return make
 
 
-def off_axis(effect: str, direction_rad: float) -> Make:
+def off_axis(effect: str, direction_rad: float, tilted: bool = False) -> Make:
     """Chip and magnet both off the axis of rotation, to second order in what they are off.
 
     Near the axis the field in the frame of the magnet is 1 + a |w|^2 + (a/2) w^2 for a displacement w of the
     chip from the magnet's axis: curl B = 0 leaves one curvature a, and the last one, c conj(w)^2, vanishes
     for a dipole. A chip at S exp(i direction) and a magnet at M make w = S exp(i (direction - u)) - M, which
-    gives harmonics 2 and 0 by their product and -1 by the chip alone.
+    gives harmonics 2 and 0 by their product and -1 by the chip alone. A `tilted` magnet gives the same with
+    other shares of both parts of harmonic 0, free within bounds: without harmonic 2 there is none.
     """
 
     def make(model: Model) -> Model:
-        names = [f"{effect}_both_re", f"{effect}_both_im", f"{effect}_chip"]
+        names = [f"{effect}_{part}" for part in ("both_re", "both_im", "chip")]
         cos, sin = float(np.cos(2 * direction_rad)), float(np.sin(2 * direction_rad))
 
         def step(s: Signals, p: P) -> None:
             re, im, chip = (p[n] for n in names)
+            a, b = (p["mirrored"], p["turned"]) if tilted else (ca.SX(1), ca.SX(1))
             _harmonic(s, 2, re, im)
-            _harmonic(s, 0, re + re * cos - im * sin, -im + re * sin + im * cos)
+            _harmonic(s, 0, a * re + b * (re * cos - im * sin), -a * im + b * (re * sin + im * cos))
             _harmonic(s, -1, chip * cos, chip * sin)
 
-        return _add(model, "mechanics", effect, _free(names, 0.5, "1", "field off the axis"), step)
+        new = _free(names, 0.5, "1", "field off the axis")
+        if tilted:
+            shares = ("mirrored", "turned")
+            new += tuple(
+                Parameter(n, 0.5, -2.0, 3.0, "1", "part of harmonic 2 in harmonic 0") for n in shares
+            )
+        return _add(model, "mechanics", effect, new, step)
 
     return make
 
