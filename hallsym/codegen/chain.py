@@ -22,6 +22,7 @@ from hallsym.codegen.box import Box, limits
 from hallsym.codegen.entries import Entry, per, short, unit
 from hallsym.codegen.parts import Decoupler, Margin, Step
 from hallsym.codegen.polynomials import Polynomial, Row
+from hallsym.errors import InputError
 from hallsym.model import Model
 
 
@@ -30,6 +31,11 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
 
     `weight`: 1 / variance of each reading, for more channels than pose coordinates.
     """
+    if not model.symbols.displacement.numel():
+        raise InputError(
+            f"C is generated for readings gain * displacement + offset; model {model.name} has none of that "
+            "form, and its family brings no decoupler of its own."
+        )
     return _Assembly(Anatomy(model, box), p, weight).make()
 
 
