@@ -9,7 +9,7 @@ from hallsym.arrays import on_arrays
 from hallsym.batches import Weigh, batches
 from hallsym.computed import extended
 from hallsym.decoding import columns_of, decoder
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.tangent import Base, decoding_gain
 from hallsym.log import Block
 from hallsym.turning import wrapped
 
@@ -70,7 +70,7 @@ def _decoded(base: Base) -> Decode:
 def _predicted(base: Base) -> Decode:
     """What the residual of the readings moves the pose by: for readings that no pose can be decoded from."""
     model = base.model
-    read, spread, none = on_arrays(model.reading), on_arrays(model.noise_gain_at), np.zeros(len(model.zeros))
+    read, spread, none = on_arrays(model.reading), decoding_gain(model), np.zeros(len(model.zeros))
 
     def error(block: Block) -> np.ndarray:
         pose, states = ([block.data[c] for c in names] for names in (model.references, model.state))

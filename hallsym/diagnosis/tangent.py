@@ -91,6 +91,16 @@ def signature(model: Model, new: Sequence[str]) -> Signature:
     return on_arrays(ca.Function("signature", [s.parameters, s.zeros, s.pose, s.state], [ca.densify(slope)]))
 
 
+def decoding_gain(model: Model) -> Signature:
+    """Return `(p, pose, state, weight) -> d pose / d reading` on arrays, (K * n_pose, samples).
+
+    A chip that gives the pose itself has 1: where its channels clip it loses the pose, not its unit.
+    """
+    if len(model.channels) > 1:
+        return on_arrays(model.noise_gain_at)
+    return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
+
+
 @lru_cache(maxsize=16)
 def _base_functions(model: Model) -> tuple[Signature, Signature]:
     s = model.symbols
@@ -99,7 +109,7 @@ def _base_functions(model: Model) -> tuple[Signature, Signature]:
     if len(model.zeros):
         both.append(ca.densify(ca.jacobian(reading, s.zeros)))
     run = on_arrays(ca.Function("base", [s.parameters, s.zeros, s.pose, s.state], both))
-    return run, on_arrays(model.noise_gain_at)
+    return run, decoding_gain(model)
 
 
 def tangents(
