@@ -52,6 +52,16 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
     return decode
 
 
+def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return `(p, pose, state, weight) -> d pose / d reading` on arrays, (K * n_pose, samples).
+
+    A chip that gives the pose itself has 1: where its channels clip it loses the pose, not its unit.
+    """
+    if len(model.channels) > 1:
+        return on_arrays(model.noise_gain_at)
+    return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
+
+
 Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
 
 
@@ -71,7 +81,7 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
             return near(model, decode(p, zeros, readings, states), reference) - reference
 
         return decoded
-    read, spread = on_arrays(model.reading), on_arrays(model.noise_gain_at)
+    read, spread = on_arrays(model.reading), decoding_gain(model)
 
     def mapped(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
         pose, states = ([data[c] for c in names] for names in (model.references, model.state))

@@ -15,7 +15,7 @@ DIRECTIONS = tuple(np.pi * k / 6 for k in range(6))
 """Directions in which the chip may lie off the axis: tried values."""
 LEVELS = (0.95, 0.8, 0.65, 0.5)
 AXES = (0.0, np.pi / 6, -np.pi / 6)
-"""Rails, in amplitudes, and axes of the plates [rad] that are tried where only the angle is read."""
+"""Rails, in amplitudes, and axes of the plates [rad] to start from where only the angle is read."""
 THIRD = "third_harmonic_distortion"
 MAGNET = "turn the stator (or the chip) by a known angle against the magnet, and record a turn at each"
 REFERENCE = "couple the reference anew at another angle, and record a turn at each"
@@ -108,14 +108,14 @@ def _hums(drift: Callable[..., re.Make], effect: str, facts: Facts) -> list[Vari
     return out
 
 
-def _clipped_angle(level: float, axes: float, tried: int) -> Variant:
-    label = f"at {level:.3g} of the amplitude, axes from {np.degrees(axes):.0f} deg"
-    return Variant(label, re.clipped_angle(level, axes), 1, level, tried)
+def _clipped_angle(level: float, axes: float) -> Variant:
+    label = f"from a rail at {level:g} of the amplitude, axes at {np.degrees(axes):.0f} deg"
+    return Variant(label, re.clipped_angle(level, axes), 0, None, len(LEVELS) * len(AXES))
 
 
 def _clipping(model: Model, facts: Facts) -> list[Variant]:
     if re.decodes(model):
-        return [_clipped_angle(x, a, len(LEVELS) * len(AXES)) for x in LEVELS for a in AXES]
+        return [_clipped_angle(x, a) for x in LEVELS for a in AXES]
     out = []
     if np.isfinite(facts.rails).any():
         low, high = np.array(facts.rails).T
@@ -125,11 +125,6 @@ def _clipping(model: Model, facts: Facts) -> list[Variant]:
     for k, (high, low) in enumerate(zip(facts.extremes[0::2], facts.extremes[1::2], strict=True)):
         out.append(Variant(f"rails, try {k + 1}", re.clipping(low.tolist(), high.tolist()), 1, None, 4))
     return out
-
-
-def _finer_clipping(model: Model, facts: Facts, level: float) -> list[Variant]:
-    tried = [level + 0.03 * k for k in (-3, -2, -1, 0, 1, 2, 3)]
-    return [_clipped_angle(x, a, 1) for x in tried if 0.2 < x < 1.0 for a in AXES]
 
 
 def _pole_pattern(model: Model, facts: Facts) -> list[Variant]:
@@ -195,7 +190,7 @@ CATALOGUE: tuple[Effect, ...] = (
            "the first run again at the end; log the temperature", needs=("t_s",),
            refine=_finer_settling(re.offset_drift, "offset_time_drift")),
     Effect("saturation", "electronics", "voltages stop at a rail", _clipping,
-           "a lower gain or a wider air gap", refine=_finer_clipping),
+           "a lower gain or a wider air gap"),
     Effect("mains_hum", "electronics", "50 or 60 Hz pick-up",
            lambda m, f: _hums(re.offset_drift, "mains_hum", f), "a run at rest on the full clock",
            needs=("t_s",)),

@@ -15,6 +15,7 @@ import numpy as np
 
 from hallsym.arrays import on_arrays
 from hallsym.computed import rate
+from hallsym.decoding import decoding_gain
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.survey import Piece, pieces
 from hallsym.diagnosis.tangent import Base
@@ -122,7 +123,7 @@ class _Work:
     def __init__(self, base: Base, ranges: dict[str, tuple[float, float]], runs: int) -> None:
         self.base, self.ranges = base, ranges
         model = base.model
-        self.gain, self.spread = on_arrays(model.gain), on_arrays(model.noise_gain_at)
+        self.gain, self.spread = on_arrays(model.gain), decoding_gain(model)
         self.read = on_arrays(model.reading)
         self.unwhiten = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(base.covariance)).T)
         self.scale = np.where(np.arange(len(model.pose)) == 2, base.length_m, 1.0)

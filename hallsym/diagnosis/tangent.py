@@ -17,7 +17,7 @@ import numpy as np
 from hallsym.arrays import on_arrays
 from hallsym.batches import Batch, Weigh, batches
 from hallsym.computed import extended
-from hallsym.decoding import columns_of
+from hallsym.decoding import columns_of, decoding_gain
 from hallsym.diagnosis.slopes import Slopes
 from hallsym.log import Log
 from hallsym.model import Model
@@ -99,7 +99,7 @@ def _base_functions(model: Model) -> tuple[Function, Function]:
     if len(model.zeros):
         both.append(ca.densify(ca.jacobian(reading, s.zeros)))
     run = on_arrays(ca.Function("base", [s.parameters, s.zeros, s.pose, s.state], both))
-    return run, on_arrays(model.noise_gain_at)
+    return run, decoding_gain(model)
 
 
 def tangents(

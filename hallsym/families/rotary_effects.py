@@ -22,6 +22,8 @@ from hallsym.model import Model, Parameter, Signals, Step
 (REFERENCE,) = REFERENCES
 SPEED = f"d1_{REFERENCE}"
 PLATES = ("sin", "cos")
+STEEPEST = 0.3
+"""Slope of the error of a reference, at most: with more it would stand still or run backwards."""
 FULL_STEPS = 50
 """Periods per turn of what a stepper of 1.8 deg per full step leaves: one for each pole pair of its rotor."""
 
@@ -387,7 +389,11 @@ def reference_harmonics(effect: str, orders: Sequence[int]) -> Make:
             )
             _turned(s, -error)
 
-        new = _free([n for row in names for n in row], 0.2, "rad", "error of the reference")
+        new = tuple(
+            q
+            for n, row in zip(orders, names, strict=True)
+            for q in _free(row, STEEPEST / n, "rad", "error of the reference")
+        )
         return _add(model, "reference", effect, new, step)
 
     return make
@@ -427,20 +433,21 @@ def clipping(low: Sequence[float], high: Sequence[float]) -> Make:
 
 
 def clipped_angle(level: float, axes_rad: float) -> Make:
-    """Both voltages stop at +- `level` of their amplitude before the angle is taken from them.
+    """Both voltages stop at a rail, as a part of their amplitude, before the angle is taken from them.
 
-    The zero of the reading may have been set apart from the plates' axes: `axes_rad` is a start for theirs.
+    The zero of the reading may have been set apart from the plates' axes: `level` and `axes_rad` are starts.
     """
 
     def make(model: Model) -> Model:
         def step(s: Signals, p: P) -> None:
             r = s["reading"]
             y, x = ca.sin(r - p["axes"]), ca.cos(r - p["axes"])
-            v, u = (q - p["clipped"] * (ca.fmax(q - level, 0) - ca.fmax(-level - q, 0)) for q in (y, x))
-            s["reading"] = r + ca.atan2(v * x - u * y, u * x + v * y)
+            v, u = (ca.fmin(ca.fmax(q, -p["rail"]), p["rail"]) for q in (y, x))
+            s["reading"] = r + p["clipped"] * ca.atan2(v * x - u * y, u * x + v * y)
 
         new = (
-            Parameter("clipped", 0.0, -1.5, 1.5, "1", "share clipped"),
+            Parameter("clipped", 0.0, 0.0, 1.5, "1", "share of what clipping does"),
+            Parameter("rail", level, 0.1, 1.0, "1", "rail over amplitude"),
             Parameter(
                 "axes", axes_rad, -pi, pi, "rad", "angle at which the reading's plates have their axes"
             ),
