@@ -6,7 +6,9 @@ vector which rounding has moved, to the rounding of straight pieces that interva
 """
 
 from dataclasses import dataclass
-from math import asin, pi, sqrt
+from functools import cache
+from itertools import pairwise
+from math import asin, floor, log2, pi, sqrt
 
 import casadi as ca
 import numpy as np
@@ -14,6 +16,8 @@ import numpy as np
 from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.rotary_curve import Curve
 from hallsym.codegen.trigonometry import ARCTANGENT, HALF_PI, PI, SINE, odd
+
+CELLS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +34,16 @@ class Rounding:
         most = sum(series.waves)
         error = phase * (1 + series.slope)
         if series.cos:
-            error += self._waves(digits) + u * (pi + 2 * most)
+            error += self._waves(digits) + _half_ulp(pi + abs(series.constant) + most, digits)
         if series.cos or series.constant:
-            error += u * abs(series.constant) + u * (pi + abs(series.constant) + most)
-        error += 2 * u * pi  # a wrap rounds once: its first difference is exact
+            error += u * abs(series.constant) + _half_ulp(pi + abs(series.constant), digits)
+            error += _half_ulp(pi, digits)  # a wrap rounds once: its first difference is exact
         end = float(np.float32(pi)) * (1 + 4 * u) + error
         return {c: Enclosure(-end, end, float(error)) for c in self.curve.model.pose}
 
     def _read(self, digits: int) -> float:
         """The wrap of the reading: rounded once, by the second part of a turn."""
-        return 2.0**-digits * pi
+        return _half_ulp(pi, digits)
 
     def _vector(self, digits: int) -> float:
         """The angle by which rounding can turn (x, y) = M (reading - center), M and center rounded too.
@@ -65,18 +69,24 @@ class Rounding:
         return float(error)
 
 
+@cache
 def _octants(digits: int) -> float:
-    """From a rounded ratio to the phase, polynomials exact."""
-    ratio, base, other = (ca.SX.sym(n) for n in ("ratio", "base", "other"))
+    """From a rounded ratio to the phase, polynomials exact; the ratio in cells, each with its own intervals."""
+    ratio, u = ca.SX.sym("ratio"), 2.0**-digits
     octant = ca.Function("octant", [ratio], [odd(ARCTANGENT, ratio, ratio * ratio)])
-    (first,) = enclose(octant, [Enclosure(0.0, 1.0, 2 * 2.0**-digits)], digits)
-    quarter = ca.Function("quarter", [ratio, base], [base - ratio])
-    near = Enclosure(0.0, pi / 4, first.error)
-    (second,) = enclose(quarter, [near, _constant(HALF_PI, digits)], digits)
-    (third,) = enclose(quarter, [Enclosure(0.0, pi / 2, second.error), _constant(PI, digits)], digits)
-    return third.error
+    ends = np.linspace(0.0, 1.0, CELLS + 1)
+    cells = (Enclosure(float(a), float(b), 2 * u * float(b)) for a, b in pairwise(ends))
+    first = max(enclose(octant, [cell], digits)[0].error for cell in cells)
+    quarter = first + _constant(HALF_PI, digits).error + _half_ulp(pi / 2, digits)
+    return float(quarter + _constant(PI, digits).error + _half_ulp(pi, digits))
 
 
+def _half_ulp(most: float, digits: int) -> float:
+    """Return what one rounding of a number of at most that magnitude changes."""
+    return float(2.0 ** (floor(log2(most)) - digits))
+
+
+@cache
 def _sine(digits: int) -> float:
     """Rounding of the sine polynomial at a rounded argument, which two differences from pi / 2 give."""
     x, angle = ca.SX.sym("x"), ca.SX.sym("angle")
