@@ -22,9 +22,10 @@ from hallsym.turning import wrapped
 POINTS = 1024
 ENOUGH = 3e-8
 """Angle [rad] that the waves left out of a correction may add up to: a quarter of float32 rounding at pi."""
-MOST_WAVES = 16
+MOST_WAVES = 32
 ROUNDS = 60
-SETTLED = 1e-14
+SETTLED = 1e-13
+"""Change of the angle [rad] below which its iteration ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +83,21 @@ class Curve:
         return float(np.angle(np.exp(1j * (self.phase(self.readings(self.turn)) - self.turn)).mean()))
 
     def angle(self, phase: np.ndarray) -> np.ndarray:
-        """Return the angle (s,) at which the model reads a phase (s,), within -pi .. pi: its inverse."""
-        found = np.asarray(phase, dtype=float) - self._shift
+        """Return the angle (s,) at which the model reads a phase (s,), within -pi .. pi: its inverse.
+
+        Newton's method on the model, from the series and with its slope.
+        """
+        correction, slope = self.series.at(phase)
+        return self._inverse(phase, phase + correction, 1 + slope)
+
+    def _inverse(self, phase: np.ndarray, start: np.ndarray, slope: np.ndarray | float) -> np.ndarray:
+        found = np.asarray(start, dtype=float)
         for _ in range(ROUNDS):
-            off = wrapped(phase - self.phase(self.readings(found)), 2 * pi)
+            off = wrapped(phase - self.phase(self.readings(found)), 2 * pi) * slope
             found = found + off
             if np.abs(off).max(initial=0.0) < SETTLED:
                 break
-        if not np.abs(off).max(initial=0.0) < 100 * SETTLED:
+        else:
             raise InputError(
                 f"The distortion of this calibration of {self.model.name} is too large to be undone by a "
                 "correction of the angle: the phase it reads does not grow steadily over a turn."
@@ -100,7 +108,7 @@ class Curve:
     def series(self) -> "Series":
         """The correction, as many pairs of waves as count."""
         phase = self.turn
-        found = np.fft.rfft(wrapped(self.angle(phase) - phase - self._constant, 2 * pi)) / POINTS
+        found = np.fft.rfft(wrapped(self._inverse(phase, phase - self._shift, 1.0) - phase + self._shift, 2 * pi)) / POINTS
         n = np.arange(len(found))
         waves = 2 * found * np.exp(1j * n * pi)  # the grid begins at -pi
         size = np.abs(waves)
@@ -112,15 +120,11 @@ class Curve:
                 "per turn; C is generated for smooth distortions: fit a model without "
                 f"{' and '.join(self.model.effects) or 'so large a distortion'}."
             )
-        constant = float(wrapped(np.array(self._constant + found[0].real), 2 * pi))
+        constant = float(wrapped(np.array(found[0].real - self._shift), 2 * pi))
         if not count and abs(constant) <= 1e-12:
             constant = 0.0
         kept = waves[1 : count + 1]
         return Series(constant, tuple(kept.real.tolist()), tuple((-kept.imag).tolist()), float(left[count + 1]))
-
-    @property
-    def _constant(self) -> float:
-        return -self._shift
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,15 @@ class Series:
     cos: tuple[float, ...]
     sin: tuple[float, ...]
     left: float
+
+    def at(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the correction (s,) [rad] and its derivative (s,) at phases (s,)."""
+        total, slope = np.full(np.shape(phase), self.constant), np.zeros(np.shape(phase))
+        for n, (c, s) in enumerate(zip(self.cos, self.sin, strict=True), 1):
+            cos, sin = np.cos(n * phase), np.sin(n * phase)
+            total += c * cos + s * sin
+            slope += n * (s * cos - c * sin)
+        return total, slope
 
     @property
     def waves(self) -> Sequence[float]:
