@@ -19,6 +19,7 @@ import hallsym
 from hallsym.arrays import on_arrays
 from hallsym.cli import main
 from hallsym.codegen import generate_q31
+from hallsym.codegen.checks import notes_of
 from hallsym.codegen.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.codegen.vectors import Emulator, worst
 from hallsym.errors import InputError
@@ -39,9 +40,11 @@ CASES = {
     ),
 }
 LAYOUTS = {"volts": rotary.two_voltages(), "angle": rotary.angle_only()}
-EVERY = [(case, form) for case in CASES for form in LAYOUTS]
 BUILT = [("ellipse", "volts"), ("meng", "angle")]
-LATER = [pytest.param(*c, marks=pytest.mark.slow) for c in EVERY if c not in BUILT]
+QUICK = [*BUILT, ("ideal", "volts"), ("harmonics", "volts")]
+REST = [pytest.param(c, f, marks=pytest.mark.slow) for c in CASES for f in LAYOUTS if (c, f) not in QUICK]
+EVERY = [*QUICK, *REST]
+LATER = [*(pytest.param(*c, marks=pytest.mark.slow) for c in QUICK if c not in BUILT), *REST]
 
 
 def calibrated(model, values):
@@ -95,7 +98,7 @@ def test_a_wrap_moves_by_a_whole_turn_into_half_a_turn(x):
 def test_readings_of_the_model_give_its_angle_back(case, form):
     code = made(case, form)
     d, model = code.source.d, code.source.d.model
-    angle = np.random.default_rng(5).uniform(-pi, pi, 4000)
+    angle = np.random.default_rng(5).uniform(-pi, pi, 1000)
     p = calibrated(model, CASES[case][1]).values
     readings = on_arrays(model.reading)(p, [], [angle], [])[0]
     if form == "angle":
@@ -133,11 +136,11 @@ def test_a_gain_common_to_both_plates_leaves_the_angle_alone(gain, angle):
     assert turned(float(pose[0, 0]) - angle) < 2e-6
 
 
-@pytest.mark.parametrize("form", LAYOUTS)
-def test_whatever_the_bits_the_angle_is_finite_and_within_half_a_turn(form):
-    code = made("meng", form)
+@pytest.mark.parametrize(("case", "form"), BUILT)
+def test_whatever_the_bits_the_angle_is_finite_and_within_half_a_turn(case, form):
+    code = made(case, form)
     emulator = Emulator(code.source.d, code.source.real)
-    pose, status = emulator.step(emulator.sample(np.arange(200_000)))
+    pose, status = emulator.step(emulator.sample(np.arange(50_000)))
     assert np.isfinite(pose).all()
     assert np.abs(pose).max() <= code.bounds.high["angle_rad"] < pi + 1e-5
     assert 0 < (status != 0).mean() < 0.6
@@ -154,18 +157,19 @@ def test_no_magnet_and_a_broken_wire_have_bits_of_their_own():
     assert np.isfinite(pose).all()
 
 
-@pytest.mark.parametrize("form", LAYOUTS)
-def test_the_series_is_as_long_as_it_must_be(form):
-    assert not [e for e in made("ideal", form).source.d.table if e.name.startswith("cos_")]
-    few, more = (sum(e.name.startswith("cos_") for e in made(c, form).source.d.table) for c in ("meng", "harmonics"))
-    assert 0 < few < more <= 32
+def test_the_series_is_as_long_as_it_must_be():
+    def waves(case, form):
+        return sum(e.name.startswith("cos_") for e in made(case, form).source.d.table)
+
+    assert waves("ideal", "volts") == waves("ellipse", "volts") == 0  # the linear map does it all
+    assert 0 < waves("meng", "angle") < waves("harmonics", "volts") <= 32
 
 
 @pytest.mark.parametrize(("case", "form"), EVERY)
 def test_stated_bounds_hold_over_random_inputs(case, form):
     code = made(case, form)
     (met,) = code.errors.values()
-    assert 0 < met <= code.bounds.error["angle_rad"] + code.source.d.slack < 2e-6
+    assert 0 < met <= code.bounds.error["angle_rad"] + code.source.d.slack < 2 * pi / 2**20
 
 
 @pytest.mark.slow
@@ -176,6 +180,7 @@ def test_stated_bounds_hold_over_a_million_random_inputs(case, form):
     assert met <= code.bounds.error["angle_rad"] + code.source.d.slack
 
 
+@pytest.mark.slow
 def test_double_leaves_what_the_polynomials_leave():
     code = made("meng", "volts", double=True)
     assert code.bounds.error["angle_rad"] < 1e-14
@@ -225,7 +230,7 @@ MOST = {("ellipse", "volts"): 130, ("meng", "angle"): 170}
 """Instructions of decoupler_step() in QEMU, whatever the inputs."""
 
 
-@pytest.mark.parametrize(("case", "form"), BUILT)
+@pytest.mark.parametrize(("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow)])
 def test_same_bits_and_few_instructions_on_a_cortex_m4f(case, form, tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")
     folder = written(case, form, tmp_path)
@@ -329,4 +334,4 @@ def test_the_command_writes_it(tmp_path, capsys):
 
 def test_a_reading_that_the_fit_took_with_another_sign_is_said():
     fit = replace(calibrated(rotary.rotary(LAYOUTS["angle"]), ELLIPSE), wiring=(("angle_rad", -1),))
-    assert "The fit took angle_rad from -angle_rad: give it so here too." in hallsym.generate(fit).notes
+    assert notes_of(fit)[-1] == "The fit took angle_rad from -angle_rad: give it so here too."
