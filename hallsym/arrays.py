@@ -57,16 +57,17 @@ _BINARY: dict[int, Callable] = {
 }
 
 
-def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
+def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[np.ndarray]]:
     """Return `run(*inputs) -> outputs`, `function` evaluated on arrays of samples.
 
     Each input of `function`, a column of length n, is given as a sequence of n entries, scalars or arrays
     that broadcast together. Each output comes back as one array of shape `(rows, *samples)` (entries that
     depend on no sample are broadcast). Matrix outputs are flattened column by column, as CasADi stores them.
+    `real`: type of the constants in the graph, for samples of another type than double.
 
     Raises `NotImplementedError` at once when the graph holds an operation without an array form.
     """
-    program = _compile(function)
+    program = _compile(function, real)
     rows = [function.nnz_out(k) for k in range(function.n_out())]
     dense = [function.sparsity_out(k).is_dense() for k in range(function.n_out())]
     if not all(dense):
@@ -92,12 +93,12 @@ def on_arrays(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     return run
 
 
-def _compile(function: ca.Function) -> list[tuple]:
+def _compile(function: ca.Function, real: type) -> list[tuple]:
     program: list[tuple] = []
     for k in range(function.n_instructions()):
         code, i, o = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if code == ca.OP_CONST:
-            program.append(("constant", function.instruction_constant(k), (), o[0]))
+            program.append(("constant", real(function.instruction_constant(k)), (), o[0]))
         elif code == ca.OP_INPUT:
             program.append(("input", None, tuple(i), o[0]))
         elif code == ca.OP_OUTPUT:

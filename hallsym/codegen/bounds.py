@@ -57,7 +57,10 @@ def _reach(d: Decoupler, symbols: Mapping[str, ca.SX], columns: Sequence[str]) -
 
 def bounds(d: Decoupler, digits: int = 24) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
-    found = _enclosed(d, ca.vertsplit(d.folded), digits)
+    if d.bounded is None:
+        found = _enclosed(d, ca.vertsplit(d.folded), digits)
+    else:
+        found = list(d.bounded(digits).values())
     values = {e.name: e.value for e in d.entries}
     least = {}
     for step, margin in zip(spreads(d), d.margins, strict=True):

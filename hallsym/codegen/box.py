@@ -39,7 +39,9 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
     ends: dict[str, tuple[float, float]] = {}
     span = fit.log.get("span", {})
     for column, reference in zip((*model.pose, *model.state), (*model.references, *model.state), strict=True):
-        if reference in span:
+        if column in model.period:  # what repeats is known all round
+            ends[column] = (-model.period[column], model.period[column])
+        elif reference in span:
             ends[column] = _rounded(*span[reference])
     for column, (low, high) in (given or {}).items():
         if column not in columns:

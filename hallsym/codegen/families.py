@@ -10,14 +10,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from hallsym.calibration import Fit
-from hallsym.codegen import chain
+from hallsym.codegen import chain, rotary
 from hallsym.codegen.box import Box
 from hallsym.codegen.parts import Decoupler
 from hallsym.model import Model
 
 Maker = Callable[[Model, np.ndarray, np.ndarray, Box], Decoupler]
 
-MAKERS: Mapping[str, Maker] = {}
+MAKERS: Mapping[str, Maker] = {"rotary": rotary.decoupler}
 """Maker by family. Families that are not here have readings gain * displacement + offset, as the stage."""
 
 

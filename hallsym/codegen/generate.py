@@ -23,6 +23,7 @@ from hallsym.codegen.source_header import header, params, params_header
 from hallsym.codegen.source_step import bare, step
 from hallsym.codegen.table import Table
 from hallsym.codegen.vectors import worst
+from hallsym.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class Generated:
             "table_bytes": len(table.binary),
             "calibration_sha256": table.source["calibration_sha256"],
             "box": {c: list(d.ends(c)) for c in d.inputs},
-            "error_bound": dict(self.bounds.error),
+            "error_bound": {c: error + d.slack for c, error in self.bounds.error.items()},
             "error_met": dict(self.errors),
             "least_gain": dict(self.bounds.least_gain),
             "files": sorted(self.files),
@@ -93,6 +94,11 @@ def generate(
     """
     check(fit, allow_undetermined)
     found = decoupler(fit, box_of(fit, ranges))
+    if jacobian and found.bounded is not None:
+        raise InputError(
+            f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
+            "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
+        )
     real = DOUBLE if double else FLOAT
     said = bounds(found, real.digits)
     check_gains(said)

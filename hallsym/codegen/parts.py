@@ -13,7 +13,9 @@ import numpy as np
 
 from hallsym.codegen.box import Box
 from hallsym.codegen.entries import Entry, short
+from hallsym.codegen.intervals import Enclosure
 from hallsym.model import Model
+from hallsym.turning import wrapped
 
 ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
@@ -41,6 +43,19 @@ class Margin:
     terms: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
 
+@dataclass(frozen=True)
+class Flag:
+    """A status bit beyond the ranges: set where the value of step `step` is below entry `least`.
+
+    Nothing is claimed of the pose then, but that it is finite.
+    """
+
+    name: str
+    step: str
+    least: str
+    meaning: str
+
+
 @dataclass(frozen=True, eq=False)
 class Decoupler:
     """The arithmetic from inputs to pose: `steps` in order; the last `len(pose)` of them are the pose.
@@ -62,6 +77,18 @@ class Decoupler:
     box: Box
     exact: Callable[[np.ndarray], np.ndarray]
     symbols: Mapping[str, ca.SX]
+    flags: tuple[Flag, ...] = ()
+    approximation: float = 0.0
+    """What polynomials and series in place of functions leave in the pose [m, rad]."""
+    bounded: "Callable[[int], Mapping[str, Enclosure]] | None" = None
+    """Digits of the significand -> range and rounding of each pose coordinate, flags clear; interval
+    arithmetic on the whole of the steps where there is none."""
+    rest: tuple[float, ...] = ()
+    """Inputs at which the self-test takes a zero, for a pose near zero; any small ones if there are none."""
+    listed: tuple[tuple[float, ...], ...] = ()
+    """Inputs that the self-test shall list, beside its own."""
+    said: tuple[str, ...] = ()
+    """Sentences for header and report: approximations, and what they may leave."""
 
     @property
     def pose(self) -> tuple[str, ...]:
@@ -71,7 +98,19 @@ class Decoupler:
     @property
     def slack(self) -> float:
         """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
-        return ENOUGH if self.at_pose else 0.0
+        return ENOUGH if self.at_pose else self.approximation
+
+    def known(self, column: str) -> float:
+        """Return the largest magnitude of a known pose coordinate, for a zero: half its period, or 1."""
+        return self.model.period.get(column, 2.0) / 2
+
+    def difference(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return a - b of poses (n_pose, s), coordinates that repeat within half a period of zero."""
+        out = np.array(a, dtype=float) - b
+        for k, column in enumerate(self.pose):
+            if column in self.model.period:
+                out[k] = wrapped(out[k], self.model.period[column])
+        return out
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -85,11 +124,16 @@ class Decoupler:
     @cached_property
     def folded(self) -> ca.SX:
         """The pose as one expression of inputs, table and zeros."""
+        return ca.vertcat(*(self._done[step.name] for step in self.steps[-len(self.pose) :]))
+
+    @cached_property
+    def _done(self) -> dict[str, ca.SX]:
+        """Each step as an expression of inputs, table and zeros."""
         done: dict[str, ca.SX] = {}
         for step in self.steps:
             earlier = {n: (self.symbols[n], e) for n, e in done.items() if n in self.symbols}
             done[step.name] = _replaced(step.expression, earlier)
-        return ca.vertcat(*(done[step.name] for step in self.steps[-len(self.pose) :]))
+        return done
 
     @cached_property
     def slopes(self) -> dict[str, ca.SX]:
@@ -102,17 +146,31 @@ class Decoupler:
 
     @cached_property
     def function(self) -> ca.Function:
-        """`(inputs, coefficients and zeros) -> pose`."""
+        """`(inputs, coefficients and zeros) -> pose`, and the values that flags look at, if there are some."""
         table = [*self.table, *self.zeros]
         given = [
             ca.vertcat(*(self.symbols[n] for n in names)) for names in (self.inputs, [e.name for e in table])
         ]
-        return ca.Function("folded", given, [ca.densify(self.folded)])
+        seen = [ca.densify(ca.vertcat(*(self._done[f.step] for f in self.flags)))] if self.flags else []
+        return ca.Function("folded", given, [ca.densify(self.folded), *seen])
+
+    def raised(self, seen: np.ndarray, dtype: type = float) -> np.ndarray:
+        """Return the bits (s,) of the flags that their values (n_flags, s) raise."""
+        values = {e.name: dtype(e.value) for e in self.table}
+        bits = np.zeros(seen.shape[1:], dtype=np.uint32)
+        for k, flag in enumerate(self.flags):
+            bits |= np.where(seen[k] >= values[flag.least], 0, flag_bit(k)).astype(np.uint32)
+        return bits
 
     @property
     def constants(self) -> list[float]:
         """Values of coefficients and zeros."""
         return [e.value for e in (*self.table, *self.zeros)]
+
+
+def flag_bit(k: int) -> int:
+    """Return the status bit of the flag of that number; bits of inputs begin at the other end."""
+    return 1 << (30 - k)
 
 
 def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca.SX:

@@ -75,6 +75,7 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
         if code != ca.OP_OUTPUT:
             producer[o[0]] = k
     before: list[str] = []
+    made = {k: (code, sources) for code, _, sources, k in program}
     text: dict[int, str] = {}
     result = ""
     for code, i, sources, k in program:
@@ -88,7 +89,7 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
         if code == ca.OP_CONST:
             text[k] = real.constant(function.instruction_constant(k))
             continue
-        text[k] = operation(code, [text[j] for j in sources], real)
+        text[k] = _choice(code, sources, made, text) or operation(code, [text[j] for j in sources], real)
         if code in _CONDITIONS:
             continue
         if uses.get(k, 0) > 1 or (code in (ca.OP_SQ, ca.OP_SIGN) and "(" in text[sources[0]]):
@@ -98,14 +99,30 @@ def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], 
     return before, _bare(result)
 
 
-def straight(steps: Sequence[Step]) -> bool:
-    """Whether steps hold arithmetic only: no magnitude, comparison or choice."""
+def _choice(
+    code: int, sources: list[int], made: Mapping[int, tuple[int, list[int]]], text: Mapping[int, str]
+) -> str:
+    """`(c ? a : b)` for CasADi's (c ? a : 0) + (!c ? b : 0), else nothing."""
+    if code != ca.OP_ADD or any(made[j][0] != ca.OP_IF_ELSE_ZERO for j in sources):
+        return ""
+    (yes, a), (no, b) = (made[j][1] for j in sources)
+    if made[no][0] != ca.OP_NOT or made[no][1] != [yes]:
+        return ""
+    return f"({text[yes]} ? {text[a]} : {text[b]})"
+
+
+def codes(steps: Sequence[Step]) -> set[int]:
+    """Return the operations that steps hold."""
+    found: set[int] = set()
     for step in steps:
         f = ca.Function("step", ca.symvar(step.expression), [ca.densify(step.expression)])
-        codes = {f.instruction_id(k) for k in range(f.n_instructions())}
-        if codes & {*_CONDITIONS, *_CALLS, ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO}:
-            return False
-    return True
+        found |= {f.instruction_id(k) for k in range(f.n_instructions())}
+    return found
+
+
+def straight(steps: Sequence[Step]) -> bool:
+    """Whether steps hold arithmetic only: no magnitude, comparison or choice."""
+    return not codes(steps) & {*_CONDITIONS, *_CALLS, ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO}
 
 
 def operation(code: int, a: Sequence[str], real: Real) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 
 from hallsym.codegen.entries import short
 from hallsym.codegen.parts import Decoupler
+from hallsym.codegen.printer import straight
 from hallsym.errors import InputError
 
 ROOM = 30
@@ -153,6 +154,11 @@ def program(d: Decoupler) -> Program:
         raise InputError(
             "--arithmetic q31 is generated for models that are linear in the pose; "
             f"{d.model.name} is iterated; use float."
+        )
+    if not straight(d.steps):
+        raise InputError(
+            f"--arithmetic q31 is generated for models without comparisons; {d.model.name} of the family "
+            f"{d.model.family} chooses by octant or branch: use float, which runs without a floating-point unit too."
         )
     return _Compiler(d).compile()
 

@@ -14,11 +14,11 @@ def report(source: Source, bounds: Bounds, errors: dict[str, float], notes: tupl
         f"| {c} | {low:.6g} | {high:.6g} | {unit(c)} |" for c in d.inputs for low, high in [d.ends(c)]
     )
     pose = "\n".join(
-        f"| {c} | {bounds.low[c]:.6g} | {bounds.high[c]:.6g} | {_small(bounds.error[c], c)} | {_small(errors[c], c)} |"
+        f"| {c} | {bounds.low[c]:.6g} | {bounds.high[c]:.6g} | {_small(bounds.error[c] + d.slack, c)} | {_small(errors[c], c)} |"
         for c in d.pose
     )
     gains = "\n".join(f"| {c} | {share:.4f} |" for c, share in bounds.least_gain.items())
-    said = "\n".join(f"- {note}" for note in notes)
+    said = "\n".join(f"- {note}" for note in (*d.said, *notes))
     work = cost(d)
     uses = (
         "\n".join(f"    {s.name} = {s.expression}" for s in d.steps)

@@ -219,10 +219,13 @@ def _literal(value: float, source: Source) -> str:
 def main(source: Source) -> str:
     """Return the program that runs the self-test and says what it found."""
     d = source.d
-    fields = "\n".join(f"    in.{c} = at_rest;" for c in d.inputs)
-    known = "\n".join(f"    pose.{c} = at_known;" for c in d.pose)
-    back = " || ".join(f"(near(out.{c}, at_known) == 0)" for c in d.pose)
     t, c = source.real.name, source.real.constant
+    rest = [c(value) for value in d.rest] or ["at_rest"] * len(d.inputs)
+    fields = "\n".join(f"    in.{column} = {value};" for column, value in zip(d.inputs, rest, strict=True))
+    at_rest = "" if d.rest else f"\n    const {t} at_rest = {c(2.0**-14)};"
+    too_far = c(2.0 * d.known(d.pose[0]))
+    known = "\n".join(f"    pose.{column} = at_known;" for column in d.pose)
+    back = " || ".join(f"(near(out.{column}, at_known) == 0)" for column in d.pose)
     return f"""{BANNER}/* Exit status 0 if all is well. On a target, semihosting prints. */
 #include <stdio.h>
 
@@ -236,8 +239,7 @@ static int near({t} a, {t} b)
 }}
 
 static int zero_works(void)
-{{
-    const {t} at_rest = {c(2.0**-14)};
+{{{at_rest}
     const {t} at_known = {c(2.0**-12)};
     decoupler_params_t table = decoupler_params;
     decoupler_in_t in;
@@ -256,12 +258,12 @@ static int zero_works(void)
     {{
         good = 0;
     }}
-    in.{d.inputs[0]} = at_rest;
+    in.{d.inputs[0]} = {rest[0]};
     if ((decoupler_step(&table, &in, &out) != 0U) || {back})
     {{
         good = 0;
     }}
-    pose.{d.pose[0]} = {c(2.0)};
+    pose.{d.pose[0]} = {too_far};
     if (decoupler_zero(&table, &in, &pose) != DECOUPLER_POSE)
     {{
         good = 0;

@@ -1,7 +1,10 @@
 """include/decoupler.h and the table as C."""
 
+import textwrap
+
 from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short, unit
+from hallsym.codegen.parts import Decoupler, flag_bit
 from hallsym.codegen.source import BANNER, Source, bit, lines
 from hallsym.codegen.table import VERSION
 
@@ -13,11 +16,17 @@ def header(source: Source) -> str:
         f"#define {bit(c)} 0x{1 << k:08X}UL /**< {c} outside its range, or not finite */"
         for k, c in enumerate(d.inputs)
     ]
+    flags = [
+        f"#define DECOUPLER_{f.name} 0x{flag_bit(k):08X}UL /**< {f.meaning} */" for k, f in enumerate(d.flags)
+    ]
+    units = {what: ", ".join(dict.fromkeys(map(unit, columns))) for what, columns in _groups(d).items()}
+    state = f" and state [{units['state']}]" if d.model.state else ""
+    known = ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose))
     table = [f"    {t} {e.name}; /**< [{e.unit}] {e.meaning} */" for e in d.entries]
     pad = ["    uint32_t reserved; /**< 0 */"] if source.real.size == 8 else []
     columns = {c: ("reading" if c in d.model.channels else "measured state") for c in d.inputs}
     jacobian = [
-        f"    {t} {short(c)}_{short(m)}; /**< [{unit(c)}/m] d {c} / d {m} */"
+        f"    {t} {short(c)}_{short(m)}; /**< [{unit(c)}/{unit(m)}] d {c} / d {m} */"
         for c in d.pose
         for m in d.model.channels
     ]
@@ -28,7 +37,8 @@ def header(source: Source) -> str:
         f" * @brief From the readings of {len(d.model.channels)} probes to the pose of the {d.model.family}: "
         f"model {d.model.name}.",
         " *",
-        " * Units are SI: m and rad. No heap, no libm, no static data; reentrant.",
+        f" * Units are SI: {units['all'].replace(', ', ' and ')}. No heap, no libm, no static data; reentrant.",
+        *[f" * {line}" for text in d.said for line in textwrap.wrap(text, 110)],
         " */",
         "#ifndef DECOUPLER_H",
         "#define DECOUPLER_H",
@@ -45,7 +55,8 @@ def header(source: Source) -> str:
         "/** @name Status of decoupler_step(): 0, or the inputs that were brought back into their range */",
         "/** @{ */",
         *bits,
-        "#define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose not within 1 m, 1 rad */",
+        *flags,
+        f"#define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose not within {known} */",
         "/** @} */",
         "",
         "/** @name Findings of decoupler_check(): 0, or what is wrong with a table */",
@@ -95,9 +106,10 @@ def header(source: Source) -> str:
         "/**",
         " * Decouple one sample.",
         " * @param p table that decoupler_check() found nothing wrong with",
-        " * @param in readings [m] and state [m, rad]",
-        " * @param out pose [m, rad]: always finite; inputs outside their range are brought back to its end",
+        f" * @param in readings [{units['readings']}]{state}",
+        f" * @param out pose [{units['pose']}]: always finite; inputs outside their range are brought back to its end",
         " * @return 0 if every input is finite and within its range, else the bits of those that are not",
+        *([f" *         (and {', '.join(f'DECOUPLER_{f.name}' for f in d.flags)})"] if d.flags else []),
         " */",
         "uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out);",
         *(
@@ -118,7 +130,7 @@ def header(source: Source) -> str:
         " * Take the zero at a known pose, after a reset: later poses are counted from it.",
         " * @param p table in RAM; only its zeros change, and only if the result is 0",
         " * @param in sample taken at the known pose",
-        " * @param pose where the machine is [m, rad]; within 1 m, 1 rad",
+        f" * @param pose where the machine is [{units['pose']}]; within {known}",
         " * @return as decoupler_step(), or DECOUPLER_POSE",
         " */",
         "uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose);",
@@ -132,6 +144,13 @@ def header(source: Source) -> str:
         "",
         "#endif /* DECOUPLER_H */",
     )
+
+
+def _groups(d: Decoupler) -> dict[str, tuple[str, ...]]:
+    """Columns whose units the text names together."""
+    return {
+        "all": (*d.inputs, *d.pose), "readings": d.model.channels, "state": d.model.state, "pose": d.pose,
+    }  # fmt: skip
 
 
 def params_header(source: Source) -> str:

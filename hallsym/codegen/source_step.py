@@ -6,7 +6,7 @@ import casadi as ca
 
 from hallsym.codegen.entries import short
 from hallsym.codegen.parts import Step
-from hallsym.codegen.printer import Real, statements
+from hallsym.codegen.printer import Real, codes, statements
 from hallsym.codegen.source import BANNER, Source, function, lines, no_contraction
 
 
@@ -14,7 +14,10 @@ def step(source: Source) -> str:
     """Return the code of every sample."""
     d, real = source.d, source.real
     results = {s.name: f"out->{c}" for s, c in zip(d.steps[-len(d.pose) :], d.pose, strict=True)}
-    body = [*source.saturated(d.folded), *statements(d.steps, source.names, real, results), "return status;"]
+    body = [*source.saturated(d.folded), *statements(d.steps, source.names, real, results)]
+    for flag in d.flags:
+        body += [f"if (!({flag.step} >= p->{flag.least}))", "{", f"    status |= DECOUPLER_{flag.name};", "}"]
+    body.append("return status;")
     parts = [
         function(
             "uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)",
@@ -87,7 +90,9 @@ def bare(source: Source) -> str:
     )
     prototype = signature.replace("void", "extern void") + ";"
     body = [*loads, *statements(d.steps, source.names, real, results)]
-    return lines(BANNER.rstrip(), '#include "decoupler.h"', "", prototype, "", function(signature, body))
+    body += [f"(void){flag.step};" for flag in d.flags]
+    math = ["#include <math.h>", ""] if ca.OP_FABS in codes(d.steps) else []
+    return lines(BANNER.rstrip(), '#include "decoupler.h"', "", *math, prototype, "", function(signature, body))
 
 
 def _slopes(source: Source) -> str:
@@ -104,8 +109,8 @@ def _slopes(source: Source) -> str:
 
 def _zero(source: Source) -> str:
     d, real = source.d, source.real
-    one = real.constant(1.0)
-    tests = [f"(pose->{c} >= -{one}) && (pose->{c} <= {one})" for c in d.pose]
+    most = {c: real.constant(d.known(c)) for c in d.pose}
+    tests = [f"(pose->{c} >= -{most[c]}) && (pose->{c} <= {most[c]})" for c in d.pose]
     test = "\n    && ".join(f"({x})" for x in tests)
     zeros = [f"p->{z.name}" for z in d.zeros]
     if not d.at_pose:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from hallsym.arrays import on_arrays
-from hallsym.codegen.parts import Decoupler
+from hallsym.codegen.parts import Decoupler, flag_bit
 from hallsym.codegen.printer import Real
 
 COUNT = 48
@@ -36,7 +36,7 @@ class Emulator:
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
-        return on_arrays(self.d.function)
+        return on_arrays(self.d.function, self.real.dtype)
 
     @cached_property
     def _ends(self) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +51,9 @@ class Emulator:
         status = ((above | below) * (1 << np.arange(len(inputs), dtype=np.uint32))[:, None]).sum(axis=0)
         held: np.ndarray = np.where(above, high, np.where(below, low, inputs)).astype(self.real.dtype)
         with np.errstate(under="ignore"):
-            pose = self._run(held, [np.array([c], dtype=self.real.dtype) for c in self.d.constants])[0]
+            pose, *seen = self._run(held, [np.array([c], dtype=self.real.dtype) for c in self.d.constants])
+        if seen:
+            status |= self.d.raised(seen[0].astype(self.real.dtype), self.real.dtype)
         return pose.astype(self.real.dtype), status.astype(np.uint32)
 
     def sample(self, numbers: np.ndarray) -> np.ndarray:
@@ -120,12 +122,16 @@ def vectors(d: Decoupler, real: Real) -> Vectors:
             column[k] = value
             bad.append(column)
     bad.append(np.full(len(low), np.nan, dtype=real.dtype))
+    bad += [np.array(row, dtype=real.dtype) for row in d.listed]
     given = np.hstack([inputs[0], np.array(bad, dtype=real.dtype).T])
     with np.errstate(invalid="ignore"):
         above, below = ~(given <= high[:, None]), given < low[:, None]
     held = np.where(above, high[:, None], np.where(below, low[:, None], given)).astype(float)
-    status = ((above | below) * (1 << np.arange(len(low)))[:, None]).sum(axis=0)
-    return Vectors(given, held, d.exact(held), status)
+    pose, status = Emulator(d, real).step(given)
+    # the model's pose, on the branch of what is computed; where a flag says that there is none, the latter
+    exact = pose - d.difference(pose, d.exact(held)) if d.model.period else d.exact(held)
+    weak = status >= flag_bit(len(d.flags) - 1) if d.flags else np.zeros(len(status), bool)
+    return Vectors(given, held, np.where(weak, pose, exact), status)
 
 
 def worst(d: Decoupler, real: Real, samples: int = 100_000, seed: int = 0) -> dict[str, float]:
@@ -138,6 +144,6 @@ def worst(d: Decoupler, real: Real, samples: int = 100_000, seed: int = 0) -> di
         inputs = (low + (high - low) * share).astype(real.dtype)
         pose, status = emulator.step(inputs)
         inside = status == 0
-        error = np.abs(pose.astype(float) - d.exact(inputs.astype(float)))[:, inside]
-        most = np.maximum(most, error.max(axis=1))
+        error = np.abs(d.difference(pose, d.exact(inputs.astype(float))))[:, inside]
+        most = np.maximum(most, error.max(axis=1, initial=0.0))
     return dict(zip(d.pose, most.tolist(), strict=True))

@@ -37,7 +37,9 @@ def price(before: Model, after: Model, p: np.ndarray | None = None) -> str:
 
 def _work(before: Model, after: Model, p: np.ndarray | None) -> str:
     try:
-        old, new = cost_of(before), cost_of(after, p)
+        shared = None if p is None else {n: v for n, v in after.named(p).items() if n in before.names}
+        old = cost_of(before, None if shared is None else before.vector(shared))
+        new = cost_of(after, p)
     except InputError:
         return f"decoding {operations(before)} -> {operations(after)} operations, no C"
     return (

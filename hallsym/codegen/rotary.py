@@ -1,0 +1,248 @@
+"""Decoupler of rotary encoders: from two voltages or from the decoded angle to the corrected angle.
+
+Two voltages: the ellipse is undone by a linear map, the phase taken by an arctangent whose polynomial is
+proved (`hallsym.codegen.trigonometry`), and what is left corrected by a series of its waves. A decoded angle:
+the series alone. Both wrap. The series comes from the model by solving it over a turn
+(`hallsym.codegen.rotary_curve`), so any effect that is a static function of the angle follows; for the
+circle and the ellipse it is empty.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import pi
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.box import Box, limits
+from hallsym.codegen.entries import Entry, short
+from hallsym.codegen.parts import Decoupler, Flag, Margin, Step
+from hallsym.codegen.rotary_bounds import Rounding
+from hallsym.codegen.rotary_curve import Curve
+from hallsym.codegen.trigonometry import (
+    ARCTANGENT,
+    HALF_PI,
+    PI,
+    SINE,
+    arctangent_error,
+    odd,
+    sine_error,
+    wrapped,
+)
+from hallsym.errors import InputError
+from hallsym.families.rotary import TURN
+from hallsym.model import Model
+
+WEAK = 0.5
+"""Share of its calibrated amplitude below which the field is reported as too weak."""
+ROOM = 0.1
+"""Share of its swing by which a voltage may leave what the model gives over the box: noise, temperature."""
+TINY = 1e-30
+"""Added to a divisor that may be zero; lost in rounding where it is not."""
+ROUNDED = 1e-13
+
+
+def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
+    """Return the decoupler of an encoder at parameters `p` over a box; `weight` does not matter.
+
+    The corrected angle is that at which the model reads the measured phase, so a change of both amplitudes
+    alike, by temperature, leaves it alone. Raises `InputError` for readings that are no function of the angle.
+    """
+    if model.state:
+        raise InputError(
+            f"C for an encoder is generated from readings that depend on the angle alone; {model.name} with "
+            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without it."
+        )
+    if any(link == "reference" for link, _ in model.steps):
+        raise InputError(
+            f"The calibration of {model.name} with {', '.join(model.effects)} holds errors of its reference, "
+            "which a controller does not have; fit without that effect, or correct the log's reference."
+        )
+    return _Assembly(Curve(model, np.asarray(p, dtype=float)), box).make()
+
+
+@dataclass(eq=False)
+class _Assembly:
+    """Collects entries, symbols and steps of one calibration."""
+
+    curve: Curve
+    given: Box
+    table: list[Entry] = field(default_factory=list)
+    symbols: dict[str, ca.SX] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=list)
+
+    def make(self) -> Decoupler:
+        model, series = self.curve.model, self.curve.series
+        inputs = model.channels
+        self.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
+        zero = Entry("zero_angle", 0.0, "rad", "added to angle_rad; set by decoupler_zero()")
+        self.symbols["zero_angle"] = ca.SX.sym("zero_angle")
+        flags: tuple[Flag, ...] = ()
+        if self.curve.angle_only:
+            margin, phase = self._reading(), self.symbols["phase"]
+        else:
+            margin, phase = self._ellipse(), self._arctangent()
+            flags = (Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),)
+        self._finish(phase)
+        ends = Box({c: self._ends(c) for c in inputs})
+        return Decoupler(
+            model=model,
+            inputs=inputs,
+            table=tuple(self.table),
+            limits=limits(inputs, ends),
+            zeros=(zero,),
+            steps=tuple(self.steps),
+            at_pose=(),
+            margins=(margin,),
+            box=ends,
+            exact=lambda given: self.curve.angle(self.curve.phase(given))[None],
+            symbols=self.symbols,
+            flags=flags,
+            approximation=self._left,
+            bounded=Rounding(self.curve, WEAK),
+            rest=tuple(self.curve.readings(np.zeros(1))[:, 0].tolist()),
+            listed=self._listed(),
+            said=self._said(),
+        )
+
+    # -- steps -------------------------------------------------------------------------------------------
+
+    def _add(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
+        self.table.append(Entry(name, float(value), unit, meaning))
+        self.symbols[name] = ca.SX.sym(name)
+        return self.symbols[name]
+
+    def _step(self, name: str, expression: ca.SX, remark: str = "") -> ca.SX:
+        self.steps.append(Step(name, expression, remark))
+        return self.symbols.setdefault(name, ca.SX.sym(name))
+
+    def _reading(self) -> Margin:
+        """The phase that is read, either branch taken."""
+        angle = self.symbols["angle_rad"]
+        gain = self._add("gain_angle", 1.0, "1", "phase per angle_rad; not to be changed")
+        self._step("phase", wrapped(gain * angle), "[rad] as read, either branch")
+        return Margin("angle_rad", "gain_angle")
+
+    def _ellipse(self) -> Margin:
+        """Voltages to a vector of length 1."""
+        off = []
+        for channel, center in zip(self.curve.model.channels, self.curve.center, strict=True):
+            name = short(channel)
+            entry = self._add(f"center_{name}", center, "V", f"center of {channel}")
+            off.append(self._step(f"off_{name}", self.symbols[channel] - entry, f"[V] {channel} from its center"))
+        for axis, row in zip("xy", self.curve.matrix, strict=True):
+            entries = [
+                self._add(f"{axis}_{short(c)}", value, "1/V", f"{axis} of the unit circle per {c}")
+                for c, value in zip(self.curve.model.channels, row, strict=True)
+            ]
+            self._step(axis, entries[0] * off[0] + entries[1] * off[1])
+        x, y = self.symbols["x"], self.symbols["y"]
+        self._add("least_field", WEAK**2, "1", "square of the least share of the calibrated amplitude")
+        self._step("field", x * x + y * y, "[1] square of the amplitude, 1 as calibrated")
+        return Margin("v_sin_v", "least_field")
+
+    def _arctangent(self) -> ca.SX:
+        """atan2(y, x) by octants."""
+        x, y = self.symbols["x"], self.symbols["y"]
+        across, up = self._step("across", ca.fabs(x)), self._step("up", ca.fabs(y))
+        flat = up <= across
+        share = self._step("share", ca.if_else(flat, up, across) / (ca.if_else(flat, across, up) + TINY))
+        ratio = self._step("ratio", ca.if_else(share < 1.0, share, 1.0), "[1] tangent in the first octant")
+        square = self._step("square", ratio * ratio)
+        octant = self._step("octant", odd(ARCTANGENT, ratio, square), "[rad] its angle, a polynomial")
+        none = ca.SX(0.0)
+        quarter = self._step("quarter", ca.fabs(ca.if_else(flat, none, HALF_PI) - octant))
+        half = self._step("half", ca.fabs(ca.if_else(x < 0, PI, none) - quarter))
+        return self._step("phase", ca.if_else(y < 0, -half, half), "[rad] atan2(y, x)")
+
+    def _finish(self, phase: ca.SX) -> None:
+        """The correction, the zero, and the branch."""
+        series = self.curve.series
+        angle = phase
+        if series.constant or series.cos:
+            constant = self._add("shift", series.constant, "rad", "correction, mean over a turn")
+            angle = phase + constant
+        if series.cos:
+            angle = angle + self._waves(phase)
+        if self.curve.angle_only and angle is not phase:
+            angle = self._step("turned", wrapped(angle))
+        total = self._step("total", self.symbols["zero_angle"] + angle)
+        self._step("angle", wrapped(total), "[rad] within half a turn")
+
+    def _waves(self, phase: ca.SX) -> ca.SX:
+        """Sum of the waves by Horner's rule for complex numbers, highest first."""
+        series = self.curve.series
+        entries = []
+        for n, (c, s) in enumerate(zip(series.cos, series.sin, strict=True), 1):
+            about = f"{n} wave{'s' if n > 1 else ''} per turn of the correction"
+            entries.append(
+                (self._add(f"cos_{n}", c, "rad", f"{about}, cosine"), self._add(f"sin_{n}", s, "rad", f"{about}, sine"))
+            )
+        self._step("upright", HALF_PI - ca.fabs(phase), "[rad] angle from the other axis")
+        cos = self._of("upright", "cosine")
+        self._step("side", HALF_PI - ca.fabs(self.symbols["upright"]))
+        size = self._of("side", "size")
+        sin = self._step("sine", ca.if_else(phase < 0, -size, size))
+        a, b = entries[-1]
+        for n in range(len(entries) - 1, 0, -1):
+            c, s = entries[n - 1]
+            real = self._step(f"real_{n}", c + (cos * a + sin * b))
+            imaginary = self._step(f"imaginary_{n}", s + (cos * b - sin * a))
+            a, b = real, imaginary
+        return self._step("correction", cos * a + sin * b, "[rad] its waves")
+
+    def _of(self, argument: str, name: str) -> ca.SX:
+        x = self.symbols[argument]
+        square = self._step(f"{argument}_square", x * x)
+        return self._step(name, odd(SINE, x, square))
+
+    # -- ranges and what is said --------------------------------------------------------------------------
+
+    def _ends(self, channel: str) -> tuple[float, float]:
+        given = self.given.ends
+        if self.curve.angle_only:
+            low, high = given[channel]
+            if low < -TURN or high > TURN:
+                raise InputError(
+                    f"The range of {channel} must lie within one turn in either direction "
+                    f"(-{TURN:.6g} to {TURN:.6g} rad); C decodes one turn."
+                )
+            return low, high
+        if channel in given:
+            return given[channel]
+        (angles,) = (given[c] for c in self.curve.model.pose)
+        seen = self.curve.readings(np.linspace(*angles, 4096))[self.curve.model.channels.index(channel)]
+        middle, swing = (seen.max() + seen.min()) / 2, (seen.max() - seen.min()) / 2 * (1 + ROOM)
+        return float(f"{middle - swing:.3g}"), float(f"{middle + swing:.3g}")
+
+    @cached_property
+    def _left(self) -> float:
+        """What the polynomials and the waves left out may leave in the angle [rad]."""
+        series = self.curve.series
+        arctangent = 0.0 if self.curve.angle_only else arctangent_error() * (1 + series.slope)
+        # sine and cosine off by e change wave n by at most n e sqrt 2 (1 + e)^n
+        sines = sine_error() * 2**0.5 * series.slope * (1 + 2 * sine_error()) ** len(series.cos)
+        return float(arctangent + sines + series.left + ROUNDED)
+
+    def _listed(self) -> tuple[tuple[float, ...], ...]:
+        """No field, and the seams of the octants."""
+        if self.curve.angle_only:
+            return tuple((a,) for a in (-TURN, -pi, -1e-3, 0.0, pi, TURN))
+        seams = np.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]]) / 2**0.5
+        back = np.linalg.solve(self.curve.matrix, seams.T).T + self.curve.center
+        return tuple(map(tuple, [self.curve.center.tolist(), *back.tolist()]))
+
+    def _said(self) -> tuple[str, ...]:
+        series, out = self.curve.series, []
+        if not self.curve.angle_only:
+            out.append(
+                f"The arctangent is a polynomial of degree {2 * len(ARCTANGENT) - 1}: off by at most "
+                f"{arctangent_error():.2g} rad (proved)."
+            )
+        if series.cos:
+            count = len(series.cos)
+            out.append(
+                f"The correction is a series of {count} waves per turn, {8 * count + 4} bytes of table; those left "
+                f"out sum to {series.left:.2g} rad. As near, a table of straight lines needs {series.entries} entries."
+            )
+        return tuple(out)
