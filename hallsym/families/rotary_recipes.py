@@ -1,15 +1,23 @@
 """Effects of an encoder by their texts: each a function of the numbers that its text holds (`recipes`)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import radians
 from typing import Any
+
+import casadi as ca
 
 from hallsym.errors import InputError
 from hallsym.families import rotary_effects as re
 from hallsym.families.recipe_numbers import among, positive
-from hallsym.model import Model
+from hallsym.model import Model, Step
 
 Make = Callable[[Model], Model]
+
+
+def short(model: Model) -> Model:
+    """Return the model with atan2 itself where it has no run summaries anyway: the series would be long."""
+    return re.direct(model) if re.decodes(model) and model.computed else model
 
 
 # -- mechanics and field -----------------------------------------------------------------------------------
@@ -89,7 +97,7 @@ def even_nonlinearity(*, order: int = 2) -> Make:
 
 def gain_temperature_drift(*, mean_degc: float) -> Make:
     """Gains follow the logged temperature above a mean."""
-    return re.gain_drift("gain_temperature_drift", *re.temperature(mean_degc))
+    return _gains("gain_temperature_drift", *re.temperature(mean_degc))
 
 
 def offset_temperature_drift(*, mean_degc: float) -> Make:
@@ -99,7 +107,7 @@ def offset_temperature_drift(*, mean_degc: float) -> Make:
 
 def gain_time_drift(*, duration_s: float, degree: int = 1) -> Make:
     """Gains drift over the campaign: a polynomial of time, or with settling_s an exponential."""
-    return re.gain_drift("gain_time_drift", *_polynomial(duration_s, degree))
+    return _gains("gain_time_drift", *_polynomial(duration_s, degree))
 
 
 def offset_time_drift(*, duration_s: float, degree: int = 1) -> Make:
@@ -109,7 +117,7 @@ def offset_time_drift(*, duration_s: float, degree: int = 1) -> Make:
 
 def gain_settling(*, settling_s: float) -> Make:
     """Gains settle exponentially over the campaign."""
-    return re.gain_drift("gain_time_drift", *re.settling(positive("settling_s", settling_s)))
+    return _gains("gain_time_drift", *re.settling(positive("settling_s", settling_s)))
 
 
 def offset_settling(*, settling_s: float) -> Make:
@@ -171,7 +179,7 @@ def mains_hum(*, frequency_hz: float) -> Make:
 def reference_voltage_fluctuation(*, frequency_hz: float) -> Make:
     """The gain of the converter swings with the mains."""
     wave = re.wave_of_time(positive("frequency_hz", frequency_hz))
-    return re.gain_drift("reference_voltage_fluctuation", *wave)
+    return _gains("reference_voltage_fluctuation", *wave)
 
 
 # -- reference ---------------------------------------------------------------------------------------------
@@ -210,9 +218,30 @@ RECIPES: dict[str, tuple[Callable[..., Make], ...]] = {
 """By name; where an effect has several forms the numbers that are given tell them apart."""
 
 
+def _gains(effect: str, columns: Sequence[Any], functions: Any, count: int) -> Make:
+    """Drift of the gains of both plates; of the angle alone only that of the sine against the cosine."""
+    both = re.gain_drift(effect, columns, functions, count)
+
+    def make(model: Model) -> Model:
+        wide = both(model)
+        if not re.decodes(model):
+            return wide
+        new = [p for p in wide.parameters if p.name not in model.names]
+        none = {p.name: ca.SX(0) for p in new if p.name.endswith("_cos")}
+        steps = tuple(pair if pair in model.steps else (pair[0], _with(pair[1], none)) for pair in wide.steps)
+        kept = tuple(p for p in wide.parameters if p.name not in none)
+        return replace(wide, steps=steps, parameters=kept)
+
+    return make
+
+
 def _polynomial(duration_s: float, degree: int) -> tuple[Any, Any, int]:
     among("degree", str(degree), "1 2 3")
     return re.powers_of_time(positive("duration_s", duration_s), degree)
+
+
+def _with(step: Step, values: Mapping[str, ca.SX]) -> Step:
+    return lambda s, p: step(s, {**p, **values})
 
 
 def _on_voltages(what: str, make: Make) -> Make:
