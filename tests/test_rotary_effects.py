@@ -268,3 +268,71 @@ def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
     fit = hallsym.fit(log, "rotary", effects=texts, holdout=found.validation_runs, solver="direct")
     after = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
     assert after == pytest.approx(found.gap_after["rmse"]["angle_rad"], rel=0.04)
+
+
+# -- logs that are refused ---------------------------------------------------------------------------------
+
+
+def spoilt(what: str) -> Log:
+    """A log of which one thing is wrong."""
+    log = encoder(None)
+    c = {name: log.array(name) for name in log.columns}
+    y, x, a = "v_sin_v", "v_cos_v", "angle_ref_rad"
+    changes = {
+        "another count of turns": {a: c[a] / 2},
+        "another reference": {a: c[a][::-1] * np.pi},
+        "dead plate": {x: np.full_like(c[x], 0.3)},
+        "swapped": {y: c[x], x: c[y]},
+        "no reference": {},
+    }
+    c |= changes[what]
+    c["run"] = c["run"].astype(int)
+    return Log.from_arrays({k: v for k, v in c.items() if what != "no reference" or k != a})
+
+
+REFUSED = {
+    "another count of turns": "makes 2 turns while angle_ref_rad makes one",
+    "another reference": "does not follow angle_ref_rad",
+    "dead plate": "never changes",
+    "no reference": "has no column angle_ref_rad",
+}
+
+
+@pytest.fixture(scope="module")
+def calib(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("encoder") / "calib.json"
+    hallsym.fit(encoder(None), "rotary", solver="direct").save(path)
+    return path
+
+
+@pytest.mark.parametrize("what", REFUSED)
+@pytest.mark.parametrize("command", ["fit", "diagnose", "evaluate"])
+def test_a_wrong_log_of_an_encoder_is_refused_in_one_sentence(
+    what: str, command: str, calib: Path, tmp_path: Path, capsys
+) -> None:
+    log = str(written(spoilt(what), tmp_path / "log.csv"))
+    words = [str(calib), log] if command == "evaluate" else [log, "--model", "rotary"]
+    assert main([command, *words]) == 2
+    said = capsys.readouterr().err
+    assert REFUSED[what] in said
+    assert said.count("\n") == 1
+
+
+def test_swapped_voltages_are_said_where_a_calibration_is_judged(calib: Path, tmp_path: Path, capsys) -> None:
+    log = str(written(spoilt("swapped"), tmp_path / "log.csv"))
+    assert main(["evaluate", str(calib), log]) == 2
+    assert "runs the other way round than when the calibration was made" in capsys.readouterr().err
+    assert main(["fit", log, "--model", "rotary", "--solver", "direct"]) == 0
+    assert "or the two voltages are swapped" in capsys.readouterr().out
+
+
+def test_a_part_of_a_turn_is_judged_but_not_fitted(calib: Path, tmp_path: Path, capsys) -> None:
+    log = encoder(None)
+    part = {c: log.array(c) for c in log.columns}
+    some = np.mod(part["angle_ref_rad"] + 1e-3, 2 * np.pi) < 1.5
+    del part["t_s"]
+    table = {c: v[some].astype(int) if c == "run" else v[some] for c, v in part.items()}
+    path = str(written(Log.from_arrays(table), tmp_path / "log.csv"))
+    assert main(["fit", path, "--model", "rotary"]) == 2
+    assert "deg of a turn" in capsys.readouterr().err
+    assert main(["evaluate", str(calib), path]) == 0
