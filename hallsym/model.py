@@ -115,8 +115,9 @@ class Model:
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
     """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
-    inspect: "Callable[[Model, Any], Inspection] | None" = None
-    """`(model, log)`: what the family says of a log before it is fitted. Raises `InputError`."""
+    inspect: "Callable[..., Inspection] | None" = None
+    """`(model, log, fitted=True)`: what the family says of a log before it is fitted, or judged. Raises
+    `InputError`."""
 
     def with_step(
         self,

@@ -243,7 +243,9 @@ def test_same_bits_and_few_instructions_on_a_cortex_m4f(case, form, tmp_path):
     assert {line.split()[-2] for line in symbols.splitlines()} == {"T"}  # no data, nothing undefined
 
 
-@pytest.mark.parametrize(("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow), *LATER])
+@pytest.mark.parametrize(
+    ("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow), *LATER]
+)
 def test_eva_raises_no_alarm(case, form, tmp_path):
     need("frama-c")
     said = ran(
@@ -269,7 +271,13 @@ def test_compilers_warn_of_nothing_and_the_self_test_runs_every_branch(case, for
     need(compiler, "gcov", "make")
     folder = written(case, form, tmp_path)
     assert ran(folder, "make", "check", f"CC={compiler}").count("as stated") == 2
-    sources = ("src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c", "test/main.c")
+    sources = (
+        "src/decoupler.c",
+        "src/decoupler_check.c",
+        "params/decoupler_params.c",
+        "test/selftest.c",
+        "test/main.c",
+    )
     include = ("-Iinclude", "-Iparams", "-Itest")
     ran(folder, compiler, *STRICT, "-pedantic", "-O0", *include, *sources, "-o", "strict")
     if compiler == "gcc":

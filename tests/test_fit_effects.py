@@ -40,7 +40,8 @@ NUMBERS = {
     "odd_nonlinearity": ("order=5",),
     "time_skew": ("per=probe",),
 }
-TEXTS = [*(n for n in RECIPES if not lacking(n)), *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v)]
+STAGE = RECIPES["stage"]
+TEXTS = [*(n for n in STAGE if not lacking(n, "stage")), *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v)]
 KINDS = (
     ("mount_slip", "grid"),
     pytest.param("odd_nonlinearity", "raster", marks=SLOW),
@@ -155,7 +156,7 @@ def test_an_effect_is_built_again_from_its_text(text: str) -> None:
 
 
 def test_every_effect_of_the_catalogue_has_a_text_and_every_fault_a_remedy() -> None:
-    assert {e.name for e in CATALOGUE} == set(RECIPES)
+    assert {e.name for e in CATALOGUE} == set(STAGE)
     for name, sentence in FAULTS.items():
         with pytest.raises(InputError, match="fault of the recording") as refused:
             build("stage31", added=(name,))
@@ -165,10 +166,12 @@ def test_every_effect_of_the_catalogue_has_a_text_and_every_fault_a_remedy() -> 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(1e-7, 1e-3), st.tuples(*[st.floats(-1e-3, 1e-3)] * 3))
 def test_numbers_are_read_as_they_are_written(width: float, rails: tuple[float, ...]) -> None:
-    wide = make_of(write("hysteresis", half_width_m=width))(build("stage31"))
+    wide = make_of(write("stage", "hysteresis", half_width_m=width))(build("stage31"))
     (parameter,) = [p for p in wide.parameters if p.name == "half_width"]
     assert parameter.nominal == pytest.approx(width, rel=1e-8)
-    low, _, high = write("saturation", low_m=rails, high_m=rails).partition(":")[2].partition(",high_m=")
+    low, _, high = (
+        write("stage", "saturation", low_m=rails, high_m=rails).partition(":")[2].partition(",high_m=")
+    )
     assert [float(v) for v in high.split("/")] == pytest.approx(list(rails), rel=1e-8)
     assert low.removeprefix("low_m=") == high
 

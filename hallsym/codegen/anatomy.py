@@ -152,6 +152,11 @@ class Anatomy:
     def inverse(self, p: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Return D = (M^T W M)^-1 M^T W / eta, W = weight eta^2: the least-squares inverse at rest."""
         matrix, eta = self.matrix(p), self.eta(p)
+        if not matrix.size or not matrix.any(axis=0).all():
+            raise InputError(
+                f"C for model {self.model.name} of family {self.model.family} cannot be generated: its "
+                "readings are not a gain times a displacement that is linear in the pose."
+            )
         scaled = matrix.T * (weight * eta**2 / np.max(weight * eta**2))
         return np.linalg.solve(scaled @ matrix, scaled) / eta
 

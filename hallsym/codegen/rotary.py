@@ -82,7 +82,9 @@ class _Assembly:
             margin, phase = self._reading(), self.symbols["phase"]
         else:
             margin, phase = self._ellipse(), self._arctangent()
-            flags = (Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),)
+            flags = (
+                Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),
+            )
         self._finish(phase)
         ends = Box({c: self._ends(c) for c in inputs})
         return Decoupler(
@@ -129,7 +131,9 @@ class _Assembly:
         for channel, center in zip(self.curve.model.channels, self.curve.center, strict=True):
             name = short(channel)
             entry = self._add(f"center_{name}", center, "V", f"center of {channel}")
-            off.append(self._step(f"off_{name}", self.symbols[channel] - entry, f"[V] {channel} from its center"))
+            off.append(
+                self._step(f"off_{name}", self.symbols[channel] - entry, f"[V] {channel} from its center")
+            )
         for axis, row in zip("xy", self.curve.matrix, strict=True):
             entries = [
                 self._add(f"{axis}_{short(c)}", value, "1/V", f"{axis} of the unit circle per {c}")
@@ -176,7 +180,10 @@ class _Assembly:
         for n, (c, s) in enumerate(zip(series.cos, series.sin, strict=True), 1):
             about = f"{n} wave{'s' if n > 1 else ''} per turn of the correction"
             entries.append(
-                (self._add(f"cos_{n}", c, "rad", f"{about}, cosine"), self._add(f"sin_{n}", s, "rad", f"{about}, sine"))
+                (
+                    self._add(f"cos_{n}", c, "rad", f"{about}, cosine"),
+                    self._add(f"sin_{n}", s, "rad", f"{about}, sine"),
+                )
             )
         self._step("upright", HALF_PI - ca.fabs(phase), "[rad] angle from the other axis")
         cos = self._of("upright", "cosine")

@@ -108,7 +108,10 @@ class Curve:
     def series(self) -> "Series":
         """The correction, as many pairs of waves as count."""
         phase = self.turn
-        found = np.fft.rfft(wrapped(self._inverse(phase, phase - self._shift, 1.0) - phase + self._shift, 2 * pi)) / POINTS
+        found = (
+            np.fft.rfft(wrapped(self._inverse(phase, phase - self._shift, 1.0) - phase + self._shift, 2 * pi))
+            / POINTS
+        )
         n = np.arange(len(found))
         waves = 2 * found * np.exp(1j * n * pi)  # the grid begins at -pi
         size = np.abs(waves)
@@ -124,7 +127,9 @@ class Curve:
         if not count and abs(constant) <= 1e-12:
             constant = 0.0
         kept = waves[1 : count + 1]
-        return Series(constant, tuple(kept.real.tolist()), tuple((-kept.imag).tolist()), float(left[count + 1]))
+        return Series(
+            constant, tuple(kept.real.tolist()), tuple((-kept.imag).tolist()), float(left[count + 1])
+        )
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,9 @@ def largest(coefficients: Sequence[float], function: Callable[[np.ndarray], np.n
     q = np.linspace(0.0, end, GRID + 1)
     e = np.polyval(a[::-1], q * q) * q - function(q)
     k, h = np.arange(len(a)), end / GRID
-    bend = float((2 * k * (2 * k + 1) * np.abs(a) * end ** np.maximum(2 * k - 1, 0)).sum()) + 1.0  # |f''| <= 1
+    bend = (
+        float((2 * k * (2 * k + 1) * np.abs(a) * end ** np.maximum(2 * k - 1, 0)).sum()) + 1.0
+    )  # |f''| <= 1
     rounding = 8 * np.finfo(float).eps * float(np.abs(function(q)).max())
     slope = (np.abs(np.diff(e)).max() + 2 * rounding) / h + h * bend
     return float(np.abs(e).max() + rounding + h / 2 * slope)

@@ -3,14 +3,15 @@
 from argparse import Namespace
 from typing import Any
 
-from hallsym.calibration import load_fit
+from hallsym.calibration import Fit, load_fit
 from hallsym.commands.common import OK, command, log_options, noted, open_log, own_effects, own_option, say
 from hallsym.decoding import logged_columns
+from hallsym.errors import InputError
 from hallsym.fitting import noise_of
-from hallsym.log import check_log
+from hallsym.log import Log, check_log
 from hallsym.passes import judge
 from hallsym.tables import error_rows
-from hallsym.wiring import as_read
+from hallsym.wiring import as_read, rewired
 
 
 def add(sub: Any) -> None:
@@ -30,9 +31,11 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     known = load_fit(options.calibration, own_effects(options))
-    log = as_read(open_log(options), known.model, known.wiring)
+    log = open_log(options)
     columns = logged_columns(known.model)
     notes = list(log.notes) if options.drop_bad else check_log(log, columns)
+    _belongs(log, known)
+    log = as_read(log, known.model, known.wiring)
     noise = noise_of(log, known.model)
     table = judge(log, known.model, known.values, {c: s.value for c, s in noise.sigmas.items()})
     rows: dict[str, Any] = {"all runs": table.over()}
@@ -49,3 +52,17 @@ def run(options: Namespace) -> int:
     }
     say(options, record, lambda: "\n".join([error_rows(known.model.pose, rows, None), *noted(notes)]))
     return OK
+
+
+def _belongs(log: Log, known: Fit) -> None:
+    """Refuse a log that a family knows not to be of the machine that was calibrated."""
+    model = known.model
+    if model.inspect is None:
+        return
+    found = model.inspect(model, rewired(log, model.channels, known.wiring), fitted=False)
+    if found.wiring is not None:
+        raise InputError(
+            f"In {log.name} {' and '.join(model.references)} runs the other way round than when the "
+            "calibration was made: turn the sign of the reference in a column file, or put the wires of "
+            f"{' and '.join(model.channels)} right."
+        )

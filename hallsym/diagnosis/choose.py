@@ -6,12 +6,12 @@ from typing import Any
 
 from hallsym import fitting
 from hallsym.calibration import Fit
+from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.ranking import candidates, refitted, scores
 from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
-from hallsym.families import adapted, build
+from hallsym.families import adapted, build, default_model
 from hallsym.families.recipes import lacking
 from hallsym.log import Log
 from hallsym.model import Model
@@ -36,10 +36,10 @@ def model_on(
     Raises `InputError` for an effect that the log does not show at all, such as hum without a line.
     """
     if not isinstance(model, Model):
-        model = build(model or log.meta.base_model or "stage31", meta=log.meta)
+        model = build(model or default_model(log.meta), meta=log.meta)
     model = adapted(model, (), _known(model, parameters))
     for text in effects:
-        if (own and text in own) or ":" in text or not lacking(text):
+        if (own and text in own) or ":" in text or not lacking(text, model.family):
             model = adapted(model, (text,), {}, own)
             continue
         known = fitting.fit(
@@ -58,7 +58,7 @@ def _known(model: Model, parameters: Mapping[str, Mapping[str, Any]] | None) -> 
 
 def _shown(log: Log, known: Fit, text: str) -> Model:
     """The model of a fit with one effect, in the form that its residual shows best."""
-    effect = next(e for e in CATALOGUE if e.name == text)
+    effect = next(e for e in kind_of(known.model).catalogue if e.name == text)
     base = base_of(log, known)
     apart = set(known.log["holdout"])
     runs = [r for r in base.log.runs if r not in apart]
@@ -70,6 +70,6 @@ def _shown(log: Log, known: Fit, text: str) -> Model:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(
             f"Effect {effect.name} cannot be found in {log.name}: {reason}; give its numbers as "
-            f"{effect.name}:{lacking(text)[0]}=..., or leave it out."
+            f"{effect.name}:{lacking(text, known.model.family)[0]}=..., or leave it out."
         )
-    return exact[0].score.model
+    return adapted(known.model, (exact[0].score.variant.text,), {})

@@ -15,6 +15,7 @@ from scipy.special import erfc
 
 from hallsym.calibration import FORMAT
 from hallsym.diagnosis.record import Diagnosis
+from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.errors import InputError
 
 LEVEL = 0.05
@@ -150,7 +151,7 @@ def _diagnoses(old: Record, new: Record) -> Comparison:
     return Comparison(
         kind="diagnoses",
         model=old["model"],
-        sentence=_sentence((old["verdict"], new["verdict"]), gap, floor, effects),
+        sentence=_sentence((old["verdict"], new["verdict"]), gap, floor, effects, gap_unit(outputs[0])),
         verdict=(old["verdict"], new["verdict"]),
         gap=gap,
         rest=rest,
@@ -233,11 +234,12 @@ def _notes(old: Record, new: Record) -> tuple[str, ...]:
         notes.append(
             f"The thresholds differ: {100 * old['threshold']:g} % before, {100 * new['threshold']:g} % after."
         )
+    unit = gap_unit(old["gap_before"]["rmse"])
     a, b = float(old["metric"]["floor"]), float(new["metric"]["floor"])
     if not 1 / 1.2 < b / max(a, 1e-300) < 1.2:
         notes.append(
-            f"The noise floors differ: {1e6 * a:.3g} um before, {1e6 * b:.3g} um after; what one log shows, "
-            "the other may hide."
+            f"The noise floors differ: {gap_text(a, unit)} before, {gap_text(b, unit)} after; what one log "
+            "shows, the other may hide."
         )
     return tuple(notes)
 
@@ -247,11 +249,12 @@ def _sentence(
     gap: tuple[float, float],
     floor: tuple[float, float],
     effects: Sequence[EffectChange],
+    unit: tuple[float, str],
 ) -> str:
     times = tuple(g / max(f, 1e-300) for g, f in zip(gap, floor, strict=True))
     said = (
-        f"The gap went from {1e6 * gap[0]:.3g} um ({times[0]:.3g} x the noise floor, {verdict[0]}) to "
-        f"{1e6 * gap[1]:.3g} um ({times[1]:.3g} x, {verdict[1]})"
+        f"The gap went from {gap_text(gap[0], unit)} ({times[0]:.3g} x the noise floor, {verdict[0]}) to "
+        f"{gap_text(gap[1], unit)} ({times[1]:.3g} x, {verdict[1]})"
     )
     for state, word in (("gone", "gone"), ("came", "new"), ("stays", "still there")):
         names = [e.name for e in effects if e.state == state]

@@ -1,6 +1,7 @@
 """A comparison as a person reads it in a terminal."""
 
 from hallsym.diagnosis.compare import LEVEL, Comparison, EffectChange, ParameterChange, PlaceChange
+from hallsym.diagnosis.words import gap_unit
 from hallsym.tables import concise, grid, readable
 
 
@@ -23,9 +24,9 @@ def comparison_text(c: Comparison) -> str:
 
 def _gaps(c: Comparison) -> str:
     rows = [["", "before", "after"], ["verdict", *c.verdict]]
-    rows.append(["gap [um]", *(f"{1e6 * v:.4g}" for v in c.gap)])
-    rows.append(["with the effects found [um]", *(f"{1e6 * v:.4g}" for v in c.rest)])
-    rows.append(["noise floor [um]", *(f"{1e6 * v:.4g}" for v in c.floor)])
+    size, name = gap_unit(c.rmse)
+    for what, pair in (("gap", c.gap), ("with the effects found", c.rest), ("noise floor", c.floor)):
+        rows.append([f"{what} [{name}]", *(f"{size * v:.4g}" for v in pair)])
     for column, pair in c.rmse.items():
         factor, unit, name = readable(column)
         rows.append([f"rmse {name} [{unit}]", *(f"{factor * v:.4g}" for v in pair)])

@@ -19,6 +19,7 @@ from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.ranking import Trouble, candidates
 from hallsym.diagnosis.refit import solve
 from hallsym.diagnosis.tangent import Base, tangents
+from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Model
 
@@ -167,7 +168,7 @@ def sized(truth: Truth, injection: Injection, ratio: float) -> Sized:
         gap, raw = truth.gap(readings)
         hidden = gap < ABSORBED * raw and raw > truth.floor_m
         if hidden or (amount >= injection.most and gap < (1 - NEAR) * wanted):
-            return Sized(amount, gap, _invisible(gap, raw))
+            return Sized(amount, gap, _invisible(gap, raw, gap_unit(truth.base.model.pose)))
         before = seen[-1]
         seen.append((amount, gap))
         if abs(gap / wanted - 1) < NEAR:
@@ -179,10 +180,22 @@ def sized(truth: Truth, injection: Injection, ratio: float) -> Sized:
     return Sized(*min(seen[1:], key=lambda s: abs(s[1] - wanted)))
 
 
-def _invisible(gap: float, raw: float) -> str:
+def _invisible(gap: float, raw: float, unit: tuple[float, str]) -> str:
+    left = gap_text(gap, unit, 2)
     if gap < ABSORBED * raw:
-        return f"the model's own parameters absorb it: of {1e6 * raw:.3g} um they leave {1e6 * gap:.2g} um"
-    return f"at the bounds of its parameters it makes {1e6 * gap:.2g} um on this log"
+        return f"the model's own parameters absorb it: of {gap_text(raw, unit)} they leave {left}"
+    return f"at the bounds of its parameters it makes {left} on this log"
+
+
+def _unit(truth: Truth) -> str:
+    """Unit of the readings, as parameters have it."""
+    unit = truth.base.model.channels[0].rpartition("_")[2]
+    return "V" if unit == "v" else unit
+
+
+def _goes_round(truth: Truth) -> bool:
+    """Whether the reading is the decoded angle: one channel without rails or other wires."""
+    return truth.base.model.channels == truth.base.model.pose
 
 
 def injections(
@@ -202,7 +215,10 @@ def injections(
         key = own[0] if tried[own[0]][1].shape is None else own[(len(own) - 1) // 2]
         _, variant, model, new = tried[key]
         if effect.name == "saturation":
-            out.append(_rails(truth, effect))
+            if _goes_round(truth):
+                reasons[effect.name] = "an angle has no rails; the voltages are not logged"
+            else:
+                out.append(_rails(truth, effect))
             continue
         raw = np.sqrt(np.maximum(strength[t.span[key]], 0.0))
         made = _effect(truth, effect, variant, model, new, raw, rng_of(effect.name))
@@ -210,6 +226,8 @@ def injections(
             reasons[effect.name] = "this log has no motion that would show it"
         else:
             out.append(made)
+    if _goes_round(truth):
+        reasons |= dict.fromkeys(("channel_swap", "sign_inversion"), "one channel has no wires to mix up")
     return out + _faults(truth, rng_of), reasons
 
 
@@ -299,14 +317,14 @@ def _rails(truth: Truth, effect: Effect) -> Injection:
         return np.clip(truth.clean + noise, -rail, rail)
 
     def size(amount: float) -> Size:
-        return {f"rail_{c}": (float(v), "m") for c, v in zip(channels, levels(amount), strict=True)}
+        return {f"rail_{c}": (float(v), _unit(truth)) for c, v in zip(channels, levels(amount), strict=True)}
 
     return Injection(effect.name, effect.link, "both rails, hard", make, size, MOST_SHARE, 0.03)
 
 
 def _faults(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[Injection]:
-    """Faults of samples and of the wiring."""
-    clean, speed, channels = truth.clean, truth.speed, truth.base.model.channels
+    """Faults of samples, and of the wiring where there are wires."""
+    clean, speed = truth.clean, truth.speed
     K, n = clean.shape
     level = float(np.sqrt(np.diag(truth.base.covariance).mean()))
     step = float(np.median(np.diff(truth.columns["t_s"])))
@@ -315,12 +333,37 @@ def _faults(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[
     old = rng_of("dropped_samples").random((n,))
     length = rng_of("dropped").integers(1, 1 + HOLD, (n,))
     shift = rng_of("clock_jitter").standard_normal((n,))
-    wires = rng_of("wiring")
-    a, b = np.sort(wires.choice(K, 2, replace=False)).tolist()
-    flipped = int(wires.integers(K))
 
     def stale(amount: float, noise: Noisy) -> np.ndarray:
         return clean - speed * step * _ages(old < amount, length, truth.columns["run"]) + noise
+
+    def adc(amount: float, noise: Noisy) -> np.ndarray:
+        return np.round((clean + noise) / amount) * amount
+
+    def one(name: str, unit: str) -> Callable[[float], Size]:
+        return lambda amount: {name: (amount, unit)}
+
+    unit, most = _unit(truth), 1e-2 if _unit(truth) == "m" else 1.0
+    return [
+        Injection("outliers", "electronics", f"{100 * OUTLIERS:g} % of the samples",
+                  lambda amount, noise: clean + noise + amount * hit, one("spike", unit), most, 10 * level),
+        Injection("dropped_samples", "clock", f"held for 1 to {HOLD} samples", stale, one("share", "1"),
+                  MOST_SHARE, 0.01),
+        Injection("clock_jitter", "clock", "rms of the sampling instants",
+                  lambda amount, noise: clean + noise + amount * speed * shift, one("jitter", "s"),
+                  10 * step, 0.1 * step),
+        Injection("adc_quantisation", "electronics", "one step for all channels", adc, one("step", unit),
+                  most / 10, 3 * level),
+        *([] if _goes_round(truth) else _wiring(truth, rng_of)),
+    ]  # fmt: skip
+
+
+def _wiring(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[Injection]:
+    """Two channels swapped, and one inverted."""
+    clean, channels = truth.clean, truth.base.model.channels
+    wires = rng_of("wiring")
+    a, b = np.sort(wires.choice(len(clean), 2, replace=False)).tolist()
+    flipped = int(wires.integers(len(clean)))
 
     def swap(_: float, noise: Noisy) -> np.ndarray:
         out = clean + noise
@@ -332,22 +375,7 @@ def _faults(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[
         out[flipped] *= -1
         return out
 
-    def adc(amount: float, noise: Noisy) -> np.ndarray:
-        return np.round((clean + noise) / amount) * amount
-
-    def one(name: str, unit: str) -> Callable[[float], Size]:
-        return lambda amount: {name: (amount, unit)}
-
     return [
-        Injection("outliers", "electronics", f"{100 * OUTLIERS:g} % of the samples",
-                  lambda amount, noise: clean + noise + amount * hit, one("spike", "m"), 1e-2, 10 * level),
-        Injection("dropped_samples", "clock", f"held for 1 to {HOLD} samples", stale, one("share", "1"),
-                  MOST_SHARE, 0.01),
-        Injection("clock_jitter", "clock", "rms of the sampling instants",
-                  lambda amount, noise: clean + noise + amount * speed * shift, one("jitter", "s"),
-                  10 * step, 0.1 * step),
-        Injection("adc_quantisation", "electronics", "one step for all channels", adc, one("step", "m"),
-                  1e-3, 3 * level),
         Injection("channel_swap", "electronics", f"{channels[a]} and {channels[b]}", swap, lambda _: {}, 1.0,
                   sized=False),
         Injection("sign_inversion", "electronics", channels[flipped], invert, lambda _: {}, 1.0,

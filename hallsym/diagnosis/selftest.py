@@ -25,10 +25,10 @@ from hallsym.diagnosis.injection import (
     sized,
     truth_of,
 )
+from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.likeness import Likeness, likeness
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.search import base_of, facts_of
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.thin import thinned
 from hallsym.errors import InputError, nearest
@@ -95,7 +95,10 @@ class Findable:
 
 @dataclass(frozen=True)
 class SelfTest:
-    """The answer of `selftest`. `complete` is False when it was interrupted: `effects` hold what was done."""
+    """The answer of `selftest`. `complete` is False when it was interrupted: `effects` hold what was done.
+
+    `outputs`: names of the pose. Gaps are in m, or in rad where the pose is an angle alone.
+    """
 
     effects: tuple[Findable, ...]
     false_alarms: int
@@ -109,6 +112,7 @@ class SelfTest:
     thinning: str
     rows: int
     model: str
+    outputs: tuple[str, ...]
     log: dict[str, Any]
     complete: bool
     notes: tuple[str, ...]
@@ -151,20 +155,18 @@ def selftest(
     Raises `InputError` for an unknown name, a ratio not above 1, and wherever `diagnose` does.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
-    catalogue = (*CATALOGUE, *effects)
+    model = engine._built(log, model)
+    catalogue = (*kind_of(model).catalogue, *effects)
     wanted = _wanted(names, catalogue)
     ratios = _ratios(ratios)
     if repeats < 1:
         raise InputError(f"Input repeats of the self-test must be 1 or more; instead received {repeats}.")
     if rows < 1:
         raise InputError(f"Input rows of the self-test must be 1 or more; instead received {rows}.")
-    apart, level = engine._holdout(log, holdout), engine._threshold(log, threshold)
+    log, pieces = engine._pieces(log, model) if holdout is None else (log, None)
+    apart, level = pieces or engine._holdout(log, holdout), engine._threshold(log, threshold)
     say("fitting the model")
-    log, result = engine._fitted(log, engine._built(log, model), apart, drop_bad, say)
-    if result.model.family != "stage":
-        raise InputError(
-            f"Model {result.model.name} has no catalogue of effects yet; only stage models have."
-        )
+    log, result = engine._fitted(log, model, apart, drop_bad, say)
     bench = _Bench(log, result, apart, level, tuple(effects), catalogue, seed, rows, say)
     trials, complete = _run(bench, wanted, ratios, repeats)
     quiet = tuple(t for t in trials if t.name == NONE)
@@ -186,6 +188,7 @@ def selftest(
         thinning=bench.thinning,
         rows=bench.truth.clean.shape[1],
         model=result.model.name,
+        outputs=result.model.pose,
         log={**result.log, "holdout": list(apart)},
         complete=complete,
         notes=tuple(dict.fromkeys((*bench.notes, *result.notes))),
@@ -238,6 +241,7 @@ class _Bench:
         self.model, self.apart, self.level, self.own = result.model, apart, level, own
         self.catalogue, self.seed, self.say = catalogue, seed, say
         base = base_of(log, result)
+        base = replace(base, model=kind_of(base.model).direct(base.model))
         say("thinning the log")
         short = thinned(base, rows)
         base = replace(base, log=short.log, keep=None)

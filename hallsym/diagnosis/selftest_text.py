@@ -3,19 +3,20 @@
 from collections.abc import Sequence
 
 from hallsym.diagnosis.selftest import Findable, SelfTest, Trial
+from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.tables import grid
 
 SHORT = {"found": "yes", "group": "group", "listed": "second", "other": "wrong", "refused": "refused"}
-READ = {"m": (1e6, "um"), "s": (1e3, "ms"), "rad": (1e6, "urad")}
+READ = {"m": (1e6, "um"), "s": (1e3, "ms"), "rad": (1e6, "urad"), "V": (1e3, "mV")}
 
 
 def selftest_text(s: SelfTest) -> str:
     """Return what `hallsym selftest` prints: one line per effect, false alarms, what cannot be seen, why."""
-    quiet = len(s.quiet_trials)
+    quiet, unit = len(s.quiet_trials), gap_unit(s.outputs)
     parts = [
         f"self-test of a diagnosis with {s.model}: {s.rows} samples"
         + (f" ({s.thinning})" if s.thinning else "")
-        + f", noise floor {1e6 * s.floor_m:.3g} um, threshold {100 * s.threshold:g} %, seed {s.seed}; "
+        + f", noise floor {gap_text(s.floor_m, unit)}, threshold {100 * s.threshold:g} %, seed {s.seed}; "
         f"{s.seconds:.0f} s" + ("" if s.complete else "; INTERRUPTED, what was done:"),
         f"noise: {s.noise['text']}",
         f"false alarms: {s.false_alarms} of {quiet} logs without an effect",
@@ -40,7 +41,7 @@ def _table(s: SelfTest, tested: Sequence[Findable]) -> str:
         cells = [_cell([t for t in e.trials if t.ratio == r]) for r in s.ratios]
         if e.trials[0].ratio is None:
             cells = [_cell(e.trials), *[""] * (len(cells) - 1)]
-        rows.append([e.name, *cells, _from(e), size_text(e), ", ".join(e.confused_with)])
+        rows.append([e.name, *cells, _from(e, gap_unit(s.outputs)), size_text(e), ", ".join(e.confused_with)])
     return grid(rows, left=len(head))
 
 
@@ -53,10 +54,10 @@ def _cell(trials: Sequence[Trial]) -> str:
     return f"{sum(word in ('yes', 'group') for word in said)}/{len(said)}"
 
 
-def _from(e: Findable) -> str:
+def _from(e: Findable, unit: tuple[float, str]) -> str:
     if e.status != "found" or e.gap_m is None:
         return "not found"
-    return "found" if e.ratio is None else f"{1e6 * e.gap_m:.3g} um"
+    return "found" if e.ratio is None else gap_text(e.gap_m, unit)
 
 
 def size_text(e: Findable) -> str:

@@ -1,14 +1,17 @@
 """The catalogue of the stage: the field's names, each with the ways in which it may act."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.survey import MAINS
-from hallsym.families.recipes import make_of, write
+from hallsym.families import recipes
+from hallsym.families.recipes import make_of
 from hallsym.model import Model
 
+write = partial(recipes.write, "stage")
 WIDTHS = (2e-6, 6e-6, 1.5e-5, 4e-5, 1e-4, 2.5e-4)
 """Half-widths of the play that are tried [m]; refined around the best."""
 

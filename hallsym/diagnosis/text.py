@@ -1,4 +1,4 @@
-"""The diagnosis as a person reads it in a terminal: at most 110 characters wide, um and urad."""
+"""The diagnosis as a person reads it in a terminal: at most 110 characters wide."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -177,11 +177,12 @@ def _curve(rest: Mapping[str, Any]) -> list[str]:
         half_of = [(high - low) / 2 for low, high in zip(c["low"], c["high"], strict=True)]
         k = max(range(len(half_of)), key=lambda j: abs(c["value"][j]) - half_of[j])
         value, half = c["value"][k], half_of[k]
+        factor, unit, name = readable(channel)
         if curve["kind"] == "gain":
             shown = f"{100 * value:+.2g} +- {100 * half:.1g} %"
         else:
-            shown = f"{1e6 * value:+.2g} +- {1e6 * half:.1g} um"
-        said.append(f"{readable(channel)[2]} {shown} at {_at(curve, k)}")
+            shown = f"{factor * value:+.2g} +- {factor * half:.1g} {unit}"
+        said.append(f"{name} {shown} at {_at(curve, k)}")
     what = "change of gain" if curve["kind"] == "gain" else "error"
     return [_wrapped(f"  shape over {curve['coordinate']}, largest {what}: {'; '.join(said)}", "    ")]
 

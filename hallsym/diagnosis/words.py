@@ -1,5 +1,9 @@
 """Words of statements: shares in per cent, names of channels, places in the unit a person reads."""
 
+from collections.abc import Iterable
+
+from hallsym.tables import readable
+
 UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s"), "v": (1e3, "mV"), "v/s": (1.0, "V/s")}
 """How places are shown to a person."""
 
@@ -19,3 +23,15 @@ def shown(value: float, unit: str, *, sign: bool = False) -> str:
     factor, name = UNITS.get(unit, (1.0, unit))
     number = f"{value * factor:+.3g}" if sign and unit not in ("s", "degC") else f"{value * factor:.3g}"
     return f"{number} {name}"
+
+
+def gap_unit(outputs: Iterable[str]) -> tuple[float, str]:
+    """Return factor and unit in which a person reads the gap metric over `outputs`: a length, or an angle."""
+    names = list(outputs)
+    factor, unit, _ = readable(next((n for n in names if n.endswith("_m")), names[0] if names else "x_m"))
+    return factor, unit
+
+
+def gap_text(gap: float, unit: tuple[float, str], digits: int = 3) -> str:
+    """Return a gap with its unit, such as `1.23 um`."""
+    return f"{gap * unit[0]:.{digits}g} {unit[1]}"

@@ -18,10 +18,15 @@ def models() -> dict[str, Callable[..., Model]]:
     return named | {alias: named[name] for family in FAMILIES for alias, name in family.ALIASES.items()}
 
 
-def effects() -> dict[str, Callable[[Model], Model]]:
-    """Return every effect by name."""
-    own = {effect.__name__: effect for family in FAMILIES for effect in family.EFFECTS}
-    return own | {name: _later(name) for name in recipes.RECIPES}
+def effects(family: str | None = None) -> dict[str, Callable[[Model], Model]]:
+    """Return every effect by name: of one family, or of all; a name in several acts as the model's does."""
+    out: dict[str, Callable[[Model], Model]] = {}
+    for f in FAMILIES:
+        if family in (None, f.FAMILY):
+            known = {effect.__name__: effect for effect in f.EFFECTS}
+            known |= {name: _later(name, forms[0]) for name, forms in recipes.recipes_of(f.FAMILY).items()}
+            out = known | out
+    return out
 
 
 def known_effect(text: str) -> bool:
@@ -29,13 +34,13 @@ def known_effect(text: str) -> bool:
     return recipes.read(text)[0] in effects()
 
 
-def _later(name: str) -> Callable[[Model], Model]:
+def _later(name: str, form: Callable[..., Callable[[Model], Model]]) -> Callable[[Model], Model]:
     """The effect of that name, its numbers looked at when it is added."""
 
     def make(model: Model) -> Model:
         return recipes.make_of(name)(model)
 
-    make.__doc__ = recipes.RECIPES[name][0].__doc__
+    make.__doc__ = form.__doc__
     return make
 
 
@@ -91,7 +96,7 @@ def adapted(
 ) -> Model:
     """Return `model` with effects added by name and with changed nominal values and bounds."""
     for effect in added:
-        model = _effect(effect, own or {})(model)
+        model = _effect(effect, model, own or {})(model)
     return model.with_parameters(_checked(model, parameters))
 
 
@@ -119,14 +124,21 @@ def same_layout(model: Model, meta: Meta) -> bool:
     return family.from_meta(models()[model.name], meta).layout == model.layout
 
 
-def _effect(text: str, own: Mapping[str, Callable[[Model], Model]]) -> Callable[[Model], Model]:
+def _effect(text: str, model: Model, own: Mapping[str, Callable[[Model], Model]]) -> Callable[[Model], Model]:
+    """The effect that a text names for `model`."""
     name, given = recipes.read(text)
-    known = effects() | dict(own)
+    known = effects(model.family) | dict(own)
     if name in recipes.FAULTS and name not in own:
         raise InputError(f"Effect {name} {recipes.FAULTS[name]}")
     if name not in known:
+        others = [f.FAMILY for f in FAMILIES if name in effects(f.FAMILY)]
+        if others:
+            raise InputError(
+                f"Effect {name} belongs to {' and '.join(others)} models; model {model.name} is of family "
+                f"{model.family}."
+            )
         raise _unknown("Effect", name, known)
-    if name in own or name not in recipes.RECIPES:
+    if name in own or name not in recipes.recipes_of(model.family):
         if given:
             raise InputError(f"Effect {name} takes no numbers; instead received {text!r}.")
         return lambda model: recipes.noted(model, known[name](model), name)

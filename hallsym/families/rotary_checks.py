@@ -45,8 +45,10 @@ class _Seen:
         self.follows[k] = self.follows.get(k, 0j) + np.exp(1j * difference).sum()
 
 
-def inspect(model: Model, log: Any) -> Inspection:
+def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     """Refuse a log that no encoder model can be fitted to; return its direction and what it cannot tell.
+
+    `fitted` False: the log is only judged, for which a part of a turn is enough.
 
     Raises `InputError` when the reference covers too little of a turn, makes another number of turns, or does
     not belong to the readings.
@@ -62,14 +64,15 @@ def inspect(model: Model, log: Any) -> Inspection:
         else:
             angle = values[0][good]
         seen.add(angle, block.data[column][good])
-    _refuse(seen, log.name, column)
+    _refuse(seen, log.name, column, fitted)
     forward = abs(seen.follows[1.0]) >= abs(seen.follows[-1.0])
     notes = [*_notes(seen, column)]
     if not forward:
         channel = model.channels[0]
+        swapped = ", or the two voltages are swapped" if len(model.channels) == 2 else ""
         notes.append(
-            f"The encoder turns against {column} (its other side faces the reference); {channel} is taken "
-            "with its sign reversed."
+            f"The encoder turns against {column} (its other side faces the reference{swapped}); {channel} is "
+            "taken with its sign reversed."
         )
     wiring = None if forward else tuple((c, -1 if k == 0 else 1) for k, c in enumerate(model.channels))
     return Inspection(tuple(notes), wiring)
@@ -85,10 +88,10 @@ def _middles(model: Model, log: Any) -> list[float]:
     return [float(v) for v in (low + high) / 2]
 
 
-def _refuse(seen: _Seen, name: str, column: str) -> None:
+def _refuse(seen: _Seen, name: str, column: str, fitted: bool) -> None:
     gap, other = _gap(seen.reference), _gap(seen.angle)
     length = {k: abs(v) / max(seen.samples, 1) for k, v in seen.follows.items()}
-    if gap > GAP_REFUSE and other > GAP_REFUSE:
+    if fitted and gap > GAP_REFUSE and other > GAP_REFUSE:
         raise InputError(
             f"Column {column} of {name} covers only {360 - gap:.0f} deg of a turn; offset, gain and phase of "
             "an encoder show once and twice per turn, so record at least one full turn."
@@ -117,7 +120,7 @@ def _notes(seen: _Seen, column: str) -> list[str]:
     if min(seen.up, seen.down) < 0.05 * (seen.up + seen.down):
         notes.append(
             f"{column} turns in one direction only: latency and hysteresis look like another zero and are "
-            "not observable; record both directions to tell them."
+            "not observable (latency is, as far as the speed changes); record both directions to tell them."
         )
     return notes
 

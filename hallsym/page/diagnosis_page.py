@@ -165,11 +165,13 @@ def _sizes(record: Record) -> Markup:
 
 
 def _metric(record: Record) -> str | None:
-    """Return the one number over all outputs [m] that shrinkage is measured by."""
+    """Return the one number over all outputs (SI) that shrinkage is measured by."""
     metric = dict(record.get("metric") or {})
     if not _changed(record):
         metric = {"on held-out runs" if k == "before" else k: v for k, v in metric.items() if k != "after"}
-    said = [f"{parts.amount('x_m', v)} {when}" for when, v in metric.items() if isinstance(v, int | float)]
+    outputs = tuple((record.get("gap_before") or {}).get("rmse") or ("x_m",))
+    column = next((c for c in outputs if c.endswith("_m")), outputs[0])
+    said = [f"{parts.amount(column, v)} {when}" for when, v in metric.items() if isinstance(v, int | float)]
     return f" One number over all outputs: {', '.join(said)}." if said else None
 
 
