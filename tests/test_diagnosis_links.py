@@ -50,7 +50,11 @@ def found(name: str) -> tuple[Base, Located]:
 
 
 @pytest.mark.parametrize(
-    ("name", "link"), [("odd_nonlinearity", "field"), ("height_quadratic", "transducer")]
+    ("name", "link"),
+    [
+        ("odd_nonlinearity", "field"),
+        pytest.param("height_quadratic", "transducer", marks=pytest.mark.slow),
+    ],
 )
 def test_the_link_is_the_one_that_the_gap_was_put_in(name: str, link: str) -> None:
     _, here = found(name)
@@ -113,7 +117,9 @@ def test_smoothing_the_reference_moves_it_less_than_its_noise_and_leaves_the_res
         assert sum(np.ptp(block.data[c]) == 0 for c in model.references) == 2
 
 
-@pytest.mark.parametrize("kind", NOISES)
+@pytest.mark.parametrize(
+    "kind", [k if k == "correlated" else pytest.param(k, marks=pytest.mark.slow) for k in NOISES]
+)
 def test_noise_gets_no_statement_of_a_link_an_output_or_a_sensor(kind: str) -> None:
     """Noise that is larger than stated: there is an excess, but in no link."""
     log = Log.from_arrays(record(seed=5, samples=24, **NOISES[kind]), noise=stated(0.85))

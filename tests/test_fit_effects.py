@@ -43,7 +43,7 @@ NUMBERS = {
 STAGE = RECIPES["stage"]
 TEXTS = [*(n for n in STAGE if not lacking(n, "stage")), *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v)]
 KINDS = (
-    ("mount_slip", "grid"),
+    pytest.param("mount_slip", "grid", marks=SLOW),
     pytest.param("odd_nonlinearity", "raster", marks=SLOW),
     pytest.param("hysteresis", "multisine", marks=SLOW),
     pytest.param("time_skew", "multisine", marks=SLOW),

@@ -182,6 +182,7 @@ def test_waves_multiply_shift_and_differentiate_like_functions(c, at, ahead):
 
 # -- what is determined ----------------------------------------------------------------------------------
 
+QUICK = [s if s in "ad" else pytest.param(s, marks=pytest.mark.slow) for s in SITUATIONS]
 BACK_AND_FORTH = np.r_[np.linspace(0, 2 * TURN, 360), np.linspace(2 * TURN, 0, 360)]
 
 
@@ -206,7 +207,12 @@ def test_two_voltages_determine_everything():
 
 
 @pytest.mark.parametrize(
-    ("make", "situation"), [(angle_log, "b"), *((voltage_log, situation) for situation in SITUATIONS)]
+    ("make", "situation"),
+    [
+        (angle_log, "b"),
+        (voltage_log, "a"),
+        *(pytest.param(voltage_log, s, marks=pytest.mark.slow) for s in SITUATIONS if s != "a"),
+    ],
 )
 def test_noise_free_logs_give_identifiable_combinations_exactly(make, situation):
     v = truth(situation) | {"zero": 3.1}
@@ -267,7 +273,7 @@ def test_estimates_scatter_as_cramer_rao_allows():
     assert stated["Ay/Ax"] == pytest.approx(bound[2], rel=0.15)
 
 
-@pytest.mark.parametrize("situation", SITUATIONS)
+@pytest.mark.parametrize("situation", QUICK)
 def test_situations_of_table_2_come_back(situation):
     v, sigma = truth(situation) | {"zero": 0.3}, np.radians(0.02)
     a = np.linspace(0, TURN, 360, endpoint=False)

@@ -270,6 +270,23 @@ def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
     assert after == pytest.approx(found.gap_after["rmse"]["angle_rad"], rel=0.04)
 
 
+def test_the_self_test_and_the_comparison_of_an_encoder_are_in_degrees(tmp_path: Path, capsys) -> None:
+    log = str(written(encoder(late, "angle"), tmp_path / "log.csv"))
+    words = [log, "--model", "rotary", "--effects", "reference_pole_pairs,sign_inversion", "--sizes", "2"]
+    assert main(["selftest", *words]) == 0
+    said = capsys.readouterr().out
+    assert "deg" in said
+    assert " um" not in said
+    assert "sign_inversion: one channel has no wires to mix up" in said
+    assert main(["diagnose", log, "--model", "rotary", "--json"]) == 0
+    record = tmp_path / "a.json"
+    record.write_text(capsys.readouterr().out)
+    assert main(["diagnose", "--compare", str(record), str(record)]) == 0
+    said = capsys.readouterr().out
+    assert "gap [deg]" in said
+    assert " um" not in said
+
+
 # -- logs that are refused ---------------------------------------------------------------------------------
 
 

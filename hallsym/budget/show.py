@@ -1,4 +1,4 @@
-"""Budgets and their confirmation as a person reads them: nm, um, urad, per cent."""
+"""Budgets and their confirmation as a person reads them: nm, um, urad, deg, per cent."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,6 +16,7 @@ _READ = {
     "v": ((1e6, "uV"), (1e3, "mV"), (1.0, "V")),
     "1": ((1e6, "ppm"), (1.0, "1")),
 }
+_ANGLE = ((1e3 * 180 / np.pi, "mdeg"), (180 / np.pi, "deg"))
 _SMALL = 5e-5
 """Sources with a smaller share are one line."""
 _MOST = 1000.0
@@ -28,10 +29,17 @@ def unit_for(unit: str, largest: float) -> tuple[float, str]:
     return next(((f, name) for f, name in known if abs(largest) * f < _MOST), known[-1])
 
 
+def unit_of(quantity: str, unit: str, largest: float) -> tuple[float, str]:
+    """Return the same for a named quantity: an angle that goes round is read in degrees."""
+    if readable(quantity)[1] == "deg":
+        return next(((f, name) for f, name in _ANGLE if abs(largest) * f < _MOST), _ANGLE[-1])
+    return unit_for(unit, largest)
+
+
 def budget_text(budget: Budget, shown: str | None = None) -> str:
     """Return the table of a budget, largest share first; `shown`: the unit of the result for reading."""
     if shown is None:
-        factor, unit = unit_for(budget.unit, budget.expanded)
+        factor, unit = unit_of(budget.quantity, budget.unit, budget.expanded)
     else:
         factor, unit = (1 / UNITS[shown].factor if shown in UNITS else unit_for("1", 1e-6)[0]), shown
     head = ["source", "distribution", "std uncertainty", "sensitivity", f"u [{unit}]", "share [%]"]
@@ -83,7 +91,7 @@ def comparison_text(comparisons: Sequence[Comparison]) -> str:
     """Return what Monte Carlo says of the linear result: one table and one sentence for each output."""
     rows = [["Monte Carlo", "u linear", "u", "unit", "interval linear", "interval", "tolerance", ""]]
     for c in comparisons:
-        factor, unit = unit_for(c.linear.unit, max(c.std, c.linear.std))
+        factor, unit = unit_of(c.linear.quantity, c.linear.unit, max(c.std, c.linear.std))
         low, high = ((v - c.linear.value) * factor for v in c.interval)
         half = c.linear.factor * c.linear.std * factor
         rows.append(
@@ -119,7 +127,7 @@ def comparison_sentence(c: Comparison) -> str:
 
 
 def _size(c: Comparison, value: float) -> str:
-    factor, unit = unit_for(c.linear.unit, max(c.std, c.linear.std))
+    factor, unit = unit_of(c.linear.quantity, c.linear.unit, max(c.std, c.linear.std))
     return f"{_three(value * factor)} {unit}"
 
 
