@@ -1,7 +1,7 @@
 """C for encoders: corrected angle from two voltages or from a decoded angle.
 
 Independent facts: the model's own readings at a known angle; numpy's arctangent in double; a gain common to
-both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi]; the bits of a million samples.
+both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi]; a million samples.
 """
 
 from dataclasses import replace
@@ -243,7 +243,9 @@ def test_same_bits_and_few_instructions_on_a_cortex_m4f(case, form, tmp_path):
     assert {line.split()[-2] for line in symbols.splitlines()} == {"T"}  # no data, nothing undefined
 
 
-@pytest.mark.parametrize(("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow), *LATER])
+@pytest.mark.parametrize(
+    ("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow), *LATER]
+)
 def test_eva_raises_no_alarm(case, form, tmp_path):
     need("frama-c")
     said = ran(
@@ -269,7 +271,13 @@ def test_compilers_warn_of_nothing_and_the_self_test_runs_every_branch(case, for
     need(compiler, "gcov", "make")
     folder = written(case, form, tmp_path)
     assert ran(folder, "make", "check", f"CC={compiler}").count("as stated") == 2
-    sources = ("src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c", "test/main.c")
+    sources = (
+        "src/decoupler.c",
+        "src/decoupler_check.c",
+        "params/decoupler_params.c",
+        "test/selftest.c",
+        "test/main.c",
+    )
     include = ("-Iinclude", "-Iparams", "-Itest")
     ran(folder, compiler, *STRICT, "-pedantic", "-O0", *include, *sources, "-o", "strict")
     if compiler == "gcc":
@@ -317,7 +325,7 @@ def test_what_c_cannot_hold_is_refused_in_one_sentence():
 def test_a_clipped_channel_needs_too_many_waves():
     model = rotary_effects.clipping([-1.0, -1.0], [0.6, 0.6])(rotary.rotary(LAYOUTS["volts"]))
     values = {**ELLIPSE, "clipped_sin": 1.0, "clipped_cos": 1.0}
-    with pytest.raises(InputError, match="(more than 32 waves|too large to be undone)"):
+    with pytest.raises(InputError, match=r"(more than 32 waves|too large to be undone)"):
         hallsym.generate(calibrated(model, values))
 
 

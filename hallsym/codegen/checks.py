@@ -73,7 +73,9 @@ def notes_of(fit: Fit) -> tuple[str, ...]:
         )
     for channel, (source, sign) in zip(fit.model.channels, fit.wiring or (), strict=bool(fit.wiring)):
         if (source, sign) != (channel, 1):
-            notes.append(f"The fit took {channel} from {'-' if sign < 0 else ''}{source}: give it so here too.")
+            notes.append(
+                f"The fit took {channel} from {'-' if sign < 0 else ''}{source}: give it so here too."
+            )
     if fit.at_bound:
         notes.append(f"{', '.join(fit.at_bound)} ended at a bound.")
     return tuple(notes)

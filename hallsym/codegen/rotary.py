@@ -18,7 +18,7 @@ from hallsym.codegen.box import Box, limits
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.parts import Decoupler, Flag, Margin, Step
 from hallsym.codegen.rotary_bounds import Rounding
-from hallsym.codegen.rotary_curve import Curve
+from hallsym.codegen.rotary_curve import ENOUGH, Curve
 from hallsym.codegen.trigonometry import (
     ARCTANGENT,
     HALF_PI,
@@ -46,12 +46,13 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
     """Return the decoupler of an encoder at parameters `p` over a box; `weight` does not matter.
 
     The corrected angle is that at which the model reads the measured phase, so a change of both amplitudes
-    alike, by temperature, leaves it alone. Raises `InputError` for readings that are no function of the angle.
+    alike, by temperature, leaves it alone. Raises `InputError` for readings that depend on anything else.
     """
     if model.state:
         raise InputError(
             f"C for an encoder is generated from readings that depend on the angle alone; {model.name} with "
-            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without it."
+            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
+            "it."
         )
     if any(link == "reference" for link, _ in model.steps):
         raise InputError(
@@ -72,7 +73,7 @@ class _Assembly:
     steps: list[Step] = field(default_factory=list)
 
     def make(self) -> Decoupler:
-        model, series = self.curve.model, self.curve.series
+        model = self.curve.model
         inputs = model.channels
         self.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
         zero = Entry("zero_angle", 0.0, "rad", "added to angle_rad; set by decoupler_zero()")
@@ -82,7 +83,9 @@ class _Assembly:
             margin, phase = self._reading(), self.symbols["phase"]
         else:
             margin, phase = self._ellipse(), self._arctangent()
-            flags = (Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),)
+            flags = (
+                Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),
+            )
         self._finish(phase)
         ends = Box({c: self._ends(c) for c in inputs})
         return Decoupler(
@@ -129,7 +132,9 @@ class _Assembly:
         for channel, center in zip(self.curve.model.channels, self.curve.center, strict=True):
             name = short(channel)
             entry = self._add(f"center_{name}", center, "V", f"center of {channel}")
-            off.append(self._step(f"off_{name}", self.symbols[channel] - entry, f"[V] {channel} from its center"))
+            off.append(
+                self._step(f"off_{name}", self.symbols[channel] - entry, f"[V] {channel} from its center")
+            )
         for axis, row in zip("xy", self.curve.matrix, strict=True):
             entries = [
                 self._add(f"{axis}_{short(c)}", value, "1/V", f"{axis} of the unit circle per {c}")
@@ -173,11 +178,10 @@ class _Assembly:
         """Sum of the waves by Horner's rule for complex numbers, highest first."""
         series = self.curve.series
         entries = []
-        for n, (c, s) in enumerate(zip(series.cos, series.sin, strict=True), 1):
+        for n, pair in enumerate(zip(series.cos, series.sin, strict=True), 1):
             about = f"{n} wave{'s' if n > 1 else ''} per turn of the correction"
-            entries.append(
-                (self._add(f"cos_{n}", c, "rad", f"{about}, cosine"), self._add(f"sin_{n}", s, "rad", f"{about}, sine"))
-            )
+            cosine = self._add(f"cos_{n}", pair[0], "rad", f"{about}, cosine")
+            entries.append((cosine, self._add(f"sin_{n}", pair[1], "rad", f"{about}, sine")))
         self._step("upright", HALF_PI - ca.fabs(phase), "[rad] angle from the other axis")
         cos = self._of("upright", "cosine")
         self._step("side", HALF_PI - ca.fabs(self.symbols["upright"]))
@@ -242,7 +246,8 @@ class _Assembly:
         if series.cos:
             count = len(series.cos)
             out.append(
-                f"The correction is a series of {count} waves per turn, {8 * count + 4} bytes of table; those left "
-                f"out sum to {series.left:.2g} rad. As near, a table of straight lines needs {series.entries} entries."
+                f"The correction is a series of {count} waves per turn, {8 * count + 4} bytes of table; "
+                f"those left out sum to {series.left:.2g} rad. A table of straight lines as near as "
+                f"{ENOUGH:g} rad needs up to {series.entries} entries."
             )
         return tuple(out)

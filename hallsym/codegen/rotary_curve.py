@@ -108,7 +108,10 @@ class Curve:
     def series(self) -> "Series":
         """The correction, as many pairs of waves as count."""
         phase = self.turn
-        found = np.fft.rfft(wrapped(self._inverse(phase, phase - self._shift, 1.0) - phase + self._shift, 2 * pi)) / POINTS
+        found = (
+            np.fft.rfft(wrapped(self._inverse(phase, phase - self._shift, 1.0) - phase + self._shift, 2 * pi))
+            / POINTS
+        )
         n = np.arange(len(found))
         waves = 2 * found * np.exp(1j * n * pi)  # the grid begins at -pi
         size = np.abs(waves)
@@ -124,12 +127,14 @@ class Curve:
         if not count and abs(constant) <= 1e-12:
             constant = 0.0
         kept = waves[1 : count + 1]
-        return Series(constant, tuple(kept.real.tolist()), tuple((-kept.imag).tolist()), float(left[count + 1]))
+        return Series(
+            constant, tuple(kept.real.tolist()), tuple((-kept.imag).tolist()), float(left[count + 1])
+        )
 
 
 @dataclass(frozen=True)
 class Series:
-    """constant + sum over n >= 1 of cos_n cos(n phase) + sin_n sin(n phase) [rad]; `left`: what others sum to."""
+    """constant + sum of cos_n cos(n phase) + sin_n sin(n phase), n >= 1 [rad]; `left`: the sum of the others."""
 
     constant: float
     cos: tuple[float, ...]
@@ -157,6 +162,6 @@ class Series:
 
     @property
     def entries(self) -> int:
-        """How many entries a table of straight lines would need to be as near: max |second derivative| h^2 / 8."""
+        """Entries that a table of straight lines needs to be as near: max |second derivative| h^2 / 8."""
         bend = sum((n + 1) ** 2 * size for n, size in enumerate(self.waves))
         return int(np.ceil(2 * pi * np.sqrt(bend / 8 / ENOUGH))) if bend else 0

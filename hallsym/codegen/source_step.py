@@ -92,7 +92,9 @@ def bare(source: Source) -> str:
     body = [*loads, *statements(d.steps, source.names, real, results)]
     body += [f"(void){flag.step};" for flag in d.flags]
     math = ["#include <math.h>", ""] if ca.OP_FABS in codes(d.steps) else []
-    return lines(BANNER.rstrip(), '#include "decoupler.h"', "", *math, prototype, "", function(signature, body))
+    return lines(
+        BANNER.rstrip(), '#include "decoupler.h"', "", *math, prototype, "", function(signature, body)
+    )
 
 
 def _slopes(source: Source) -> str:

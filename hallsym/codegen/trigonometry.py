@@ -22,7 +22,7 @@ SINE = (1.0, -0.166666478, 0.00833289977, -0.000198008973, 2.59048852e-06)
 """sin t = t (a0 + a1 t^2 + ...) for |t| <= pi / 2, degree 9: off by 3.4e-8."""
 TURN_HIGH = float(np.float32(2 * pi))
 TURN_LOW = 2 * pi - TURN_HIGH
-"""2 pi in two parts: x - TURN_HIGH is exact in float32 for pi <= x <= 4 pi (Sterbenz), so a wrap rounds once."""
+"""2 pi in two parts: x - TURN_HIGH is exact in float32 for pi <= x <= 4 pi (Sterbenz): one rounding."""
 HALF_PI, PI = pi / 2, pi
 GRID = 1 << 18
 
@@ -57,7 +57,9 @@ def largest(coefficients: Sequence[float], function: Callable[[np.ndarray], np.n
     q = np.linspace(0.0, end, GRID + 1)
     e = np.polyval(a[::-1], q * q) * q - function(q)
     k, h = np.arange(len(a)), end / GRID
-    bend = float((2 * k * (2 * k + 1) * np.abs(a) * end ** np.maximum(2 * k - 1, 0)).sum()) + 1.0  # |f''| <= 1
+    bend = (
+        float((2 * k * (2 * k + 1) * np.abs(a) * end ** np.maximum(2 * k - 1, 0)).sum()) + 1.0
+    )  # |f''| <= 1
     rounding = 8 * np.finfo(float).eps * float(np.abs(function(q)).max())
     slope = (np.abs(np.diff(e)).max() + 2 * rounding) / h + h * bend
     return float(np.abs(e).max() + rounding + h / 2 * slope)
