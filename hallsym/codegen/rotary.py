@@ -122,7 +122,7 @@ class _Assembly:
     def _reading(self) -> Margin:
         """The phase that is read, either branch taken."""
         angle = self.symbols["angle_rad"]
-        gain = self._add("gain_angle", 1.0, "1", "phase per angle_rad; not to be changed")
+        gain = self._add("gain_angle", 1.0, "1", "phase per angle_rad, 1")
         self._step("phase", wrapped(gain * angle), "[rad] as read, either branch")
         return Margin("angle_rad", "gain_angle")
 

@@ -134,7 +134,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Series:
-    """constant + sum of cos_n cos(n phase) + sin_n sin(n phase), n >= 1 [rad]; `left`: the sum of the others."""
+    """constant + sum of cos_n cos(n phase) + sin_n sin(n phase) [rad]; `left`: sum of the others."""
 
     constant: float
     cos: tuple[float, ...]
