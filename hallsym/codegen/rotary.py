@@ -40,6 +40,8 @@ ROOM = 0.1
 TINY = 1e-30
 """Added to a divisor that may be zero; lost in rounding where it is not."""
 ROUNDED = 1e-13
+EVIDENT = 8
+"""Waves up to which Frama-C EVA sees by itself that their sum is small: its intervals grow with each."""
 
 
 def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
@@ -193,7 +195,11 @@ class _Assembly:
             real = self._step(f"real_{n}", c + (cos * a + sin * b))
             imaginary = self._step(f"imaginary_{n}", s + (cos * b - sin * a))
             a, b = real, imaginary
-        return self._step("correction", cos * a + sin * b, "[rad] its waves")
+        if len(entries) <= EVIDENT:
+            return self._step("correction", cos * a + sin * b, "[rad] its waves")
+        waves = self._step("waves", cos * a + sin * b, "[rad] of the correction")
+        held = ca.if_else(waves < -1.0, -1.0, ca.if_else(waves > 1.0, 1.0, waves))
+        return self._step("correction", held, "they sum to less than 1 rad; said again for a prover")
 
     def _of(self, argument: str, name: str) -> ca.SX:
         x = self.symbols[argument]

@@ -117,6 +117,11 @@ class Curve:
         size = np.abs(waves)
         left = np.append(np.cumsum(size[::-1])[::-1], 0.0)  # left[k]: waves k and up
         count = next((k for k in range(0, MOST_WAVES + 2, 2) if left[k + 1] <= ENOUGH), None)
+        if left[1] >= 1.0:
+            raise InputError(
+                f"The distortion of this calibration of {self.model.name} is more than 1 rad; no correction "
+                "of the angle is generated for it."
+            )
         if count is None:
             raise InputError(
                 f"The correction of this calibration of {self.model.name} needs more than {MOST_WAVES} waves "
