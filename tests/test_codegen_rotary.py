@@ -1,7 +1,7 @@
 """C for encoders: corrected angle from two voltages or from a decoded angle.
 
 Independent facts: the model's own readings at a known angle; numpy's arctangent in double; a gain common to
-both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi]; the bits of a million samples.
+both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi]; a million samples.
 """
 
 from dataclasses import replace
@@ -325,7 +325,7 @@ def test_what_c_cannot_hold_is_refused_in_one_sentence():
 def test_a_clipped_channel_needs_too_many_waves():
     model = rotary_effects.clipping([-1.0, -1.0], [0.6, 0.6])(rotary.rotary(LAYOUTS["volts"]))
     values = {**ELLIPSE, "clipped_sin": 1.0, "clipped_cos": 1.0}
-    with pytest.raises(InputError, match="(more than 32 waves|too large to be undone)"):
+    with pytest.raises(InputError, match=r"(more than 32 waves|too large to be undone)"):
         hallsym.generate(calibrated(model, values))
 
 

@@ -146,7 +146,7 @@ class Decoupler:
 
     @cached_property
     def function(self) -> ca.Function:
-        """`(inputs, coefficients and zeros) -> pose`, and the values that flags look at, if there are some."""
+        """`(inputs, coefficients and zeros) -> pose`, and the values that flags look at, if any."""
         table = [*self.table, *self.zeros]
         given = [
             ca.vertcat(*(self.symbols[n] for n in names)) for names in (self.inputs, [e.name for e in table])

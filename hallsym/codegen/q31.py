@@ -158,7 +158,8 @@ def program(d: Decoupler) -> Program:
     if not straight(d.steps):
         raise InputError(
             f"--arithmetic q31 is generated for models without comparisons; {d.model.name} of the family "
-            f"{d.model.family} chooses by octant or branch: use float, which runs without a floating-point unit too."
+            f"{d.model.family} chooses by octant or branch: use float, which runs without a floating-point "
+            "unit too."
         )
     return _Compiler(d).compile()
 

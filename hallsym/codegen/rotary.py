@@ -18,7 +18,7 @@ from hallsym.codegen.box import Box, limits
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.parts import Decoupler, Flag, Margin, Step
 from hallsym.codegen.rotary_bounds import Rounding
-from hallsym.codegen.rotary_curve import Curve
+from hallsym.codegen.rotary_curve import ENOUGH, Curve
 from hallsym.codegen.trigonometry import (
     ARCTANGENT,
     HALF_PI,
@@ -40,18 +40,21 @@ ROOM = 0.1
 TINY = 1e-30
 """Added to a divisor that may be zero; lost in rounding where it is not."""
 ROUNDED = 1e-13
+EVIDENT = 8
+"""Waves up to which Frama-C EVA sees by itself that their sum is small: its intervals grow with each."""
 
 
 def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
     """Return the decoupler of an encoder at parameters `p` over a box; `weight` does not matter.
 
     The corrected angle is that at which the model reads the measured phase, so a change of both amplitudes
-    alike, by temperature, leaves it alone. Raises `InputError` for readings that are no function of the angle.
+    alike, by temperature, leaves it alone. Raises `InputError` for readings that depend on anything else.
     """
     if model.state:
         raise InputError(
             f"C for an encoder is generated from readings that depend on the angle alone; {model.name} with "
-            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without it."
+            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
+            "it."
         )
     if any(link == "reference" for link, _ in model.steps):
         raise InputError(
@@ -72,7 +75,7 @@ class _Assembly:
     steps: list[Step] = field(default_factory=list)
 
     def make(self) -> Decoupler:
-        model, series = self.curve.model, self.curve.series
+        model = self.curve.model
         inputs = model.channels
         self.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
         zero = Entry("zero_angle", 0.0, "rad", "added to angle_rad; set by decoupler_zero()")
@@ -121,7 +124,7 @@ class _Assembly:
     def _reading(self) -> Margin:
         """The phase that is read, either branch taken."""
         angle = self.symbols["angle_rad"]
-        gain = self._add("gain_angle", 1.0, "1", "phase per angle_rad; not to be changed")
+        gain = self._add("gain_angle", 1.0, "1", "phase per angle_rad, 1")
         self._step("phase", wrapped(gain * angle), "[rad] as read, either branch")
         return Margin("angle_rad", "gain_angle")
 
@@ -177,14 +180,10 @@ class _Assembly:
         """Sum of the waves by Horner's rule for complex numbers, highest first."""
         series = self.curve.series
         entries = []
-        for n, (c, s) in enumerate(zip(series.cos, series.sin, strict=True), 1):
+        for n, pair in enumerate(zip(series.cos, series.sin, strict=True), 1):
             about = f"{n} wave{'s' if n > 1 else ''} per turn of the correction"
-            entries.append(
-                (
-                    self._add(f"cos_{n}", c, "rad", f"{about}, cosine"),
-                    self._add(f"sin_{n}", s, "rad", f"{about}, sine"),
-                )
-            )
+            cosine = self._add(f"cos_{n}", pair[0], "rad", f"{about}, cosine")
+            entries.append((cosine, self._add(f"sin_{n}", pair[1], "rad", f"{about}, sine")))
         self._step("upright", HALF_PI - ca.fabs(phase), "[rad] angle from the other axis")
         cos = self._of("upright", "cosine")
         self._step("side", HALF_PI - ca.fabs(self.symbols["upright"]))
@@ -196,7 +195,11 @@ class _Assembly:
             real = self._step(f"real_{n}", c + (cos * a + sin * b))
             imaginary = self._step(f"imaginary_{n}", s + (cos * b - sin * a))
             a, b = real, imaginary
-        return self._step("correction", cos * a + sin * b, "[rad] its waves")
+        if len(entries) <= EVIDENT:
+            return self._step("correction", cos * a + sin * b, "[rad] its waves")
+        waves = self._step("waves", cos * a + sin * b, "[rad] of the correction")
+        held = ca.if_else(waves < -1.0, -1.0, ca.if_else(waves > 1.0, 1.0, waves))
+        return self._step("correction", held, "they sum to less than 1 rad; said again for a prover")
 
     def _of(self, argument: str, name: str) -> ca.SX:
         x = self.symbols[argument]
@@ -249,7 +252,8 @@ class _Assembly:
         if series.cos:
             count = len(series.cos)
             out.append(
-                f"The correction is a series of {count} waves per turn, {8 * count + 4} bytes of table; those left "
-                f"out sum to {series.left:.2g} rad. As near, a table of straight lines needs {series.entries} entries."
+                f"The correction is a series of {count} waves per turn, {8 * count + 4} bytes of table; "
+                f"those left out sum to {series.left:.2g} rad. A table of straight lines as near as "
+                f"{ENOUGH:g} rad needs up to {series.entries} entries."
             )
         return tuple(out)

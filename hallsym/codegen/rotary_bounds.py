@@ -58,7 +58,7 @@ class Rounding:
         return asin(min(1.0, float(moved)))
 
     def _waves(self, digits: int) -> float:
-        """The complex Horner rule: |partial sums| <= sum of the amplitudes, |exp(i phase)| <= 1 + its error."""
+        """The complex Horner rule: |partial sums| <= sum of amplitudes, |exp(i phase)| <= 1 + its error."""
         series, u = self.curve.series, 2.0**-digits
         sine = sqrt(2) * _sine(digits)
         most = sum(series.waves) * (1 + 1e-5)
@@ -71,7 +71,7 @@ class Rounding:
 
 @cache
 def _octants(digits: int) -> float:
-    """From a rounded ratio to the phase, polynomials exact; the ratio in cells, each with its own intervals."""
+    """From a rounded ratio to the phase, polynomials exact; the ratio in cells, each with intervals."""
     ratio, u = ca.SX.sym("ratio"), 2.0**-digits
     octant = ca.Function("octant", [ratio], [odd(ARCTANGENT, ratio, ratio * ratio)])
     ends = np.linspace(0.0, 1.0, CELLS + 1)

@@ -117,6 +117,11 @@ class Curve:
         size = np.abs(waves)
         left = np.append(np.cumsum(size[::-1])[::-1], 0.0)  # left[k]: waves k and up
         count = next((k for k in range(0, MOST_WAVES + 2, 2) if left[k + 1] <= ENOUGH), None)
+        if left[1] >= 1.0:
+            raise InputError(
+                f"The distortion of this calibration of {self.model.name} is more than 1 rad; no correction "
+                "of the angle is generated for it."
+            )
         if count is None:
             raise InputError(
                 f"The correction of this calibration of {self.model.name} needs more than {MOST_WAVES} waves "
@@ -134,7 +139,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Series:
-    """constant + sum over n >= 1 of cos_n cos(n phase) + sin_n sin(n phase) [rad]; `left`: what others sum to."""
+    """constant + sum of cos_n cos(n phase) + sin_n sin(n phase) [rad]; `left`: sum of the others."""
 
     constant: float
     cos: tuple[float, ...]
@@ -162,6 +167,6 @@ class Series:
 
     @property
     def entries(self) -> int:
-        """How many entries a table of straight lines would need to be as near: max |second derivative| h^2 / 8."""
+        """Entries that a table of straight lines needs to be as near: max |second derivative| h^2 / 8."""
         bend = sum((n + 1) ** 2 * size for n, size in enumerate(self.waves))
         return int(np.ceil(2 * pi * np.sqrt(bend / 8 / ENOUGH))) if bend else 0

@@ -22,7 +22,7 @@ SINE = (1.0, -0.166666478, 0.00833289977, -0.000198008973, 2.59048852e-06)
 """sin t = t (a0 + a1 t^2 + ...) for |t| <= pi / 2, degree 9: off by 3.4e-8."""
 TURN_HIGH = float(np.float32(2 * pi))
 TURN_LOW = 2 * pi - TURN_HIGH
-"""2 pi in two parts: x - TURN_HIGH is exact in float32 for pi <= x <= 4 pi (Sterbenz), so a wrap rounds once."""
+"""2 pi in two parts: x - TURN_HIGH is exact in float32 for pi <= x <= 4 pi (Sterbenz): one rounding."""
 HALF_PI, PI = pi / 2, pi
 GRID = 1 << 18
 
