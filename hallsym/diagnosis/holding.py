@@ -28,7 +28,7 @@ class Held:
 
 
 def held(search: Search, before: BlockErrors, apart: Sequence[int], rows: int) -> list[dict[str, Any]]:
-    """Take out of `search` what does not hold on the runs `apart`, and return it as smaller findings.
+    """Take out of `search` what does not hold on the runs `apart`; return what lowers the gap, as findings.
 
     An effect holds if the 95 % interval of its shrinkage lies above 0. The weakest goes first, since two that
     resemble each other may both be dispensable and one of them be needed. `before`: errors without any.
@@ -42,7 +42,8 @@ def held(search: Search, before: BlockErrors, apart: Sequence[int], rows: int) -
             break
         shrinkage, worst = min(weak, key=lambda w: w[0])
         score = worst.found.exact.score
-        out.append({"name": score.effect.name, "shrinkage": shrinkage, "p_value": worst.p_value})
+        if shrinkage > 0:
+            out.append({"name": score.effect.name, "shrinkage": shrinkage, "p_value": worst.p_value})
         search.found = [f for f in search.found if f is not worst.found]
         search.now = worst.without
     return out

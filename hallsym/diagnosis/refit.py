@@ -59,7 +59,7 @@ class Refitted:
         return tuple(np.array(self.base.free, dtype=int)[~seen(self.base, self.products)].tolist())
 
     def covariance(self) -> np.ndarray:
-        """Covariance of all parameters for a residual of unit variance; 0 where held, unseen or at a bound."""
+        """Covariance of all parameters for a residual of variance 1; 0 where held, unseen or at a bound."""
         moving = np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
         free = np.array(self.base.free, dtype=int)[moving]
         M = self.products[np.ix_(moving, moving)]

@@ -22,7 +22,7 @@ from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base
-from hallsym.diagnosis.verdict import ALLOWANCE, remains, shaped, slow_share
+from hallsym.diagnosis.verdict import ALLOWANCE, UNSTRUCTURED, remains, shaped, slow_share
 from hallsym.diagnosis.where import Located, both, located
 from hallsym.families.recipes import FAULTS
 from hallsym.log import Log
@@ -67,7 +67,7 @@ def report(
     inflation = kept.inflation
     after = block_errors(replace(now, keep=None), apart, rows, None)
     floor, noted = dict(result.noise_floor), []
-    if not search.floor.stated and search.found and after.metric * (1 + ALLOWANCE) < search.floor.metric:
+    if not search.floor.stated and search.found and after.metric * (1 + UNSTRUCTURED) < search.floor.metric:
         noted.append(_noise_held_gap(search.floor.metric / after.metric))
         floor = {c: v * after.metric / search.floor.metric for c, v in floor.items()}
         search.floor = replace(search.floor, metric=after.metric)
@@ -275,8 +275,8 @@ def _blind(names: Sequence[str]) -> str:
 def _noise_held_gap(times: float) -> str:
     """What to say of a noise floor that was estimated too high."""
     return (
-        f"The noise was estimated {times:.3g} x as large as what is left: a pattern from sample to sample was "
-        "counted as noise. What is left is taken as the floor; state the noise (--noise) where it is known."
+        f"The noise was estimated {times:.3g} x as large as what is left: a pattern from sample to sample "
+        "was counted as noise. What is left is taken as the floor; state the noise (--noise) where known."
     )
 
 

@@ -38,7 +38,7 @@ class Residue:
     m/s]. `columns`: (n,) each. `precision`: (K, K) inverse covariance of one residual. `fold`, `block`,
     `part`: (n,) index of the group of runs, of the block for significance, of the stretch of a run.
     `output`: (n_pose, K) turns a residual into decoded pose. `state`: logged columns that the model reads.
-    `length`: (n_pose,) what turns an output into length in the gap metric. `timed`: whether the log holds time.
+    `length`: (n_pose,) what turns an output into length in the gap metric. `timed`: with a clock.
     """
 
     channels: tuple[str, ...]
