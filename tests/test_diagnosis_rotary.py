@@ -211,6 +211,9 @@ def test_an_overdriven_resolver_and_its_latency():
     found = diagnose(clipped_resolver(), "ideal_arctan")
     effects = {e.name: e for e in found.effects}
     assert found.effects[0].name == "saturation"
+    assert effects["saturation"].p_value < 1e-4
+    assert effects["saturation"].parameters["rail"].value == pytest.approx(0.7, abs=0.01)
+    assert any("hysteresis" in g for g in found.groups)  # one speed: play is as good as a delay
     delay = effects.get("time_skew") or effects.get("first_order_lag")
     assert next(iter(delay.parameters.values())).value == pytest.approx(0.03, abs=2e-3)
 

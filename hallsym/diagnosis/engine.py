@@ -23,6 +23,7 @@ from hallsym.errors import InputError
 from hallsym.families import build, default_model
 from hallsym.log import Log, clean_log
 from hallsym.model import Model
+from hallsym.turning import continuous
 
 THRESHOLD = 0.05
 """Relative decrease of the gap metric from which on a gap is worth reporting."""
@@ -107,7 +108,8 @@ def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...] | None]:
     """Take a recording of too few runs to pieces, where runs have nothing of their own."""
     if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < split.FEWEST:
         return log, None
-    return split.split(replace(log, noise=fitting.noise_of(log, model)))
+    # a turn goes on from piece to piece: a short turn of the reference counts from one zero
+    return split.split(continuous(replace(log, noise=fitting.noise_of(log, model)), model))
 
 
 def _fitted(

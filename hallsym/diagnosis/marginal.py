@@ -124,7 +124,7 @@ def of_frequencies(r: Residue, told: float) -> Found:
     """Kinds of frequency that hold more than twice their part of what white noise would have."""
     s = r.spectrum
     runs = sorted({run for kind in s.white.values() for run in kind})
-    if len(runs) < 4:
+    if len(runs) < 4 or not r.timed:
         return [], []
     white = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.white.items()}
     power = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.power.items()}

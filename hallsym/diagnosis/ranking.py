@@ -260,7 +260,8 @@ def _plain_first(exact: list[Exact]) -> list[Exact]:
     """Put an effect with fewer parameters first if it explains as good as all that the best one does.
 
     Real machines have small imperfections of every kind: many parameters take some of them along, and with
-    enough samples that is significant without being evidence.
+    enough samples that is significant without being evidence. Of two that are the same on this log the one
+    for which fewer numbers were searched goes first.
     """
     if not exact:
         return exact
@@ -273,10 +274,19 @@ def _plain_first(exact: list[Exact]) -> list[Exact]:
         and e.fit.cost - best.fit.cost <= (1 - NEARLY) * gain
         and e.fit.gap(e.fit.fitted) <= gap * (1 + UNSEEN)
     ]
+    plain = plain or [
+        e for e in exact[1:] if _same(best, e) and e.score.variant.tried < best.score.variant.tried
+    ]
     if not plain:
         return exact
     first = min(plain, key=lambda e: (e.score.size, e.bic))
     return [first, *(e for e in exact if e is not first)]
+
+
+def _same(a: Exact, b: Exact) -> bool:
+    """Whether two effects of one size leave the same, to less than what one sample's noise adds."""
+    N = float(a.fit.tangents.count[a.fit.fitted].sum()) * len(a.fit.base.model.channels)
+    return a.score.size == b.score.size and abs(b.fit.cost - a.fit.cost) * N <= a.fit.cost
 
 
 def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, inflation: float) -> Score:

@@ -14,6 +14,8 @@ AT_BOUND = 1e-6
 """Part of the width of its bounds within which a parameter counts as at one of them."""
 CLOSE = 1e-5
 """Relative decrease of the cost below which Gauss-Newton has converged."""
+UNSEEN = 1e-3
+"""Length [sigma, over all samples] that a parameter must move the residual by, over all of its bounds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +49,20 @@ class Refitted:
             if min(self.base.p[k] - lower[k], upper[k] - self.base.p[k]) <= AT_BOUND * (upper[k] - lower[k])
         )
 
+    @property
+    def products(self) -> np.ndarray:
+        """Products of free parameters and residual over the fitted runs."""
+        return self.tangents.likelihood[self.fitted].sum(axis=0)
+
+    def unseen(self) -> tuple[int, ...]:
+        """Index of the free parameters on which no fitted sample depends, see `seen`."""
+        return tuple(np.array(self.base.free, dtype=int)[~seen(self.base, self.products)].tolist())
+
     def covariance(self) -> np.ndarray:
-        """Covariance of all parameters for a residual of unit variance; 0 where held or at a bound."""
-        moving = np.flatnonzero(~np.isin(self.base.free, self.at_bound()))
+        """Covariance of all parameters for a residual of variance 1; 0 where held, unseen or at a bound."""
+        moving = np.flatnonzero(~np.isin(self.base.free, (*self.at_bound(), *self.unseen())))
         free = np.array(self.base.free, dtype=int)[moving]
-        M = self.tangents.likelihood[self.fitted].sum(axis=0)[np.ix_(moving, moving)]
+        M = self.products[np.ix_(moving, moving)]
         full = np.zeros((len(self.base.p),) * 2)
         full[np.ix_(free, free)] = inverse(M)
         return full
@@ -108,13 +119,25 @@ def refit(base: Base, runs: Sequence[int], steps: int = STEPS) -> Refitted:
     return Refitted(at, now, units, cost)
 
 
+def seen(base: Base, M: np.ndarray) -> np.ndarray:
+    """Return which of the free parameters the log shows at all, from the products M of their columns.
+
+    A wave that is 0 wherever a sample was taken has a column of rounding errors, which would be scaled up to
+    explain noise; such a parameter stays where it is.
+    """
+    free = np.array(base.free, dtype=int)
+    lower, upper = base.model.bounds
+    width = np.minimum((upper - lower)[free], 1e300)
+    return np.sqrt(np.maximum(np.diag(M)[: len(free)], 0.0)) * width >= UNSEEN
+
+
 def inside_bounds(base: Base, M: np.ndarray) -> np.ndarray:
     """Return the step to the minimum inside the bounds: parameters that would leave stop there."""
     free = np.array(base.free, dtype=int)
     lower, upper = (b[free] - base.p[free] for b in base.model.bounds)
     lower, upper = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
-    step, moving = np.zeros(len(free)), np.arange(len(free))
-    for _ in range(len(free)):
+    step, moving = np.zeros(len(free)), np.flatnonzero(seen(base, M))
+    for _ in range(len(moving)):
         stopped = np.setdiff1d(np.arange(len(free)), moving)
         left = M.copy()
         left[:, -1] -= M[:, stopped] @ step[stopped]

@@ -9,6 +9,7 @@ import numpy as np
 from hallsym.calibration import Fit, added_effects
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.faults import TAILS, Fault, faults, wiring_p, wirings, without_tail
+from hallsym.diagnosis.holding import held, holding
 from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.price import price
 from hallsym.diagnosis.ranking import Exact, by_name, distance
@@ -21,7 +22,7 @@ from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base
-from hallsym.diagnosis.verdict import ALLOWANCE, remains, shaped, slow_share
+from hallsym.diagnosis.verdict import ALLOWANCE, UNSTRUCTURED, remains, shaped, slow_share
 from hallsym.diagnosis.where import Located, both, located
 from hallsym.families.recipes import FAULTS
 from hallsym.log import Log
@@ -56,16 +57,20 @@ def report(
     seconds: float,
 ) -> Diagnosis:
     """Judge what `search` found on the held-out runs `apart` and say it; `level` is the threshold."""
-    start, now, rows = search.start.base, search.now.base, log.rows
+    start, rows = search.start.base, log.rows
     plain = replace(start, keep=None)
+    before = _before(plain, log, apart, rows, result)
+    weak, noted = held(search, before, apart, rows)
+    now = search.now.base
     final = survey(replace(now, keep=None), frozenset(search.runs))
     kept = survey(now, frozenset(search.runs)) if now.keep else final
     inflation = kept.inflation
-    before, after = (
-        _before(plain, log, apart, rows, result),
-        block_errors(replace(now, keep=None), apart, rows, None),
-    )
+    after = block_errors(replace(now, keep=None), apart, rows, None)
     floor = dict(result.noise_floor)
+    if not search.floor.stated and search.found and after.metric * (1 + UNSTRUCTURED) < search.floor.metric:
+        noted.append(_noise_held_gap(search.floor.metric / after.metric))
+        floor = {c: v * after.metric / search.floor.metric for c, v in floor.items()}
+        search.floor = replace(search.floor, metric=after.metric)
     floor_metric = search.floor.metric
     spoiled = [f for f in faults(now, final, search.tested) if _cures(f) >= level]
     if after.metric <= floor_metric * (1 + ALLOWANCE):
@@ -102,7 +107,7 @@ def report(
     if effects and effects[0].name in EITHER and len(result.model.pose) == 1:
         groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
     ranked = _ranked(effects, groups, search, verdict, inflation) if verdict != "no gap" else []
-    smaller = _smaller(search)
+    smaller = weak + [s for s in _smaller(search) if s["name"] not in {w["name"] for w in weak}]
     if verdict == "no gap":
         smaller = [
             {"name": e.name, "shrinkage": e.shrinkage, "p_value": e.p_value} for e in effects
@@ -111,7 +116,6 @@ def report(
     gap_after = {
         k: {c: v * (share if k == "rmse" else 1.0) for c, v in row.items()} for k, row in cured.gap().items()
     }
-    noted = []
     if verdict == "no gap":
         if before.metric > search.floor.high(level):
             noted.append(_shapeless(before.metric / floor_metric, search.floor.stated))
@@ -211,29 +215,28 @@ def _effects(
     apart: tuple[int, ...],
     rows: int,
 ) -> list[FoundEffect]:
-    out, tested = [], search.tested
+    out = []
     N = float(search.now.tangents.count[search.now.fitted].sum()) * len(search.start.base.model.channels)
     noise = max(search.now.cost / N, 1e-12)
     spread = np.sqrt(np.maximum(np.diag(search.now.covariance()), 0.0) * noise * inflation)
     stuck = search.now.at_bound()
-    for k, found in enumerate(search.found):
-        others = [f.exact for j, f in enumerate(search.found) if j != k]
-        without = search.rebuilt(others) if others else search.start
-        errors = block_errors(replace(without.base, keep=None), apart, rows, None) if others else before
+    unseen = search.now.unseen()
+    for each in holding(search, before, after, apart, rows):
+        found, without, errors = each.found, each.without, each.errors
         score = found.exact.score
-        p = score.corrected(tested)
         new = [n for n in score.model.names if n not in without.base.model.names]
         model = search.now.base.model
         index = {n: model.names.index(n) for n in new if n in model.names}
         values = {
             n: Estimate(
                 float(search.now.base.p[j]),
-                None if j in stuck else float(spread[j]),
+                None if j in stuck or j in unseen else float(spread[j]),
                 model.parameters[j].unit,
             )
             for n, j in index.items()
         }
         ended = tuple(n for n, j in index.items() if j in stuck)
+        blind = [n for n, j in index.items() if j in unseen]
         excess = max(before.metric**2 - floor**2, 1e-300)
         out.append(
             FoundEffect(
@@ -241,14 +244,14 @@ def _effects(
                 link=score.effect.link,
                 variant=score.variant.label,
                 parameters=values,
-                p_value=p,
+                p_value=each.p_value,
                 shrinkage=1 - after.metric / errors.metric,
                 interval=interval(errors, after),
                 share=float(np.clip((errors.metric**2 - after.metric**2) / excess, 0.0, 1.0)),
                 cost=price(without.base.model, model, search.now.base.p),
                 text=score.variant.text,
                 at_bound=ended,
-                note=_stuck(ended) if ended else "",
+                note=" ".join([_stuck(ended)] * bool(ended) + [_blind(blind)] * bool(blind)),
             )
         )
     return out
@@ -261,6 +264,19 @@ def _stuck(names: Sequence[str]) -> str:
         f"{', '.join(names)} ended at {ended}: the data ask for more than is allowed; there is no interval, "
         "and those of the others hold only with it there. Either the bound is wrong for this machine, or "
         "another effect does part of the work."
+    )
+
+
+def _blind(names: Sequence[str]) -> str:
+    """What to say of parameters that no sample depends on."""
+    return f"No sample of this log depends on {', '.join(names)}: held at the nominal value."
+
+
+def _noise_held_gap(times: float) -> str:
+    """What to say of a noise floor that was estimated too high."""
+    return (
+        f"The noise was estimated {times:.3g} x as large as what is left: a pattern from sample to sample "
+        "was counted as noise. What is left is taken as the floor; state the noise (--noise) where known."
     )
 
 

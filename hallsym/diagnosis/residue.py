@@ -38,7 +38,7 @@ class Residue:
     m/s]. `columns`: (n,) each. `precision`: (K, K) inverse covariance of one residual. `fold`, `block`,
     `part`: (n,) index of the group of runs, of the block for significance, of the stretch of a run.
     `output`: (n_pose, K) turns a residual into decoded pose. `state`: logged columns that the model reads.
-    `length`: (n_pose,) what turns an output into length in the gap metric.
+    `length`: (n_pose,) what turns an output into length in the gap metric. `timed`: with a clock.
     """
 
     channels: tuple[str, ...]
@@ -58,6 +58,7 @@ class Residue:
     length: np.ndarray
     sigma: Mapping[str, float]
     spectrum: Spectrum = field(default_factory=Spectrum)
+    timed: bool = True
 
     @property
     def squares(self) -> np.ndarray:
@@ -112,6 +113,7 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
         model.channels, model.pose, model.references, logged, run, joined.pop("residual"),
         joined.pop("felt"), joined.pop("speed"), joined,
         np.linalg.inv(base.covariance), fold, block, part, spread, length, base.sigma, spectrum,
+        base.timed,
     )  # fmt: skip
 
 
@@ -180,6 +182,8 @@ TURNING = (
     Coordinate("time since the start of the run", "run_s", "s", gain=False),
 )
 """What the residual of a sensor that goes round may go with."""
+CLOCKED = ("turning_rad_s", "campaign_s", "run_s")
+"""What a log without time does not tell: there a counter stands for it."""
 
 
 def coordinates(r: Residue) -> tuple[Coordinate, ...]:
@@ -188,7 +192,7 @@ def coordinates(r: Residue) -> tuple[Coordinate, ...]:
     Of two that explain the same the first is named.
     """
     if "turn_rad" in r.columns:
-        return TURNING
+        return TURNING if r.timed else tuple(c for c in TURNING if c.column not in CLOCKED)
     states = [Coordinate(NAMES.get(c, readable(c)[2].replace("_", " ")), c, _unit(c)) for c in r.state]
     reading = _unit(r.channels[0])
     together = TOGETHER.get(r.state, ", ".join(s.name for s in states) + " together")

@@ -115,10 +115,24 @@ def _extremes(log: Log, model: Model) -> np.ndarray:
 
 @dataclass(eq=False)
 class Found:
-    """An effect in the set: how it was fitted when it came in, and what else came close."""
+    """An effect in the set: how it was fitted when it came in, and what else came close.
+
+    `before`: whitened squares that were left without it.
+    """
 
     exact: Exact
     rivals: list[Exact] = field(default_factory=list)
+    before: float = 0.0
+
+    @property
+    def first_order(self) -> float:
+        """Whitened squares that the effect leaves to first order, by its score."""
+        return self.before - self.exact.score.gain
+
+    @property
+    def left(self) -> float:
+        """Whitened squares that it leaves once it is fitted."""
+        return self.exact.fit.cost
 
 
 class Search:
@@ -152,7 +166,7 @@ class Search:
             exact, self.last = self.step(self.now, partial(self.worth, beside=count))
             if not exact or not self.worth(exact[0].score, count):
                 break
-            self.found.append(Found(exact[0], exact[1:]))
+            self.found.append(Found(exact[0], exact[1:], self.now.cost))
             self.now = exact[0].fit
         if self.found:
             self.prune()
@@ -229,7 +243,7 @@ class Search:
             exact, _ = self.step(without)
             if not exact:
                 continue
-            self.found[k] = Found(exact[0], exact[1:])
+            self.found[k] = Found(exact[0], exact[1:], without.cost)
             self.now = exact[0].fit
 
     def rebuilt(self, exact: Sequence[Exact]) -> Refitted:

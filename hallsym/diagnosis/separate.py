@@ -43,6 +43,8 @@ def separation(
         tuple(names), prose, distance, needed, float((needed / max(distance, 1e-12)) ** 0.5),
         sigma_now=float((distance / variance) ** 0.5),
     )  # fmt: skip
+    if not fits[0].base.timed:
+        return plain  # no clock, no motion to propose
     try:
         tried, squared = simulated(fits)
     except (InputError, KeyError, ValueError, np.linalg.LinAlgError):

@@ -255,9 +255,12 @@ class _Work:
         def both(x: np.ndarray) -> np.ndarray:
             return np.vstack([x, *(x * row for row in q)])
 
-        out = {"time": both(_hats((self._unit(piece, "t_s") + 1) / 2, self.waves))}
+        out = {}
         if "temperature_degc" in piece.data:
             out["temperature"] = both(_powers(self._unit(piece, "temperature_degc")[None], 3))
+        if not self.base.timed:  # a counter stands for the time
+            return out
+        out["time"] = both(_hats((self._unit(piece, "t_s") + 1) / 2, self.waves))
         out["velocity"] = both(np.vstack([v, np.abs(v), v * np.abs(v), v**3]))
         out["direction of motion"] = both(np.tanh(v / 0.05))
         out["acceleration"] = both(np.vstack([a, np.abs(a)]))
