@@ -57,7 +57,7 @@ def held(
             break
         shrinkage, alone, worst = min(weak, key=lambda w: w[0])
         name = worst.found.exact.score.effect.name
-        if shrinkage > 0 and alone <= limit:
+        if shrinkage > 0:
             out.append({"name": name, "shrinkage": shrinkage, "p_value": worst.p_value})
         if alone > limit:
             notes.append(
