@@ -10,18 +10,11 @@ from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.search import Found, Search
-from hallsym.turning import designed
 
 BENT = 0.5
 """Part of what the first order leaves below which an exact refit has explained something else.
 
 The score of such an effect says how well its tangent fits, not whether the effect is there."""
-OVER = 2.0
-"""Times the whole deviation of the machine from its design by which an effect alone may move the pose.
-
-Effects of a kind with the model's own parameters, or with each other, can grow without end as long as they
-cancel; the small difference then fits anything. Causes that happen to oppose each other may make one of them
-larger than the whole, hardly twice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,46 +27,26 @@ class Held:
     p_value: float
 
 
-def held(
-    search: Search, before: BlockErrors, apart: Sequence[int], rows: int
-) -> tuple[list[dict[str, Any]], list[str]]:
-    """Take out of `search` what does not hold on the runs `apart`; return smaller findings, and notes.
+def held(search: Search, before: BlockErrors, apart: Sequence[int], rows: int) -> list[dict[str, Any]]:
+    """Take out of `search` what does not hold on the runs `apart`; return what lowers the gap, as findings.
 
-    An effect holds if the 95 % interval of its shrinkage lies above 0 and it is not undone by others. The
-    weakest goes first, since of two that resemble each other one may be needed. `before`: errors without any.
+    An effect holds if the 95 % interval of its shrinkage lies above 0. The weakest goes first, since two that
+    resemble each other may both be dispensable and one of them be needed. `before`: errors without any.
     """
-    out, notes = [], []
-    start = search.start.base
-    design = replace(start, p=designed(start.model, start.p), keep=None)
-    limit = OVER * max(block_errors(design, apart, rows, None).metric, before.metric)
+    out = []
     while search.found:
         after = block_errors(replace(search.now.base, keep=None), apart, rows, None)
-        weak = []
-        for h in holding(search, before, after, apart, rows):
-            alone = _alone(search, h, apart, rows)
-            if interval(h.errors, after)[0] <= 0 or alone > limit:
-                weak.append((1 - after.metric / h.errors.metric, alone, h))
+        judged = holding(search, before, after, apart, rows)
+        weak = [(1 - after.metric / h.errors.metric, h) for h in judged if interval(h.errors, after)[0] <= 0]
         if not weak:
             break
-        shrinkage, alone, worst = min(weak, key=lambda w: w[0])
-        name = worst.found.exact.score.effect.name
+        shrinkage, worst = min(weak, key=lambda w: w[0])
+        score = worst.found.exact.score
         if shrinkage > 0:
-            out.append({"name": name, "shrinkage": shrinkage, "p_value": worst.p_value})
-        if alone > limit:
-            notes.append(
-                f"{name} is not named: alone it would make {OVER * alone / limit:.2g} x all that the machine "
-                "deviates by, and is undone by the other parameters."
-            )
+            out.append({"name": score.effect.name, "shrinkage": shrinkage, "p_value": worst.p_value})
         search.found = [f for f in search.found if f is not worst.found]
         search.now = worst.without
-    return out, notes
-
-
-def _alone(search: Search, held: Held, apart: Sequence[int], rows: int) -> float:
-    """Gap metric that is left if one effect is taken away and all else stays where it is."""
-    now, known = search.now.base, held.without.base.model.names
-    p = np.where([n in known for n in now.model.names], now.p, now.model.nominal)
-    return block_errors(replace(now, p=p, keep=None), apart, rows, None).metric
+    return out
 
 
 def holding(

@@ -60,13 +60,13 @@ def report(
     start, rows = search.start.base, log.rows
     plain = replace(start, keep=None)
     before = _before(plain, log, apart, rows, result)
-    weak, noted = held(search, before, apart, rows)
+    weak = held(search, before, apart, rows)
     now = search.now.base
     final = survey(replace(now, keep=None), frozenset(search.runs))
     kept = survey(now, frozenset(search.runs)) if now.keep else final
     inflation = kept.inflation
     after = block_errors(replace(now, keep=None), apart, rows, None)
-    floor = dict(result.noise_floor)
+    floor, noted = dict(result.noise_floor), []
     if not search.floor.stated and search.found and after.metric * (1 + UNSTRUCTURED) < search.floor.metric:
         noted.append(_noise_held_gap(search.floor.metric / after.metric))
         floor = {c: v * after.metric / search.floor.metric for c, v in floor.items()}
