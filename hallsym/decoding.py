@@ -55,11 +55,15 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
 def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     """Return `(p, pose, state, weight) -> d pose / d reading` on arrays, (K * n_pose, samples).
 
-    A chip that gives the pose itself has 1: where its channels clip it loses the pose, not its unit.
+    A chip that gives the pose itself has 1: where its channels clip it loses the pose, not its unit. Readings
+    that are nearly linear in the pose have that of the zero pose: at a rail their own slope is nil.
     """
-    if len(model.channels) > 1:
+    if len(model.channels) == 1:
+        return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
+    if model.typical:
         return on_arrays(model.noise_gain_at)
-    return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
+    still = on_arrays(model.noise_gain)
+    return lambda p, pose, state, weight: still(p, state, weight)
 
 
 Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]

@@ -194,8 +194,11 @@ class Anatomy:
         u = readings / on_arrays(model.gain)(p, state)[0]
         pose = inverse @ u
         for n in range(1, MOST_ITERATIONS + 1):
-            new = inverse @ (u - run(p, list(pose), state)[0])
-            change, pose = np.abs(new - pose).max(), new
+            with np.errstate(over="ignore", invalid="ignore"):  # what does not settle grows without end
+                new = inverse @ (u - run(p, list(pose), state)[0])
+                change, pose = np.abs(new - pose).max(), new
+            if not np.isfinite(change):
+                break
             if change < ENOUGH:
                 return n - 1 or 1
         raise InputError(

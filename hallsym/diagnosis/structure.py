@@ -385,7 +385,7 @@ def _coarse(folds: np.ndarray, level: int, E: int) -> np.ndarray:
 def _solved(train: np.ndarray, n: int) -> np.ndarray:
     """Coefficients of the first n columns for the others, (n, E), pulled to 0 a little."""
     G = train[:n, :n]
-    size = np.sqrt(np.diag(G))
+    size = np.sqrt(np.maximum(np.diag(G), 0.0))  # differences of sums may round below 0
     d = np.maximum(size, 1e-9 * max(size.max(initial=0.0), 1e-140))  # what never moved has no coefficient
     A = G / np.outer(d, d) + RIDGE * np.eye(n)
     return np.linalg.solve(A, train[:n, n:] / d[:, None]) / d[:, None]
