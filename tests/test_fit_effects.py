@@ -97,8 +97,10 @@ def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign
     assert again.model.names == result.model.names
     noise = {c: s.value for c, s in result.noise.sigmas.items()}
     table = judge(log, again.model, again.values, noise).over(found.validation_runs)
+    # a judged log counts every sample, also those at a rail that the fit left out as spikes
+    most = 1e-3 if result.keep is None else 0.05
     for c, value in after.items():
-        assert table["rmse"][c] == pytest.approx(value, rel=1e-3)
+        assert table["rmse"][c] == pytest.approx(value, rel=most)
 
 
 def test_the_name_alone_finds_the_numbers_on_the_log() -> None:
