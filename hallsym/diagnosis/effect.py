@@ -1,6 +1,6 @@
 """What an effect is to the diagnosis: a name, its link, and the ways in which it may act."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,7 +57,8 @@ class Effect:
 
     `needs`: logged columns without which it cannot be tested. `variants(model, facts)`: from plain to
     general. `refine(model, facts, shape)`: finer variants around a searched shape. `record`: what to record
-    so that it shows by itself. `plausible`: the size above which it would be unusual, as text.
+    so that it shows by itself. `plausible`: the size above which it would be unusual, as text. `possible`:
+    whether fitted parameters are such as this cause can have; what fits with others is another cause's.
     """
 
     name: str
@@ -69,3 +70,4 @@ class Effect:
     needs: tuple[str, ...] = ()
     refine: Callable[[Model, Facts, float], list[Variant]] | None = None
     runtime: str = "a few multiplications per sample"
+    possible: Callable[[Mapping[str, float]], bool] = lambda values: True

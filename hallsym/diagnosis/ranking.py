@@ -32,6 +32,12 @@ below it: what they leave out is no finding. The smaller effect is then the simp
 stays listed, as not excluded."""
 
 
+FORESEEN = 0.75
+"""Gap that is left on other runs, over that of the best fitting effect, by which an effect beats it.
+
+A first order is good to about a quarter (`CLOSE`); what is better by more foresees more."""
+
+
 @dataclass(frozen=True, eq=False)
 class Score:
     """What one variant of an effect would explain, to first order.
@@ -39,7 +45,7 @@ class Score:
     `gain`: decrease of the whitened squares on the fitted runs; `bic`: N log cost plus the price of its
     parameters; `ratio`: gap metric over that without it, cross-validated within the fitted runs; `p_value`:
     of the score test across runs, before any correction for what else was tried. `absorbed`: the model's own
-    parameters hide it.
+    parameters hide it. `place`: of the effect in the catalogue, the usual causes first.
     """
 
     effect: Effect
@@ -51,6 +57,7 @@ class Score:
     ratio: float
     p_value: float
     absorbed: bool = False
+    place: int = 0
 
     def corrected(self, effects: int) -> float:
         """Return the p-value corrected for `effects` tested and for the numbers searched within this one."""
@@ -134,6 +141,7 @@ def scores(
     ]
     plain = sum(train.tested(output, NONE)[-1, -1] for train, output, _ in parts)
     out = []
+    places = {name: k for k, name in enumerate(dict.fromkeys(e.name for e, *_ in tried.values()))}
     for key, (effect, variant, model, new) in tried.items():
         at = np.arange(t.span[key].start, t.span[key].stop)
         own = total.of(at)
@@ -146,7 +154,8 @@ def scores(
         size = len(new) + variant.shapes
         ratio, p = _cross_validated(parts, at, raw, lower, upper, plain, -v[:-1])
         out.append(
-            Score(effect, variant, model, gain, size, _bic(cost, N / inflation, size, N), ratio, p, absorbed)
+            Score(effect, variant, model, gain, size, _bic(cost, N / inflation, size, N), ratio, p, absorbed,
+                  places[effect.name])
         )
     return sorted(out, key=lambda s: s.bic), t
 
@@ -242,26 +251,45 @@ def refitted(
     inflation: float,
     worth: Callable[[Score], bool],
 ) -> list[Exact]:
-    """Refit the promising effects exactly, shapes refined; best first. None where none is `worth` it."""
-    best = max((s.gain for s in scored), default=0.0)
-    promising = [s for s in by_name(scored) if s.gain >= CLOSE * best and not s.absorbed][:REFITS]
-    promising = [_finer(base, score, runs, facts, inflation) for score in promising]
-    if not any(worth(score) for score in promising):
-        return []
+    """Refit the promising effects exactly, shapes refined; best first. None where none is `worth` it.
+
+    What explains much of the runs that it was fitted on and nothing of others is not what others are held
+    against.
+    """
+    best = max((s.gain for s in scored if worth(s)), default=np.inf)
+    promising = [s for s in by_name(scored) if s.gain >= CLOSE * best and not s.absorbed and s.ratio < 1]
+    promising = [_finer(base, score, runs, facts, inflation) for score in promising[:REFITS]]
     out = []
     for score in promising:
         fit = refit(with_model(base, score.model), runs)
+        if not score.effect.possible(fit.base.values):
+            continue
         N = float(fit.tangents.count[fit.fitted].sum()) * len(base.model.channels)
         out.append(Exact(score, fit, _bic(fit.cost, N / inflation, score.size, N)))
-    return _plain_first(sorted(out, key=lambda e: e.bic))
+    first = _plain_first(sorted(out, key=lambda e: e.bic), scored)
+    return _foreseen_first([e for e in first if worth(e.score)]) + [e for e in first if not worth(e.score)]
 
 
-def _plain_first(exact: list[Exact]) -> list[Exact]:
+def _foreseen_first(exact: list[Exact]) -> list[Exact]:
+    """Put the effect first that predicts other runs far better than the best fitting one does.
+
+    Where much else is left, that is no noise, and BIC has no measure for it.
+    """
+    if not exact:
+        return exact
+    least = min(exact, key=lambda e: e.score.ratio)
+    if least.score.ratio >= FORESEEN * exact[0].score.ratio:
+        return exact
+    return [least, *(e for e in exact if e is not least)]
+
+
+def _plain_first(exact: list[Exact], scored: Sequence[Score]) -> list[Exact]:
     """Put an effect with fewer parameters first if it explains as good as all that the best one does.
 
     Real machines have small imperfections of every kind: many parameters take some of them along, and with
-    enough samples that is significant without being evidence. Of two that are the same on this log the one
-    for which fewer numbers were searched goes first.
+    enough samples that is significant without being evidence. An effect that has a form as plain itself stays
+    first. Of two that are the same on this log the one for which fewer numbers were searched goes first, then
+    the one that stands first in the catalogue.
     """
     if not exact:
         return exact
@@ -273,14 +301,22 @@ def _plain_first(exact: list[Exact]) -> list[Exact]:
         if e.score.size < best.score.size
         and e.fit.cost - best.fit.cost <= (1 - NEARLY) * gain
         and e.fit.gap(e.fit.fitted) <= gap * (1 + UNSEEN)
+        and not _as_plain(best.score, e.score, scored)
     ]
-    plain = plain or [
-        e for e in exact[1:] if _same(best, e) and e.score.variant.tried < best.score.variant.tried
-    ]
-    if not plain:
-        return exact
-    first = min(plain, key=lambda e: (e.score.size, e.bic))
+    if plain:
+        first = min(plain, key=lambda e: (e.score.size, e.bic))
+    else:
+        same = [best, *(e for e in exact[1:] if _same(best, e))]
+        first = min(same, key=lambda e: (e.score.variant.tried, e.score.place))
     return [first, *(e for e in exact if e is not first)]
+
+
+def _as_plain(best: Score, other: Score, scored: Sequence[Score]) -> bool:
+    """Whether the best effect has a form with as few parameters as another that explains no less."""
+    return any(
+        s.effect is best.effect and s.size <= other.size and s.gain >= (1 - UNSEEN) * other.gain
+        for s in scored
+    )
 
 
 def _same(a: Exact, b: Exact) -> bool:

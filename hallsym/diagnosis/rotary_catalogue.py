@@ -1,6 +1,6 @@
 """The catalogue of the encoder: the field's names, each with the ways in which it may act."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -18,8 +18,12 @@ PLAYS = (1e-3, 1e-2, 0.1)
 DIRECTIONS = tuple(np.pi * k / 6 for k in range(6))
 """Directions in which the chip may lie off the axis: tried values."""
 LEVELS = (0.95, 0.8, 0.65, 0.5)
-AXES = (0.0, np.pi / 6, -np.pi / 6)
-"""Rails, in amplitudes, and axes of the plates [rad] to start from where only the angle is read."""
+WHOLE = 0.3
+"""How far the share of clipping in a decoded angle may be from 1: a rail clips altogether or not at all."""
+AXES = tuple(np.pi * k / 12 for k in (0, 1, -1, 2, -2, 3))
+"""Rails, in amplitudes, and axes of the plates [rad] to start from where only the angle is read.
+
+Every 15 deg, of the 90 deg after which they repeat: within a quarter of a wave of the four per turn."""
 THIRD = "third_harmonic_distortion"
 MAGNET = "turn the stator (or the chip) by a known angle against the magnet, and record a turn at each"
 REFERENCE = "couple the reference anew at another angle, and record a turn at each"
@@ -137,6 +141,10 @@ def _clipping(model: Model, facts: Facts) -> list[Variant]:
     return out
 
 
+def _clips_whole(values: Mapping[str, float]) -> bool:
+    return abs(values.get("clipped", 1.0) - 1) <= WHOLE
+
+
 def _pole_pattern(model: Model, facts: Facts) -> list[Variant]:
     n, name = float(re.FULL_STEPS), "reference_pole_pairs"
     return [
@@ -199,7 +207,7 @@ CATALOGUE: tuple[Effect, ...] = (
            "the first run again at the end; log the temperature", needs=("t_s",),
            refine=_finer_settling("offset_time_drift")),
     Effect("saturation", "electronics", "voltages stop at a rail", _clipping,
-           "a lower gain or a wider air gap"),
+           "a lower gain or a wider air gap", possible=_clips_whole),
     Effect("mains_hum", "electronics", "50 or 60 Hz pick-up",
            lambda m, f: _hums("mains_hum", f), "a run at rest on the full clock",
            needs=("t_s",)),

@@ -8,6 +8,7 @@ import numpy as np
 
 from hallsym.batches import remembered
 from hallsym.calibration import Fit
+from hallsym.diagnosis.cancelling import undone
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
 from hallsym.diagnosis.kinds import kind_of
@@ -231,6 +232,7 @@ class Search:
             if score.absorbed and at is self.start:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
         exact = refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth)
+        exact = [e for e in exact if not undone(e.fit, at.base.model, self.start)]
         if kind_of(at.base.model).pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
         return exact, ranked

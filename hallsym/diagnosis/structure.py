@@ -407,13 +407,19 @@ def _judged(by: str, folds: np.ndarray, E: int) -> Shape:
     folds, total, n = folds[:, pick[:, None], pick], total[np.ix_(pick, pick)], len(live)
     best = _solved(total, n)
     gains, scores, noise = [], [], []
-    for fold in folds:
-        x = _solved(total - fold, n)
+    for fold, others in zip(folds, _others(folds), strict=True):
+        x = _solved(others, n)
         gains.append(_gained(x, fold))
         scores.append(float((x * fold[:n, n:]).sum()))
         noise.append(float((x * (fold[:n, n:] - fold[:n, :n] @ best)).sum()))
     p = beyond(np.array(scores), np.array(noise))
     return _shape(by, np.array(gains), float(np.trace(total[n:, n:])), p)
+
+
+def _others(folds: np.ndarray) -> np.ndarray:
+    """Sum of all folds but one, for each; a difference to the total would leave rounding where nothing is."""
+    before, after = np.cumsum(folds[:-1], axis=0), np.cumsum(folds[:0:-1], axis=0)[::-1]
+    return np.concatenate([after[:1], before[:-1] + after[1:], before[-1:]])
 
 
 def _shape(by: str, gains: np.ndarray, total: float, p_value: float) -> Shape:
