@@ -1,7 +1,7 @@
 """Effects that other parameters undo: each would make more than the machine deviates by altogether.
 
-An effect of a kind with the model's own parameters, or with effects found before, can grow without end as long
-as the others cancel it; the small difference that is left then fits anything.
+An effect of a kind with the model's own parameters, or with effects found before, can grow without end as
+long as the others cancel it; the small difference that is left then fits anything.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """How each family of sensors is diagnosed: its catalogue, and where on it a residual may live."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from hallsym.diagnosis import rotary_catalogue, stage_catalogue
 from hallsym.diagnosis.effect import Effect
@@ -15,18 +15,20 @@ class Kind:
     """What a family gives to the diagnosis: the effects it may have.
 
     `direct`: the model as it is cheapest to evaluate. `pairs`: whether a flexible effect is held against
-    pairs of plain ones (`plainer.plain_pairs`). `most`: effects that are added at most.
+    pairs of plain ones (`plainer.plain_pairs`). `most`: effects that are added at most. `waves`: of a pose
+    that turns, waves of error per turn -> effects that make them.
     """
 
     catalogue: tuple[Effect, ...]
     direct: Callable[[Model], Model] = lambda model: model
     pairs: bool = False
     most: int = 3
+    waves: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
 
 
 KINDS = {
     "stage": Kind(stage_catalogue.CATALOGUE),
-    "rotary": Kind(rotary_catalogue.CATALOGUE, rotary_effects.direct, pairs=True, most=6),
+    "rotary": Kind(rotary_catalogue.CATALOGUE, rotary_effects.direct, True, 6, rotary_catalogue.WAVES),
 }
 
 

@@ -154,8 +154,18 @@ def scores(
         size = len(new) + variant.shapes
         ratio, p = _cross_validated(parts, at, raw, lower, upper, plain, -v[:-1])
         out.append(
-            Score(effect, variant, model, gain, size, _bic(cost, N / inflation, size, N), ratio, p, absorbed,
-                  places[effect.name])
+            Score(
+                effect,
+                variant,
+                model,
+                gain,
+                size,
+                _bic(cost, N / inflation, size, N),
+                ratio,
+                p,
+                absorbed,
+                places[effect.name],
+            )
         )
     return sorted(out, key=lambda s: s.bic), t
 

@@ -102,6 +102,27 @@ class Separation:
 
 
 @dataclass(frozen=True)
+class Waves:
+    """Amplitude [rad] of the error of an encoder that goes `per_turn` times round per turn, over all runs.
+
+    `designed`: of the encoder as it is meant to be, only its zero fitted; `model`: of the diagnosed model;
+    `after`: with the effects that were found, None where there are none. `causes`: effects of the catalogue
+    that make so many waves.
+    """
+
+    per_turn: int
+    designed: float
+    model: float
+    after: float | None
+    causes: tuple[str, ...]
+
+    @property
+    def absorbed(self) -> bool:
+        """Whether the model's own parameters take up most of it, so that no effect can be told from them."""
+        return self.model < 0.5 * self.designed
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The answer of `diagnose`: verdict, where, which, how far the gap shrinks. SI units throughout.
 
@@ -113,6 +134,7 @@ class Diagnosis:
     on held-out runs, see `size.sizes`. `shares`: what each coordinate, link, output, sensor, frequency and
     run takes of the excess by itself; empty where noise explains it.
     `next_step`: what `hallsym fit LOG` takes to fit the model with the effects found; empty without any.
+    `waves`: of an encoder, its error by waves per turn; empty for what does not turn.
     """
 
     verdict: str
@@ -141,6 +163,7 @@ class Diagnosis:
     size: dict[str, Any] = field(default_factory=dict)
     shares: tuple[Share, ...] = ()
     next_step: tuple[str, ...] = ()
+    waves: tuple[Waves, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""

@@ -23,6 +23,7 @@ from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, UNSTRUCTURED, remains, shaped, slow_share
+from hallsym.diagnosis.waves import waves
 from hallsym.diagnosis.where import Located, both, located
 from hallsym.families.recipes import FAULTS
 from hallsym.log import Log
@@ -160,6 +161,7 @@ def report(
         notes=tuple(dict.fromkeys((*result.notes, *noted))),
         seconds=seconds,
         versions=dict(result.versions),
+        waves=waves(kind_of(start.model).waves, start, now if effects else None),
         next_step=_next_step(
             result, effects, search, apart, bool(wiring and _miswired(result.model, wiring))
         ),
@@ -393,7 +395,9 @@ def _smaller(search: Search) -> list[dict[str, Any]]:
     names = {f.exact.score.effect.name for f in search.found}
     for score in by_name(search.last):
         p = score.corrected(tested)
-        small = SMALLEST * search.level <= 1 - score.ratio < search.level  # above it was judged, and not taken
+        small = (
+            SMALLEST * search.level <= 1 - score.ratio < search.level
+        )  # above it was judged, and not taken
         if p < SMALL and small and score.effect.name not in names:
             out.append({"name": score.effect.name, "shrinkage": 1 - score.ratio, "p_value": p})
     return out

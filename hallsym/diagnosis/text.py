@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import Any
 
+import numpy as np
+
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
 from hallsym.tables import concise, error_rows, grid, readable
 
@@ -29,7 +31,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
 
     `reading`: the words of the command line that say how the log is read, for the next step.
     """
-    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), *_sizes(d)]
+    parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), *_sizes(d), *_waves(d)]
     if d.effects:
         parts += ["", effect_text(d.effects), "", *(_parameters(e) for e in d.effects)]
         parts += [_wrapped(f"  {e.note}", "    ") for e in d.effects if e.note]
@@ -92,6 +94,8 @@ def _sizes(d: Diagnosis) -> list[str]:
     ]
     for kind in ("outputs", "sensors"):
         for column, sides in d.size.get(kind, {}).items():
+            if kind == "sensors" and column in d.size["outputs"]:
+                continue  # a decoded angle is both
             factor, unit, name = readable(column)
             row = [f"{name} [{unit}]"]
             both = [sides.get(side) for side in ("fitted", "held_out")]
@@ -101,6 +105,23 @@ def _sizes(d: Diagnosis) -> list[str]:
             row += ["" if s is None or s["share"] is None else f"{100 * s['share']:.0f} %" for s in both]
             rows.append(row)
     return ["", grid(rows)] if len(rows) > 1 else []
+
+
+def _waves(d: Diagnosis) -> list[str]:
+    """The error of an encoder by waves per turn, and what its model already takes up of the largest."""
+    if not d.waves:
+        return []
+    rows = [["waves per turn [deg]", "as designed", "model", "with the effects", "of them"]]
+    for w in d.waves:
+        found = [e.name for e in d.effects if e.name in w.causes]
+        sizes = ["" if a is None else f"{np.degrees(a):.2g}" for a in (w.designed, w.model, w.after)]
+        rows.append([str(w.per_turn), *sizes, ", ".join(found)])
+    most = max(d.waves, key=lambda w: w.designed)
+    size = f"{np.degrees(most.designed):.2g} deg"
+    own = f"Most is {most.per_turn} per turn ({size}), which the model's own parameters take up: "
+    either = f"{' or '.join(most.causes)}, which this model does not tell apart."
+    said = [_wrapped(own + either)] if most.absorbed and most.causes else []
+    return ["", grid(rows, left=1), *said]
 
 
 def effect_text(effects: tuple[FoundEffect, ...]) -> str:

@@ -129,8 +129,30 @@ def _errors(record: Record, floor: Mapping[str, float]) -> Markup:
             tag("figure", figures.against_floor(drawn, floor)),
             parts.gap_table(shown, floor, _source(record)),
             _sizes(record),
+            _waves(record),
         ]
     )
+
+
+def _waves(record: Record) -> Markup:
+    """Return the error of an encoder by waves per turn."""
+    waves = record.get("waves") or []
+    if not waves:
+        return Markup("")
+    named = [e["name"] for e in record.get("effects") or []]
+    rows: list[list[object]] = []
+    for w in waves:
+        sizes = [
+            "" if w.get(k) is None else three(math.degrees(w[k])) for k in ("designed", "model", "after")
+        ]
+        found = [n for n in named if n in w["causes"]]
+        rows.append([w["per_turn"], *sizes, ", ".join(found), ", ".join(w["causes"])])
+    head = ["waves per turn", "as designed [deg]", "model", "with the effects", "named here", "made by"]
+    caption = (
+        "amplitude of the error over all runs: as designed (only the zero fitted), with the model's own "
+        "parameters, with the effects found"
+    )
+    return join([tag("h3", "By waves per turn"), table(head, rows, left=1, wordy=(4, 5), caption=caption)])
 
 
 def _sizes(record: Record) -> Markup:
@@ -139,6 +161,8 @@ def _sizes(record: Record) -> Markup:
     rows: list[list[object]] = []
     for kind in ("outputs", "sensors"):
         for column, sides in (size.get(kind) or {}).items():
+            if kind == "sensors" and column in (size.get("outputs") or {}):
+                continue  # a decoded angle is both
             row: list[object] = [named_column(column)]
             largest = max(side["rms"] for side in sides.values())
             factor, unit = scale(column, largest)
