@@ -260,23 +260,44 @@ def refitted(
     facts: Facts,
     inflation: float,
     worth: Callable[[Score], bool],
+    stands: Callable[[Refitted], bool] = lambda _: True,
 ) -> list[Exact]:
     """Refit the promising effects exactly, shapes refined; best first. None where none is `worth` it.
+
+    A variant whose fit does not `stand`, or has parameters that its cause cannot have, is left out, and what
+    it was in the way of is looked at.
+    """
+    left = list(scored)
+    for _ in range(REFITS):
+        tried = _promising(left, worth)
+        fitted = [(s, _exact(base, _finer(base, s, runs, facts, inflation), runs, inflation)) for s in tried]
+        out = [(s, e) for s, e in fitted if e.score.effect.possible(e.fit.base.values) and stands(e.fit)]
+        if len(out) == len(fitted) or any(worth(e.score) for _, e in out):
+            return _ordered([e for _, e in out], left, worth)
+        fallen = [s for s, e in fitted if e not in [kept for _, kept in out]]
+        left = [s for s in left if s not in fallen]
+    return []
+
+
+def _promising(scored: Sequence[Score], worth: Callable[[Score], bool]) -> list[Score]:
+    """Effects that explain nearly as much as the best one that is `worth` it.
 
     What explains much of the runs that it was fitted on and nothing of others is not what others are held
     against.
     """
     best = max((s.gain for s in scored if worth(s)), default=np.inf)
-    promising = [s for s in by_name(scored) if s.gain >= CLOSE * best and not s.absorbed and s.ratio < 1]
-    promising = [_finer(base, score, runs, facts, inflation) for score in promising[:REFITS]]
-    out = []
-    for score in promising:
-        fit = refit(with_model(base, score.model), runs)
-        if not score.effect.possible(fit.base.values):
-            continue
-        N = float(fit.tangents.count[fit.fitted].sum()) * len(base.model.channels)
-        out.append(Exact(score, fit, _bic(fit.cost, N / inflation, score.size, N)))
-    first = _plain_first(sorted(out, key=lambda e: e.bic), scored)
+    return [s for s in by_name(scored) if s.gain >= CLOSE * best and not s.absorbed and s.ratio < 1][:REFITS]
+
+
+def _exact(base: Base, score: Score, runs: Sequence[int], inflation: float) -> Exact:
+    fit = refit(with_model(base, score.model), runs)
+    N = float(fit.tangents.count[fit.fitted].sum()) * len(base.model.channels)
+    return Exact(score, fit, _bic(fit.cost, N / inflation, score.size, N))
+
+
+def _ordered(exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Score], bool]) -> list[Exact]:
+    """Best first; those that are not `worth` it behind those that are."""
+    first = _plain_first(sorted(exact, key=lambda e: e.bic), scored)
     return _foreseen_first([e for e in first if worth(e.score)]) + [e for e in first if not worth(e.score)]
 
 

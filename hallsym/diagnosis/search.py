@@ -196,6 +196,10 @@ class Search:
         """Gap metric on the fitted runs."""
         return at.gap(at.fitted)
 
+    def lowers(self, fit: Refitted, at: Refitted) -> bool:
+        """Return whether an exact fit keeps what its score promised: most of the threshold, see `worth`."""
+        return self.gap(fit) <= self.gap(at) * (1 - self.level / 2)
+
     def prune(self) -> None:
         """Where a gap remains, drop effects that only resemble what makes it: they leave its shape behind."""
         rest = structure(self.now.base, self.runs)
@@ -231,8 +235,10 @@ class Search:
         for score in by_name(ranked):
             if score.absorbed and at is self.start:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
-        exact = refitted(at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth)
-        exact = [e for e in exact if not undone(e.fit, at.base.model, self.start)]
+        exact = refitted(
+            at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
+            lambda fit: self.lowers(fit, at) and not undone(fit, at.base.model, self.start),
+        )  # fmt: skip
         if kind_of(at.base.model).pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
         return exact, ranked

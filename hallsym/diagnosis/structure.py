@@ -28,6 +28,8 @@ LEVELS = (1, 4, 16)
 """Curves with NODES / level intervals are tried."""
 LAGS = 24
 """Samples of the past that the motion is remembered for."""
+WAVES = 12
+"""Waves per turn up to which the error of what goes round is a series: smooth, in few samples."""
 CHUNK = 32
 """Samples of a stretch of a run; odd ones are predicted from even ones and back."""
 SEGMENT = 128
@@ -252,10 +254,14 @@ class _Work:
     def _around(self, piece: Piece, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> dict[str, np.ndarray]:
         """Families of what goes round: q are harmonics of the turn, v and a its speed and acceleration."""
 
+        model = self.base.model
+
         def both(x: np.ndarray) -> np.ndarray:
             return np.vstack([x, *(x * row for row in q)])
 
-        out = {}
+        turns = [2 * np.pi / model.period[c] * piece.data[c] for c in model.references]
+        orders = np.arange(1, WAVES + 1)[:, None]
+        out = {"waves of the turn": np.vstack([f(orders * u) for u in turns for f in (np.cos, np.sin)])}
         if "temperature_degc" in piece.data:
             out["temperature"] = both(_powers(self._unit(piece, "temperature_degc")[None], 3))
         if not self.base.timed:  # a counter stands for the time
