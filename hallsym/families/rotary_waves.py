@@ -8,7 +8,7 @@ independent of each other, which powers of cos and sin are not (cos^2 + sin^2 = 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -22,6 +22,8 @@ HARMONICS = 12
 """Harmonics that are kept in the angle of two waves."""
 
 Complex = tuple[ca.SX, ca.SX]
+Share = Callable[[int], Complex]
+"""Of harmonic n: real and imaginary part of what a filter leaves of exp(i n theta)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,8 @@ class Wave:
 
     def __add__(self, other: Wave | ca.SX | float) -> Wave:
         """Return the sum with another wave or a constant."""
+        if not isinstance(other, Wave | ca.SX | ca.DM | float | int):
+            return NotImplemented
         out, other = dict(self.terms), _wave(other)
         for n, (c, s) in other.terms.items():
             mine = out.get(n, (ca.SX(0), ca.SX(0)))
@@ -40,6 +44,8 @@ class Wave:
 
     def __mul__(self, other: Wave | ca.SX | float) -> Wave:
         """Return the product with another wave or a factor."""
+        if not isinstance(other, Wave | ca.SX | ca.DM | float | int):
+            return NotImplemented
         if not isinstance(other, Wave):
             return Wave({n: (c * other, s * other) for n, (c, s) in self.terms.items()})
         out = Wave({})
@@ -66,6 +72,21 @@ class Wave:
     def slope(self) -> Wave:
         """Return the derivative with respect to theta."""
         return Wave({n: (n * s, -n * c) for n, (c, s) in self.terms.items() if n})
+
+    def filtered(self, share: Share) -> Wave:
+        """Return the wave with each harmonic times what a filter leaves of it; the mean stays."""
+        out = {}
+        for n, (c, s) in self.terms.items():
+            re, im = share(n) if n else (ca.SX(1), ca.SX(0))
+            out[n] = (re * c + im * s, re * s - im * c)
+        return Wave(out)
+
+    def at(self, theta: ca.SX) -> ca.SX:
+        """Return the value at an angle."""
+        parts = (
+            c * ca.cos(n * theta) + s * ca.sin(n * theta) if n else c for n, (c, s) in self.terms.items()
+        )
+        return sum(parts, start=ca.SX(0))
 
     def of(self, s: Signals, column: str) -> ca.SX:
         """Return the wave of a logged angle; cos and sin of its multiples become variables of their own."""
