@@ -7,85 +7,103 @@ nobody asks for harmonics: a `Waveform` is only ever evaluated, and a product is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import pi
 
 import casadi as ca
 
 from hallsym.families.rotary_waves import Share, Wave
 
+FEW = 4
+"""Degree up to which harmonics are multiplied out where a filter needs them; above, they are a sum over
+2 degree + 1 angles, exact too."""
+
 
 @dataclass(frozen=True, eq=False)
 class Waveform:
-    """A trigonometric polynomial of degree at most `degree` by `value(theta) -> SX`.
+    """A trigonometric polynomial of degree at most `degree`: its `value(theta) -> SX`, and its `waves()`.
 
     Adds, multiplies, turns and is filtered as a `Wave` does, also together with one.
     """
 
     value: Callable[[ca.SX], ca.SX]
     degree: int
+    waves: Callable[[], Wave]
     _known: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
 
     def at(self, theta: ca.SX) -> ca.SX:
         """Return the value at an angle; made once for each expression of it."""
-        key = ca.SX(theta).element_hash()
-        if key not in self._known:
-            self._known[key] = (theta, ca.SX(self.value(theta)))  # a hash is one's own while theta is held
-        return self._known[key][1]
+        known = self._known.get(id(theta))
+        if known is None:
+            known = self._known[id(theta)] = (
+                theta,
+                self.value(theta),
+            )  # no other has its id while it is held
+        return known[1]
+
+    @cached_property
+    def wave(self) -> Wave:
+        """The harmonics."""
+        if self.degree <= FEW:
+            return self.waves()
+        count = 2 * self.degree + 1
+        angles = [2 * pi * k / count for k in range(count)]
+        values = ca.vertcat(*(self.at(ca.SX(theta)) for theta in angles)) * (2 / count)
+        terms = {0: (ca.sum1(values) / 2, ca.SX(0))}
+        for n in range(1, self.degree + 1):
+            phase = n * ca.DM(angles)
+            terms[n] = (ca.dot(values, ca.cos(phase)), ca.dot(values, ca.sin(phase)))
+        return Wave(terms)
 
     def __add__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
         """Return the sum with another signal or a constant."""
+        if not isinstance(other, Waveform | Wave):
+            return Waveform(lambda theta: self.at(theta) + other, self.degree, lambda: self.wave + other)
         o = waveform(other)
-        return Waveform(lambda theta: self.at(theta) + o.at(theta), max(self.degree, o.degree))
+        return Waveform(
+            lambda theta: self.at(theta) + o.at(theta), max(self.degree, o.degree), lambda: self.wave + o.wave
+        )
 
     def __mul__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
         """Return the product with another signal or a factor."""
+        if not isinstance(other, Waveform | Wave):
+            return Waveform(lambda theta: self.at(theta) * other, self.degree, lambda: self.wave * other)
         o = waveform(other)
-        return Waveform(lambda theta: self.at(theta) * o.at(theta), self.degree + o.degree)
+        return Waveform(
+            lambda theta: self.at(theta) * o.at(theta), self.degree + o.degree, lambda: self.wave * o.wave
+        )
 
     __radd__, __rmul__ = __add__, __mul__
 
     def __sub__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
         """Return the difference from another signal or a constant."""
-        return self + waveform(other) * -1.0
+        return self + other * -1.0
 
-    def __rsub__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
-        """Return the difference of another signal or a constant from this one."""
-        return waveform(other) + self * -1.0
+    def __rsub__(self, other: ca.SX | float) -> Waveform:
+        """Return the difference of a constant from this signal."""
+        return self * -1.0 + other
 
     def ahead(self, angle: ca.SX) -> Waveform:
         """Return the signal at theta + angle."""
-        return Waveform(lambda theta: self.at(theta + angle), self.degree)
+        return Waveform(lambda theta: self.at(theta + angle), self.degree, lambda: self.wave.ahead(angle))
 
     def slope(self) -> Waveform:
         """Return the derivative with respect to theta."""
         symbol = ca.SX.sym("theta")
         slope = ca.gradient(self.value(symbol), symbol)
-        return Waveform(lambda theta: ca.substitute(slope, symbol, ca.SX(theta)), self.degree)
-
-    @property
-    def terms(self) -> Mapping[int, tuple[ca.SX, ca.SX]]:
-        """Harmonics as those of a `Wave`: a trigonometric polynomial is its values at 2 degree + 1 angles."""
-        count = 2 * self.degree + 1
-        angles = [2 * pi * k / count for k in range(count)]
-        values = ca.vertcat(*(self.at(ca.SX(theta)) for theta in angles))
-        out = {0: (ca.sum1(values) / count, ca.SX(0))}
-        for n in range(1, self.degree + 1):
-            phase = n * ca.DM(angles)
-            out[n] = (2 / count * ca.dot(values, ca.cos(phase)), 2 / count * ca.dot(values, ca.sin(phase)))
-        return out
+        return Waveform(
+            lambda theta: ca.substitute(slope, symbol, theta), self.degree, lambda: self.wave.slope()
+        )
 
     def filtered(self, share: Share) -> Waveform:
         """Return the signal with each harmonic passed through a filter, see `Wave.filtered`."""
-        return waveform(Wave(self.terms).filtered(share))
+        return waveform(self.wave.filtered(share))
 
 
-def waveform(signal: Waveform | Wave | ca.SX | float) -> Waveform:
-    """Return a wave or a constant as a waveform."""
+def waveform(signal: Waveform | Wave) -> Waveform:
+    """Return a wave as a waveform."""
     if isinstance(signal, Waveform):
         return signal
-    if isinstance(signal, Wave):
-        return Waveform(signal.at, max(signal.terms, default=0))
-    constant = ca.SX(signal)
-    return Waveform(lambda theta: constant, 0)
+    return Waveform(signal.at, max(signal.terms, default=0), lambda: signal)

@@ -48,18 +48,19 @@ class Wave:
             return NotImplemented
         if not isinstance(other, Wave):
             return Wave({n: (c * other, s * other) for n, (c, s) in self.terms.items()})
-        out = Wave({})
+        out: dict[int, tuple[ca.SX, ca.SX]] = {}
         for n, (c, s) in self.terms.items():
             for m, (d, t) in other.terms.items():
-                out = out + _harmonic(n + m, (c * d - s * t) / 2, (s * d + c * t) / 2)
-                out = out + _harmonic(n - m, (c * d + s * t) / 2, (s * d - c * t) / 2)
-        return out
+                cd, st, sd, ct = c * d / 2, s * t / 2, s * d / 2, c * t / 2
+                _add_harmonic(out, n + m, cd - st, sd + ct)
+                _add_harmonic(out, n - m, cd + st, sd - ct)
+        return Wave(out)
 
     __radd__, __rmul__ = __add__, __mul__
 
     def __sub__(self, other: Wave | ca.SX | float) -> Wave:
         """Return the difference from another wave or a constant."""
-        return self + _wave(other) * -1.0
+        return self + other * -1.0
 
     def ahead(self, angle: ca.SX) -> Wave:
         """Return the wave at theta + angle."""
@@ -83,10 +84,10 @@ class Wave:
 
     def at(self, theta: ca.SX) -> ca.SX:
         """Return the value at an angle."""
-        parts = (
-            c * ca.cos(n * theta) + s * ca.sin(n * theta) if n else c for n, (c, s) in self.terms.items()
-        )
-        return sum(parts, start=ca.SX(0))
+        total = ca.SX(0)
+        for n, (c, s) in self.terms.items():
+            total = total + (c * ca.cos(n * theta) + s * ca.sin(n * theta) if n else c)
+        return total
 
     def of(self, s: Signals, column: str) -> ca.SX:
         """Return the wave of a logged angle; cos and sin of its multiples become variables of their own."""
@@ -130,10 +131,10 @@ def angle(y: Wave, x: Wave, state: ca.SX, order: int = ORDER, harmonics: int = H
             before = total.get(n, (ca.SX(0), ca.SX(0)))
             share = (-1.0) ** (k + 1) / k
             total[n] = (before[0] + share * re, before[1] + share * im)
-    out = Wave({0: (ca.atan2(z[1], z[0]), ca.SX(0))})
+    out = {0: (ca.atan2(z[1], z[0]), ca.SX(0))}
     for n, (re, im) in total.items():
-        out = out + _harmonic(n, im, re)
-    return Wave({n: (_linear(c, state), _linear(s, state)) for n, (c, s) in out.terms.items()})
+        _add_harmonic(out, n, im, re)
+    return Wave({n: (_linear(c, state), _linear(s, state)) for n, (c, s) in out.items()})
 
 
 def _turning(y: Wave, x: Wave) -> dict[int, Complex]:
@@ -171,9 +172,12 @@ def _linear(expression: ca.SX, state: ca.SX) -> ca.SX:
     return at + slope @ state
 
 
-def _harmonic(n: int, c: ca.SX, s: ca.SX) -> Wave:
-    """Return c cos(n theta) + s sin(n theta), n of either sign."""
-    return Wave({abs(n): (c, s if n > 0 else -s if n < 0 else ca.SX(0))})
+def _add_harmonic(out: dict[int, tuple[ca.SX, ca.SX]], n: int, c: ca.SX, s: ca.SX) -> None:
+    """Add c cos(n theta) + s sin(n theta), n of either sign, to the terms of a wave."""
+    k, s = abs(n), s if n > 0 else -s if n < 0 else ca.SX(0)
+    if k in out:
+        c, s = out[k][0] + c, out[k][1] + s
+    out[k] = (c, s)
 
 
 def _wave(value: Wave | ca.SX | float) -> Wave:
