@@ -14,7 +14,7 @@ from math import pi
 
 import casadi as ca
 
-from hallsym.families.rotary_waves import Share, Wave
+from hallsym.families.rotary_waves import Share, Wave, plus, times
 
 FEW = 4
 """Degree up to which harmonics are multiplied out where a filter needs them; above, they are a sum over
@@ -60,19 +60,25 @@ class Waveform:
     def __add__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
         """Return the sum with another signal or a constant."""
         if not isinstance(other, Waveform | Wave):
-            return Waveform(lambda theta: self.at(theta) + other, self.degree, lambda: self.wave + other)
+            return Waveform(lambda theta: plus(self.at(theta), other), self.degree, lambda: self.wave + other)
         o = waveform(other)
         return Waveform(
-            lambda theta: self.at(theta) + o.at(theta), max(self.degree, o.degree), lambda: self.wave + o.wave
+            lambda theta: plus(self.at(theta), o.at(theta)),
+            max(self.degree, o.degree),
+            lambda: self.wave + o.wave,
         )
 
     def __mul__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
         """Return the product with another signal or a factor."""
         if not isinstance(other, Waveform | Wave):
-            return Waveform(lambda theta: self.at(theta) * other, self.degree, lambda: self.wave * other)
+            return Waveform(
+                lambda theta: times(self.at(theta), other), self.degree, lambda: self.wave * other
+            )
         o = waveform(other)
         return Waveform(
-            lambda theta: self.at(theta) * o.at(theta), self.degree + o.degree, lambda: self.wave * o.wave
+            lambda theta: times(self.at(theta), o.at(theta)),
+            self.degree + o.degree,
+            lambda: self.wave * o.wave,
         )
 
     __radd__, __rmul__ = __add__, __mul__
@@ -87,7 +93,9 @@ class Waveform:
 
     def ahead(self, angle: ca.SX) -> Waveform:
         """Return the signal at theta + angle."""
-        return Waveform(lambda theta: self.at(theta + angle), self.degree, lambda: self.wave.ahead(angle))
+        return Waveform(
+            lambda theta: self.at(plus(theta, angle)), self.degree, lambda: self.wave.ahead(angle)
+        )
 
     def slope(self) -> Waveform:
         """Return the derivative with respect to theta."""
