@@ -121,7 +121,7 @@ class _Continuous:
         for start, stop in pairwise(edges):
             if stop == start:
                 continue
-            part = np.unwrap(out[start:stop], period=period)
+            part = _unwrapped(out[start:stop], period)
             if last.get(column, (None, 0.0))[0] == run[start]:
                 before = last[column][1]
                 part = part + (before + wrapped(out[start] - before, period)[()] - out[start])
@@ -129,3 +129,9 @@ class _Continuous:
         if len(run):
             last[column] = (int(run[-1]), float(out[-1]))
         return out
+
+
+def _unwrapped(x: np.ndarray, period: float) -> np.ndarray:
+    """Return x (n,) less whole periods, so that no step is longer than half of one; `np.unwrap`, but lean."""
+    whole = np.round(np.diff(x) / period)
+    return np.concatenate([x[:1], x[1:] - period * np.cumsum(whole)]) if whole.any() else x

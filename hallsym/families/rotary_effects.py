@@ -15,7 +15,8 @@ import numpy as np
 from hallsym.computed import Computed, Stretch, campaign_time, rate
 from hallsym.families import rotary
 from hallsym.families.rotary import ANGLE, REFERENCES
-from hallsym.families.rotary_waves import Wave
+from hallsym.families.rotary_waveforms import waveform
+from hallsym.families.rotary_waves import Wave, cosine, sine
 from hallsym.families.stage_effects import stop_operator
 from hallsym.model import Model, Parameter, Signals, Step
 
@@ -62,23 +63,27 @@ def _volt(model: Model) -> str:
 
 
 def direct(model: Model) -> Model:
-    """Return the model with its electronics as one expression: atan2 itself, no series, no features.
+    """Return the model evaluated at each sample's own angle: atan2 itself, no series, no features.
 
     A fit from run summaries needs readings that are linear in features; a diagnosis, which goes over the
     samples, does not, and the series of many effects are long.
     """
-    plain: dict[Step, Step] = {rotary._voltages: _direct_voltages, rotary._arctangent: _direct_angle}
+    plain: dict[Step, Step] = {
+        rotary._turned: _direct_field,
+        rotary._voltages: _direct_voltages,
+        rotary._arctangent: _direct_angle,
+    }
     return replace(model, steps=tuple((link, plain.get(step, step)) for link, step in model.steps))
+
+
+def _direct_field(s: Signals, p: P) -> None:
+    s["cosine"], s["sine"] = waveform(cosine()), waveform(sine())
 
 
 def _plates(s: Signals, p: P) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Angle of the magnet and both voltages there."""
     u = s[rotary.POSE[0]] + p["zero"]
-    v = [
-        sum((c * ca.cos(n * u) + d * ca.sin(n * u) if n else c) for n, (c, d) in s[name].terms.items())
-        for name in ("v_sin", "v_cos")
-    ]
-    return u, v[0], v[1]
+    return u, s["v_sin"].at(u), s["v_cos"].at(u)
 
 
 def _direct_voltages(s: Signals, p: P) -> None:
@@ -334,13 +339,12 @@ def first_order_lag(model: Model) -> Model:
     """A low-pass in the path of both voltages, at the speed of the moment: every harmonic loses its share."""
 
     def step(s: Signals, p: P) -> None:
+        def share(n: int) -> tuple[ca.SX, ca.SX]:
+            x = n * p["lag"] * s[SPEED]
+            return 1 / (1 + x**2), -x / (1 + x**2)  # 1 / (1 + i x)
+
         for plate in PLATES:
-            terms = {}
-            for n, (c, d) in s[f"v_{plate}"].terms.items():
-                x = n * p["lag"] * s[SPEED]
-                share = 1 / (1 + x**2)
-                terms[n] = (share * (c - x * d), share * (d + x * c)) if n else (c, d)
-            s[f"v_{plate}"] = Wave(terms)
+            s[f"v_{plate}"] = s[f"v_{plate}"].filtered(share)
 
     new = (Parameter("lag", 0.0, 0.0, 1.0, "s", "time constant"),)
     return _add(model, "transducer", "first_order_lag", new, step, rate(REFERENCE))

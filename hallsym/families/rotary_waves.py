@@ -8,7 +8,7 @@ independent of each other, which powers of cos and sin are not (cos^2 + sin^2 = 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -22,6 +22,28 @@ HARMONICS = 12
 """Harmonics that are kept in the angle of two waves."""
 
 Complex = tuple[ca.SX, ca.SX]
+Share = Callable[[int], Complex]
+"""Of harmonic n: real and imaginary part of what a filter leaves of exp(i n theta)."""
+
+
+def plus(a: ca.SX, b: ca.SX | float) -> ca.SX:
+    """Return a + b. The operator does the same in ten times the time: it looks for the types first."""
+    return ca.SX.binary(ca.OP_ADD, a, b)
+
+
+def minus(a: ca.SX, b: ca.SX | float) -> ca.SX:
+    """Return a - b."""
+    return ca.SX.binary(ca.OP_SUB, a, b)
+
+
+def times(a: ca.SX, b: ca.SX | float) -> ca.SX:
+    """Return a b."""
+    return ca.SX.binary(ca.OP_MUL, a, b)
+
+
+def turned(angle: ca.SX) -> Complex:
+    """Return cosine and sine of an angle."""
+    return ca.SX.unary(ca.OP_COS, angle), ca.SX.unary(ca.OP_SIN, angle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,40 +54,61 @@ class Wave:
 
     def __add__(self, other: Wave | ca.SX | float) -> Wave:
         """Return the sum with another wave or a constant."""
+        if not isinstance(other, Wave | ca.SX | ca.DM | float | int):
+            return NotImplemented
         out, other = dict(self.terms), _wave(other)
         for n, (c, s) in other.terms.items():
-            mine = out.get(n, (ca.SX(0), ca.SX(0)))
-            out[n] = (mine[0] + c, mine[1] + s)
+            _add(out, n, c, s)
         return Wave(out)
 
     def __mul__(self, other: Wave | ca.SX | float) -> Wave:
         """Return the product with another wave or a factor."""
+        if not isinstance(other, Wave | ca.SX | ca.DM | float | int):
+            return NotImplemented
         if not isinstance(other, Wave):
-            return Wave({n: (c * other, s * other) for n, (c, s) in self.terms.items()})
-        out = Wave({})
+            return Wave({n: (times(c, other), times(s, other)) for n, (c, s) in self.terms.items()})
+        out: dict[int, tuple[ca.SX, ca.SX]] = {}
         for n, (c, s) in self.terms.items():
             for m, (d, t) in other.terms.items():
-                out = out + _harmonic(n + m, (c * d - s * t) / 2, (s * d + c * t) / 2)
-                out = out + _harmonic(n - m, (c * d + s * t) / 2, (s * d - c * t) / 2)
-        return out
+                cd, st, sd, ct = (times(times(a, b), 0.5) for a, b in ((c, d), (s, t), (s, d), (c, t)))
+                _add_harmonic(out, n + m, minus(cd, st), plus(sd, ct))
+                _add_harmonic(out, n - m, plus(cd, st), minus(sd, ct))
+        return Wave(out)
 
     __radd__, __rmul__ = __add__, __mul__
 
     def __sub__(self, other: Wave | ca.SX | float) -> Wave:
         """Return the difference from another wave or a constant."""
-        return self + _wave(other) * -1.0
+        return self + other * -1.0
 
     def ahead(self, angle: ca.SX) -> Wave:
         """Return the wave at theta + angle."""
         out = {}
         for n, (c, s) in self.terms.items():
-            cos, sin = ca.cos(n * angle), ca.sin(n * angle)
-            out[n] = (c * cos + s * sin, s * cos - c * sin) if n else (c, s)
+            cos, sin = turned(times(angle, float(n)))
+            mixed = plus(times(c, cos), times(s, sin)), minus(times(s, cos), times(c, sin))
+            out[n] = mixed if n else (c, s)
         return Wave(out)
 
     def slope(self) -> Wave:
         """Return the derivative with respect to theta."""
         return Wave({n: (n * s, -n * c) for n, (c, s) in self.terms.items() if n})
+
+    def filtered(self, share: Share) -> Wave:
+        """Return the wave with each harmonic times what a filter leaves of it; the mean stays."""
+        out = {}
+        for n, (c, s) in self.terms.items():
+            re, im = share(n) if n else (ca.SX(1), ca.SX(0))
+            out[n] = (re * c + im * s, re * s - im * c)
+        return Wave(out)
+
+    def at(self, theta: ca.SX) -> ca.SX:
+        """Return the value at an angle."""
+        total = ca.SX(0)
+        for n, (c, s) in self.terms.items():
+            cos, sin = turned(times(theta, float(n)))
+            total = plus(total, plus(times(c, cos), times(s, sin)) if n else c)
+        return total
 
     def of(self, s: Signals, column: str) -> ca.SX:
         """Return the wave of a logged angle; cos and sin of its multiples become variables of their own."""
@@ -105,14 +148,13 @@ def angle(y: Wave, x: Wave, state: ca.SX, order: int = ORDER, harmonics: int = H
     power, total = w, dict(w)
     for k in range(2, order + 1):
         power = _product(power, w, harmonics)
+        share = (-1.0) ** (k + 1) / k
         for n, (re, im) in power.items():
-            before = total.get(n, (ca.SX(0), ca.SX(0)))
-            share = (-1.0) ** (k + 1) / k
-            total[n] = (before[0] + share * re, before[1] + share * im)
-    out = Wave({0: (ca.atan2(z[1], z[0]), ca.SX(0))})
+            _add(total, n, times(re, share), times(im, share))
+    out = {0: (ca.atan2(z[1], z[0]), ca.SX(0))}
     for n, (re, im) in total.items():
-        out = out + _harmonic(n, im, re)
-    return Wave({n: (_linear(c, state), _linear(s, state)) for n, (c, s) in out.terms.items()})
+        _add_harmonic(out, n, im, re)
+    return Wave({n: (_linear(c, state), _linear(s, state)) for n, (c, s) in out.items()})
 
 
 def _turning(y: Wave, x: Wave) -> dict[int, Complex]:
@@ -135,8 +177,8 @@ def _product(a: dict[int, Complex], b: dict[int, Complex], most: int) -> dict[in
     for n, (p, q) in a.items():
         for m, (r, s) in b.items():
             if abs(n + m) <= most:
-                before = out.get(n + m, (ca.SX(0), ca.SX(0)))
-                out[n + m] = (before[0] + p * r - q * s, before[1] + p * s + q * r)
+                re, im = minus(times(p, r), times(q, s)), plus(times(p, s), times(q, r))
+                _add(out, n + m, re, im)
     return out
 
 
@@ -150,9 +192,14 @@ def _linear(expression: ca.SX, state: ca.SX) -> ca.SX:
     return at + slope @ state
 
 
-def _harmonic(n: int, c: ca.SX, s: ca.SX) -> Wave:
-    """Return c cos(n theta) + s sin(n theta), n of either sign."""
-    return Wave({abs(n): (c, s if n > 0 else -s if n < 0 else ca.SX(0))})
+def _add(out: dict[int, Complex], n: int, a: ca.SX, b: ca.SX) -> None:
+    """Add a pair of coefficients to those of index n."""
+    out[n] = (plus(out[n][0], a), plus(out[n][1], b)) if n in out else (a, b)
+
+
+def _add_harmonic(out: dict[int, Complex], n: int, c: ca.SX, s: ca.SX) -> None:
+    """Add c cos(n theta) + s sin(n theta), n of either sign, to the terms of a wave."""
+    _add(out, abs(n), c, s if n > 0 else -s if n < 0 else ca.SX(0))
 
 
 def _wave(value: Wave | ca.SX | float) -> Wave:

@@ -1,0 +1,117 @@
+"""Periodic signals by their value at an angle: the same chain as with waves, without multiplying them out.
+
+A `Wave` knows its harmonics, which a fit from run summaries needs; a product of two of n and m terms has
+n m of them, and a power of a sum soon has thousands. Where the readings are evaluated sample by sample
+nobody asks for harmonics: a `Waveform` is only ever evaluated, and a product is one multiplication.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import pi
+
+import casadi as ca
+
+from hallsym.families.rotary_waves import Share, Wave, plus, times
+
+FEW = 4
+"""Degree up to which harmonics are multiplied out where a filter needs them; above, they are a sum over
+2 degree + 1 angles, exact too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waveform:
+    """A trigonometric polynomial of degree at most `degree`: its `value(theta) -> SX`, and its `waves()`.
+
+    Adds, multiplies, turns and is filtered as a `Wave` does, also together with one.
+    """
+
+    value: Callable[[ca.SX], ca.SX]
+    degree: int
+    waves: Callable[[], Wave]
+    _known: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
+
+    def at(self, theta: ca.SX) -> ca.SX:
+        """Return the value at an angle; made once for each expression of it."""
+        known = self._known.get(id(theta))
+        if known is None:
+            known = self._known[id(theta)] = (
+                theta,
+                self.value(theta),
+            )  # no other has its id while it is held
+        return known[1]
+
+    @cached_property
+    def wave(self) -> Wave:
+        """The harmonics."""
+        if self.degree <= FEW:
+            return self.waves()
+        count = 2 * self.degree + 1
+        angles = [2 * pi * k / count for k in range(count)]
+        values = ca.vertcat(*(self.at(ca.SX(theta)) for theta in angles)) * (2 / count)
+        terms = {0: (ca.sum1(values) / 2, ca.SX(0))}
+        for n in range(1, self.degree + 1):
+            phase = n * ca.DM(angles)
+            terms[n] = (ca.dot(values, ca.cos(phase)), ca.dot(values, ca.sin(phase)))
+        return Wave(terms)
+
+    def __add__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
+        """Return the sum with another signal or a constant."""
+        if not isinstance(other, Waveform | Wave):
+            return Waveform(lambda theta: plus(self.at(theta), other), self.degree, lambda: self.wave + other)
+        o = waveform(other)
+        return Waveform(
+            lambda theta: plus(self.at(theta), o.at(theta)),
+            max(self.degree, o.degree),
+            lambda: self.wave + o.wave,
+        )
+
+    def __mul__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
+        """Return the product with another signal or a factor."""
+        if not isinstance(other, Waveform | Wave):
+            return Waveform(
+                lambda theta: times(self.at(theta), other), self.degree, lambda: self.wave * other
+            )
+        o = waveform(other)
+        return Waveform(
+            lambda theta: times(self.at(theta), o.at(theta)),
+            self.degree + o.degree,
+            lambda: self.wave * o.wave,
+        )
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __sub__(self, other: Waveform | Wave | ca.SX | float) -> Waveform:
+        """Return the difference from another signal or a constant."""
+        return self + other * -1.0
+
+    def __rsub__(self, other: ca.SX | float) -> Waveform:
+        """Return the difference of a constant from this signal."""
+        return self * -1.0 + other
+
+    def ahead(self, angle: ca.SX) -> Waveform:
+        """Return the signal at theta + angle."""
+        return Waveform(
+            lambda theta: self.at(plus(theta, angle)), self.degree, lambda: self.wave.ahead(angle)
+        )
+
+    def slope(self) -> Waveform:
+        """Return the derivative with respect to theta."""
+        symbol = ca.SX.sym("theta")
+        slope = ca.gradient(self.value(symbol), symbol)
+        return Waveform(
+            lambda theta: ca.substitute(slope, symbol, theta), self.degree, lambda: self.wave.slope()
+        )
+
+    def filtered(self, share: Share) -> Waveform:
+        """Return the signal with each harmonic passed through a filter, see `Wave.filtered`."""
+        return waveform(self.wave.filtered(share))
+
+
+def waveform(signal: Waveform | Wave) -> Waveform:
+    """Return a wave as a waveform."""
+    if isinstance(signal, Waveform):
+        return signal
+    return Waveform(signal.at, max(signal.terms, default=0), lambda: signal)
