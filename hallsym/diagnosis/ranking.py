@@ -260,7 +260,7 @@ def refitted(
     facts: Facts,
     inflation: float,
     worth: Callable[[Score], bool],
-    stands: Callable[[Refitted], bool] = lambda _: True,
+    stands: Callable[[Exact], bool] = lambda _: True,
 ) -> list[Exact]:
     """Refit the promising effects exactly, shapes refined; best first. None where none is `worth` it.
 
@@ -271,7 +271,7 @@ def refitted(
     for _ in range(REFITS):
         tried = _promising(left, worth)
         fitted = [(s, _exact(base, _finer(base, s, runs, facts, inflation), runs, inflation)) for s in tried]
-        out = [(s, e) for s, e in fitted if e.score.effect.possible(e.fit.base.values) and stands(e.fit)]
+        out = [(s, e) for s, e in fitted if e.score.effect.possible(e.fit.base.values) and stands(e)]
         if len(out) == len(fitted) or any(worth(e.score) for _, e in out):
             return _ordered([e for _, e in out], left, worth)
         fallen = [s for s, e in fitted if e not in [kept for _, kept in out]]
@@ -291,8 +291,13 @@ def _promising(scored: Sequence[Score], worth: Callable[[Score], bool]) -> list[
 
 def _exact(base: Base, score: Score, runs: Sequence[int], inflation: float) -> Exact:
     fit = refit(with_model(base, score.model), runs)
-    N = float(fit.tangents.count[fit.fitted].sum()) * len(base.model.channels)
-    return Exact(score, fit, _bic(fit.cost, N / inflation, score.size, N))
+    return Exact(score, fit, bic_of(fit, score.size, inflation))
+
+
+def bic_of(fit: Refitted, size: int, inflation: float) -> float:
+    """Return the BIC of a fit with `size` parameters more than the model without effects has."""
+    N = float(fit.tangents.count[fit.fitted].sum()) * len(fit.base.model.channels)
+    return _bic(fit.cost, N / inflation, size, N)
 
 
 def _ordered(exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[Score], bool]) -> list[Exact]:

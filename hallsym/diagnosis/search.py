@@ -13,7 +13,7 @@ from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
 from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.plainer import plain_pairs
-from hallsym.diagnosis.ranking import Exact, Score, by_name, candidates, refitted, scores
+from hallsym.diagnosis.ranking import Exact, Score, bic_of, by_name, candidates, refitted, scores
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.structure import structure
@@ -196,9 +196,10 @@ class Search:
         """Gap metric on the fitted runs."""
         return at.gap(at.fitted)
 
-    def lowers(self, fit: Refitted, at: Refitted) -> bool:
-        """Return whether an exact fit keeps what its score promised: most of the threshold, see `worth`."""
-        return self.gap(fit) <= self.gap(at) * (1 - self.level / 2)
+    def keeps(self, exact: Exact, at: Refitted) -> bool:
+        """Return whether an exact fit keeps what its score promised: half of the threshold, at its price."""
+        lower = self.gap(exact.fit) <= self.gap(at) * (1 - self.level / 2)
+        return lower and exact.bic < bic_of(at, 0, TYPICAL_INFLATION)
 
     def prune(self) -> None:
         """Where a gap remains, drop effects that only resemble what makes it: they leave its shape behind."""
@@ -237,7 +238,7 @@ class Search:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
         exact = refitted(
             at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
-            lambda fit: self.lowers(fit, at) and not undone(fit, at.base.model, self.start),
+            lambda e: self.keeps(e, at) and not undone(e.fit, at.base.model, self.start),
         )  # fmt: skip
         if kind_of(at.base.model).pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
