@@ -264,8 +264,8 @@ def refitted(
 ) -> list[Exact]:
     """Refit the promising effects exactly, shapes refined; best first. None where none is `worth` it.
 
-    A variant whose fit does not `stand`, or has parameters that its cause cannot have, is left out, and what
-    it was in the way of is looked at.
+    A variant whose fit does not `stand`, or has parameters that its cause cannot have, is left out with all
+    of its effect that are no plainer, and what it was in the way of is looked at.
     """
     left = list(scored)
     for _ in range(REFITS):
@@ -274,8 +274,9 @@ def refitted(
         out = [(s, e) for s, e in fitted if e.score.effect.possible(e.fit.base.values) and stands(e)]
         if len(out) == len(fitted) or any(worth(e.score) for _, e in out):
             return _ordered([e for _, e in out], left, worth)
-        fallen = [s for s, e in fitted if e not in [kept for _, kept in out]]
-        left = [s for s in left if s not in fallen]
+        stood = {id(s) for s, _ in out}
+        fallen = {s.effect.name: s.size for s, _ in fitted if id(s) not in stood}
+        left = [s for s in left if s.size < fallen.get(s.effect.name, s.size + 1)]
     return []
 
 
@@ -285,8 +286,9 @@ def _promising(scored: Sequence[Score], worth: Callable[[Score], bool]) -> list[
     What explains much of the runs that it was fitted on and nothing of others is not what others are held
     against.
     """
-    best = max((s.gain for s in scored if worth(s)), default=np.inf)
-    return [s for s in by_name(scored) if s.gain >= CLOSE * best and not s.absorbed and s.ratio < 1][:REFITS]
+    named = [s for s in by_name(scored) if not s.absorbed]
+    best = max((s.gain for s in named if worth(s)), default=np.inf)
+    return [s for s in named if s.gain >= CLOSE * best and s.ratio < 1][:REFITS]
 
 
 def _exact(base: Base, score: Score, runs: Sequence[int], inflation: float) -> Exact:

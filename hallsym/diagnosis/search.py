@@ -157,6 +157,7 @@ class Search:
         self.not_testable: dict[str, str] = {}
         self.last: list[Score] = []
         self.scored: list[tuple[Refitted, list[Score]]] = []
+        self.owner: dict[str, str] = {}
         self.survey = Survey()
         self.most = kind_of(base.model).most
 
@@ -231,6 +232,8 @@ class Search:
         self.not_testable |= {t.name: t.reason for t in trouble}
         ranked, t = scores(at.base, tried, self.runs, TYPICAL_INFLATION)
         self.scored.append((at, ranked))
+        for s in ranked:
+            self.owner |= {n: s.effect.name for n in s.model.names if n not in at.base.model.names}
         for key in t.spoiled:
             self.not_testable[key.split("|")[0]] = "its readings are not finite on this log"
         for score in by_name(ranked):
@@ -238,7 +241,7 @@ class Search:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
         exact = refitted(
             at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
-            lambda e: self.keeps(e, at) and not undone(e.fit, at.base.model, self.start),
+            lambda e: self.keeps(e, at) and not undone(e.fit, at, self.start, self.owner),
         )  # fmt: skip
         if kind_of(at.base.model).pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)

@@ -10,12 +10,15 @@ import numpy as np
 from hallsym.log import Log
 
 PIECES = 20
-"""Pieces of a recording: every second is held out, so that ten are fitted and held against each other."""
+"""Stretches of time: every second is held out, so that ten are fitted and held against each other."""
+GROUPS = 22
+"""Groups of knots: eleven are fitted. Each goes round the turn, so that waves of it do not lean on another;
+an odd number takes every phase of a pattern of two or four knots into each group."""
 FEWEST = 40
 """Samples that a recording must have to be taken to pieces."""
 BLOCK = 4
-"""Knots that stay together. Every second is held out, the other ones in the next block, so that a pattern of
-two or four knots (a stepper's) is seen on both sides."""
+"""Knots of a block. Every second is held out, the other ones in the next block, so that a pattern of two or
+four knots (a stepper's) is seen on both sides."""
 TIME = "t_s"
 
 
@@ -26,12 +29,13 @@ def split(log: Log) -> tuple[Log, tuple[int, ...]]:
     held out, and a counter stands for the time that the log does not have.
     """
     n, timed = log.rows, TIME in log.columns
-    at, held = np.arange(n), tuple(range(1, PIECES, 2))
-    piece = at * PIECES // n if timed else 2 * (at // (2 * BLOCK) % (PIECES // 2)) + (at + at // BLOCK) % 2
+    at, count = np.arange(n), PIECES if timed else GROUPS
+    piece = at * PIECES // n if timed else 2 * (at // 2 % (GROUPS // 2)) + (at + at // BLOCK) % 2
+    held = tuple(range(1, count, 2))
     order = np.argsort(piece, kind="stable")
     columns = {c: log.array(c)[order] for c in log.columns if c != "run"}
     columns = {TIME: at.astype(float)} | columns | {"run": piece[order]}
-    how = f"{PIECES} stretches of time" if timed else f"single knots in {PIECES} groups"
+    how = f"{count} {'stretches of time' if timed else 'groups of single knots, each round the turn'}"
     short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
     many = f"{len(log.runs)} run{'s' if len(log.runs) > 1 else ''}"
     note = f"{many} cannot be held out whole: taken as {how}, every second held out."
