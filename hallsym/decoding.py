@@ -44,7 +44,8 @@ class ErrorTable:
 
 def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
     """Return `decode(p, zeros, readings, states) -> (n_pose, samples)`, compiled once for arrays."""
-    run, weight = on_arrays(model.decoded), 1.0 / np.asarray(reading_variance)
+    run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
+    weight = 1.0 / np.asarray(reading_variance)
 
     def decode(p: np.ndarray, zeros: np.ndarray, readings: list, states: list) -> np.ndarray:
         return run(p, zeros, readings, states, weight)[0]
@@ -61,8 +62,8 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     if len(model.channels) == 1:
         return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
     if model.typical:
-        return on_arrays(model.noise_gain_at)
-    still = on_arrays(model.noise_gain)
+        return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
+    still = model.remember("gain at rest, on arrays", lambda: on_arrays(model.noise_gain))
     return lambda p, pose, state, weight: still(p, state, weight)
 
 

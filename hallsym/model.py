@@ -7,7 +7,7 @@ else (readings, decoded pose, derivatives, generated code) is derived from the e
 leave behind, so there is one copy of the mathematics.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -176,6 +176,19 @@ class Model:
                     f"Bounds of {p.name} must have lower <= upper; instead received {p.lower:g}, {p.upper:g}."
                 )
         return model
+
+    @cached_property
+    def _remembered(self) -> dict[Hashable, Any]:
+        return {}
+
+    def remember(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Return `make()`, made once for this model: `key` says all else that it depends on.
+
+        A model extended in the same way is then the same model, and its expressions are built once.
+        """
+        if key not in self._remembered:
+            self._remembered[key] = make()
+        return self._remembered[key]
 
     # -- names and numbers -------------------------------------------------------------------------------
 

@@ -1,6 +1,6 @@
 """Standard uncertainties of a fit: from the likelihood, or from what differs between runs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -190,7 +190,8 @@ def _std(gradient: np.ndarray, covariance: np.ndarray) -> float:
 def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
     """RMSE of the decoded pose that reading and reference noise alone would leave, by pose coordinate."""
     summary, model = cost.summary, cost.summary.model
-    gain, weight = on_arrays(model.noise_gain_at), 1.0 / cost.reading_variance
+    gain = model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
+    weight = 1.0 / cost.reading_variance
     share = cost.weights * summary.counts / (cost.weights @ summary.counts)
     poses = model.typical or (np.zeros(len(model.pose)),)
     variance = np.zeros(len(model.pose))
@@ -204,12 +205,18 @@ def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
 
 def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float] | np.ndarray) -> np.ndarray:
     """Covariance of a residual (r, K, K) at one pose, where it is not the same all over a run."""
-    summary, s = cost.summary, cost.summary.model.symbols
-    columns, zeros = ca.vertcat(s.pose, s.state), ca.SX.zeros(s.zeros.numel())
-    slope = ca.jacobian(ca.substitute(s.full(s.reading), s.zeros, zeros), columns)
-    run = on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
+    summary, model = cost.summary, cost.summary.model
+    run = model.remember("slopes by column", lambda: _slopes_by_column(model))
     (flat,) = run(p, pose, summary.mean_state.T)
     K = len(cost.reading_variance)
     J = np.transpose(flat.reshape(len(cost.column_variance), K, -1), (2, 1, 0))  # (r, K, columns)
     C = np.diag(cost.reading_variance) + (J * cost.column_variance) @ np.swapaxes(J, 1, 2)
     return np.broadcast_to(C, (len(summary.runs), K, K))
+
+
+def _slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:
+    """`(parameters, pose, state) -> d reading / d column` on arrays, zeros at zero."""
+    s = model.symbols
+    reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(s.zeros.numel()))
+    slope = ca.jacobian(reading, ca.vertcat(s.pose, s.state))
+    return on_arrays(ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(slope)]))

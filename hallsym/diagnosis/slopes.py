@@ -28,16 +28,25 @@ class Slope:
 
 def slope_of(model: Model, p: np.ndarray, new: Sequence[str]) -> Slope:
     """Return d reading / d new parameters at the values p of `model`, rows in order of their channel."""
-    s = model.symbols
     index = [model.names.index(name) for name in new]
+    at = tuple(p[index].tolist())
+    run, channel, column = model.remember(("slope", *index, *at), lambda: _rows_of(model, index, at))
+    return Slope(run, model, p, channel, column)
+
+
+def _rows_of(
+    model: Model, index: Sequence[int], at: Sequence[float]
+) -> tuple[Callable[..., list[np.ndarray]], np.ndarray, np.ndarray]:
+    """Function, channels and columns of a `Slope` with respect to some parameters at their values."""
+    s = model.symbols
     slope = ca.jacobian(s.full(s.reading), s.parameters[index])
-    slope = ca.sparsify(ca.substitute(slope, s.parameters[index], ca.DM(p[index])))
+    slope = ca.sparsify(ca.substitute(slope, s.parameters[index], ca.DM(at)))
     channel, column = (np.array(k, dtype=int) for k in slope.sparsity().get_triplet())
     order = np.lexsort((column, channel))
     entries = slope.nonzeros()
     rows = ca.vertcat(*(entries[k] for k in order)) if len(order) else ca.SX(0, 1)
     function = ca.Function("slope", [s.parameters, s.zeros, s.pose, s.state], [ca.densify(rows)])
-    return Slope(on_arrays(function), model, p, channel[order], column[order])
+    return on_arrays(function), channel[order], column[order]
 
 
 class Slopes:

@@ -93,12 +93,12 @@ def make_of(text: str) -> Make:
     """
     name, given = read(text)
 
-    def make(model: Model) -> Model:
+    def made(model: Model) -> Model:
         form = _form(name, RECIPES[model.family][name], given)
         wide = form(**_numbers(name, form, given))(model)
         return noted(model, SHORT.get(model.family, _as_it_is)(wide), text)
 
-    return make
+    return lambda model: model.remember(("effect", text), lambda: made(model))
 
 
 def noted(model: Model, wide: Model, text: str) -> Model:

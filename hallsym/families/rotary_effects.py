@@ -73,7 +73,8 @@ def direct(model: Model) -> Model:
         rotary._voltages: _direct_voltages,
         rotary._arctangent: _direct_angle,
     }
-    return replace(model, steps=tuple((link, plain.get(step, step)) for link, step in model.steps))
+    steps = tuple((link, plain.get(step, step)) for link, step in model.steps)
+    return model.remember("direct", lambda: replace(model, steps=steps))
 
 
 def _direct_field(s: Signals, p: P) -> None:
