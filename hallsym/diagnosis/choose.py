@@ -10,6 +10,7 @@ from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.ranking import candidates, refitted, scores
 from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
 from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.verdict import SURE
 from hallsym.errors import InputError
 from hallsym.families import adapted, build, default_model
 from hallsym.families.recipes import lacking
@@ -65,7 +66,7 @@ def _shown(log: Log, known: Fit, text: str) -> Model:
     facts = facts_of(base, survey(base, frozenset(runs)))
     tried, trouble = candidates(base, [effect], facts)
     ranked = scores(base, tried, runs, TYPICAL_INFLATION)[0] if tried else []
-    exact = refitted(base, ranked, runs, facts, TYPICAL_INFLATION, lambda _: True)
+    exact = refitted(base, ranked, runs, facts, TYPICAL_INFLATION, lambda s: s.corrected(1) < SURE)
     if not exact:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(
