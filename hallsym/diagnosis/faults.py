@@ -124,8 +124,10 @@ def _chip(base: Base, found: Survey) -> Fault | None:
         "distance": Estimate(seen.distance, None, "rad"),
         "error": Estimate(chip.rms, None, "rad"),
     }
-    text = f"{chip.steps} steps of CORDIC: {2 * len(chip.angles)} angles a turn, up to {np.degrees(chip.worst):.2g} deg off"
-    return Fault("cordic_steps", "electronics", text, (chip.rms / sigma) ** 2 / found.variance, fine, seen.p_value)
+    many, worst = 2 * len(chip.angles), np.degrees(chip.worst)
+    text = f"{chip.steps} steps of CORDIC: {many} angles a turn, up to {worst:.2g} deg off"
+    power = (chip.rms / sigma) ** 2 / found.variance
+    return Fault("cordic_steps", "electronics", text, power, fine, seen.p_value)
 
 
 def _unit(channel: str) -> str:

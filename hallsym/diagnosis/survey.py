@@ -73,7 +73,7 @@ class Survey:
     significance. `stale_share`, `spike_share`: share of samples, `one_sided` the mean sign of the stale ones'
     delay, `smooth` the correlation of neighbouring time shifts (0 for jitter), `bursts` the share of spikes
     and stale samples that are within one of many, `quiet` the whitened variance of all others. `adc_step`:
-    (K,) step seen, 0 for none, among `values`, different readings of each channel (20 000 and a block at most).
+    (K,) step seen, 0 for none, among `values`, different readings of each channel (20 000 or little more).
     `lines_hz`: mains lines; `line_power`: their share of the residual's power.
     """
 
@@ -349,7 +349,7 @@ def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
 
 
 def _step(v: np.ndarray) -> tuple[float, float]:
-    """Step between the ascending values that a channel takes, 0 when it takes none, and how likely that is by chance.
+    """Step between the ascending values of a channel, 0 for none, and how likely that is by chance.
 
     Of values without steps a distance is near a whole number of any step with probability 2 WHOLE.
     """
