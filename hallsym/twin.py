@@ -28,7 +28,8 @@ class NoiseModel:
     `degrees_of_freedom`: Student's t instead of Gaussian, scaled to the same variance (> 2).
     `outlier_share`, `outlier_size`: share of samples of each reading and reference that are off by a uniform
     error of up to +-size [the column's unit]. `cordic_steps`: a decoded angle is computed
-    with so many steps of CORDIC (0: exactly); the noise acts before. `adc_step_m`: readings are rounded to it [their unit].
+    with so many steps of CORDIC (0: exactly); the noise acts before. `adc_step_m`: readings are rounded to
+    it [their unit].
     """
 
     sigma: Mapping[str, float] = field(default_factory=dict)

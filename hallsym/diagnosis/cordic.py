@@ -86,7 +86,7 @@ def _covered(k: Levels) -> float:
 
 
 def _hits(v: np.ndarray, k: Levels) -> tuple[int, float, int]:
-    """Values near a level at the offset that suits best, their rms distance [rad], and how many were tried."""
+    """Values near a level at the best offset, their rms distance [rad], and how many offsets were tried."""
     bins = int(2 ** np.ceil(np.log2(FINE * TURN / _distance(k))))
     width, at, reach = TURN / bins, _circle(k), TOLERANCE * _distance(k)
     centres = (np.arange(bins) + 0.5) * width
@@ -103,7 +103,7 @@ def _hits(v: np.ndarray, k: Levels) -> tuple[int, float, int]:
 
 
 def _off_even(v: np.ndarray, distance: float, bins: int) -> float:
-    """Rms distance of the values from the equal steps, about `distance` or more, that suit them best [rad]."""
+    """Rms distance of the values from the equal steps that suit them best, `distance` or more [rad]."""
     waves = np.arange(bins + 1) / 2  # per turn; the steps need not divide it
     size = np.abs(np.fft.rfft(_held(v, bins), 2 * bins))
     asked = (waves >= 4) & (waves <= TURN / (EVEN * distance))

@@ -61,7 +61,8 @@ class Levels:
 def levels(steps: int) -> Levels:
     """Return the angles that `cordic_angle` gives, with its error, followed rotation by rotation.
 
-    They lie 2 atan(2^-(steps - 1)) apart, but where branches overlap, about 2^(steps + 0.7) a turn. The one nearest is not always the answer, so the error is 1.26 times that of equal steps as many.
+    They lie 2 atan(2^-(steps - 1)) apart, but where branches overlap, about 2^(steps + 0.7) a turn. The one
+    nearest is not always the answer, so the error is 1.26 times that of equal steps as many.
 
     >>> levels(8).angles.size, round(levels(8).rms, 6)
     (208, 0.004477)
