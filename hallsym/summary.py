@@ -33,8 +33,8 @@ class Summary:
     `slopes`: (runs, n_columns, n_features, n_features), mean outer product of d feature / d column, over the
     columns of pose and state: how noise of a logged column enters the residual.
     `counts`: samples per run (sum of weights). `first_state`: vertical state at the reset of each run.
-    `mean_state`: mean vertical state of each run. `places`: (runs) arrays (n_columns, samples) of pose and state
-    at some samples, where the noise of the reference acts in another direction at each (`Model.typical`).
+    `mean_state`: mean vertical state of each run. `places`: per run (n_columns, samples), pose and state
+    of some samples, where the noise of the reference acts in another direction at each (`Model.typical`).
     """
 
     features: Features

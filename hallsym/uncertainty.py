@@ -94,10 +94,10 @@ def inverse(information: np.ndarray) -> np.ndarray:
 def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | float:
     """What the covariance of each run's scores has beyond its information, (r, n, n).
 
-    The cost weighs every residual of a run by the mean of their covariances C (`hallsym.cost`). Where the noise
-    of the reference acts along an ellipse, C goes round with the pose: scores g^T W r with g = dr/dp, W = mean
-    C^-1 then have the covariance sum of g^T W C W g, and the estimate the sandwich of both (White, Econometrica
-    50 (1982) 1, doi:10.2307/1912526). 0 for a model whose readings are linear in the pose.
+    The cost weighs every residual of a run by the mean of their covariances C (`hallsym.cost`). Where the
+    noise of the reference acts along an ellipse, C goes round with the pose: scores g^T W r, g = dr/dp and W
+    the inverse of the mean C, then have the covariance sum of g^T W C W g, and the estimate the sandwich of both
+    (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). 0 for a model whose readings are linear in the pose.
     """
     summary, s = cost.summary, cost.summary.model.symbols
     if not summary.places or not np.any(cost.column_variance) or summary.model.zeros:

@@ -81,23 +81,21 @@ def test_more_noise_than_stated_is_no_outlier():
         assert np.all(spikes()(block(factor * noise(1))) == 1.0)
 
 
-@settings(max_examples=15)
-@given(seeds, st.integers(100, 250), st.floats(15, 300))
-def test_an_axis_that_sets_off_is_no_spike(seed, first, louder):
+def test_an_axis_that_sets_off_is_no_spike():
     """At rest, then in motion with more scatter, ringing as it sets off; spikes go in both."""
-    rng = np.random.default_rng(seed)
-    moving = np.arange(400) >= first
-    rings = moving & (np.arange(400) < first + 60)
-    r = noise(seed) * np.where(rings, 5 * louder, np.where(moving, louder, 1.0))
-    kept = spikes()(block(r)) == 1.0
-    assert (
-        np.sum(~kept) <= 4
-    )  # a percent, of noise that is far larger than stated; by one scale half would go
-    reference = np.where(moving, 1e-5 * (np.arange(400) - first) + 1e-6 * rng.standard_normal(400), 0.0)
-    assert np.all(column_spikes(("ref",))(Block(0, {"ref": reference})) == 1.0)
-    where = [first - 60, first + 120]  # further from setting off than its neighbourhood reaches
-    r[0, where] += 1e5 * SIGMA
-    assert not spikes()(block(r))[where].any()
+    gone = 0
+    for seed, first, louder in ((0, 100, 15.0), (1, 170, 50.0), (2, 250, 300.0), (3, 120, 100.0)):
+        rng = np.random.default_rng(seed)
+        at = np.arange(400) - first
+        r = noise(seed) * np.select([at < 0, at < 60], [1.0, 5 * louder], louder)
+        gone += int(np.sum(spikes()(block(r)) == 0.0))
+        reference = np.where(at < 0, 0.0, 1e-5 * at + 1e-6 * rng.standard_normal(400))
+        assert np.all(column_spikes(("ref",))(Block(0, {"ref": reference})) == 1.0)
+        where = [first - 60, first + 120]  # further from setting off than its neighbourhood reaches
+        r[0, where] += 1e5 * SIGMA
+        assert not spikes()(block(r))[where].any()
+    # noise that is far larger than stated has a few per mille beyond; by one scale for all a quarter would go
+    assert gone <= 0.005 * 4 * 400
 
 
 def test_stated_noise_is_the_least_scale():
