@@ -96,8 +96,8 @@ def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | float:
 
     The cost weighs every residual of a run by the mean of their covariances C (`hallsym.cost`). Where the
     noise of the reference acts along an ellipse, C goes round with the pose: scores g^T W r, g = dr/dp and W
-    the inverse of the mean C, then have the covariance sum of g^T W C W g, and the estimate the sandwich of both
-    (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). 0 for a model whose readings are linear in the pose.
+    the inverse of the mean C, then have the covariance sum of g^T W C W g, and the estimate the sandwich of
+    both (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). 0 where readings are linear in the pose.
     """
     summary, s = cost.summary, cost.summary.model.symbols
     if not summary.places or not np.any(cost.column_variance) or summary.model.zeros:

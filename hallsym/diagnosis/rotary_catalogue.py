@@ -21,8 +21,8 @@ LEVELS = (0.95, 0.8, 0.65, 0.5)
 AXES = (0.0, np.pi / 6, -np.pi / 6)
 """Rails, in amplitudes, and axes of the plates [rad] to start from where only the angle is read."""
 THIRD = "third_harmonic_distortion"
-MAGNET = "turn the stator (or the chip) by a known angle against the magnet, and record a turn at each"
-REFERENCE = "couple the reference anew at another angle, and record a turn at each"
+MAGNET = "a turn at each of several known angles of the stator (or the chip) against the magnet"
+REFERENCE = "a turn with the reference coupled at each of several other angles"
 
 
 def _one(label: str, name: str, **numbers: object) -> list[Variant]:
