@@ -9,7 +9,7 @@ from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separatio
 from hallsym.tables import concise, error_rows, grid, readable
 
 MUCH = 1e3
-"""Times that a difference must show more, from which on the number says nothing: there is none on this log."""
+"""Times that a difference must show more, from which on the number says nothing: this log has none."""
 WIDTH = 110
 MOST = 10
 """Statements on where a gap lies that are printed."""
