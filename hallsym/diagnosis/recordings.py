@@ -125,11 +125,13 @@ def _turns(r: Range) -> list[Recording]:
     add(f"turns in both directions at {len(steps)} speeds, up to {_speed(steps[-1], r.turn)}",
         *((0.5 / len(steps), s) for s in (*steps, *(-s for s in reversed(steps)))))  # fmt: skip
     add(f"turns in one direction at {_speed(v, r.turn)}", (1.0, v))
-    many = max(1, round(v * seconds / (2 * SWING * r.turn)))
-    shuttles = min(many, round(seconds / (4 * PER_PERIOD * r.step_s)))
+    swing = min(v, SWING * r.turn / (2 * PER_PERIOD * r.step_s))  # each way long enough to be seen
+    shuttles = round(swing * seconds / (2 * SWING * r.turn))
     if shuttles > 1:
-        add(f"swings to and fro over {360 * SWING * many / shuttles:.2g} deg at {_speed(v, r.turn)}",
-            *both_ways(v) * shuttles)  # fmt: skip
+        reach = swing * seconds / (2 * shuttles) * 360 / r.turn
+        add(
+            f"swings to and fro over {reach:.2g} deg at {_speed(swing, r.turn)}", *both_ways(swing) * shuttles
+        )
     add("the encoder at rest", (1.0, 0.0))
     if r.temperature is not None:
         middle = r.temperature
