@@ -151,7 +151,7 @@ def _zeros(model: Model, p: np.ndarray, run: Run, campaign: Campaign, rng: np.ra
         raise InputError(f"Run must have {n} zero deviations, one per probe; instead {len(run.zeros)} given.")
     delta = np.array(run.zeros) if run.zeros is not None else rng.normal(0.0, campaign.zero_spread_m, n)
     state = [run.position(c, np.zeros(1))[0] for c in model.state]
-    return delta / np.asarray(model.gain(p, state)).ravel()  # (31): delta / phi(0)
+    return delta / model.zero_scale(p, np.array(state))  # (31): delta / phi(0)
 
 
 class _Disturbance:

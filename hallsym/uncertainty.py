@@ -100,17 +100,21 @@ def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | float:
     both (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). 0 where readings are linear in the pose.
     """
     summary, s = cost.summary, cost.summary.model.symbols
-    if not summary.places or not np.any(cost.column_variance) or summary.model.zeros:
+    if not summary.places or not np.any(cost.column_variance):
         return 0.0
     K, n = len(cost.reading_variance), len(p)
     reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
-    slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns)]
-    run = on_arrays(ca.Function("slopes", [s.parameters, s.pose, s.state], slopes))
+    slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
+    run = on_arrays(ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], slopes))
+    at = cost.at(p)
     out = np.zeros((len(summary.runs), n, n))
-    for k, (places, W) in enumerate(zip(summary.places, cost.at(p).W, strict=True)):
+    for k, (places, W) in enumerate(zip(summary.places, at.W, strict=True)):
         poses = len(summary.model.pose)
-        g, j = run(p, places[:poses], places[poses:])
-        g, j = (np.transpose(v.reshape(-1, K, v.shape[-1] if v.ndim > 1 else 1), (2, 1, 0)) for v in (g, j))
+        found = run(p, at.zeros[k], places[:poses], places[poses:])
+        g, j, z = (np.transpose(v.reshape(-1, K, places.shape[1]), (2, 1, 0)) for v in found)
+        if z.shape[2]:  # what the run's zeros leave of a slope
+            square, both = (np.einsum("ski,kl,slj->ij", z, W, v) for v in (z, g))
+            g = g - z @ np.linalg.solve(square, both)
         C = (j * cost.column_variance) @ np.swapaxes(j, 1, 2)
         weighed = W @ g
         more = np.einsum("ski,skl,slj->ij", weighed, C - C.mean(axis=0), weighed)
