@@ -156,7 +156,7 @@ def _homed(seen: _Seen, column: str, sign: float, own: bool) -> list[str]:
     most = np.degrees(abs(zeros[far]))
     return [
         f"The zero of {column} differs between runs, by {most:.3g} deg in run {far} beside run {first}. If "
-        "it was homed anew, --effect zero_deviation gives each run its own; latency makes such differences too."
+        "it was homed anew, --effect zero_deviation gives each run its own; latency makes differences too."
     ]
 
 
