@@ -72,9 +72,9 @@ def home_notes(log: Log, zeros: Mapping[int, np.ndarray]) -> tuple[str, ...]:
     apart = log.table.apart if isinstance(log.table, _Continuous) else {}
     if not apart or not any(map(len, zeros.values())):
         return ()
-    at = {run: float(np.degrees(apart[run] + zeros[run][0])) for run in apart if run in zeros}
+    at = {run: np.degrees(apart[run] + zeros[run]) for run in apart if run in zeros}
     first = next(iter(at))
-    said = [f"run {run}: {wrapped(v - at[first], 360.0):+.4f}" for run, v in list(at.items())[:LISTED]]
+    said = [f"run {run}: {wrapped(v - at[first], 360.0)[0]:+.4f}" for run, v in list(at.items())[:LISTED]]
     more = f", and {len(at) - LISTED} more" if len(at) > LISTED else ""
     return (
         f"Each run has a zero of its own; in deg, beside run {first}: {', '.join(said)}{more}. A delay of "
