@@ -29,7 +29,7 @@ from hallsym.model import Inspection, Model
 from hallsym.passes import optimum
 from hallsym.search import SOLVERS, Search, refit, search
 from hallsym.summary import Summary, summarise
-from hallsym.turning import continuous, designed, nearest_turn
+from hallsym.turning import continuous, designed, home_notes, nearest_turn
 from hallsym.wiring import as_read, check_wiring, find_wiring, rewired
 
 __all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]
@@ -350,9 +350,7 @@ def _result(
 ) -> Fit:
     model, found = task.model, state.found
     estimate = uncertainty.estimate(state.fitted, state.p, found)
-    gain = np.array(
-        [np.asarray(model.gain(state.p, s)).ravel() for s in state.everything.summary.first_state]
-    )
+    gain = np.array([model.zero_scale(state.p, s) for s in state.everything.summary.first_state])
     zeros = state.everything.at(state.p).zeros
     delta = zeros * gain if zeros.shape[1] else zeros
     return Fit(
@@ -391,7 +389,11 @@ def _result(
             "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
         },
         seconds=seconds,
-        notes=notes + _zero_notes(model, state.everything.summary.runs, delta),
+        notes=(
+            *notes,
+            *_zero_notes(model, state.everything.summary.runs, delta),
+            *home_notes(task.log, dict(zip(state.everything.summary.runs, delta, strict=True))),
+        ),
         errors=errors,
         undetermined_by_log=estimate.undetermined_by_log,
         wiring=wiring,
@@ -406,10 +408,11 @@ def _zero_notes(model: Model, runs: Sequence[int], delta: np.ndarray) -> tuple[s
     for k, zero in enumerate(model.zeros):
         beyond = [r for r, d in zip(runs, delta[:, k], strict=True) if not zero.lower <= d <= zero.upper]
         if beyond:
-            worst = 1e6 * float(np.abs(delta[:, k]).max())
+            factor, unit = (1e6, "um") if zero.unit == "m" else (float(np.degrees(1.0)), "deg")
+            low, high, worst = (factor * v for v in (zero.lower, zero.upper, np.abs(delta[:, k]).max()))
             out.append(
-                f"Zero deviation {zero.name} is beyond {zero.lower * 1e6:g} to {zero.upper * 1e6:g} um in "
-                f"{len(beyond)} runs (run {beyond[0]} first, {worst:.3g} um at most): look at the reset."
+                f"Zero deviation {zero.name} is beyond {low:.3g} to {high:.3g} {unit} in {len(beyond)} runs "
+                f"(run {beyond[0]} first, {worst:.3g} {unit} at most): look at the reset."
             )
     return tuple(out)
 

@@ -270,6 +270,12 @@ class Model:
         s = self.symbols
         return ca.Function("gain", [s.parameters, s.state], [ca.densify(s.full(s.gain))])
 
+    def zero_scale(self, p: np.ndarray, first_state: np.ndarray) -> np.ndarray:
+        """Return what a run's zeros (z,) are multiplied by to be read: phi(0) of Eq. (31), 1 for angles."""
+        if self.period:
+            return np.ones(len(self.zeros))
+        return np.asarray(self.gain(p, first_state)).ravel()
+
     @cached_property
     def decoded(self) -> ca.Function:
         """Decoupled form `(parameters, zeros, reading, state, weight) -> pose`.

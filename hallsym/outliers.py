@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.ndimage import maximum_filter1d, median_filter, percentile_filter
 from scipy.special import gammaincinv
 
 from hallsym.arrays import on_arrays
@@ -17,6 +17,12 @@ SPIKE = 10.0
 """Robust standard deviations off its neighbours that make a sample a gross outlier. Smaller ones do no harm,
 and at 7 the turning points of a raster would count."""
 ROUNDS = 20
+AROUND = 41
+"""Samples around one whose own jumps say what is usual there: motion after rest, and ringing that lasts as
+long, are no spikes."""
+MOSTLY_SPIKY, SPIKY_STD = 30, 0.38532
+"""Percentile of jumps that is usual where spikes are still among them, and where unit normal noise has it:
+two thirds of them may be spikes or have one beside them, as where a tenth of all samples are spikes."""
 TUKEY = 4.685
 """Tukey's biweight constant: 95 % efficient for Gaussian noise."""
 
@@ -74,12 +80,26 @@ def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
         predicted[:2], predicted[-2:] = _from_inside(x), _from_inside(x[::-1])[::-1]
         jump = np.abs(x - predicted)
         far = jump > SPIKE * max(1.4826 * float(np.median(jump)), 1e-15)
+        if far.any():
+            far &= jump > SPIKE * _usual(jump, MOSTLY_SPIKY) / SPIKY_STD
         worst = far & (jump == maximum_filter1d(jump, 5))
         if not worst.any():
             break
         bad |= worst
         x[worst] = predicted[worst]
     return bad
+
+
+def _usual(jump: np.ndarray, percent: int) -> np.ndarray:
+    """Return what jumps (samples,) are usual around each: before it, about it or after it, whichever is most.
+
+    Where a motion begins, only the neighbourhood after the sample is like it.
+    """
+    if len(jump) < AROUND:
+        return np.zeros_like(jump)
+    about = percentile_filter(jump, percent, size=AROUND, mode="mirror")
+    wide = np.pad(about, AROUND // 2, mode="edge")
+    return np.max([wide[: len(jump)], about, wide[-len(jump) :]], axis=0)
 
 
 _PAIRS = np.triu_indices(5, 1)
@@ -117,7 +137,11 @@ def reject_spikes(
         off = [np.abs(r - near) for near in _expected(clean, median, good)]
         jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
         scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
-        return np.all(jump <= SPIKE * scale, axis=0).astype(float)
+        spike = jump > SPIKE * scale
+        for k in np.flatnonzero(spike.any(axis=1)):
+            usual = np.interp(at, at[good], _usual(jump[k, good], 50))
+            spike[k] &= jump[k] > SPIKE * 1.4826 * usual
+        return np.all(~spike, axis=0).astype(float)
 
     return weigh
 

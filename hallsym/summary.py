@@ -21,6 +21,8 @@ PIECE = 8000
 threads, whose wake-up costs more than the work."""
 SLOPE_SAMPLES = 64
 """Samples per block that estimate how reference noise enters; a weight needs no more."""
+MOST_PLACES = 512
+"""Samples of a run whose pose is kept where the direction of the reference's noise goes round."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,8 @@ class Summary:
     `slopes`: (runs, n_columns, n_features, n_features), mean outer product of d feature / d column, over the
     columns of pose and state: how noise of a logged column enters the residual.
     `counts`: samples per run (sum of weights). `first_state`: vertical state at the reset of each run.
-    `mean_state`: mean vertical state of each run.
+    `mean_state`: mean vertical state of each run. `places`: per run (n_columns, samples), pose and state
+    of some samples, where the noise of the reference acts in another direction at each (`Model.typical`).
     """
 
     features: Features
@@ -42,6 +45,7 @@ class Summary:
     counts: np.ndarray
     first_state: np.ndarray
     mean_state: np.ndarray
+    places: tuple[np.ndarray, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -59,6 +63,7 @@ class Summary:
             counts=self.counts[index],
             first_state=self.first_state[index],
             mean_state=self.mean_state[index],
+            places=tuple(self.places[k] for k in index) if self.places else (),
         )
 
     def merged(self) -> "Summary":
@@ -79,6 +84,7 @@ class Summary:
             counts=np.array([self.counts.sum()]),
             first_state=(share @ self.first_state)[None],
             mean_state=(share @ self.mean_state)[None],
+            places=(np.hstack(self.places),) if self.places else (),
         )
 
 
@@ -130,6 +136,7 @@ def summarised(
         counts=np.array([r.count for r in runs]),
         first_state=np.array([r.first_state for r in runs]),
         mean_state=np.array([r.state_sum / max(r.count, 1e-300) for r in runs]),
+        places=tuple(_thinned(np.hstack(r.places)) for r in runs) if model.typical else (),
     )
 
 
@@ -167,7 +174,10 @@ def _gather(
     for k, (block, part) in enumerate(batch.parts()):
         run = gathered.setdefault(block.run, _Run(states[:, part.start]))
         run.add(rows[part], weight[part], states[:, part])
-        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[pick[edges[k] : edges[k + 1]]])
+        here = pick[edges[k] : edges[k + 1]]
+        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here])
+        if model.typical:
+            run.places.append(np.vstack([*(v[here] for v in pose), *(v[here] for v in state)]))
 
 
 def _sparse(batch: Batch) -> tuple[np.ndarray, list[int]]:
@@ -178,6 +188,10 @@ def _sparse(batch: Batch) -> tuple[np.ndarray, list[int]]:
     return np.concatenate(picks), np.cumsum([0, *map(len, picks)]).tolist()
 
 
+def _thinned(places: np.ndarray) -> np.ndarray:
+    return places[:, :: -(-places.shape[1] // MOST_PLACES)]
+
+
 class _Run:
     """Accumulates one run, block by block."""
 
@@ -186,6 +200,7 @@ class _Run:
         self.triangle: np.ndarray | None = None
         self.slopes: np.ndarray | float = 0.0
         self.slope_count = 0.0
+        self.places: list[np.ndarray] = []
         self.count = 0.0
         self.state_sum: np.ndarray | float = 0.0
 

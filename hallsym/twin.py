@@ -9,6 +9,7 @@ from hallsym import published
 from hallsym.arrays import on_arrays
 from hallsym.campaign import Campaign, Run
 from hallsym.errors import InputError
+from hallsym.families.rotary_cordic import MOST_STEPS, cordic_angle
 from hallsym.model import Model
 
 BLOCK = 65_536
@@ -26,7 +27,9 @@ class NoiseModel:
     makes the noise of all columns first-order autoregressive with that time constant, same variance.
     `degrees_of_freedom`: Student's t instead of Gaussian, scaled to the same variance (> 2).
     `outlier_share`, `outlier_size`: share of samples of each reading and reference that are off by a uniform
-    error of up to +-size [the column's unit]. `adc_step_m`: readings are rounded to it [their unit].
+    error of up to +-size [the column's unit]. `cordic_steps`: a decoded angle is computed
+    with so many steps of CORDIC (0: exactly); the noise acts before. `adc_step_m`: readings are rounded to
+    it [their unit].
     """
 
     sigma: Mapping[str, float] = field(default_factory=dict)
@@ -35,6 +38,7 @@ class NoiseModel:
     outlier_share: float = 0.0
     outlier_size: float = 1e-3
     adc_step_m: float = 0.0
+    cordic_steps: int = 0
 
     def __post_init__(self) -> None:
         """Refuse levels that no noise can have."""
@@ -46,6 +50,11 @@ class NoiseModel:
                 raise InputError(
                     f"Noise '{name}' must be a number >= 0; instead received {getattr(self, name)!r}."
                 )
+        if self.cordic_steps not in range(MOST_STEPS + 1):
+            raise InputError(
+                f"Noise 'cordic_steps' must be a whole number from 0 to {MOST_STEPS}; instead received "
+                f"{self.cordic_steps!r}."
+            )
         if not 0 <= self.outlier_share <= 1:
             raise InputError(
                 f"Noise 'outlier_share' must be 0 to 1; instead received {self.outlier_share!r}."
@@ -142,7 +151,7 @@ def _zeros(model: Model, p: np.ndarray, run: Run, campaign: Campaign, rng: np.ra
         raise InputError(f"Run must have {n} zero deviations, one per probe; instead {len(run.zeros)} given.")
     delta = np.array(run.zeros) if run.zeros is not None else rng.normal(0.0, campaign.zero_spread_m, n)
     state = [run.position(c, np.zeros(1))[0] for c in model.state]
-    return delta / np.asarray(model.gain(p, state)).ravel()  # (31): delta / phi(0)
+    return delta / model.zero_scale(p, np.array(state))  # (31): delta / phi(0)
 
 
 class _Disturbance:
@@ -155,6 +164,11 @@ class _Disturbance:
             raise InputError(f"Noise is given for {unknown[0]!r}, which is no column of {model.name}.")
         self.noise, self.rng, self.channels = noise, rng, model.channels
         self.turns = {c: model.period[c] for c in model.channels if c in model.period}
+        if noise.cordic_steps and not self.turns:
+            raise InputError(
+                f"Steps of CORDIC belong to a decoded angle; {model.name} reads {', '.join(model.channels)} "
+                "here. A machine file with the probe angle_rad says so."
+            )
         self.spiky = (*model.channels, *model.references)
         self.memory = float(np.exp(-step_s / noise.correlation_s)) if noise.correlation_s > 0 else 0.0
         self.last: dict[str, float] = {}
@@ -166,6 +180,9 @@ class _Disturbance:
         if noise.outlier_share and name in self.spiky:
             hit = self.rng.random(len(column)) < noise.outlier_share
             column = column + hit * self.rng.uniform(-noise.outlier_size, noise.outlier_size, len(column))
+        if noise.cordic_steps and name in self.turns:
+            turn = 2 * np.pi / self.turns[name]
+            column = cordic_angle(np.sin(turn * column), np.cos(turn * column), noise.cordic_steps) / turn
         if noise.adc_step_m and name in self.channels:
             column = np.round(column / noise.adc_step_m) * noise.adc_step_m
         return np.mod(column, self.turns[name]) if name in self.turns else column

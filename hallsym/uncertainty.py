@@ -44,12 +44,14 @@ def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
     information = np.tensordot(cost.weights, runs, axes=1)
     dof = max(_degrees_of_freedom(cost, len(free)), 1.0)
     per_dof = point.value / dof
+    spread = runs + _turning_noise(cost, p)
     covariance = np.zeros((len(p), len(p)))
     method, reason = "likelihood", "there was nothing to estimate"
     if len(free):
         sub, method, reason = _covariance(
             information[np.ix_(free, free)],
             runs[:, free][:, :, free],
+            spread[:, free][:, :, free],
             0.5 * point.run_gradients[:, free],
             cost.weights,
             per_dof,
@@ -89,16 +91,59 @@ def inverse(information: np.ndarray) -> np.ndarray:
     return np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
 
 
+def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | float:
+    """What the covariance of each run's scores has beyond its information, (r, n, n).
+
+    The cost weighs every residual of a run by the mean of their covariances C (`hallsym.cost`). Where the
+    noise of the reference acts along an ellipse, C goes round with the pose: scores g^T W r, g = dr/dp and W
+    the inverse of the mean C, then have the covariance sum of g^T W C W g, and the estimate the sandwich of
+    both (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). 0 where readings are linear in the pose.
+    """
+    summary, s = cost.summary, cost.summary.model.symbols
+    if not summary.places or not np.any(cost.column_variance):
+        return 0.0
+    K, n = len(cost.reading_variance), len(p)
+    reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
+    slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
+    run = on_arrays(ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], slopes))
+    at = cost.at(p)
+    out = np.zeros((len(summary.runs), n, n))
+    for k, (places, W) in enumerate(zip(summary.places, at.W, strict=True)):
+        poses = len(summary.model.pose)
+        found = run(p, at.zeros[k], places[:poses], places[poses:])
+        g, j, z = (np.transpose(v.reshape(-1, K, places.shape[1]), (2, 1, 0)) for v in found)
+        if z.shape[2]:  # what the run's zeros leave of a slope
+            square, both = (np.einsum("ski,kl,slj->ij", z, W, v) for v in (z, g))
+            g = g - z @ np.linalg.solve(square, both)
+        C = (j * cost.column_variance) @ np.swapaxes(j, 1, 2)
+        weighed = W @ g
+        more = np.einsum("ski,skl,slj->ij", weighed, C - C.mean(axis=0), weighed)
+        out[k] = more * summary.counts[k] / places.shape[1]
+    return out
+
+
 def _covariance(
-    information: np.ndarray, runs: np.ndarray, scores: np.ndarray, weights: np.ndarray, per_dof: float
+    information: np.ndarray,
+    runs: np.ndarray,
+    spread: np.ndarray,
+    scores: np.ndarray,
+    weights: np.ndarray,
+    per_dof: float,
 ) -> tuple[np.ndarray, str, str]:
-    """Likelihood covariance, or one from the scatter between runs when white noise does not explain it."""
-    naive = inverse(information)
+    """Likelihood covariance, or one from the scatter between runs when white noise does not explain it.
+
+    `spread`: (r, n, n) covariance of each run's scores by the noise; `runs` where all samples are alike.
+    """
+    plain = inverse(information)
     scores = scores * weights[:, None]
-    share = (runs * weights[:, None, None]) @ naive  # leverage of each run on its own scores
-    lost = float(np.einsum("rij,rji->", share, share))
-    expected = max(len(naive) - lost, 1e-9)
-    scatter = float(np.einsum("ri,ij,rj->", scores, naive, scores)) / expected
+    share = (runs * weights[:, None, None]) @ plain  # leverage of each run on its own scores
+    whole = np.tensordot(weights, spread, axes=1)
+    naive = plain @ whole @ plain
+    known = spread * weights[:, None, None]
+    left = known - share @ known - np.swapaxes(share @ known, 1, 2) + share @ whole @ np.swapaxes(share, 1, 2)
+    lost = len(plain) - float(np.tensordot(inverse(whole), left.sum(axis=0)))
+    expected = max(len(plain) - lost, 1e-9)
+    scatter = float(np.einsum("ri,ij,rj->", scores, inverse(whole), scores)) / expected
     limit = 1.0 + SCATTER * np.sqrt(2.0 * lost) / expected
     n = int(np.sum(weights > 0))
     if n == 1:
@@ -114,9 +159,9 @@ def _covariance(
             f"{told}; {n} runs are too few for a covariance of their own",
         )
     # jackknife-like correction (CR3) for the leverage a run has on its own residuals
-    corrected = np.linalg.solve(np.eye(len(naive)) - share, scores[..., None])[..., 0]
-    spread = naive @ corrected.T
-    return spread @ spread.T, "runs as blocks", told
+    corrected = np.linalg.solve(np.eye(len(plain)) - share, scores[..., None])[..., 0]
+    root = plain @ corrected.T
+    return root @ root.T, "runs as blocks", told
 
 
 def _degrees_of_freedom(cost: Cost, n_free: int) -> float:

@@ -14,7 +14,7 @@ from hallsym.codegen import cost_of
 from hallsym.diagnosis.price import operations, price
 from hallsym.diagnosis.ranking import distance
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
-from hallsym.diagnosis.recordings import range_of, recordings
+from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.separate import recorded, separation, with_readings
@@ -23,6 +23,7 @@ from hallsym.families import stage_effects as se
 from hallsym.log import Log
 
 NAMES = ("time_skew", "first_order_lag")
+TURN = 2 * np.pi
 
 
 @cache
@@ -67,6 +68,30 @@ def test_what_tells_them_apart_grows_with_the_square_of_the_frequency() -> None:
         if "her at" in text
     }
     assert of["8 Hz"] / of["4 Hz"] == pytest.approx(4.0, rel=0.25)
+
+
+def test_an_encoder_is_asked_for_turns() -> None:
+    span = Range(
+        ("angle_rad",), (), {"angle_rad": 50.0}, {"angle_rad": 0.0}, 1.0, 1e-3, 0.0, 10.0, 25.0, 40.0, TURN
+    )
+    asked = recordings(span)
+    assert len({r.text for r in asked}) == len(asked)
+    assert not any(word in r.text for r in asked for word in ("stroke", "Hz", "alone", "together"))
+    assert [r.text for r in asked if r.temperature is not None] == [asked[-1].text]
+    for r in asked:
+        t = np.arange(0, r.run.duration_s, span.step_s)
+        place = r.run.position("angle_rad", t)
+        speed = np.diff(place) / span.step_s
+        assert np.abs(speed).max() <= TURN / 24 / span.step_s * (1 + 1e-9)  # 24 samples a turn
+        both = "both directions" in r.text or "to and fro" in r.text
+        assert abs(place[-1] - place[0]) < 1.0 if both or "rest" in r.text else place[-1] - place[0] > TURN
+        assert both == (speed.min() < -1e-6)
+        if "rpm" in r.text and "speeds" not in r.text:
+            assert float(r.text.split(" at ")[1].split()[0]) == pytest.approx(
+                60 * speed.max() / TURN, rel=0.01
+            )
+        if "swings" in r.text:
+            assert np.ptp(place) == pytest.approx(TURN / 20, rel=0.05)  # 18 deg
 
 
 def test_nothing_is_told_apart_where_nothing_moves() -> None:

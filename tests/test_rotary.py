@@ -186,6 +186,45 @@ QUICK = [s if s in "ad" else pytest.param(s, marks=pytest.mark.slow) for s in SI
 BACK_AND_FORTH = np.r_[np.linspace(0, 2 * TURN, 360), np.linspace(2 * TURN, 0, 360)]
 
 
+def ellipse_log(seed, sigma, reference, cover=TURN, rest=0):
+    """A turn forward and a turn back in two voltages beside a noisy reference, 400 samples each."""
+    rng, v, rows = np.random.default_rng(seed), {**truth("a"), "zero": 0.6}, []
+    for run, sign in enumerate((1, -1)):
+        a = np.concatenate([np.full(rest, 0.3), sign * cover * np.arange(400) / 400])
+        y = v["Vy"] + v["Ay"] * np.sin(a + v["zero"] + v["beta"]) + sigma * rng.standard_normal(len(a))
+        x = v["Vx"] + v["Ax"] * np.cos(a + v["zero"]) + sigma * rng.standard_normal(len(a))
+        rows.append((np.full(len(a), run), y, x, a + reference * rng.standard_normal(len(a))))
+    names = ("run", "v_sin_v", "v_cos_v", "angle_ref_rad")
+    columns = dict(zip(names, map(np.concatenate, zip(*rows, strict=True)), strict=True))
+    stated = {"v_sin_v": sigma, "v_cos_v": sigma, "angle_ref_rad": reference}
+    return hallsym.Log.from_arrays(columns, hallsym.Noise.given(stated, names)), v
+
+
+@pytest.mark.parametrize(("sigma", "reference"), [(1e-4, 5e-3), (1e-3, 1e-3), (1e-3, 1e-5)])
+def test_noise_of_the_reference_is_tangential(sigma, reference):
+    """Of an ideal encoder: the zero has the noise along the circle, the amplitude that across it."""
+    fit = hallsym.fit(ellipse_log(1, sigma, reference)[0], "rotary_ideal", solver="direct", loss="none")
+    std = dict(zip(fit.model.names, fit.covariance.diagonal() ** 0.5, strict=True))
+    scale = np.sqrt(max(fit.cost_per_dof, 1.0)) if "scaled" in fit.covariance_method else 1.0
+    assert std["zero"] == pytest.approx(scale * np.hypot(sigma, reference) / np.sqrt(800), rel=0.03)
+    assert std["A"] == pytest.approx(scale * sigma / np.sqrt(800), rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sigma", "reference", "more"), [
+    (1e-4, 5e-3, {}), (1e-3, 1e-3, {}), (1e-4, 5e-3, {"cover": 4.6}), (1e-4, 5e-3, {"rest": 400}),
+])  # fmt: skip
+def test_stated_uncertainties_hold_beside_a_noisy_reference(sigma, reference, more):
+    pulls = []
+    for seed in range(100):
+        log, v = ellipse_log(seed, sigma, reference, **more)
+        fit = hallsym.fit(log, "rotary", solver="direct", loss="none")
+        pulls.append((fit.values - [v[n] for n in fit.model.names]) / fit.std)
+    rms = np.sqrt(np.mean(np.square(pulls), axis=0))
+    # chi-square of 100 lies within 0.72 to 1.29 squared with 99.9 %, six times asked
+    assert rms == pytest.approx(np.ones(6), abs=0.28)
+
+
 @pytest.mark.parametrize(("k1", "rank"), [(family.K1, 5), (0.0, 4)])
 def test_the_angle_leaves_the_common_scale_open(k1, rank):
     v = truth("a") | {"K1": k1}

@@ -56,7 +56,7 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
             f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
             "it."
         )
-    if any(link == "reference" for link, _ in model.steps):
+    if sum(link == "reference" for link, _ in model.steps) > bool(model.zeros):  # a zero is set by a reset
         raise InputError(
             f"The calibration of {model.name} with {', '.join(model.effects)} holds errors of its reference, "
             "which a controller does not have; fit without that effect, or correct the log's reference."

@@ -42,7 +42,8 @@ class Curve:
 
     def readings(self, angle: np.ndarray) -> np.ndarray:
         """Return the model's readings (n_channels, s) at angles (s,)."""
-        found = on_arrays(self.model.reading)(self.p, np.zeros(0), [np.asarray(angle, dtype=float)], [])[0]
+        zeros = np.zeros(len(self.model.zeros))
+        found = on_arrays(self.model.reading)(self.p, zeros, [np.asarray(angle, dtype=float)], [])[0]
         return np.asarray(found)
 
     @cached_property

@@ -226,12 +226,25 @@ def truth_of(
 
 
 def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Noise by column: the campaign file's own, else Table 8's."""
+    """Noise by column: the campaign file's own, else Table 8's.
+
+    A file may state the noise of every form in which a family is read (two voltages, or an angle).
+    """
     own = example(model).get("noise")
     if not campaign.noise and own:
         return {c: s for c, s in own.items() if c in (*model.channels, *model.references)}
     if not campaign.noise:
         return dict(twin.table8_noise(model, values).sigma)
     columns = (*model.channels, *model.state, *model.references)
-    check_noise_keys(campaign.noise, columns, "the campaign's [noise]")
-    return {c: s.value for c, s in Noise.given(campaign.noise, columns).sigmas.items()}
+    other = [c for c in campaign.noise if c in (own or {}) and c not in columns]
+    stated = {c: s for c, s in campaign.noise.items() if c not in other}
+    check_noise_keys(stated, columns, "the campaign's [noise]")
+    found = {c: s.value for c, s in Noise.given(stated, columns).sigmas.items()}
+    lacking = [c for c in model.channels if c not in found]
+    if other and lacking:
+        raise InputError(
+            f"The campaign's [noise] states {' and '.join(other)}, but this machine is read as "
+            f"{' and '.join(model.channels)}; state the noise of {' and '.join(lacking)} too: "
+            "one file may hold both."
+        )
+    return found

@@ -132,7 +132,8 @@ def _planned(options: Namespace) -> Identifiability:
         campaign = campaign_from(own["campaign"], name)
     if options.calibration is not None:
         known = load_fit(options.calibration, own_effects(options))
-        return identify(known, campaign, noise=campaign.noise or None, name=name)
+        noise = levels(campaign, known.model, {}) if campaign.noise else None
+        return identify(known, campaign, noise=noise, name=name)
     model, values = truth_of(options, read_machine(options.machine))
     return identify(model, campaign, values=values, noise=levels(campaign, model, values), name=name)
 

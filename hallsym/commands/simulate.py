@@ -56,6 +56,9 @@ def add(sub: Any) -> None:
         "--adc-step", type=float, default=0.0, metavar="STEP", help="round readings to this step [SI]"
     )
     parser.add_argument(
+        "--cordic-steps", type=int, default=0, metavar="N", help="decode an angle with N steps of CORDIC"
+    )
+    parser.add_argument(
         "--step", type=float, metavar="S", help="clock of the paper's campaign [s] (default 0.002)"
     )
     parser.add_argument(
@@ -77,6 +80,7 @@ def run(options: Namespace) -> int:
         correlation_s=options.correlation,
         outlier_share=options.outliers,
         adc_step_m=options.adc_step,
+        cordic_steps=options.cordic_steps,
     )
     show, done = progress_of(options), 0
     with LogWriter(options.output) as writer:

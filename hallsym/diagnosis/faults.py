@@ -11,6 +11,7 @@ import numpy as np
 
 from hallsym.batches import Weigh
 from hallsym.diagnosis.chance import beyond, statistic_at
+from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.survey import Survey, pieces
 from hallsym.diagnosis.tangent import Base
@@ -88,7 +89,13 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
                   found.jitter_power / variance, {"jitter": Estimate(found.jitter_s, None, "s")},
                   found.jitter_p)
         )  # fmt: skip
+    chip = _chip(base, found)
+    if chip and certain(chip.p_value):
+        out.append(chip)
     steps = found.adc_step
+    # a chip's levels lie as evenly as steps nearly everywhere, and are named by what makes them
+    if chip and steps.max() > 0.5 * chip.parameters["distance"].value:
+        steps = np.zeros_like(steps)
     if steps.size and steps.max() > 0 and certain(found.step_p):
         whiten = np.linalg.inv(base.covariance)
         power = float(np.diag(whiten) @ steps**2) / 12 / len(steps)
@@ -101,6 +108,26 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
                   power / variance, fine, found.step_p)
         )  # fmt: skip
     return sorted(out, key=lambda f: -f.power)
+
+
+def _chip(base: Base, found: Survey) -> Fault | None:
+    """The fault that a decoded angle takes only values that few steps of CORDIC give."""
+    if base.model.channels != base.model.pose or len(found.values) != 1:
+        return None
+    sigma = float(np.sqrt(base.covariance[0, 0]))
+    seen = cordic(found.values[0], sigma * float(np.sqrt(found.variance)), float(found.adc_step[0]))
+    if seen is None:
+        return None
+    chip = seen.levels
+    fine = {
+        "steps": Estimate(float(chip.steps), None, "1"),
+        "distance": Estimate(seen.distance, None, "rad"),
+        "error": Estimate(chip.rms, None, "rad"),
+    }
+    many, worst = 2 * len(chip.angles), np.degrees(chip.worst)
+    text = f"{chip.steps} steps of CORDIC: {many} angles a turn, up to {worst:.2g} deg off"
+    power = (chip.rms / sigma) ** 2 / found.variance
+    return Fault("cordic_steps", "electronics", text, power, fine, seen.p_value)
 
 
 def _unit(channel: str) -> str:

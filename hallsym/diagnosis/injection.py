@@ -20,8 +20,10 @@ from hallsym.diagnosis.ranking import Trouble, candidates
 from hallsym.diagnosis.refit import solve
 from hallsym.diagnosis.tangent import Base, tangents
 from hallsym.diagnosis.words import gap_text, gap_unit
+from hallsym.families.rotary_cordic import MOST_STEPS, cordic_angle, worst_of
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Model
+from hallsym.turning import wrapped
 
 HUM_HZ = 50.03
 """Mains frequency of the simulated pick-up: mains are never at 50 Hz exactly."""
@@ -38,6 +40,8 @@ NEAR = 0.02
 SEARCH = 12
 MANY = 10
 """Fitted runs from which on a probe slips between two of them and not within one."""
+FEWEST_STEPS = 4
+"""Steps of CORDIC of which an encoder has at least: 7 deg of error."""
 MOST_SHARE = 0.3
 """Share of stale or clipped samples beyond which a recording is no longer one."""
 
@@ -228,6 +232,8 @@ def injections(
             out.append(made)
     if _goes_round(truth):
         reasons |= dict.fromkeys(("channel_swap", "sign_inversion"), "one channel has no wires to mix up")
+    else:
+        reasons["cordic_steps"] = "the readings are no angles"
     return out + _faults(truth, rng_of), reasons
 
 
@@ -354,8 +360,28 @@ def _faults(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[
                   10 * step, 0.1 * step),
         Injection("adc_quantisation", "electronics", "one step for all channels", adc, one("step", unit),
                   most / 10, 3 * level),
-        *([] if _goes_round(truth) else _wiring(truth, rng_of)),
+        *([_chip(truth)] if _goes_round(truth) else _wiring(truth, rng_of)),
     ]  # fmt: skip
+
+
+def _chip(truth: Truth) -> Injection:
+    """An angle computed with whole steps of CORDIC; the amount is its largest error [rad]."""
+
+    def steps(amount: float) -> int:
+        """The number whose error is nearest, by ratio."""
+        known = range(FEWEST_STEPS, MOST_STEPS + 1)
+        return min(known, key=lambda n: abs(float(np.log(worst_of(n) / amount))))
+
+    def make(amount: float, noise: Noisy) -> np.ndarray:
+        angle = truth.clean + noise
+        return angle + wrapped(cordic_angle(np.sin(angle), np.cos(angle), steps(amount)) - angle, 2 * np.pi)
+
+    def size(amount: float) -> Size:
+        return {"steps": (float(steps(amount)), "1"), "error_at_most": (worst_of(steps(amount)), "rad")}
+
+    start = float(np.sqrt(np.diag(truth.base.covariance).mean()))
+    most = worst_of(FEWEST_STEPS)
+    return Injection("cordic_steps", "electronics", "whole steps", make, size, most, 2 * start)
 
 
 def _wiring(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[Injection]:

@@ -17,6 +17,10 @@ PER_PERIOD = 12
 """Samples per period of the fastest motion that is proposed."""
 BETWEEN = 1.0
 """Seconds between runs."""
+PER_TURN = 24
+"""Samples per turn at the highest speed that is proposed."""
+SWING = 0.05
+"""Part of a turn over which an encoder is swung to and fro: 18 deg."""
 WARM = 5.0
 """Kelvin by which a temperature cycle goes up and down."""
 
@@ -26,7 +30,8 @@ class Range:
     """What a log moved: amplitude and typical frequency by axis, clock, temperature.
 
     `amplitude`: half the range of each pose and vertical column [m, rad]; `frequency_hz` of the pose;
-    `start_s`, `end_s`: of the log.
+    `start_s`, `end_s`: of the log. `speed`: near the highest of the first pose coordinate [its unit per s];
+    `turn`: its period, 0 where it does not go round. `step_s`: the usual one, of an encoder the shortest.
     """
 
     pose: tuple[str, ...]
@@ -38,6 +43,8 @@ class Range:
     start_s: float
     end_s: float
     temperature: float | None
+    speed: float = 0.0
+    turn: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +87,73 @@ def range_of(base: Base) -> Range:
     names = dict(zip(model.references, model.pose, strict=True))
     return Range(
         model.pose, vertical, {names.get(c, c): v for c, v in half.items()},
-        {names.get(c, c): v for c, v in middle.items()}, max(typical, default=1.0), float(np.nanmedian(step)),
+        {names.get(c, c): v for c, v in middle.items()}, max(typical, default=1.0),
+        float(np.nanmin(step) if model.pose[0] in model.period else np.nanmedian(step)),
         first or 0.0, last, middle.get("temperature_degc"),
+        float(np.quantile(np.abs(np.concatenate(slopes[model.references[0]])), 0.95)),
+        model.period.get(model.pose[0], 0.0),
     )  # fmt: skip
 
 
 def recordings(r: Range) -> list[Recording]:
     """Return what could be recorded, from the plain to the elaborate."""
+    return _turns(r) if r.turn and r.speed > 0 else _strokes(r)
+
+
+def _turns(r: Range) -> list[Recording]:
+    """What an encoder can do: turn at a speed, both ways, swing, rest, or turn while it gets warm."""
+    seconds = min(LENGTH, LONGEST * r.step_s)
+    fastest = r.turn / (PER_TURN * r.step_s)
+    v = min(r.speed, fastest)
+    out: list[Recording] = []
+
+    def add(text: str, *legs: tuple[float, float], temperature: AtTimes | None = None) -> None:
+        """A run of legs (share of the time, speed)."""
+        out.append(Recording(f"{text} ({seconds:.3g} s)", Run(seconds, {}, {r.pose[0]: _legs(legs, seconds)}),
+                             temperature))  # fmt: skip
+
+    def both_ways(speed: float) -> tuple[tuple[float, float], ...]:
+        return (0.5, speed), (0.5, -speed)
+
+    whole = 2.0 * r.turn / seconds  # a turn each way
+    for times in (1.0, 2.0, 4.0, 8.0):
+        if times * v <= fastest:
+            add(f"turns in both directions at {_speed(times * v, r.turn)}", *both_ways(times * v))
+    if v > 4 * whole:
+        add(f"turns in both directions, slowly, at {_speed(v / 4, r.turn)}", *both_ways(v / 4))
+    steps = [s * v for s in (0.25, 0.5, 1.0, 2.0, 4.0) if s * v <= fastest]
+    add(f"turns in both directions at {len(steps)} speeds, up to {_speed(steps[-1], r.turn)}",
+        *((0.5 / len(steps), s) for s in (*steps, *(-s for s in reversed(steps)))))  # fmt: skip
+    add(f"turns in one direction at {_speed(v, r.turn)}", (1.0, v))
+    swing = min(v, SWING * r.turn / (2 * PER_PERIOD * r.step_s))  # each way long enough to be seen
+    shuttles = round(swing * seconds / (2 * SWING * r.turn))
+    if shuttles > 1:
+        reach = swing * seconds / (2 * shuttles) * 360 / r.turn
+        add(
+            f"swings to and fro over {reach:.2g} deg at {_speed(swing, r.turn)}", *both_ways(swing) * shuttles
+        )
+    add("the encoder at rest", (1.0, 0.0))
+    if r.temperature is not None:
+        middle = r.temperature
+        add(f"turns in both directions at {_speed(v, r.turn)} through a temperature cycle of +-{WARM:g} K",
+            *both_ways(v), temperature=lambda t: middle + WARM * np.sin(2 * np.pi * t / seconds))  # fmt: skip
+    return out
+
+
+def _legs(legs: Sequence[tuple[float, float]], seconds: float) -> AtTimes:
+    """Return the place over time of legs (share of the time, speed), one after the other."""
+    share = np.array([a for a, _ in legs]) / sum(a for a, _ in legs)
+    ends = np.concatenate([[0.0], np.cumsum(share * seconds)])
+    places = np.concatenate([[0.0], np.cumsum(share * seconds * np.array([v for _, v in legs]))])
+    return lambda t: np.interp(t, ends, places)
+
+
+def _speed(value: float, turn: float) -> str:
+    return f"{float(f'{60 * value / turn:.3g}'):g} rpm"
+
+
+def _strokes(r: Range) -> list[Recording]:
+    """What a stage can do."""
     fastest = 1.0 / (PER_PERIOD * r.step_s)
     seconds = min(LENGTH, LONGEST * r.step_s)
     f = min(max(r.frequency_hz, 2.0 / seconds), fastest)

@@ -68,12 +68,15 @@ def report(
     inflation = kept.inflation
     after = block_errors(replace(now, keep=None), apart, rows, None)
     floor, noted = dict(result.noise_floor), []
-    if not search.floor.stated and search.found and after.metric * (1 + UNSTRUCTURED) < search.floor.metric:
-        noted.append(_noise_held_gap(search.floor.metric / after.metric))
-        floor = {c: v * after.metric / search.floor.metric for c, v in floor.items()}
-        search.floor = replace(search.floor, metric=after.metric)
-    floor_metric = search.floor.metric
     spoiled = [f for f in faults(now, final, search.tested) if _cures(f) >= level]
+    chip = sum(f.power for f in spoiled if f.name == "cordic_steps")  # an error of each angle, no noise
+    least = after.metric * float(np.sqrt(max(1 - chip, 1e-6)))
+    held_gap = least * (1 + UNSTRUCTURED) < search.floor.metric
+    if not search.floor.stated and (search.found or chip) and held_gap:
+        noted.append(_noise_held_gap(search.floor.metric / least))
+        floor = {c: v * least / search.floor.metric for c, v in floor.items()}
+        search.floor = replace(search.floor, metric=least)
+    floor_metric = search.floor.metric
     if after.metric <= floor_metric * (1 + ALLOWANCE):
         spoiled = []
     search_end, rest = now, structure(now, search.runs)

@@ -25,8 +25,8 @@ AXES = tuple(np.pi * k / 12 for k in (0, 1, -1, 2, -2, 3))
 
 Every 15 deg, of the 90 deg after which they repeat: within a quarter of a wave of the four per turn."""
 THIRD = "third_harmonic_distortion"
-MAGNET = "turn the stator (or the chip) by a known angle against the magnet, and record a turn at each"
-REFERENCE = "couple the reference anew at another angle, and record a turn at each"
+MAGNET = "a turn at each of several known angles of the stator (or the chip) against the magnet"
+REFERENCE = "a turn with the reference coupled at each of several other angles"
 
 
 def _one(label: str, name: str, **numbers: object) -> list[Variant]:

@@ -44,6 +44,7 @@ FAULTS = {
     "dropped_samples": "clock",
     "clock_jitter": "clock",
     "adc_quantisation": "electronics",
+    "cordic_steps": "electronics",
     "channel_swap": "electronics",
     "sign_inversion": "electronics",
 }

@@ -73,7 +73,8 @@ class Survey:
     significance. `stale_share`, `spike_share`: share of samples, `one_sided` the mean sign of the stale ones'
     delay, `smooth` the correlation of neighbouring time shifts (0 for jitter), `bursts` the share of spikes
     and stale samples that are within one of many, `quiet` the whitened variance of all others. `adc_step`:
-    (K,) step seen, 0 for none. `lines_hz`: mains lines; `line_power`: their share of the residual's power.
+    (K,) step seen, 0 for none, among `values`, different readings of each channel (20 000 or little more).
+    `lines_hz`: mains lines; `line_power`: their share of the residual's power.
     """
 
     step_s: float = 0.0
@@ -95,6 +96,7 @@ class Survey:
     bursts: float = 0.0
     quiet: float = 1.0
     adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    values: tuple[np.ndarray, ...] = ()
     lines_hz: tuple[float, ...] = ()
     line_power: float = 0.0
     spike_p: float = 1.0
@@ -236,7 +238,8 @@ class _Work:
         f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
         if self.shift:
             self._judge_instants()
-        steps = [_step(v) for v in self.values]
+        f.values = tuple(np.sort(np.fromiter(v, float)) for v in self.values)
+        steps = [_step(v) for v in f.values]
         f.adc_step = np.array([q for q, _ in steps])
         # the channels are as many attempts
         f.step_p = min(1.0, self.K * min((p for _, p in steps), default=1.0))
@@ -345,12 +348,11 @@ def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
     return float(np.clip(body, 0.2, None)), float(slope), spread
 
 
-def _step(values: set[float]) -> tuple[float, float]:
-    """Step between the values that a channel takes, 0 when it takes none, and how likely that is by chance.
+def _step(v: np.ndarray) -> tuple[float, float]:
+    """Step between the ascending values of a channel, 0 for none, and how likely that is by chance.
 
     Of values without steps a distance is near a whole number of any step with probability 2 WHOLE.
     """
-    v = np.sort(np.fromiter(values, float))
     if len(v) < 8:
         return 0.0, 1.0
     gaps = np.diff(v)

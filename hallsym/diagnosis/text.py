@@ -10,6 +10,8 @@ import numpy as np
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
 from hallsym.tables import concise, error_rows, grid, readable
 
+MUCH = 1e3
+"""Times that a difference must show more, from which on the number says nothing: this log has none."""
 WIDTH = 110
 MOST = 10
 """Statements on where a gap lies that are printed."""
@@ -168,7 +170,7 @@ def separation_text(s: Separation) -> str:
         total = f", {s.seconds:.3g} s in all" if s.runs > 1 else ""
         return _wrapped(f"{text} Record {s.recording}: {each}{total}.", "  ")
     none = " None of the recordings that were simulated does it." if s.tried else ""
-    more = f" The difference must show {s.factor:.3g} times more than here."
+    more = f" The difference must show {s.factor:.3g} times more than here." if s.factor < MUCH else ""
     return _wrapped(f"{text}{none} Record {s.recording}.{more}", "  ")
 
 

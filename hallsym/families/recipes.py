@@ -22,6 +22,8 @@ FAULTS = {
     "dropped_samples": f"{REPAIR}: repair the acquisition, or leave the samples out (--loss tukey).",
     "clock_jitter": f"{REPAIR}: take readings and reference on one clock, and record again.",
     "adc_quantisation": f"{REPAIR}: use a finer range or converter; the fit counts step / sqrt(12) as noise.",
+    "cordic_steps": f"{REPAIR}: let the chip take more steps, or take its raw voltages; an angle stands for "
+    "a range of angles, so that no correction takes more than a few percent off.",
     "channel_swap": f"{REPAIR}: put the wiring right, or fit with --resolve-wiring.",
     "sign_inversion": f"{REPAIR}: put the wiring right, or fit with --resolve-wiring.",
 }

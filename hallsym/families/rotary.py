@@ -295,8 +295,23 @@ def harmonics(model: Model) -> Model:
     return model.with_step("transducer", on_voltages, effect="harmonics", parameters=added)
 
 
+def zero_deviation(model: Model) -> Model:
+    """Give the reference a zero of its own in each run: it was homed or coupled anew between runs.
+
+    Each run is turned to the encoder's own zero first (`hallsym.turning.homes`); `delta` is what is left.
+    `zero` is that of each run then, and no parameter any more.
+    """
+
+    def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
+        s["cosine"], s["sine"] = s["cosine"].ahead(p["delta"]), s["sine"].ahead(p["delta"])
+
+    delta = Parameter("delta", 0.0, -0.2, 0.2, "rad", "zero of a run's reference beside the encoder's")
+    wide = model.with_step("reference", step, effect="zero_deviation", zeros=(delta,))
+    return wide.with_parameters({"zero": {"nominal": 0.0, "lower": 0.0, "upper": 0.0}})
+
+
 MODELS = (rotary_ideal, rotary, rotary_meng)
-EFFECTS: tuple[Callable[[Model], Model], ...] = (harmonics,)
+EFFECTS: tuple[Callable[[Model], Model], ...] = (harmonics, zero_deviation)
 ALIASES = {"ideal_arctan": "rotary_ideal", "ellipse": "rotary", "meng": "rotary_meng"}
 
 

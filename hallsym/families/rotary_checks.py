@@ -14,6 +14,8 @@ GAP_NOTE, GAP_REFUSE = 30.0, 120.0
 """Widest part of a turn [deg] without a sample: what is worth a note, and what no harmonics survive."""
 FOLLOWS = 0.5
 """An encoder follows its reference if the mean of exp(i (angle - reference)) is longer than this."""
+CLEARLY, LEAST_ZERO = 3.0, 1.0
+"""What zeros of runs must differ by for a note: times the scatter of the angle within a run, and deg."""
 RATIOS = tuple(range(2, 13))
 """Other counts of turns that are tried: pole pairs and gears."""
 
@@ -24,13 +26,19 @@ class _Seen:
 
     samples: int = 0
     follows: dict[float, complex] = field(default_factory=dict)
+    runs: dict[int, dict[float, complex]] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
     reference: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
     angle: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
     up: float = 0.0
     down: float = 0.0
 
-    def add(self, angle: np.ndarray, reference: np.ndarray) -> None:
+    def add(self, run: int, angle: np.ndarray, reference: np.ndarray) -> None:
         self.samples += len(angle)
+        self.counts[run] = self.counts.get(run, 0) + len(angle)
+        own = self.runs.setdefault(run, {})
+        for k in (1.0, -1.0):
+            own[k] = own.get(k, 0j) + np.exp(1j * (angle - k * reference)).sum()
         for k in (1, -1, *RATIOS, *(-k for k in RATIOS)):
             self._follow(float(k), angle - k * reference)
             if abs(k) > 1:
@@ -63,10 +71,13 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
             angle = np.arctan2(y, x)
         else:
             angle = values[0][good]
-        seen.add(angle, block.data[column][good])
+        seen.add(block.run, angle, block.data[column][good])
+    if model.zeros:  # each run has a zero of its own
+        for k in (1.0, -1.0):
+            seen.follows[k] = sum(abs(own[k]) for own in seen.runs.values())
     _refuse(seen, log.name, column, fitted)
     forward = abs(seen.follows[1.0]) >= abs(seen.follows[-1.0])
-    notes = [*_notes(seen, column)]
+    notes = [*_notes(seen, column), *_homed(seen, column, 1.0 if forward else -1.0, bool(model.zeros))]
     if not forward:
         channel = model.channels[0]
         swapped = ", or the two voltages are swapped" if len(model.channels) == 2 else ""
@@ -104,6 +115,12 @@ def _refuse(seen: _Seen, name: str, column: str, fitted: bool) -> None:
             f"In {name} the encoder makes {many} while {column} makes one; both must be angles of one shaft: "
             f"scale the reference by {abs(best):.6g} in a column file, or check its unit."
         )
+    alone = max(sum(abs(own[k]) for own in seen.runs.values()) for k in (1.0, -1.0)) / max(seen.samples, 1)
+    if straight < FOLLOWS < alone and len(seen.runs) > 1:
+        raise InputError(
+            f"The encoder in {name} follows {column} in each run, but each from another zero: the reference "
+            "was homed anew between runs. Fit with --effect zero_deviation, which gives each run its own."
+        )
     if straight < FOLLOWS:
         raise InputError(
             f"The encoder in {name} does not follow {column} (their difference is spread over the turn); it "
@@ -123,6 +140,24 @@ def _notes(seen: _Seen, column: str) -> list[str]:
             "not observable (latency is, as far as the speed changes); record both directions to tell them."
         )
     return notes
+
+
+def _homed(seen: _Seen, column: str, sign: float, own: bool) -> list[str]:
+    """What to say of zeros of runs that clearly differ, unless each has its `own`."""
+    if own or len(seen.runs) < 2:
+        return []
+    first = next(iter(seen.runs))
+    zeros = {run: np.angle(k[sign] / seen.runs[first][sign]) for run, k in seen.runs.items()}
+    length = [abs(k[sign]) / max(seen.counts[run], 1) for run, k in seen.runs.items()]
+    spread = float(np.sqrt(max(-2 * np.log(max(np.median(length), 1e-9)), 0.0)))
+    far = max(zeros, key=lambda run: abs(zeros[run]))
+    if abs(zeros[far]) < max(CLEARLY * spread, np.radians(LEAST_ZERO)):
+        return []
+    most = np.degrees(abs(zeros[far]))
+    return [
+        f"The zero of {column} differs between runs, by {most:.3g} deg in run {far} beside run {first}. If "
+        "it was homed anew, --effect zero_deviation gives each run its own; latency makes differences too."
+    ]
 
 
 def _gap(bins: np.ndarray) -> float:

@@ -1,8 +1,15 @@
 """The arctangent as encoder chips compute it: CORDIC in vectoring mode, without its rounding."""
 
+from dataclasses import dataclass
+from functools import cache
+from math import pi
+
 import numpy as np
 
 from hallsym.errors import InputError
+
+MOST_STEPS = 32
+"""Steps beyond which float64 knows nothing of another one's error, by far."""
 
 
 def cordic_angle(y: np.ndarray, x: np.ndarray, steps: int) -> np.ndarray:
@@ -26,3 +33,47 @@ def cordic_angle(y: np.ndarray, x: np.ndarray, steps: int) -> np.ndarray:
         x, y = x + turn * y * size, y - turn * x * size
         angle = angle + turn * np.arctan(size)
     return angle
+
+
+def worst_of(steps: int) -> float:
+    """Return what `steps` steps leave at most [rad]: the last rotation.
+
+    >>> round(worst_of(8), 6)
+    0.007812
+    """
+    return float(np.arctan(2.0 ** (1 - steps)))
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """What `steps` steps of CORDIC can answer: `angles` (n,) [rad] in half a turn about 0, ascending.
+
+    The other half turn has the same, half a turn on. `rms` and `worst`: of the error over a turn [rad].
+    """
+
+    steps: int
+    angles: np.ndarray
+    rms: float
+    worst: float
+
+
+@cache
+def levels(steps: int) -> Levels:
+    """Return the angles that `cordic_angle` gives, with its error, followed rotation by rotation.
+
+    They lie 2 atan(2^-(steps - 1)) apart, but where branches overlap, about 2^(steps + 0.7) a turn. The one
+    nearest is not always the answer, so the error is 1.26 times that of equal steps as many.
+
+    >>> levels(8).angles.size, round(levels(8).rms, 6)
+    (208, 0.004477)
+    """
+    angle, low, high = np.zeros(1), np.full(1, -pi / 2), np.full(1, pi / 2)
+    for k in range(steps):
+        turn, up, down = np.arctan(2.0**-k), high > angle, low < angle
+        low, high = (
+            np.concatenate([np.maximum(low, angle)[up], low[down]]),
+            np.concatenate([high[up], np.minimum(high, angle)[down]]),
+        )
+        angle = np.concatenate([angle[up] + turn, angle[down] - turn])
+    mean_square = float(((high - angle) ** 3 - (low - angle) ** 3).sum()) / 3 / pi
+    return Levels(steps, np.sort(angle), float(np.sqrt(mean_square)), worst_of(steps))

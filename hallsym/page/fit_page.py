@@ -206,7 +206,6 @@ def _elsewhere(log: Log, fit: Fit) -> Fit:
     cost = _cost(log, fit)
     zeros = cost.at(fit.values).zeros
     if zeros.shape[1]:
-        gain = [np.asarray(fit.model.gain(fit.values, s)).ravel() for s in cost.summary.first_state]
-        zeros = zeros * np.array(gain)
+        zeros = zeros * np.array([fit.model.zero_scale(fit.values, s) for s in cost.summary.first_state])
     own = dict(zip(cost.summary.runs, zeros, strict=True))
     return replace(fit, zeros=own, errors=None, log={**fit.log, "holdout": []}, source=None)

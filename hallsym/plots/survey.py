@@ -69,7 +69,7 @@ class Decode:
         delta = self.fit.zeros.get(run)
         if delta is None or not len(self.model.zeros):
             return np.zeros(len(self.model.zeros))
-        return np.asarray(delta) / np.asarray(self.model.gain(self.fit.values, first_state)).ravel()
+        return np.asarray(delta) / self.model.zero_scale(self.fit.values, first_state)
 
     def __call__(self, block: Block, zeros: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose by the designed and by the fitted model; `block` holds the references too."""

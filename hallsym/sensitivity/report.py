@@ -257,7 +257,7 @@ def _nuisance(evidence: Evidence) -> dict[str, Any]:
     if not model.zeros:
         return {"count": 0, "zeros": {}}
     summary, point = cost.summary, cost.at(p)
-    gain = np.array([np.asarray(model.gain(p, s)).ravel() for s in summary.first_state])
+    gain = np.array([model.zero_scale(p, s) for s in summary.first_state])
     delta = point.zeros * gain  # (31): delta = d phi(0)
     variance = np.diagonal(point.zero_covariance(evidence.covariance), axis1=1, axis2=2)
     std = np.sqrt(np.maximum(variance, 0.0)) * np.abs(gain)

@@ -1,6 +1,7 @@
 """The report of `identify` as tables for a terminal."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -138,23 +139,29 @@ def nuisance_text(report: Identifiability, listed: bool) -> list[str]:
     nuisance = report.nuisance
     if not nuisance["count"]:
         return []
-    sizes = [f"{n} {_um(z, 'rms')} rms, {_um(z, 'worst')} at most" for n, z in nuisance["zeros"].items()]
-    std = max(z["std"] for z in nuisance["zeros"].values())
+    zeros = nuisance["zeros"]
+    factor, unit = _read(zeros)
+    sizes = [
+        f"{n} {factor * z['rms']:.3g} {unit} rms, {factor * z['worst']:.3g} {unit} at most"
+        for n, z in zeros.items()
+    ]
+    std = factor * max(z["std"] for z in zeros.values())
     lines = [
-        f"{nuisance['count']} zero deviations, profiled out: {'; '.join(sizes)}; each +-{std * 1e6:.2g} um"
+        f"{nuisance['count']} zero deviations, profiled out: {'; '.join(sizes)}; each +-{std:.2g} {unit}"
     ]
     if listed:
-        lines += ["", _zero_table(nuisance["runs"])]
+        lines += ["", _zero_table(nuisance["runs"], factor, unit)]
     return lines
 
 
-def _um(entry: Mapping[str, float], key: str) -> str:
-    return f"{entry[key] * 1e6:.3g} um"
+def _read(zeros: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
+    """Factor and unit in which zeros are read."""
+    return (1e6, "um") if next(iter(zeros.values()))["unit"] == "m" else (float(np.degrees(1.0)), "deg")
 
 
-def _zero_table(runs: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+def _zero_table(runs: Mapping[str, Mapping[str, Mapping[str, float]]], factor: float, unit: str) -> str:
     names = list(next(iter(runs.values())))
-    rows = [["run", *(f"{n} [um]" for n in names)]]
+    rows = [["run", *(f"{n} [{unit}]" for n in names)]]
     for run, row in runs.items():
-        rows.append([run, *(concise(row[n]["value"] * 1e6, row[n]["std"] * 1e6) for n in names)])
+        rows.append([run, *(concise(row[n]["value"] * factor, row[n]["std"] * factor) for n in names)])
     return grid(rows)

@@ -1,0 +1,127 @@
+"""Whether a decoded angle was computed with few steps of CORDIC: only certain angles are read then."""
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from hallsym.diagnosis.chance import as_often
+from hallsym.families.rotary_cordic import Levels, levels, worst_of
+
+STEPS = range(4, 15)
+"""Steps that are looked for: the error of 4 is 7 deg, that of 14 less than a count of 14 bits."""
+TOLERANCE = 0.25
+"""How near an angle must be, in distances of neighbouring levels, to be one of them.
+
+It leaves room for a rounding to counts of half that distance; half of all angles would be as near."""
+MOSTLY = 0.9
+"""Part of the values that must be levels: of equal steps half are, of another number of steps 60 %."""
+WORTH, MOST = 0.02, 2.0
+"""Mean square of CORDIC's error over that of the residual: what is looked for lies between."""
+EVEN = 0.7
+"""Least distance of equal steps, in distances of levels, that the values are held against."""
+FINE = 16
+"""Offsets of the zero that are tried, per distance of neighbouring levels, at least."""
+DIGITS = 1e-9
+"""Readings nearer than this [rad] are one value."""
+TURN = 2 * pi
+
+
+@dataclass(frozen=True, eq=False)
+class Cordic:
+    """Steps of CORDIC that the values of a reading tell.
+
+    `seen`: how many of its angles occur. `p_value`: of as many values being levels, over all tried.
+    """
+
+    levels: Levels
+    seen: int
+    p_value: float
+
+    @property
+    def distance(self) -> float:
+        """Angle from level to level [rad]."""
+        return _distance(self.levels)
+
+
+def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | None:
+    """Return the fewest steps of CORDIC that explain the distinct `values` [rad] of an angle, None for none.
+
+    The zero register of a chip may turn all of them by any angle. `spread`: rms of what a model leaves [rad].
+    `step`: equal steps between the values where they have them: levels less than two of them apart are not
+    told from a rounding, and not looked for. Nor are levels that equal steps of any size are nearer to: a
+    rounding, or a motor that goes from step to step.
+    """
+    v = np.unique(np.round(np.mod(values, TURN) / DIGITS)) * DIGITS
+    known = [levels(n) for n in STEPS]
+    tried = [
+        k
+        for k in known
+        if WORTH * spread**2 < k.rms**2 < MOST * spread**2
+        and MOSTLY * len(v) <= 4 * len(k.angles)  # rounded to counts a level has two at most
+        and (step >= 0.9 * _distance(k) or step <= 0.5 * _distance(k))
+    ]
+    for k in tried:
+        near, off, bins = _hits(v, k)
+        p = min(1.0, as_often(near, len(v), _covered(k)) * bins * len(tried))
+        if near >= MOSTLY * len(v) and p < 1.0 and off < _off_even(v, _distance(k), bins):
+            return Cordic(k, len(v), p)
+    return None
+
+
+def _distance(k: Levels) -> float:
+    return 2 * worst_of(k.steps)
+
+
+def _circle(k: Levels) -> np.ndarray:
+    """All levels of a turn, ascending from 0."""
+    return np.sort(np.mod(np.concatenate([k.angles, k.angles + pi]), TURN))
+
+
+def _covered(k: Levels) -> float:
+    """Part of a turn that is near a level."""
+    at = _circle(k)
+    gaps = np.diff(at, append=at[0] + TURN)
+    return float(np.minimum(gaps, 2 * TOLERANCE * _distance(k)).sum()) / TURN
+
+
+def _hits(v: np.ndarray, k: Levels) -> tuple[int, float, int]:
+    """Values near a level at the best offset, their rms distance [rad], and how many offsets were tried."""
+    bins = int(2 ** np.ceil(np.log2(FINE * TURN / _distance(k))))
+    width, at, reach = TURN / bins, _circle(k), TOLERANCE * _distance(k)
+    centres = (np.arange(bins) + 0.5) * width
+    cost = np.minimum(_apart(centres, at) ** 2, reach**2)
+    total = np.fft.irfft(np.fft.rfft(_held(v, bins)) * np.conj(np.fft.rfft(cost)), bins)
+    best = float(np.argmin(total)) * width
+    for _ in range(2):  # offsets between those tried
+        off = _apart(np.mod(v - best, TURN), at)
+        near = np.abs(off) <= reach
+        if not near.any():
+            return 0, reach, bins
+        best -= float(np.median(off[near]))
+    return int(near.sum()), float(np.sqrt(np.mean(off[near] ** 2))), bins
+
+
+def _off_even(v: np.ndarray, distance: float, bins: int) -> float:
+    """Rms distance of the values from the equal steps that suit them best, `distance` or more [rad]."""
+    waves = np.arange(bins + 1) / 2  # per turn; the steps need not divide it
+    size = np.abs(np.fft.rfft(_held(v, bins), 2 * bins))
+    asked = (waves >= 4) & (waves <= TURN / (EVEN * distance))
+    best = float(waves[asked][np.argmax(size[asked])])
+    near = best + np.linspace(-0.5, 0.5, 51)
+    length = np.abs(np.exp(1j * np.outer(near, v)).mean(axis=1))
+    at = int(np.argmax(length))
+    return float(np.sqrt(max(-2 * np.log(max(length[at], 1e-300)), 0.0)) / near[at])
+
+
+def _held(v: np.ndarray, bins: int) -> np.ndarray:
+    return np.bincount((v / TURN * bins).astype(int) % bins, minlength=bins).astype(float)
+
+
+def _apart(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Signed distance of each angle within a turn from the nearest of `at`."""
+    round_ = np.concatenate([at[-1:] - TURN, at, at[:1] + TURN])
+    after = np.searchsorted(round_, angles)
+    after = np.clip(after, 1, len(round_) - 1)
+    above, below = round_[after] - angles, round_[after - 1] - angles
+    return np.where(above < -below, above, below)
