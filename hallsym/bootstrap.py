@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from hallsym.cost import Cost
 from hallsym.determination import ROUNDING, UNDETERMINED, scales
@@ -78,14 +77,14 @@ class Bootstrap:
         when few runs tell most of a parameter, because a sample of few runs does not show their tails.
         """
         value, _ = quantity.first(self.p)
-        half = float(student.ppf(0.5 * (1 + level), self.runs - 1)) * self.std_of(quantity)
+        half = float(stdtrit(self.runs - 1, 0.5 * (1 + level))) * self.std_of(quantity)
         return max(value - half, quantity.lower), min(value + half, quantity.upper)
 
 
 def _middle(values: np.ndarray) -> np.ndarray:
     """Standard deviation of a normal distribution with the same middle 95 %, along the first axis."""
     low, high = np.quantile(values, [0.025, 0.975], axis=0)
-    return np.asarray((high - low) / (2.0 * norm.ppf(0.975)))
+    return np.asarray((high - low) / (2.0 * ndtri(0.975)))
 
 
 def bootstrap(

@@ -8,7 +8,7 @@ noise of the reference, and a window is too wide once what it leaves is more tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -63,14 +63,17 @@ class Stretch:
     origin_s: float
     sigma: Mapping[str, float]
     halves: dict[str, int]
-    _known: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
+    _known: dict[Hashable, np.ndarray] = field(default_factory=dict)
+
+    def once(self, key: Hashable, make: Callable[[], np.ndarray]) -> np.ndarray:
+        """Return what `make` returns, computed once per stretch under `key`."""
+        if key not in self._known:
+            self._known[key] = make()
+        return self._known[key]
 
     def rate(self, column: str, order: int = 1) -> np.ndarray:
         """Return the time derivative of a column (order 0: the column smoothed), unit per second^order."""
-        key = (column, order)
-        if key not in self._known:
-            self._known[key] = self._derivative(column, order)
-        return self._known[key]
+        return self.once((column, order), lambda: self._derivative(column, order))
 
     def _derivative(self, column: str, order: int) -> np.ndarray:
         values, t = self.data[column], self.data["t_s"]
