@@ -347,7 +347,7 @@ def stop_operator(u: np.ndarray, width: float) -> np.ndarray:
 
     z follows du / width and stops at +-1: between turning points it has a closed form.
     """
-    return _stop_from(u, width, 0.0)[0] if len(u) else np.empty(0)
+    return _stops_from(u, width, (0.0,))[0][0] if len(u) else np.empty(0)
 
 
 def stop_state(u: np.ndarray, width: float) -> np.ndarray:
@@ -359,7 +359,7 @@ def stop_state(u: np.ndarray, width: float) -> np.ndarray:
     """
     if len(u) == 0:
         return np.zeros((2, 0))
-    (low, by_low), (high, by_high) = (_stop_from(u, width, start) for start in (-1.0, 1.0))
+    (low, by_low), (high, by_high) = _stops_from(u, width, (-1.0, 1.0))
     U = (u - u[0]) / width
     a, b = np.clip(low - U, -1.0, 1.0), np.clip(high - U, -1.0, 1.0)
     inside = ((b + U) ** 2 - (a + U) ** 2) / 2
@@ -368,19 +368,24 @@ def stop_state(u: np.ndarray, width: float) -> np.ndarray:
     return np.array([mean, slope])
 
 
-def _stop_from(u: np.ndarray, width: float, start: float) -> tuple[np.ndarray, np.ndarray]:
-    """State from a start, and its slope with the width: both in closed form between turning points."""
+def _stops_from(u: np.ndarray, width: float, starts: Sequence[float]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """State from each start, and its slope with the width: both in closed form between turning points."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1, [len(u) - 1]])
-    states, slopes = [start], [0.0]
-    for moved in (np.diff(u[edges]) / width).tolist():
-        state = states[-1] + moved
-        slopes.append(slopes[-1] - moved / width if abs(state) < 1.0 else 0.0)
-        states.append(1.0 if state > 1.0 else -1.0 if state < -1.0 else state)
-    stroke = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+    strokes = (np.diff(u[edges]) / width).tolist()
+    stroke = np.repeat(np.arange(len(strokes)), np.diff(edges))
     along = (u[1:] - u[edges[stroke]]) / width
-    z = np.clip(np.array(states)[stroke] + along, -1.0, 1.0)
-    slope = np.where(np.abs(z) < 1.0, np.array(slopes)[stroke] - along / width, 0.0)
-    return np.append(start, z), np.append(0.0, slope)
+    out = []
+    for start in starts:
+        states, slopes = [start], [0.0]
+        for moved in strokes:
+            state = states[-1] + moved
+            slopes.append(slopes[-1] - moved / width if abs(state) < 1.0 else 0.0)
+            states.append(1.0 if state > 1.0 else -1.0 if state < -1.0 else state)
+        z, slope = np.full(len(u), start), np.zeros(len(u))
+        z[1:] = np.clip(np.array(states)[stroke] + along, -1.0, 1.0)
+        slope[1:] = np.where(np.abs(z[1:]) < 1.0, np.array(slopes)[stroke] - along / width, 0.0)
+        out.append((z, slope))
+    return out
 
 
 def _play(what: str, model: Model, k: int, width: float) -> Computed:
