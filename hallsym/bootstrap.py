@@ -160,10 +160,10 @@ class _Steps:
         steps = -np.linalg.solve(hessians, (weights @ self.gradients)[..., None])[..., 0]
         values = np.tile(self.p, (len(weights), 1))
         values[:, self.free] += steps * self.unit
-        outside = ((values < self.lower) | (values > self.upper))[:, self.free].any(axis=1)
+        outside = np.any(((values < self.lower) | (values > self.upper))[:, self.free], axis=1)
         for k in np.flatnonzero(outside):
             values[k] = self.refit(weights[k])
-        return values, outside
+        return values, np.asarray(outside)
 
     def refit(self, weights: np.ndarray) -> np.ndarray:
         """Return the optimum of one draw, converged."""

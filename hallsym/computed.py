@@ -18,6 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from hallsym.log import Block, Log
+from hallsym.medians import median
 
 if TYPE_CHECKING:
     from hallsym.model import Model
@@ -97,7 +98,7 @@ class Stretch:
 def _grid(t: np.ndarray) -> tuple[float, bool, np.ndarray]:
     """Step of the times, whether they have one, and times that do."""
     steps = np.diff(t)
-    step = float(np.median(steps))
+    step = median(steps)
     even = bool(np.abs(steps - step).max() < 0.25 * step)
     return step, even, t if even else np.arange(t[0], t[-1] + 0.5 * step, step)
 
