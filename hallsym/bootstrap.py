@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from hallsym.cost import Cost
 from hallsym.determination import ROUNDING, UNDETERMINED, scales
@@ -78,14 +77,14 @@ class Bootstrap:
         when few runs tell most of a parameter, because a sample of few runs does not show their tails.
         """
         value, _ = quantity.first(self.p)
-        half = float(student.ppf(0.5 * (1 + level), self.runs - 1)) * self.std_of(quantity)
+        half = float(stdtrit(self.runs - 1, 0.5 * (1 + level))) * self.std_of(quantity)
         return max(value - half, quantity.lower), min(value + half, quantity.upper)
 
 
 def _middle(values: np.ndarray) -> np.ndarray:
     """Standard deviation of a normal distribution with the same middle 95 %, along the first axis."""
     low, high = np.quantile(values, [0.025, 0.975], axis=0)
-    return np.asarray((high - low) / (2.0 * norm.ppf(0.975)))
+    return np.asarray((high - low) / (2.0 * ndtri(0.975)))
 
 
 def bootstrap(
@@ -152,16 +151,19 @@ class _Steps:
         curved = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0] > 0
         return np.asarray((values[:, 0] >= enough) & curved)
 
-    def newton(self, weights: np.ndarray) -> np.ndarray:
-        """Return one Newton step from the optimum for every draw, (m, n); refitted if it leaves the box."""
+    def newton(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return one Newton step from the optimum for every draw, (m, n), and which left the box, (m,).
+
+        Those are refitted.
+        """
         hessians = np.tensordot(weights, self.hessians, axes=1)
         steps = -np.linalg.solve(hessians, (weights @ self.gradients)[..., None])[..., 0]
         values = np.tile(self.p, (len(weights), 1))
         values[:, self.free] += steps * self.unit
-        outside = (values < self.lower) | (values > self.upper)
-        for k in np.flatnonzero(outside[:, self.free].any(axis=1)):
+        outside = np.any(((values < self.lower) | (values > self.upper))[:, self.free], axis=1)
+        for k in np.flatnonzero(outside):
             values[k] = self.refit(weights[k])
-        return values
+        return values, np.asarray(outside)
 
     def refit(self, weights: np.ndarray) -> np.ndarray:
         """Return the optimum of one draw, converged."""
@@ -169,7 +171,7 @@ class _Steps:
 
     def refits(self, weights: np.ndarray) -> tuple[np.ndarray, int, float]:
         """Return the optimum of every draw (m, n), how many were refitted, and the error of the others."""
-        values = self.newton(weights)
+        values, refitted = self.newton(weights)
         moved = (values - self.p)[:, self.free]
         if moved.size == 0:
             return values, 0, 0.0
@@ -177,14 +179,15 @@ class _Steps:
         size = np.where(std > 0, std, np.inf)
         weakest = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0]
         order = np.argsort(-(np.abs(moved / size).max(axis=1) ** 2) / weakest)
+        order, done = order[~refitted[order]], int(refitted.sum())
         for first in range(0, len(order), CHECKED):
             batch = order[first : first + CHECKED]
             best = np.array([self.improved(values[k], weights[k], size) for k in batch])
             error = float(np.max(np.abs((best - values[batch])[:, self.free] / size)))
             values[batch] = best
             if error <= 0.5 * ENOUGH:
-                return values, min(first + CHECKED, len(order)), error
-        return values, len(order), 0.0
+                return values, done + min(first + CHECKED, len(order)), error
+        return values, len(weights), 0.0
 
     def improved(self, value: np.ndarray, weights: np.ndarray, size: np.ndarray) -> np.ndarray:
         """Go on to the optimum of one draw: the gradient where it is, the Hessian of where it came from."""

@@ -8,16 +8,17 @@ noise of the reference, and a window is too wide once what it leaves is more tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from hallsym.log import Block, Log
+from hallsym.medians import median
 
 if TYPE_CHECKING:
     from hallsym.model import Model
@@ -30,7 +31,11 @@ HALO = 4 * HALVES[-1]
 """Samples of context on either side of a block."""
 ROOM = 100_000_000
 """Bytes of computed columns that are kept for the next pass over the same log."""
+WINDOWED = 20_000
+"""Runs whose smoothing windows are kept for the next pass over the same log."""
 _KEPT: WeakKeyDictionary[Log, dict[tuple, np.ndarray]] = WeakKeyDictionary()
+_HALVES: WeakKeyDictionary[Log, dict[tuple, dict[str, int]]] = WeakKeyDictionary()
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,22 +68,23 @@ class Stretch:
     origin_s: float
     sigma: Mapping[str, float]
     halves: dict[str, int]
-    _known: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
+    _known: dict[Hashable, Any] = field(default_factory=dict)
+
+    def once(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what `make` returns, computed once per stretch under `key`."""
+        if key not in self._known:
+            self._known[key] = make()
+        return self._known[key]
 
     def rate(self, column: str, order: int = 1) -> np.ndarray:
         """Return the time derivative of a column (order 0: the column smoothed), unit per second^order."""
-        key = (column, order)
-        if key not in self._known:
-            self._known[key] = self._derivative(column, order)
-        return self._known[key]
+        return self.once((column, order), lambda: self._derivative(column, order))
 
     def _derivative(self, column: str, order: int) -> np.ndarray:
         values, t = self.data[column], self.data["t_s"]
         if len(values) < 2 * HALVES[0] + 1:
             return np.zeros(len(values)) if order else values
-        step = float(np.median(np.diff(t)))
-        even = np.abs(np.diff(t) - step).max() < 0.25 * step
-        grid = t if even else np.arange(t[0], t[-1] + 0.5 * step, step)
+        step, even, grid = self.once("grid", lambda: _grid(t))
         x = values if even else np.interp(grid, t, values)
         if column not in self.halves:
             self.halves[column] = widest_half(x, self.sigma.get(column, 0.0))
@@ -87,6 +93,14 @@ class Stretch:
             return np.zeros(len(values)) if order else values
         smooth = _local(x, half, order) / step**order
         return smooth if even else np.interp(t, grid, smooth)
+
+
+def _grid(t: np.ndarray) -> tuple[float, bool, np.ndarray]:
+    """Step of the times, whether they have one, and times that do."""
+    steps = np.diff(t)
+    step = median(steps)
+    even = bool(np.abs(steps - step).max() < 0.25 * step)
+    return step, even, t if even else np.arange(t[0], t[-1] + 0.5 * step, step)
 
 
 @lru_cache(maxsize=256)
@@ -157,30 +171,17 @@ class ExtendedLog:
             return
         raw = dict.fromkeys(c for c in wanted if c not in self.computed)
         raw |= dict.fromkeys(c for m in made for c in m.needs) | {"t_s": None}
+        kept = _KEPT.setdefault(self.log, {})
         for stretch, inner in self._stretches(tuple(raw), size):
             data = {c: stretch.data[c][inner] for c in wanted if c not in self.computed}
-            yield Block(stretch.run, data | {m.name: self._column(m, stretch, inner) for m in made})
-
-    def _column(self, made: Computed, stretch: Stretch, inner: slice) -> np.ndarray:
-        """Return a computed column of a block, kept for the next pass while there is room."""
-        kept = _KEPT.setdefault(self.log, {})
-        key = (
-            made.name,
-            made.key,
-            stretch.run,
-            float(stretch.data["t_s"][inner.start]),
-            inner.stop - inner.start,
-        )
-        if key not in kept:
-            values = _finite(made.rule(stretch))[inner]
-            if len(kept) * values.nbytes > ROOM:
-                return values
-            kept[key] = values.copy()
-        return kept[key]
+            at = (stretch.run, float(stretch.data["t_s"][inner.start]), inner.stop - inner.start)
+            yield Block(stretch.run, data | {m.name: _column(kept, m, stretch, inner, at) for m in made})
 
     def _stretches(self, columns: tuple[str, ...], size: int) -> Iterator[tuple[Stretch, slice]]:
         """Yield blocks with up to HALO samples of context on either side, and where the block itself lies."""
         held: _Held | None = None
+        windows = _HALVES.setdefault(self.log, {})
+        sigma = tuple(sorted(self.sigma.items()))
         for block in self.log.blocks(columns, size):
             if self._origin is None:
                 self._origin = float(block.data["t_s"][0])
@@ -189,11 +190,26 @@ class ExtendedLog:
                 held = None
             if held is None:
                 held = _Held(block.run, block.data, self._origin, self.sigma)
+                if len(windows) < WINDOWED:  # chosen once, on the same stretch: the first of this size
+                    held.halves = windows.setdefault((block.run, held.first, size, sigma), held.halves)
             else:
                 held.add(block.data)
             yield from held.pieces(size, last=False)
         if held is not None:
             yield from held.pieces(size, last=True)
+
+
+def _column(
+    kept: dict[tuple, np.ndarray], made: Computed, stretch: Stretch, inner: slice, at: tuple
+) -> np.ndarray:
+    """Return a computed column of the block `at` run, time and length, kept while there is room."""
+    key = (made.name, made.key, *at)
+    if key not in kept:
+        values = _finite(made.rule(stretch))[inner]
+        if len(kept) * values.nbytes > ROOM:
+            return values
+        kept[key] = values.copy()
+    return kept[key]
 
 
 class _Held:
@@ -241,7 +257,8 @@ def extended(
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
-    return np.nan_to_num(np.asarray(values, dtype=float), posinf=0.0, neginf=0.0)
+    values = np.asarray(values, dtype=float)
+    return values if np.isfinite(values).all() else np.nan_to_num(values, posinf=0.0, neginf=0.0)
 
 
 # -- columns that several effects share --------------------------------------------------------------------

@@ -9,6 +9,7 @@ from scipy.special import gammaincinv
 from hallsym.arrays import on_arrays
 from hallsym.batches import Weigh
 from hallsym.log import Block
+from hallsym.medians import median
 from hallsym.model import Model
 from hallsym.turning import wrapped
 
@@ -67,7 +68,7 @@ def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
         return bad
     x = values.copy()
     for _ in range(ROUNDS):
-        a2, a1, b1, b2 = (np.roll(x, k) for k in (2, 1, -1, -2))
+        a2, a1, b1, b2 = x[:-4], x[1:-3], x[3:-1], x[4:]
         lines = [
             a1 + b1,
             a2 + b2,
@@ -76,10 +77,11 @@ def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
             (4 * a1 + 2 * b2) / 3,
             (2 * a2 + 4 * b1) / 3,
         ]
-        predicted = np.sort(lines, axis=0)[2:4].sum(axis=0) / 4  # the median of six
+        predicted = np.empty_like(x)
+        predicted[2:-2] = np.sort(lines, axis=0)[2:4].sum(axis=0) / 4  # the median of six
         predicted[:2], predicted[-2:] = _from_inside(x), _from_inside(x[::-1])[::-1]
         jump = np.abs(x - predicted)
-        far = jump > SPIKE * max(1.4826 * float(np.median(jump)), 1e-15)
+        far = jump > SPIKE * max(1.4826 * median(jump), 1e-15)
         if far.any():
             far &= jump > SPIKE * _usual(jump, MOSTLY_SPIKY) / SPIKY_STD
         worst = far & (jump == maximum_filter1d(jump, 5))

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 import solvers
 from hallsym.cost import Cost
@@ -91,6 +90,8 @@ class Profile:
         """Return values and rises on a fine grid, for a picture: the signed root is nearly a line."""
         if len(self.values) < 2:
             return self.values, self.rises
+        from scipy.interpolate import PchipInterpolator  # takes long, and only pictures need it
+
         grid = np.linspace(self.values[0], self.values[-1], points)
         root = np.sign(self.values - self.value) * np.sqrt(np.maximum(self.rises, 0.0))
         return grid, PchipInterpolator(self.values, root)(grid) ** 2
@@ -115,7 +116,7 @@ def profile(
     about evenly spaced. For several quantities give `cost.anchored(p)`: what belongs to `p` is computed once.
     """
     began = tangent(cost, p, quantity, held)
-    threshold = float(chi2.ppf(level, 1)) * scale
+    threshold = float(chdtri(1, 1 - level)) * scale
     step = float(std) / np.sqrt(scale) if std is not None and np.isfinite(std) and std > 0 else began.std
     pull = _Pull(cost, began, step, threshold)
     walks = [_Walk(pull, sign) for sign in (-1.0, 1.0)]
@@ -394,7 +395,7 @@ def skewness(
     lower, upper = cost.summary.model.bounds
     if not (began.std > 0 and np.isfinite(std) and std > 0):
         return Skewness(np.nan, np.nan, False)
-    aim = float(np.sqrt(chi2.ppf(level, 1)))
+    aim = float(np.sqrt(chdtri(1, 1 - level)))
     ratios = []
     for sign in (-1.0, 1.0):
         at = began.p + sign * aim * np.sqrt(scale) * began.std * began.direction

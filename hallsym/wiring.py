@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from hallsym.cost import Cost
 from hallsym.errors import InputError
@@ -62,6 +61,8 @@ def find_wiring(cost: Cost, linear: LinearFit) -> tuple[Wiring, float]:
 
     Compares each channel's response to the axes that moved, freed of its gain, with the nominal one.
     """
+    from scipy.optimize import linear_sum_assignment  # takes long, and only a fit needs it
+
     features, model = cost.summary.features, cost.summary.model
     index = [j for j in range(features.size) if features.label(j) in model.pose and linear.moved[j]]
     nominal = cost.coefficients.first(model.nominal)[0][0]

@@ -14,6 +14,7 @@ import shlex
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -165,6 +166,7 @@ def test_links_and_files_exist(page):
         assert (ROOT / file).exists(), f"{name_of(page)} names {file}"
 
 
+@cache
 def helps() -> dict[str, str]:
     texts = {}
     for command in ("", *COMMANDS):

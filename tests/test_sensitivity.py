@@ -116,7 +116,7 @@ def test_a_fixed_parameter_is_said_to_be_fixed_and_one_at_its_bound_to_be_there(
         "theta_A": {"nominal": 0.0, "lower": 0.0, "upper": 0.0},
         "eta_B": {"nominal": 0.70, "lower": 0.65, "upper": 0.70},
     }
-    found = identify(fit(log, "stage31", solver="direct", parameters=changes))
+    found = identify(fit(log, "stage31", solver="direct", parameters=changes), bootstrap=200)
     assert found["theta_A"].verdict.word == "fixed"
     assert found["eta_B"].verdict.word == "at bound"
     assert "upper bound 0.7" in found["eta_B"].verdict.because

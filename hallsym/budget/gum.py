@@ -15,6 +15,7 @@ from math import inf, isfinite, sqrt
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError
 
@@ -191,10 +192,8 @@ class Budget:
         """Coverage factor k: as stated, or Student's t of `level` (degrees of freedom truncated, G.4.1)."""
         if self.level is None:
             return self.coverage
-        from scipy.stats import norm, t
-
         half, dof = 0.5 + 0.5 * self.level, self.degrees_of_freedom
-        return float(t.ppf(half, max(np.floor(dof), 1.0)) if isfinite(dof) else norm.ppf(half))
+        return float(stdtrit(max(np.floor(dof), 1.0), half) if isfinite(dof) else ndtri(half))
 
     @property
     def expanded(self) -> float:

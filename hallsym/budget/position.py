@@ -9,6 +9,7 @@ from math import inf
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from hallsym.batches import batches
 from hallsym.budget.gum import Budget, Source
@@ -158,15 +159,13 @@ def _factor(spread: _Spread, settings: Settings, dof: float) -> np.ndarray | flo
     """Coverage factor, where a level asks for it from the effective degrees of freedom of each position."""
     if settings.level is None:
         return settings.coverage
-    from scipy.stats import norm, t
-
     half = 0.5 + 0.5 * settings.level
     if not np.isfinite(dof):
-        return float(norm.ppf(half))
+        return float(ndtri(half))
     with np.errstate(divide="ignore"):
         effective = dof * np.square(spread.total / spread.fit)
-    k = t.ppf(half, np.maximum(np.floor(np.minimum(effective, 1e9)), 1.0))
-    return np.where(np.isfinite(effective), k, norm.ppf(half))
+    k = stdtrit(np.maximum(np.floor(np.minimum(effective, 1e9)), 1.0), half)
+    return np.where(np.isfinite(effective), k, ndtri(half))
 
 
 def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -> _Spread:

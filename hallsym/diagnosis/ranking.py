@@ -178,8 +178,8 @@ class _Split:
 
     def __init__(self, products: np.ndarray, parameters: int) -> None:
         self.M = products
-        self.basis = np.arange(parameters)
-        self.through = inverse(self.M[: len(self.basis), : len(self.basis)]) @ self.M[: len(self.basis)]
+        self.own = parameters
+        self.through = inverse(self.M[:parameters, :parameters]) @ self.M[:parameters]
 
     @property
     def square(self) -> float:
@@ -189,22 +189,23 @@ class _Split:
     def of(self, at: np.ndarray) -> np.ndarray:
         """Return the products of the columns `at` and the residual."""
         pick = np.append(at, len(self.M) - 1)
-        return self.M[np.ix_(pick, pick)] - self.M[np.ix_(pick, self.basis)] @ self.through[:, pick]
+        return self.M[pick[:, None], pick] - self.M[pick, : self.own] @ self.through[:, pick]
 
     def solved(self, at: np.ndarray, raw: np.ndarray) -> np.ndarray:
         """Return coefficients of the columns `at`; 0 where next to nothing of their squares `raw` is left."""
         own = self.of(at)
-        seen = np.diag(own)[:-1] > NIL * np.maximum(raw, 1e-300)
+        seen = np.flatnonzero(np.diag(own)[:-1] > NIL * np.maximum(raw, 1e-300))
+        pick = np.append(seen, len(at))
         out = np.zeros(len(at))
-        out[seen] = solve(own[np.ix_(*2 * [np.append(seen, True)])], np.arange(int(seen.sum())))
+        out[seen] = solve(own[pick[:, None], pick], np.arange(len(seen)))
         return out
 
     def tested(self, M: np.ndarray, at: np.ndarray) -> np.ndarray:
         """Return products of other units with what was taken out as these units say."""
         pick = np.append(at, len(self.M) - 1)
-        B, P = self.basis, self.through[:, pick]
-        across = M[np.ix_(pick, B)] @ P
-        return M[np.ix_(pick, pick)] - across - across.T + P.T @ M[np.ix_(B, B)] @ P
+        P = self.through[:, pick]
+        across = M[pick, : self.own] @ P
+        return M[pick[:, None], pick] - across - across.T + P.T @ M[: self.own, : self.own] @ P
 
 
 def _bic(cost: float, effective: float, size: int, N: float) -> float:

@@ -353,7 +353,7 @@ class _Work:
             return 0.0
         P = self.power.copy()
         wide = np.pad(P, 7, mode="reflect")
-        smooth = np.array([np.median(wide[k : k + 15]) for k in range(len(P))])
+        smooth = np.median(np.lib.stride_tricks.sliding_window_view(wide, 15), axis=1)
         certain = P / smooth > 1 + 8 / np.sqrt(self.E * self.segments)
         certain[:4] = False
         share = float(np.where(certain, P - smooth, 0.0).sum() / max(P.sum(), 1e-300))

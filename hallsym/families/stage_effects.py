@@ -5,7 +5,6 @@ its sensing axis, v the motion across it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 from math import pi
 
 import casadi as ca
@@ -348,16 +347,7 @@ def stop_operator(u: np.ndarray, width: float) -> np.ndarray:
 
     z follows du / width and stops at +-1: between turning points it has a closed form.
     """
-    z, state = np.empty(len(u)), 0.0
-    if len(u) == 0:
-        return z
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1
-    edges = [0, *turns.tolist(), len(u) - 1]
-    z[0] = state
-    for a, b in pairwise(edges):
-        z[a + 1 : b + 1] = np.clip(state + (u[a + 1 : b + 1] - u[a]) / width, -1.0, 1.0)
-        state = z[b]
-    return z
+    return _stops_from(u, width, (0.0,))[0][0] if len(u) else np.empty(0)
 
 
 def stop_state(u: np.ndarray, width: float) -> np.ndarray:
@@ -369,7 +359,7 @@ def stop_state(u: np.ndarray, width: float) -> np.ndarray:
     """
     if len(u) == 0:
         return np.zeros((2, 0))
-    (low, by_low), (high, by_high) = (_stop_from(u, width, start) for start in (-1.0, 1.0))
+    (low, by_low), (high, by_high) = _stops_from(u, width, (-1.0, 1.0))
     U = (u - u[0]) / width
     a, b = np.clip(low - U, -1.0, 1.0), np.clip(high - U, -1.0, 1.0)
     inside = ((b + U) ** 2 - (a + U) ** 2) / 2
@@ -378,18 +368,24 @@ def stop_state(u: np.ndarray, width: float) -> np.ndarray:
     return np.array([mean, slope])
 
 
-def _stop_from(u: np.ndarray, width: float, start: float) -> tuple[np.ndarray, np.ndarray]:
-    """State from a start, and its slope with the width: both in closed form between turning points."""
-    z, slope = np.empty(len(u)), np.zeros(len(u))
-    z[0], state, by_width = start, start, 0.0
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1
-    for a, b in pairwise([0, *turns.tolist(), len(u) - 1]):
-        moved = (u[a + 1 : b + 1] - u[a]) / width
-        z[a + 1 : b + 1] = np.clip(state + moved, -1.0, 1.0)
-        free = np.abs(z[a + 1 : b + 1]) < 1.0
-        slope[a + 1 : b + 1] = np.where(free, by_width - moved / width, 0.0)
-        state, by_width = z[b], slope[b]
-    return z, slope
+def _stops_from(u: np.ndarray, width: float, starts: Sequence[float]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """State from each start, and its slope with the width: both in closed form between turning points."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1, [len(u) - 1]])
+    strokes = (np.diff(u[edges]) / width).tolist()
+    stroke = np.repeat(np.arange(len(strokes)), np.diff(edges))
+    along = (u[1:] - u[edges[stroke]]) / width
+    out = []
+    for start in starts:
+        states, slopes = [start], [0.0]
+        for moved in strokes:
+            state = states[-1] + moved
+            slopes.append(slopes[-1] - moved / width if abs(state) < 1.0 else 0.0)
+            states.append(1.0 if state > 1.0 else -1.0 if state < -1.0 else state)
+        z, slope = np.full(len(u), start), np.zeros(len(u))
+        z[1:] = np.clip(np.array(states)[stroke] + along, -1.0, 1.0)
+        slope[1:] = np.where(np.abs(z[1:]) < 1.0, np.array(slopes)[stroke] - along / width, 0.0)
+        out.append((z, slope))
+    return out
 
 
 def _play(what: str, model: Model, k: int, width: float) -> Computed:
@@ -406,7 +402,8 @@ def _play(what: str, model: Model, k: int, width: float) -> Computed:
         def column(s: Stretch) -> np.ndarray:
             if what == "width":
                 return np.full(len(s.data["t_s"]), at)
-            return stop_state(_felt(model, k, s), at)[("state", "slope").index(what)]
+            both = s.once(("play", label, at), lambda: stop_state(_felt(model, k, s), at))
+            return both[("state", "slope").index(what)]
 
         return Computed(f"{what}_{label}_{width:.6g}", AXES, column, taken, f"{at:.17g}")
 

@@ -12,6 +12,7 @@ from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.noise import Noise, Sigma
 from hallsym.log.units import Array
+from hallsym.medians import median
 
 _ORDERS = range(2, 9)
 _SAMPLES = 1024  # taken from the middle of each block of a run
@@ -71,7 +72,7 @@ Filter = tuple[Array, Array | None]
 def _filters(t: Array) -> list[Filter]:
     """Return (weights, usable windows) per order; weights are (k + 1,) or (windows, k + 1), of unit norm."""
     step = np.diff(t)
-    usual = float(np.median(step)) if len(step) else 0.0
+    usual = median(step) if len(step) else 0.0
     even = bool(usual > 0 and np.abs(step / usual - 1).max(initial=0.0) <= _UNEVEN)
     return [_binomial(k) if even else _divided(t, step, usual, k) for k in _ORDERS]
 
@@ -111,7 +112,7 @@ def _spread(difference: Array, reach: int) -> float:
     if len(difference) < _FEWEST:
         return np.nan
     size = np.abs(difference)
-    sigma = float(np.median(size)) / 0.67449
+    sigma = median(size) / 0.67449
     if sigma <= 1e-9 * size.max():  # more than half are zero to rounding: the ADC step hides the noise
         return float(np.sqrt(np.mean(size**2)))
     for _ in range(_ROUNDS):

@@ -1,0 +1,19 @@
+"""The median of short arrays, thousands of times: `np.median` takes four times as long on 50 numbers."""
+
+import numpy as np
+
+
+def median(values: np.ndarray) -> float:
+    """Return the median of numbers (n,), nan where there is none or one of them is nan.
+
+    >>> median(np.array([3.0, 1.0, 2.0, 10.0]))
+    2.5
+    """
+    n = len(values)
+    if n == 0:
+        return np.nan
+    half = n // 2
+    ordered = np.partition(values, (half - 1, half, -1) if n > 1 else 0)
+    if np.isnan(ordered[-1]):  # nan sorts to the end
+        return np.nan
+    return float(ordered[half]) if n % 2 else float(0.5 * (ordered[half - 1] + ordered[half]))
