@@ -13,6 +13,7 @@ from hallsym.codegen.checks import check, check_gains, check_same, digest_of, no
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.families import decoupler
 from hallsym.codegen.folder import BINARY, replace_params, write_folder
+from hallsym.codegen.generate import given
 from hallsym.codegen.printer import FLOAT
 from hallsym.codegen.project import MARK, template
 from hallsym.codegen.q31 import program
@@ -74,6 +75,8 @@ def generate_q31(
     fit: Fit,
     *,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    accuracy: float | None = None,
+    correction: str | None = None,
     allow_undetermined: bool = False,
     calibration_sha256: str | None = None,
 ) -> Integers:
@@ -82,7 +85,7 @@ def generate_q31(
     `ranges`: least and greatest value by column [SI] in place of what the log recorded.
     """
     check(fit, allow_undetermined)
-    d = decoupler(fit, box_of(fit, ranges))
+    d = decoupler(fit, box_of(fit, ranges), given(accuracy, correction))
     check_gains(bounds(d))
     check_same(d)
     digest = calibration_sha256 or digest_of(fit)

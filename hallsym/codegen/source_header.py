@@ -22,7 +22,12 @@ def header(source: Source) -> str:
     units = {what: ", ".join(dict.fromkeys(map(unit, columns))) for what, columns in _groups(d).items()}
     state = f" and state [{units['state']}]" if d.model.state else ""
     known = ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose))
-    table = [f"    {t} {e.name}; /**< [{e.unit}] {e.meaning} */" for e in d.entries]
+    table = [f"    {t} {e.name}; /**< [{e.unit}] {e.meaning} */" for e in (*d.table, *d.limits)]
+    table += [
+        f"    {'int16_t' if a.integers else t} {a.name}[{len(a.values)}]; /**< [{a.unit}] {a.meaning} */"
+        for a in d.arrays
+    ]
+    table += [f"    {t} {e.name}; /**< [{e.unit}] {e.meaning} */" for e in d.zeros]
     pad = ["    uint32_t reserved; /**< 0 */"] if source.real.size == 8 else []
     columns = {c: ("reading" if c in d.model.channels else "measured state") for c in d.inputs}
     jacobian = [
@@ -186,7 +191,11 @@ def params(source: Source) -> str:
     head += [("crc", f"0x{source.table.crc:08X}UL")]
     head += [("reserved", "0UL")] if real.size == 8 else []
     rows = [f"    .{name} = {value}," for name, value in head]
-    rows += [f"    .{e.name} = {real.constant(e.value)}, /* [{e.unit}] */" for e in d.entries]
+    rows += [f"    .{e.name} = {real.constant(e.value)}, /* [{e.unit}] */" for e in (*d.table, *d.limits)]
+    for a in d.arrays:
+        numbers = ", ".join(f"{int(v)}" if a.integers else real.constant(v) for v in a.values)
+        rows += [f"    .{a.name} = {{ /* [{a.unit}] */", *_wrapped(numbers), "    },"]
+    rows += [f"    .{e.name} = {real.constant(e.value)}, /* [{e.unit}] */" for e in d.zeros]
     return lines(
         BANNER.rstrip(),
         f"/* Calibration {source.table.source['calibration_sha256']} */",
@@ -196,3 +205,7 @@ def params(source: Source) -> str:
         *rows,
         "};",
     )
+
+
+def _wrapped(numbers: str) -> list[str]:
+    return [f"        {line}" for line in textwrap.wrap(numbers, 104)]
