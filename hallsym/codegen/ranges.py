@@ -1,8 +1,8 @@
 """Ranges of an SX function over many intervals at once: interval arithmetic on arrays, rounded outwards.
 
 What `hallsym.codegen.intervals` does for the generated arithmetic, one number at a time with its rounding,
-this does for a model's own expressions, sines too: one row of intervals through the whole graph. A comparison that an interval does not decide is either, so the derivative of `fmin` at its kink is the hull of
-both sides.
+this does for a model's own expressions, sines too: one row of intervals through the whole graph. A comparison
+that an interval does not decide is either, so the derivative of `fmin` at its kink is the hull of both sides.
 """
 
 from collections.abc import Callable, Sequence

@@ -258,21 +258,19 @@ def grid(curve: Curve, count: int, degree: int, integers: bool) -> Grid:
 
 
 def _out_of_reach(curve: Curve, accuracy: float, kind: str) -> str:
-    tried = []
-    if kind != "table":
-        tried.append(f"more than {MOST_WAVES} waves per turn")
-    reach = []
-    if kind != "series":
-        tried.append(f"a table of more than {SIZES[-1]} entries")
-        reach = [proved(curve, g, 1e-6) for degree in (1, 3) for g in [grid(curve, SIZES[-1], degree, False)]]
+    waves, entries = f"more than {MOST_WAVES} waves per turn", f"a table of more than {SIZES[-1]} entries"
+    tried = {"series": [waves], "table": [entries]}.get(kind, [waves, entries])
+    if kind == "series":
+        mean, found = curve.waves
+        kept = found[:MOST_WAVES]
+        longest: list[Series | Grid] = [Series(mean, tuple(kept.real), tuple(-kept.imag))]
     else:
-        mean, waves = curve.waves
-        kept = waves[:MOST_WAVES]
-        reach = [proved(curve, Series(mean, tuple(kept.real), tuple(-kept.imag)), 1e-6)]
+        longest = [grid(curve, SIZES[-1], degree, False) for degree in (1, 3)]
+    reach = [proved(curve, form, 1.05 * _sampled(curve, form)) for form in longest]
     best = float(f"{1.01 * min(reach):.2g}")
     instead = " and ".join(curve.model.effects) or "so large a distortion"
     return (
         f"A correction of this calibration of {curve.model.name} that leaves at most {accuracy:.3g} rad "
-        f"takes {' and '.join(tried)}; {best:.2g} rad ({degrees(best):.2g} deg) is within reach: give --accuracy "
-        f"angle_rad={best:.2g}, or fit a model without {instead}."
+        f"takes {' and '.join(tried)}; {best:.2g} rad ({degrees(best):.2g} deg) is within reach: give "
+        f"--accuracy angle_rad={best:.2g}, or fit a model without {instead}."
     )
