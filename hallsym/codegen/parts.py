@@ -7,6 +7,7 @@ and reports are made from it.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -123,6 +124,8 @@ class Decoupler:
     """Inputs at which the self-test takes a zero, for a pose near zero; any small ones if there are none."""
     listed: tuple[tuple[float, ...], ...] = ()
     """Inputs that the self-test shall list, beside its own."""
+    integers: "Callable[[], Any] | None" = None
+    """The program of integers (`hallsym.codegen.q31`), of a family that brings one of its own."""
     arrays: tuple[Array, ...] = ()
     """Rows of numbers that steps look up; in the table after the limits."""
     said: tuple[str, ...] = ()

@@ -7,13 +7,14 @@ decoded angle: the correction alone. Both wrap. The correction comes from the mo
 follows; for the circle and the ellipse it is empty.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import pi
 
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen import q31_rotary
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.parts import Array, Bits, Decoupler, Flag, Lookup, Margin, Step, Whole
@@ -75,7 +76,8 @@ def decoupler(
             "which a controller does not have; fit without that effect, or correct the log's reference."
         )
     curve = Curve(model, np.asarray(p, dtype=float))
-    return _Assembly(curve, box, corrected(curve, accuracy, correction)).make()
+    made = _Assembly(curve, box, corrected(curve, accuracy, correction)).make()
+    return replace(made, integers=lambda: q31_rotary.program(made, curve, WEAK, accuracy, correction))
 
 
 @dataclass(eq=False)

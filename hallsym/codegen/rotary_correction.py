@@ -14,6 +14,7 @@ from math import degrees, pi
 import numpy as np
 
 from hallsym.codegen.rotary_curve import POINTS, Curve
+from hallsym.codegen.turns import UNIT
 from hallsym.errors import InputError, nearest
 from hallsym.turning import wrapped
 
@@ -89,10 +90,12 @@ class Grid:
     unit: float
     degree: int
     left: float = np.inf
+    bits: int = 16
+    """Of an entry where those are integers."""
 
     @property
     def integers(self) -> bool:
-        """Whether the entries are integers of 16 bits, times a unit."""
+        """Whether the entries are integers, times a unit."""
         return self.unit != 1.0
 
     @property
@@ -155,6 +158,16 @@ def correction(curve: Curve, accuracy: float | None = None, kind: str = "auto") 
             f"{nearest(kind, list(KINDS))}."
         )
     aim = ENOUGH if accuracy is None else accuracy
+    _check(curve, aim)
+    series = _series(curve, aim) if kind != "table" else None
+    table = _table(curve, aim, series.bytes if series else 1 << 16) if kind != "series" else None
+    found = table or series
+    if found is None:
+        raise InputError(_out_of_reach(curve, aim, kind))
+    return found
+
+
+def _check(curve: Curve, aim: float) -> None:
     if not (np.isfinite(aim) and aim > 0):
         raise InputError(
             f"The accuracy of a correction must be a positive angle; instead received {aim:g} rad."
@@ -164,12 +177,6 @@ def correction(curve: Curve, accuracy: float | None = None, kind: str = "auto") 
             f"The distortion of this calibration of {curve.model.name} is more than 1 rad; no correction "
             "of the angle is generated for it."
         )
-    series = _series(curve, aim) if kind != "table" else None
-    table = _table(curve, aim, series.bytes if series else 1 << 16) if kind != "series" else None
-    found = table or series
-    if found is None:
-        raise InputError(_out_of_reach(curve, aim, kind))
-    return found
 
 
 def proved(curve: Curve, found: Series | Grid, accuracy: float) -> float:
@@ -257,14 +264,40 @@ def grid(curve: Curve, count: int, degree: int, integers: bool) -> Grid:
     return Grid(float(wrapped(np.array(middle), 2 * pi)), np.clip(values, -WORST, WORST), unit, degree)
 
 
-def _out_of_reach(curve: Curve, accuracy: float, kind: str) -> str:
+def binary_table(curve: Curve, accuracy: float) -> Grid | None:
+    """Return the smallest table of integers, lines between them, that leaves at most `accuracy` [rad].
+
+    In units of a power of two of 2^-32 turn. None where the angle needs no more than a constant.
+    """
+    _check(curve, accuracy)
+    if np.abs(curve.needed[1]).max() <= ROUNDED:
+        return None
+    made = sorted((bits * n, bits, n) for n in SIZES for bits in (16, 32))
+    for _, bits, count in made:
+        found = _binary(curve, count, bits)
+        if _sampled(curve, found) <= accuracy:
+            sure = replace(found, left=proved(curve, found, accuracy))
+            if sure.left <= accuracy:
+                return sure
+    raise InputError(_out_of_reach(curve, accuracy, "table", [_binary(curve, SIZES[-1], 32)]))
+
+
+def _binary(curve: Curve, count: int, bits: int) -> Grid:
+    middle, rest = curve.needed
+    most = max(np.abs(rest).max(), UNIT)
+    unit = UNIT * (2.0 ** max(np.ceil(np.log2(most / UNIT / WORST)), 0) if bits == 16 else 1.0)
+    constant = float(wrapped(np.array(round(middle / UNIT) * UNIT), 2 * pi))
+    return Grid(constant, np.round(rest[:: POINTS // count] / unit), unit, 1, bits=bits)
+
+
+def _out_of_reach(curve: Curve, accuracy: float, kind: str, longest: Sequence[Series | Grid] = ()) -> str:
     waves, entries = f"more than {MOST_WAVES} waves per turn", f"a table of more than {SIZES[-1]} entries"
     tried = {"series": [waves], "table": [entries]}.get(kind, [waves, entries])
     if kind == "series":
         mean, found = curve.waves
         kept = found[:MOST_WAVES]
-        longest: list[Series | Grid] = [Series(mean, tuple(kept.real), tuple(-kept.imag))]
-    else:
+        longest = [Series(mean, tuple(kept.real), tuple(-kept.imag))]
+    elif not longest:
         longest = [grid(curve, SIZES[-1], degree, False) for degree in (1, 3)]
     reach = [proved(curve, form, 1.05 * _sampled(curve, form)) for form in longest]
     best = float(f"{1.01 * min(reach):.2g}")

@@ -5,7 +5,7 @@ import textwrap
 from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.parts import Decoupler, flag_bit
-from hallsym.codegen.source import BANNER, Source, bit, lines
+from hallsym.codegen.source import BANNER, Source, bit, lines, numbers
 from hallsym.codegen.table import VERSION
 
 
@@ -193,8 +193,8 @@ def params(source: Source) -> str:
     rows = [f"    .{name} = {value}," for name, value in head]
     rows += [f"    .{e.name} = {real.constant(e.value)}, /* [{e.unit}] */" for e in (*d.table, *d.limits)]
     for a in d.arrays:
-        numbers = ", ".join(f"{int(v)}" if a.integers else real.constant(v) for v in a.values)
-        rows += [f"    .{a.name} = {{ /* [{a.unit}] */", *_wrapped(numbers), "    },"]
+        text = ", ".join(f"{int(v)}" if a.integers else real.constant(v) for v in a.values)
+        rows += [f"    .{a.name} = {{ /* [{a.unit}] */", *numbers(text), "    },"]
     rows += [f"    .{e.name} = {real.constant(e.value)}, /* [{e.unit}] */" for e in d.zeros]
     return lines(
         BANNER.rstrip(),
@@ -205,7 +205,3 @@ def params(source: Source) -> str:
         *rows,
         "};",
     )
-
-
-def _wrapped(numbers: str) -> list[str]:
-    return [f"        {line}" for line in textwrap.wrap(numbers, 104)]

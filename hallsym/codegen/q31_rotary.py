@@ -1,0 +1,127 @@
+"""The corrected angle of an encoder in 32-bit integers: binary angles, CORDIC, and a table.
+
+A decoded angle is counted in 2^-32 of a turn, so it wraps by itself and every bit pattern is an angle. Two
+voltages go through the linear map of the float code, in integers whose exponents come from their ranges, and
+through CORDIC. The correction is looked up, with straight lines between entries: fewer instructions without a
+floating-point unit than any series.
+"""
+
+from math import asin, hypot, pi
+
+import numpy as np
+
+from hallsym.codegen import turns
+from hallsym.codegen.entries import Entry, short
+from hallsym.codegen.parts import Decoupler
+from hallsym.codegen.q31 import Compiler, Fixed, Program, exponent
+from hallsym.codegen.rotary_correction import Grid, binary_table
+from hallsym.codegen.rotary_curve import Curve
+from hallsym.errors import InputError
+
+ENOUGH = 1e-5
+"""Angle [rad] that a table of integers may leave unless another accuracy is asked for: 2 arc seconds."""
+
+
+def program(d: Decoupler, curve: Curve, weak: float, accuracy: float | None, kind: str) -> Program:
+    """Return the integer program of an encoder; `weak`: share of the amplitude below which a flag is set."""
+    if kind == "series":
+        raise InputError(
+            "--arithmetic q31 corrects an angle from a table, which takes fewer instructions than a series "
+            "without a floating-point unit: leave out --correction series."
+        )
+    return _Turns(d, curve, weak, binary_table(curve, ENOUGH if accuracy is None else accuracy)).compile()
+
+
+class _Turns(Compiler):
+    def __init__(self, d: Decoupler, curve: Curve, weak: float, table: Grid | None) -> None:
+        super().__init__(d)
+        self.curve, self.weak, self.table = curve, weak, table
+
+    def compile(self) -> Program:
+        """Return the program."""
+        d, p = self.d, self.p
+        (pose,) = d.pose
+        p.angles = frozenset({pose, *(() if not self.curve.angle_only else d.inputs)})
+        phase, error = self._read() if self.curve.angle_only else self._vector()
+        angle, table = phase, self.table
+        shift, left = self.curve.needed[0], 0.0
+        if table is not None:
+            shift, left = table.constant, table.left
+            values = np.roll(table.values.astype(np.int64), len(table.values) // 2)
+            power = round(np.log2(table.unit / turns.UNIT))
+            array = turns.Array("correction", values, power, table.bits)
+            p.arrays["correction"] = array
+            error = error * (1 + table.slope) + array.error
+            p.said.append(
+                f"The correction is a table of {len(values)} entries of {table.bits} bits with straight "
+                f"lines between them; it leaves at most {left:.2g} rad, the rounding of its entries counted "
+                "(proved)."
+            )
+            looked = self._line("look", phase, "correction")
+        if table is not None or shift:
+            angle = self._turn(angle, self._angle("shift", shift, "correction, the same all round"))
+            error += turns.UNIT / 2
+        if table is not None:
+            angle = self._turn(angle, looked)
+        angle = self._turn(angle, self._angle("zero_angle", 0.0, "set by decoupler_zero()"))
+        p.outputs[pose] = (angle, 0)
+        p.bounds[pose] = (0.0, 2 * pi, error + left + 1e-13)
+        return p
+
+    def _angle(self, name: str, value: float, meaning: str) -> str:
+        self.p.unsigned[name] = f"[2^-32 turn] {meaning}"
+        self.p.table[name] = (round(value / turns.UNIT) % 2**32, 0)
+        return name
+
+    def _turn(self, a: str, b: str) -> str:
+        return self._line("turn", a, b)
+
+    def _read(self) -> tuple[str, float]:
+        (column,) = self.d.inputs
+        self.p.inputs[column] = 0
+        return short(column), 0.0
+
+    def _vector(self) -> tuple[str, float]:
+        """Two voltages to a vector, its angle and the flag of its length."""
+        d, p, off = self.d, self.p, []
+        for channel, center in zip(d.inputs, self.curve.center, strict=True):
+            low, high = d.ends(channel)
+            p.inputs[channel] = exponent(low, high)
+            given = Fixed(short(channel), p.inputs[channel], low, high)
+            off.append(
+                self._grown(self._add(given, self._entry(f"center_{short(channel)}", center), minus=True))
+            )
+        x, y = (self._row(axis, row, off) for axis, row in zip("xy", self.curve.matrix, strict=True))
+        e = min(x.e, y.e, 31 - int(np.ceil(np.log2(turns.SPREAD * max(x.most, y.most)))))
+        x, y = self._cut(x, e), self._cut(y, e)
+        field = self._add(self._mul(x, x), self._mul(y, y))
+        least = Entry(
+            "least_field", self.weak**2, "1", "square of the least share of the calibrated amplitude"
+        )
+        p.table[least.name] = (round(least.value * 2.0**field.e), field.e)
+        p.flags["FIELD"] = (field.text, least.name)
+        # where the flag is clear, the vector is as long but for the rounding of its square
+        length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
+        moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))
+        cordic = turns.angle_error(length * 2.0**e)
+        p.said.append(
+            f"The angle comes from {turns.STEPS} steps of CORDIC, a loop of fixed length: off by at most "
+            f"{cordic:.2g} rad where the field is not weak (proved)."
+        )
+        return self._line("angle", x.text, y.text), moved + cordic
+
+    def _row(self, axis: str, row: np.ndarray, off: list[Fixed]) -> Fixed:
+        """One coordinate of the unit circle."""
+        names = [f"{axis}_{short(c)}" for c in self.d.inputs]
+        first, second = (
+            self._mul(self._entry(name, value), o) for name, value, o in zip(names, row, off, strict=True)
+        )
+        return self._add(first, second)
+
+    def _cut(self, v: Fixed, e: int) -> Fixed:
+        if v.e == e:
+            return v
+        return Fixed(self._line("right", v.text, i=v.e - e), e, v.low, v.high, v.error + 2.0**-e)
+
+    def _entry(self, name: str, value: float) -> Fixed:
+        return self._constant(name, float(value))
