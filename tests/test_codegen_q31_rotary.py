@@ -109,7 +109,8 @@ def test_no_magnet_has_a_bit_of_its_own():
     source = made("ellipse volts").source
     units = np.array([source.program.unit(c) for c in source.program.d.inputs])
     center = np.array([ELLIPSE["Vy"], ELLIPSE["Vx"]])
-    inputs = np.array([center, center + (0.45, 0.0), center + (0.0, 0.55), (3.0, 0.0)]).T / units[:, None]
+    moved = np.array([[0.0, 0.0], [0.45, 0.0], [0.0, 0.55], [3.0, 0.0]])
+    inputs = (center + moved).T / units[:, None]
     _, status = emulate(source, np.clip(np.round(inputs), -(2**31), 2**31 - 1).astype(np.int64))
     assert status.tolist() == [0x40000000, 0x40000000, 0, 1]
 

@@ -1,7 +1,7 @@
 """Angles as unsigned integers, 2^32 to a turn (binary angles, BAM): C, the same in numpy, and their errors.
 
 Sums of binary angles wrap by themselves. The angle of a vector comes from CORDIC in vectoring mode (Volder
-1959, doi:10.1109/TEC.1959.5222693): step k turns it by atan 2^-k towards the x axis, by shifts and sums alone.
+1959, doi:10.1109/TEC.1959.5222693): step k turns it by atan 2^-k towards the x axis, with shifts and sums.
 """
 
 from dataclasses import dataclass
