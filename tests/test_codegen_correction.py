@@ -279,6 +279,42 @@ def test_the_command_takes_an_accuracy_in_any_unit(tmp_path, capsys):
     assert "table of 572 bytes" in capsys.readouterr().out
 
 
+def with_waves(factor):
+    make, values = CASES["harmonics"]
+    return calibrated(
+        make(LAYOUTS["volts"]), {k: v * (factor if k[0] == "h" else 1) for k, v in values.items()}
+    )
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--accuracy", "angle_urad=100"],
+        pytest.param(["--accuracy", "angle_urad=500", "--correction", "series"], marks=SLOW),
+        pytest.param(["--arithmetic", "q31"], marks=SLOW),
+    ],
+)
+def test_a_recalibration_keeps_the_form_of_the_correction(options, tmp_path, capsys):
+    """It may need more waves or entries by itself; the code in the field has those that it has."""
+    for name, factor in (("old", 1.0), ("new", 0.8), ("far", 30.0)):
+        with_waves(factor).save(tmp_path / f"{name}.json")
+    folder = tmp_path / "fw"
+    assert main(["codegen", str(tmp_path / "old.json"), "-o", str(folder), *options]) == 0
+    code, before = (
+        (folder / "src/decoupler.c").read_text(),
+        (folder / "params/decoupler_params.c").read_text(),
+    )
+    again = [*options[:2], "--params-only"] if "q31" in options else ["--params-only"]
+    assert main(["codegen", str(tmp_path / "new.json"), "-o", str(folder), *again]) == 0
+    assert (folder / "src/decoupler.c").read_text() == code
+    assert (folder / "params/decoupler_params.c").read_text() != before
+    need("gcc", "make")
+    assert ran(folder, "make", "check").count("as stated") == 2
+    capsys.readouterr()
+    assert main(["codegen", str(tmp_path / "far.json"), "-o", str(folder), *again]) == 2
+    assert "generate the folder again with --force" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_log_of_clipped_voltages_becomes_code(tmp_path, capsys):
     log = hallsym.read_log(DATA)

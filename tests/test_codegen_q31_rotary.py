@@ -237,4 +237,5 @@ def test_the_command_writes_and_recalibrates_it(tmp_path, capsys):
     assert "uint32_t angle_bam; /**< [2^-32 turn] */" in header
     assert "table of 256 entries of 16 bits" in " ".join(header.replace(" * ", "").split())
     assert main([*base, "--params-only"]) == 0
-    assert main([*base, "--params-only", "--accuracy", "angle_mrad=1"]) == 2  # another table: other code
+    assert main([*base, "--params-only", "--correction", "auto", "--accuracy", "angle_mrad=1"]) == 2
+    assert "generate the folder again" in capsys.readouterr().err  # another table: other code

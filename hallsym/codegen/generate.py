@@ -108,7 +108,8 @@ def generate(
     check_bounds(found, said)
     check_same(found)
     digest = calibration_sha256 or digest_of(fit)
-    table = Table(found, real, {"model": fit.model.name, "calibration_sha256": digest})
+    record = {"model": fit.model.name, "calibration_sha256": digest, **recorded(found.options, accuracy)}
+    table = Table(found, real, record)
     source = Source(table, jacobian)
     errors = worst(found, real)
     notes = notes_of(fit)
@@ -119,6 +120,11 @@ def given(accuracy: float | None, correction: str | None) -> dict[str, Any]:
     """Return the options of a family that are given, by name."""
     options = {"accuracy": accuracy, "correction": correction}
     return {name: value for name, value in options.items() if value is not None}
+
+
+def recorded(options: Mapping[str, Any], accuracy: float | None) -> dict[str, Any]:
+    """Return the choices of a family as `params/decoupler_params.json` holds them, for a recalibration."""
+    return {"options": {**options, **given(accuracy, None)}} if options else {}
 
 
 def decouple(fit: Fit) -> ca.Function:

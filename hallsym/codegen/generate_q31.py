@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hallsym.calibration import Fit
 from hallsym.codegen import q31_proof, q31_selftest
 from hallsym.codegen.bounds import bounds
@@ -13,11 +15,10 @@ from hallsym.codegen.checks import check, check_gains, check_same, digest_of, no
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.families import OPTIONS, decoupler
 from hallsym.codegen.folder import BINARY, replace_params, write_folder
-from hallsym.codegen.generate import given
+from hallsym.codegen.generate import given, recorded
 from hallsym.codegen.printer import FLOAT
 from hallsym.codegen.project import MARK, template
 from hallsym.codegen.q31 import program
-from hallsym.codegen.q31_rotary import ENOUGH
 from hallsym.codegen.q31_source import CPU, MACHINE, IntegerSource
 from hallsym.codegen.source import BANNER, Source
 from hallsym.codegen.source_header import params_header
@@ -93,25 +94,30 @@ def generate_q31(
     """
     check(fit, allow_undetermined)
     options = given(accuracy, correction)
-    if fit.model.family in OPTIONS:  # the model itself is what counts of the float code
-        options |= {"accuracy": accuracy or ENOUGH}
-        _all_round(fit, ranges)
-    d = decoupler(fit, box_of(fit, ranges), options)
+    d = decoupler(fit, box_of(fit, ranges), _unseen(fit, ranges, options))
     check_gains(bounds(d))
     check_same(d)
     digest = calibration_sha256 or digest_of(fit)
-    source = IntegerSource(program(d), {"model": fit.model.name, "calibration_sha256": digest})
+    made = program(d, **options)
+    record = {"model": fit.model.name, "calibration_sha256": digest, **recorded(made.options, accuracy)}
+    source = IntegerSource(made, record)
     errors, notes = q31_selftest.errors(source), notes_of(fit)
     return Integers(source, _files(source, errors, notes), errors, notes)
 
 
-def _all_round(fit: Fit, ranges: Mapping[str, tuple[float, float]] | None) -> None:
+def _unseen(
+    fit: Fit, ranges: Mapping[str, tuple[float, float]] | None, options: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    """Return options for the float code, of which an encoder's integers take the model and the box alone."""
+    if fit.model.family not in OPTIONS:
+        return options
     for column in ranges or {}:
         if column in fit.model.channels and column in fit.model.period:
             raise InputError(
                 f"--range {column} does not go with --arithmetic q31, where every bit pattern of {column} is an "
                 "angle; leave it out."
             )
+    return {"accuracy": np.pi, "correction": "series:0"}
 
 
 def _files(source: IntegerSource, errors: dict[str, float], notes: tuple[str, ...]) -> dict[str, str | bytes]:

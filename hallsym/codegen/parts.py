@@ -5,7 +5,7 @@ and reports are made from it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -124,7 +124,9 @@ class Decoupler:
     """Inputs at which the self-test takes a zero, for a pose near zero; any small ones if there are none."""
     listed: tuple[tuple[float, ...], ...] = ()
     """Inputs that the self-test shall list, beside its own."""
-    integers: "Callable[[], Any] | None" = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """What the choices of a family came to: given again, they make the same code."""
+    integers: "Callable[..., Any] | None" = None
     """The program of integers (`hallsym.codegen.q31`), of a family that brings one of its own."""
     arrays: tuple[Array, ...] = ()
     """Rows of numbers that steps look up; in the table after the limits."""

@@ -11,6 +11,7 @@ rounding is all that is left.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import ceil, log2
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -112,6 +113,8 @@ class Program:
     arrays: dict[str, turns.Array] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
     """Sentences for header and report."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """What the choices of a family came to: given again, they make the same code."""
     flags: dict[str, tuple[str, str]] = field(default_factory=dict)
     """By name of a flag: the line and the least value, an entry, below which it is set."""
     _count: int = 0
@@ -217,10 +220,13 @@ def _shifted(text: str, n: int) -> str:
     return f"({text} >> {n})" if n else text
 
 
-def program(d: Decoupler) -> Program:
-    """Return the integer program of a decoupler that is linear in the pose, or that brings one of its own."""
+def program(d: Decoupler, **options: Any) -> Program:
+    """Return the integer program of a decoupler that is linear in the pose, or that brings one of its own.
+
+    `options`: what the latter takes.
+    """
     if d.integers is not None:
-        return d.integers()
+        return cast(Program, d.integers(**options))
     if d.at_pose:
         raise InputError(
             "--arithmetic q31 is generated for models that are linear in the pose; "

@@ -6,6 +6,7 @@ through CORDIC. The correction is looked up, with straight lines between entries
 floating-point unit than any series.
 """
 
+from dataclasses import replace
 from math import asin, hypot, pi
 
 import numpy as np
@@ -14,22 +15,77 @@ from hallsym.codegen import turns
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.parts import Decoupler
 from hallsym.codegen.q31 import Compiler, Fixed, Program, exponent
-from hallsym.codegen.rotary_correction import Grid, binary_table
-from hallsym.codegen.rotary_curve import Curve
+from hallsym.codegen.rotary_correction import (
+    ROUNDED,
+    SIZES,
+    WORST,
+    Grid,
+    check,
+    like,
+    out_of_reach,
+    proved,
+    sampled,
+)
+from hallsym.codegen.rotary_curve import POINTS, Curve
 from hallsym.errors import InputError
+from hallsym.turning import wrapped
 
 ENOUGH = 1e-5
 """Angle [rad] that a table of integers may leave unless another accuracy is asked for: 2 arc seconds."""
 
 
-def program(d: Decoupler, curve: Curve, weak: float, accuracy: float | None, kind: str) -> Program:
-    """Return the integer program of an encoder; `weak`: share of the amplitude below which a flag is set."""
-    if kind == "series":
+def program(
+    d: Decoupler,
+    curve: Curve,
+    weak: float,
+    *,
+    accuracy: float | None = None,
+    correction: str = "auto",
+) -> Program:
+    """Return the integer program of an encoder; `weak`: share of the amplitude below which a flag is set.
+
+    `accuracy`: what the table may leave [rad], default `ENOUGH`; `correction`: as of `table_of`.
+    """
+    if correction.startswith("series"):
         raise InputError(
             "--arithmetic q31 corrects an angle from a table, which takes fewer instructions than a series "
             "without a floating-point unit: leave out --correction series."
         )
-    return _Turns(d, curve, weak, binary_table(curve, ENOUGH if accuracy is None else accuracy)).compile()
+    table = table_of(curve, ENOUGH if accuracy is None else accuracy, correction)
+    return _Turns(d, curve, weak, table).compile()
+
+
+def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
+    """Return the smallest table of integers, lines between them, that leaves at most `accuracy` [rad].
+
+    In units of a power of two of 2^-32 turn. `kind`: "auto", "table", or the form of one that it shall be
+    like. None where the angle needs no more than a constant.
+    """
+    check(curve, accuracy, kind)
+    if ":" in kind:
+        _, entries, _, wide, *power = kind.split(":")
+        return like(curve, accuracy, kind, _table(curve, int(entries), int(wide), *map(int, power)))
+    if np.abs(curve.needed[1]).max() <= ROUNDED:
+        return None
+    for _, bits, count in sorted((bits * n, bits, n) for n in SIZES for bits in (16, 32)):
+        found = _table(curve, count, bits)
+        if sampled(curve, found) <= accuracy:
+            sure = replace(found, left=proved(curve, found, accuracy))
+            if sure.left <= accuracy:
+                return sure
+    raise InputError(out_of_reach(curve, accuracy, "table", [_table(curve, SIZES[-1], 32)]))
+
+
+def _table(curve: Curve, count: int, bits: int, power: int | None = None) -> Grid:
+    """Return a table in units of 2^`power` BAM, by default the finest that its bits hold."""
+    middle, rest = curve.needed
+    if power is None:
+        least = np.log2(max(np.abs(rest).max() / turns.UNIT / WORST, 1.0))
+        power = int(np.ceil(least)) if bits == 16 else 0
+    unit = turns.UNIT * 2.0**power
+    values = np.round(rest[:: POINTS // count] / unit)
+    constant = float(wrapped(np.array(round(middle / turns.UNIT) * turns.UNIT), 2 * pi))
+    return Grid(constant, np.clip(values, -WORST, WORST) if bits == 16 else values, unit, 1, bits=bits)
 
 
 class _Turns(Compiler):
@@ -51,6 +107,7 @@ class _Turns(Compiler):
             power = round(np.log2(table.unit / turns.UNIT))
             array = turns.Array("correction", values, power, table.bits)
             p.arrays["correction"] = array
+            p.options["correction"] = f"{table.form}:{power}"
             error = error * (1 + table.slope) + array.error
             p.said.append(
                 f"The correction is a table of {len(values)} entries of {table.bits} bits with straight "

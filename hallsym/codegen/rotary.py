@@ -77,7 +77,7 @@ def decoupler(
         )
     curve = Curve(model, np.asarray(p, dtype=float))
     made = _Assembly(curve, box, corrected(curve, accuracy, correction)).make()
-    return replace(made, integers=lambda: q31_rotary.program(made, curve, WEAK, accuracy, correction))
+    return replace(made, integers=lambda **options: q31_rotary.program(made, curve, WEAK, **options))
 
 
 @dataclass(eq=False)
@@ -126,6 +126,7 @@ class _Assembly:
             rest=tuple(self.curve.readings(np.zeros(1))[:, 0].tolist()),
             listed=self._listed(),
             arrays=tuple(self.arrays),
+            options={"correction": self.correction.form},
             said=self._said(),
         )
 

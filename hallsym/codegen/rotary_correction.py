@@ -6,15 +6,16 @@ E = f + t(f) - a moves by at most half the interval's width times the largest |f
 enclosed by interval arithmetic (`Curve.slopes`), kinks of a clipped voltage included.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import degrees, pi
+from typing import TypeVar
 
 import numpy as np
 
 from hallsym.codegen.rotary_curve import POINTS, Curve
-from hallsym.codegen.turns import UNIT
 from hallsym.errors import InputError, nearest
 from hallsym.turning import wrapped
 
@@ -25,6 +26,11 @@ MOST_WAVES = 32
 SIZES = (64, 128, 256, 512, 1024)
 """Entries of a table."""
 KINDS = ("auto", "series", "table")
+DEGREES = {"lines": 1, "cubics": 3}
+FORM = re.compile(
+    rf"series:\d\d?|table:({'|'.join(map(str, SIZES))}):({'|'.join(DEGREES)}):(16|32)(:\d\d?)?", re.ASCII
+)
+"""A series of so many waves, or a table: entries, what is between them, bits of each, power of their unit."""
 SMOOTH = 1e-10
 """Sum [rad] of the last quarter of the waves that are computed, below which the others are all there are."""
 COARSEST, FINEST = 1 << 12, 1 << 18
@@ -71,6 +77,11 @@ class Series:
         return float(sum(n**2 * size for n, size in enumerate(self.waves, 1)))
 
     @property
+    def form(self) -> str:
+        """What code depends on."""
+        return f"series:{len(self.cos)}"
+
+    @property
     def most(self) -> float:
         """Bound of its magnitude, without the constant."""
         return float(sum(self.waves))
@@ -97,6 +108,12 @@ class Grid:
     def integers(self) -> bool:
         """Whether the entries are integers, times a unit."""
         return self.unit != 1.0
+
+    @property
+    def form(self) -> str:
+        """What code depends on."""
+        between = next(name for name, degree in DEGREES.items() if degree == self.degree)
+        return f"table:{len(self.values)}:{between}:{self.bits if self.integers else 32}"
 
     @property
     def step(self) -> float:
@@ -147,27 +164,37 @@ class Grid:
         return table_bytes(len(self.values), self.degree, self.integers)
 
 
+Form = TypeVar("Form", Series, Grid)
+
+
 def correction(curve: Curve, accuracy: float | None = None, kind: str = "auto") -> Series | Grid:
     """Return the correction of fewest bytes that leaves at most `accuracy` [rad] (default `ENOUGH`).
 
-    `kind`: one of `KINDS`. Raises `InputError` where none does, with what is within reach.
+    `kind`: one of `KINDS`, or the `form` of a correction that shall be like it. Raises `InputError` where
+    none does, with what is within reach.
     """
-    if kind not in KINDS:
-        raise InputError(
-            f"A correction is one of {', '.join(KINDS)}; instead received {kind!r}"
-            f"{nearest(kind, list(KINDS))}."
-        )
     aim = ENOUGH if accuracy is None else accuracy
-    _check(curve, aim)
+    check(curve, aim, kind)
+    if ":" in kind:
+        name, count, *rest = kind.split(":")
+        if name == "series":
+            return like(curve, aim, kind, _waves(curve, int(count)))
+        return like(curve, aim, kind, grid(curve, int(count), DEGREES[rest[0]], rest[1] == "16"))
     series = _series(curve, aim) if kind != "table" else None
     table = _table(curve, aim, series.bytes if series else 1 << 16) if kind != "series" else None
     found = table or series
     if found is None:
-        raise InputError(_out_of_reach(curve, aim, kind))
+        raise InputError(out_of_reach(curve, aim, kind))
     return found
 
 
-def _check(curve: Curve, aim: float) -> None:
+def check(curve: Curve, aim: float, kind: str) -> None:
+    """Refuse what no correction is made for."""
+    if kind not in KINDS and not FORM.fullmatch(kind):
+        raise InputError(
+            f"A correction is one of {', '.join(KINDS)}; instead received {kind!r}"
+            f"{nearest(kind, list(KINDS))}."
+        )
     if not (np.isfinite(aim) and aim > 0):
         raise InputError(
             f"The accuracy of a correction must be a positive angle; instead received {aim:g} rad."
@@ -177,6 +204,17 @@ def _check(curve: Curve, aim: float) -> None:
             f"The distortion of this calibration of {curve.model.name} is more than 1 rad; no correction "
             "of the angle is generated for it."
         )
+
+
+def like(curve: Curve, aim: float, form: str, made: Form) -> Form:
+    """Return a correction of a given form with what it leaves, or refuse it."""
+    sure = replace(made, left=proved(curve, made, max(aim, 1.05 * sampled(curve, made))))
+    if made.most >= 1.0 or sure.left > aim:
+        raise InputError(
+            f"A correction {form} leaves {sure.left:.2g} rad of this calibration of {curve.model.name}, more "
+            f"than {aim:.3g} rad: generate the folder again with --force, or give a coarser --accuracy."
+        )
+    return sure
 
 
 def proved(curve: Curve, found: Series | Grid, accuracy: float) -> float:
@@ -208,29 +246,31 @@ def _bounded(curve: Curve, found: Series | Grid, count: int) -> float:
 
 def _series(curve: Curve, accuracy: float) -> Series | None:
     """Return the shortest series that is as near, if there is one."""
-    mean, waves = curve.waves
-    size = np.abs(waves)
+    size = np.abs(curve.waves[1])
     left = np.append(np.cumsum(size[::-1])[::-1], 0.0)  # left[k]: waves k + 1 and up
     smooth = size[3 * len(size) // 4 :].sum() <= SMOOTH
     for count in range(0, MOST_WAVES + 2, 2):
-        kept = waves[:count]
-        made = Series(
-            float(wrapped(np.array(mean), 2 * pi)), tuple(kept.real.tolist()), tuple((-kept.imag).tolist())
-        )
-        if not count and abs(made.constant) <= 1e-12:
-            made = replace(made, constant=0.0)
+        made = _waves(curve, count)
         if made.most >= 1.0:
             break
         if smooth and left[count] <= accuracy:
             return replace(made, left=float(left[count]), summed=True)
-        if (not smooth or accuracy > 10 * ENOUGH) and _sampled(curve, made) <= accuracy:
+        if (not smooth or accuracy > 10 * ENOUGH) and sampled(curve, made) <= accuracy:
             bound = proved(curve, made, accuracy)
             if bound <= accuracy:
                 return replace(made, left=bound)
     return None
 
 
-def _sampled(curve: Curve, found: Series | Grid) -> float:
+def _waves(curve: Curve, count: int) -> Series:
+    mean, waves = curve.waves
+    kept, constant = waves[:count], float(wrapped(np.array(mean), 2 * pi))
+    if not count and abs(constant) <= 1e-12:
+        constant = 0.0
+    return Series(constant, tuple(kept.real.tolist()), tuple((-kept.imag).tolist()))
+
+
+def sampled(curve: Curve, found: Series | Grid) -> float:
     """Return the largest error at some angles: what is worth a proof."""
     angle, phase = curve.trial
     return float(np.abs(wrapped(phase + found.at(phase)[0] - angle, 2 * pi)).max())
@@ -243,7 +283,7 @@ def _table(curve: Curve, accuracy: float, below: int) -> Grid | None:
         if table_bytes(*form) >= below:
             break
         made = grid(curve, *form)
-        if _sampled(curve, made) <= accuracy:
+        if sampled(curve, made) <= accuracy:
             sure = replace(made, left=proved(curve, made, accuracy))
             if sure.left <= accuracy:
                 return sure
@@ -264,42 +304,15 @@ def grid(curve: Curve, count: int, degree: int, integers: bool) -> Grid:
     return Grid(float(wrapped(np.array(middle), 2 * pi)), np.clip(values, -WORST, WORST), unit, degree)
 
 
-def binary_table(curve: Curve, accuracy: float) -> Grid | None:
-    """Return the smallest table of integers, lines between them, that leaves at most `accuracy` [rad].
-
-    In units of a power of two of 2^-32 turn. None where the angle needs no more than a constant.
-    """
-    _check(curve, accuracy)
-    if np.abs(curve.needed[1]).max() <= ROUNDED:
-        return None
-    made = sorted((bits * n, bits, n) for n in SIZES for bits in (16, 32))
-    for _, bits, count in made:
-        found = _binary(curve, count, bits)
-        if _sampled(curve, found) <= accuracy:
-            sure = replace(found, left=proved(curve, found, accuracy))
-            if sure.left <= accuracy:
-                return sure
-    raise InputError(_out_of_reach(curve, accuracy, "table", [_binary(curve, SIZES[-1], 32)]))
-
-
-def _binary(curve: Curve, count: int, bits: int) -> Grid:
-    middle, rest = curve.needed
-    most = max(np.abs(rest).max(), UNIT)
-    unit = UNIT * (2.0 ** max(np.ceil(np.log2(most / UNIT / WORST)), 0) if bits == 16 else 1.0)
-    constant = float(wrapped(np.array(round(middle / UNIT) * UNIT), 2 * pi))
-    return Grid(constant, np.round(rest[:: POINTS // count] / unit), unit, 1, bits=bits)
-
-
-def _out_of_reach(curve: Curve, accuracy: float, kind: str, longest: Sequence[Series | Grid] = ()) -> str:
+def out_of_reach(curve: Curve, accuracy: float, kind: str, longest: Sequence[Series | Grid] = ()) -> str:
+    """Return the sentence that says so, with what is within reach; `longest`: what was tried last."""
     waves, entries = f"more than {MOST_WAVES} waves per turn", f"a table of more than {SIZES[-1]} entries"
     tried = {"series": [waves], "table": [entries]}.get(kind, [waves, entries])
     if kind == "series":
-        mean, found = curve.waves
-        kept = found[:MOST_WAVES]
-        longest = [Series(mean, tuple(kept.real), tuple(-kept.imag))]
+        longest = [_waves(curve, MOST_WAVES)]
     elif not longest:
         longest = [grid(curve, SIZES[-1], degree, False) for degree in (1, 3)]
-    reach = [proved(curve, form, 1.05 * _sampled(curve, form)) for form in longest]
+    reach = [proved(curve, form, 1.05 * sampled(curve, form)) for form in longest]
     best = float(f"{1.01 * min(reach):.2g}")
     instead = " and ".join(curve.model.effects) or "so large a distortion"
     return (

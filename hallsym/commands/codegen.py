@@ -10,6 +10,7 @@ import numpy as np
 from hallsym.budget.settings import column_value
 from hallsym.calibration import Fit, load_fit
 from hallsym.codegen import Generated, Integers, generate, generate_q31
+from hallsym.codegen.folder import options_of
 from hallsym.codegen.rotary_correction import KINDS
 from hallsym.codegen.table import sha256
 from hallsym.commands.common import NOT_DETERMINED, OK, command, noted, say
@@ -76,7 +77,12 @@ def run(options: Namespace) -> int:
 def _made(fit: Fit, options: Namespace) -> Generated | Integers:
     digest = sha256(Path(options.calibration).read_bytes())
     ranges, allow = _ranges(options.range, fit), options.allow_undetermined
-    accuracy = _accuracy(options.accuracy, fit)
+    before = options_of(Path(options.output)) if options.params_only else {}
+    accuracy, correction = _accuracy(options.accuracy, fit), options.correction
+    if accuracy is None:
+        accuracy = before.get("accuracy")
+    if correction is None:
+        correction = before.get("correction")
     if options.arithmetic == "q31":
         for name in ("double", "jacobian"):
             if getattr(options, name):
@@ -85,7 +91,7 @@ def _made(fit: Fit, options: Namespace) -> Generated | Integers:
             fit,
             ranges=ranges,
             accuracy=accuracy,
-            correction=options.correction,
+            correction=correction,
             allow_undetermined=allow,
             calibration_sha256=digest,
         )
@@ -95,7 +101,7 @@ def _made(fit: Fit, options: Namespace) -> Generated | Integers:
         double=options.double,
         jacobian=options.jacobian,
         accuracy=accuracy,
-        correction=options.correction,
+        correction=correction,
         allow_undetermined=allow,
         calibration_sha256=digest,
     )
