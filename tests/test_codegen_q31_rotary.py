@@ -228,6 +228,7 @@ def test_what_integers_cannot_do_is_refused_in_one_sentence():
             call()
 
 
+@pytest.mark.slow
 def test_the_command_writes_and_recalibrates_it(tmp_path, capsys):
     fit_of("meng angle").save(tmp_path / "calib.json")
     base = ["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw"), "--arithmetic", "q31"]

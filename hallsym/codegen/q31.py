@@ -269,8 +269,8 @@ class Compiler:
             p.bounds[c] = (found.low, found.high, found.error + (2.0**-e if found.e > e else 0.0))
         return p
 
-    def _constant(self, name: str, value: float) -> Fixed:
-        e = exponent(value, value)
+    def _constant(self, name: str, value: float, e: int | None = None) -> Fixed:
+        e = exponent(value, value) if e is None else e
         self.p.table[name] = (round(value * 2.0**e), e)
         q = self.p.table[name][0]
         return Fixed(name, e, value, value, abs(value - q * 2.0**-e))

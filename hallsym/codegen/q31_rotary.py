@@ -139,15 +139,18 @@ class _Turns(Compiler):
         return short(column), 0.0
 
     def _vector(self) -> tuple[str, float]:
-        """Two voltages to a vector, its angle and the flag of its length."""
+        """Two voltages to a vector, its angle and the flag of its length.
+
+        Centers have the exponent of the inputs, entries of the map one of their own, so that a recalibration
+        of a magnet that is much the same needs the same code.
+        """
         d, p, off = self.d, self.p, []
+        volts = min(exponent(*d.ends(channel)) for channel in d.inputs)
         for channel, center in zip(d.inputs, self.curve.center, strict=True):
-            low, high = d.ends(channel)
-            p.inputs[channel] = exponent(low, high)
-            given = Fixed(short(channel), p.inputs[channel], low, high)
-            off.append(
-                self._grown(self._add(given, self._entry(f"center_{short(channel)}", center), minus=True))
-            )
+            p.inputs[channel] = volts
+            given = Fixed(short(channel), volts, *d.ends(channel))
+            entry = self._constant(f"center_{short(channel)}", float(center), volts)
+            off.append(self._add(given, entry, minus=True))
         x, y = (self._row(axis, row, off) for axis, row in zip("xy", self.curve.matrix, strict=True))
         e = min(x.e, y.e, 31 - int(np.ceil(np.log2(turns.SPREAD * max(x.most, y.most)))))
         x, y = self._cut(x, e), self._cut(y, e)
@@ -169,9 +172,11 @@ class _Turns(Compiler):
 
     def _row(self, axis: str, row: np.ndarray, off: list[Fixed]) -> Fixed:
         """One coordinate of the unit circle."""
-        names = [f"{axis}_{short(c)}" for c in self.d.inputs]
+        most = float(np.abs(self.curve.matrix).max())
+        e = exponent(-most, most)
         first, second = (
-            self._mul(self._entry(name, value), o) for name, value, o in zip(names, row, off, strict=True)
+            self._mul(self._constant(f"{axis}_{short(c)}", float(value), e), o)
+            for c, value, o in zip(self.d.inputs, row, off, strict=True)
         )
         return self._add(first, second)
 
@@ -179,6 +184,3 @@ class _Turns(Compiler):
         if v.e == e:
             return v
         return Fixed(self._line("right", v.text, i=v.e - e), e, v.low, v.high, v.error + 2.0**-e)
-
-    def _entry(self, name: str, value: float) -> Fixed:
-        return self._constant(name, float(value))
