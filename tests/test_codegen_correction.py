@@ -94,7 +94,7 @@ def test_a_range_is_near_where_an_interval_is_small():
 
 
 @pytest.mark.parametrize("case", ["meng angle", pytest.param("harmonics volts", marks=SLOW), "clipped"])
-@pytest.mark.parametrize("form", [(64, 1, True), (256, 3, False), (1024, 1, False)])
+@pytest.mark.parametrize("form", [(64, 1, True), pytest.param((256, 3, False), marks=SLOW), (1024, 1, False)])
 def test_what_a_table_leaves_is_bounded_and_nearly_met(case, form):
     table = grid(curve(case), *form)
     angle = np.random.default_rng(1).uniform(-pi, pi, 40_000)
@@ -308,7 +308,7 @@ def with_waves(factor):
     [
         pytest.param(["--accuracy", "angle_urad=100"], marks=SLOW),
         pytest.param(["--accuracy", "angle_urad=500", "--correction", "series"], marks=SLOW),
-        ["--arithmetic", "q31"],
+        pytest.param(["--arithmetic", "q31"], marks=SLOW),
     ],
 )
 def test_a_recalibration_keeps_the_form_of_the_correction(options, tmp_path, capsys):
