@@ -246,6 +246,16 @@ def test_eva_raises_no_alarm_and_cppcheck_lists_nothing(case, accuracy, kind, tm
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_in_double_too(compiler, tmp_path):
+    need(compiler, "make")
+    code = hallsym.generate(fit_of("clipped"), double=True, accuracy=5e-3)
+    assert code.errors["angle_rad"] <= code.source.d.slack
+    code.write(tmp_path / "fw")
+    assert ran(tmp_path / "fw", "make", "check", f"CC={compiler}").count("as stated") == 2
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "accuracy", "kind"), WRITTEN)
 def test_bounds_hold_over_a_million_random_inputs(case, accuracy, kind):
     code = made(case, accuracy, kind)

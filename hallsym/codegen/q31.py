@@ -61,8 +61,8 @@ class Line:
     """One integer statement: `name` = an operation on earlier names, constants of the table and shifts.
 
     Operations: `mul a b` (upper 32 bits), `add a i b j` (a >> i plus b >> j), `sub`, `left a n`, `right a n`,
-    `one n a` (2^n - a); of angles, which are unsigned (`hallsym.codegen.turns`): `angle x y`, `look a` in an
-    array, `turn a b` (a plus b, counted round).
+    `one n a` (2^n - a); of angles, which are unsigned (`hallsym.codegen.turns`): `angle x y` in i steps,
+    `look a` in an array, `turn a b` (a plus b, counted round).
     """
 
     name: str
@@ -153,7 +153,7 @@ class Program:
 
     def _angle(self, line: Line, value: Mapping[str, np.ndarray]) -> np.ndarray:
         a, b = value[line.a], value[line.b]
-        return turns.angle_of(a, b) if line.operation == "angle" else (a + b) & turns.MASK
+        return turns.angle_of(a, b, line.i) if line.operation == "angle" else (a + b) & turns.MASK
 
     def unit(self, column: str) -> float:
         """Return the SI value of the last bit of an input or output."""

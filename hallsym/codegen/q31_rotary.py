@@ -44,15 +44,16 @@ def program(
 ) -> Program:
     """Return the integer program of an encoder; `weak`: share of the amplitude below which a flag is set.
 
-    `accuracy`: what the table may leave [rad], default `ENOUGH`; `correction`: as of `table_of`.
+    `accuracy`: what the table may leave [rad], default `ENOUGH`, and CORDIC a thirty-second of it;
+    `correction`: as of `table_of`.
     """
     if correction.startswith("series"):
         raise InputError(
             "--arithmetic q31 corrects an angle from a table, which takes fewer instructions than a series "
             "without a floating-point unit: leave out --correction series."
         )
-    table = table_of(curve, ENOUGH if accuracy is None else accuracy, correction)
-    return _Turns(d, curve, weak, table).compile()
+    aim = ENOUGH if accuracy is None else accuracy
+    return _Turns(d, curve, weak, table_of(curve, aim, correction), turns.steps_for(aim)).compile()
 
 
 def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
@@ -89,9 +90,9 @@ def _table(curve: Curve, count: int, bits: int, power: int | None = None) -> Gri
 
 
 class _Turns(Compiler):
-    def __init__(self, d: Decoupler, curve: Curve, weak: float, table: Grid | None) -> None:
+    def __init__(self, d: Decoupler, curve: Curve, weak: float, table: Grid | None, steps: int) -> None:
         super().__init__(d)
-        self.curve, self.weak, self.table = curve, weak, table
+        self.curve, self.weak, self.table, self.steps = curve, weak, table, steps
 
     def compile(self) -> Program:
         """Return the program."""
@@ -163,12 +164,12 @@ class _Turns(Compiler):
         # where the flag is clear, the vector is as long but for the rounding of its square
         length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
         moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))
-        cordic = turns.angle_error(length * 2.0**e)
+        cordic = turns.angle_error(length * 2.0**e, self.steps)
         p.said.append(
-            f"The angle comes from {turns.STEPS} steps of CORDIC, a loop of fixed length: off by at most "
+            f"The angle comes from {self.steps} steps of CORDIC, a loop of fixed length: off by at most "
             f"{cordic:.2g} rad where the field is not weak (proved)."
         )
-        return self._line("angle", x.text, y.text), moved + cordic
+        return self._line("angle", x.text, y.text, self.steps), moved + cordic
 
     def _row(self, axis: str, row: np.ndarray, off: list[Fixed]) -> Fixed:
         """One coordinate of the unit circle."""

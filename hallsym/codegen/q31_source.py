@@ -75,6 +75,7 @@ class IntegerSource:
         rows += [f"{c} {e}" for c, e in p.inputs.items()] + [
             f"{c} {n} {e}" for c, (n, e) in p.outputs.items()
         ]
+        rows += [f"angle {line.i}" for line in p.lines if line.operation == "angle"]
         rows += [f"{a.name}[{len(a.values)}] {a.bits} {a.shift}" for a in p.arrays.values()]
         return zlib.crc32("\n".join(rows).encode())
 
@@ -158,7 +159,7 @@ class IntegerSource:
         p = self.program
         used = {line.operation for line in p.lines}
         called = [UPPER] if "mul" in used else []
-        called += [turns.angle_of_c()] if "angle" in used else []
+        called += [turns.angle_of_c(line.i) for line in p.lines if line.operation == "angle"]
         return called + [a.c() for a in p.arrays.values()]
 
     def step(self) -> str:

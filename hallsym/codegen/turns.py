@@ -15,21 +15,25 @@ UNIT = 2 * pi / 2**32
 """Value [rad] of the last bit of a binary angle."""
 MASK = 2**32 - 1
 STEPS = 26
+"""Most steps of CORDIC: beyond them shifts of 32 bits cut off more than a step leaves."""
 ARCTANGENTS = tuple(round(atan(2.0**-k) / UNIT) for k in range(STEPS))
-GROWTH = prod(sqrt(1 + 4.0**-k) for k in range(STEPS))
-"""Length of a vector after all steps, over its length before."""
 SPREAD = prod(1 + 2.0**-k for k in range(STEPS))
-"""What intervals make of that: each coordinate grows by the other's, whatever their signs."""
+"""What intervals make of the growth of a vector: each coordinate by the other's, whatever their signs."""
 FINE = 15
 """Bits of the way between two entries of a table."""
 
 
-def angle_of(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def steps_for(accuracy: float) -> int:
+    """Return how many steps of CORDIC leave a thirty-second of an accuracy [rad], `STEPS` at most."""
+    return next((n for n in range(8, STEPS) if atan(2.0 ** (1 - n)) <= accuracy / 32), STEPS)
+
+
+def angle_of(x: np.ndarray, y: np.ndarray, steps: int = STEPS) -> np.ndarray:
     """Return the binary angle of vectors of integers, as the C of `angle_of_c`."""
     behind = x < 0
     across, up = np.where(behind, -x, x), np.where(behind, -y, y)
     angle = np.where(behind, np.int64(2**31), np.int64(0))
-    for k, turn in enumerate(ARCTANGENTS):
+    for k, turn in enumerate(ARCTANGENTS[:steps]):
         a, b = across >> k, up >> k
         below = up < 0
         across, up = np.where(below, across - b, across + b), np.where(below, up + a, up - a)
@@ -39,28 +43,28 @@ def angle_of(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(angle & MASK)
 
 
-def angle_error(least: float) -> float:
+def angle_error(least: float, steps: int = STEPS) -> float:
     """Return the bound of |angle_of - atan2| [rad] for vectors of at least that length, in units of a bit.
 
     A shift cuts off less than a bit of each coordinate, of a vector that has grown to the length of its step;
     an entry is off by half a bit; the last step leaves less than its angle.
     """
     length, cut = least, 0.0
-    for k in range(STEPS):
+    for k in range(steps):
         length = length * sqrt(1 + 4.0**-k) - (sqrt(2) if k else 0.0)
         cut += asin(min(1.0, sqrt(2) / length)) if k else 0.0
-    return cut + STEPS * UNIT / 2 + atan(2.0 ** (1 - STEPS)) * (1 + 1e-9)
+    return cut + steps * UNIT / 2 + atan(2.0 ** (1 - steps)) * (1 + 1e-9)
 
 
-def angle_of_c() -> str:
+def angle_of_c(steps: int = STEPS) -> str:
     """Return the C of `angle_of`."""
-    rows = [", ".join(f"{t}U" for t in ARCTANGENTS[k : k + 8]) for k in range(0, STEPS, 8)]
+    rows = [", ".join(f"{t}U" for t in ARCTANGENTS[k : min(k + 8, steps)]) for k in range(0, steps, 8)]
     entries = ",\n".join(f"        {row}" for row in rows)
     return f"""\
 /* Angle of a vector in 2^-32 turns by CORDIC: step k turns it by atan 2^-k towards the x axis. */
 static uint32_t angle_of(int32_t x, int32_t y)
 {{
-    static const uint32_t arctangents[{STEPS}] = {{
+    static const uint32_t arctangents[{steps}] = {{
 {entries}}};
     int32_t across = x;
     int32_t up = y;
@@ -71,8 +75,8 @@ static uint32_t angle_of(int32_t x, int32_t y)
         up = -y;
         angle = 0x80000000U;
     }}
-    //@ loop unroll {STEPS};
-    for (uint32_t k = 0U; k < {STEPS}U; k++)
+    //@ loop unroll {steps};
+    for (uint32_t k = 0U; k < {steps}U; k++)
     {{
         const int32_t a = across >> k;
         const int32_t b = up >> k;

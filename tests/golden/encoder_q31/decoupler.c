@@ -16,11 +16,10 @@ static inline int32_t upper(int32_t a, int32_t b)
 /* Angle of a vector in 2^-32 turns by CORDIC: step k turns it by atan 2^-k towards the x axis. */
 static uint32_t angle_of(int32_t x, int32_t y)
 {
-    static const uint32_t arctangents[26] = {
+    static const uint32_t arctangents[23] = {
         536870912U, 316933406U, 167458907U, 85004756U, 42667331U, 21354465U, 10679838U, 5340245U,
         2670163U, 1335087U, 667544U, 333772U, 166886U, 83443U, 41722U, 20861U,
-        10430U, 5215U, 2608U, 1304U, 652U, 326U, 163U, 81U,
-        41U, 20U};
+        10430U, 5215U, 2608U, 1304U, 652U, 326U, 163U};
     int32_t across = x;
     int32_t up = y;
     uint32_t angle = 0U;
@@ -30,8 +29,8 @@ static uint32_t angle_of(int32_t x, int32_t y)
         up = -y;
         angle = 0x80000000U;
     }
-    //@ loop unroll 26;
-    for (uint32_t k = 0U; k < 26U; k++)
+    //@ loop unroll 23;
+    for (uint32_t k = 0U; k < 23U; k++)
     {
         const int32_t a = across >> k;
         const int32_t b = up >> k;
