@@ -181,7 +181,13 @@ def correction(curve: Curve, accuracy: float | None = None, kind: str = "auto") 
             return like(curve, aim, kind, _waves(curve, int(count)))
         return like(curve, aim, kind, grid(curve, int(count), DEGREES[rest[0]], rest[1] == "16"))
     series = _series(curve, aim) if kind != "table" else None
-    table = _table(curve, aim, series.bytes if series else 1 << 16) if kind != "series" else None
+    table = None
+    if kind != "series":
+        try:
+            table = _table(curve, aim, series.bytes if series else 1 << 16)
+        except InputError:  # nothing can be proved of a table: an operation whose range is not known
+            if series is None:
+                raise
     found = table or series
     if found is None:
         raise InputError(out_of_reach(curve, aim, kind))
