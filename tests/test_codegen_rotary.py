@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 import hallsym
 from hallsym.arrays import on_arrays
 from hallsym.cli import main
-from hallsym.codegen import generate_q31
 from hallsym.codegen.checks import notes_of
 from hallsym.codegen.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.codegen.vectors import Emulator, worst
@@ -309,7 +308,6 @@ def test_what_c_cannot_hold_is_refused_in_one_sentence():
     steep = calibrated(base, {**ELLIPSE, "Vx": 3.0})
     for call, said in (
         (lambda: hallsym.generate(fit, jacobian=True), "--jacobian is not generated for rotary"),
-        (lambda: generate_q31(fit), "use float, which runs without a floating-point unit"),
         (lambda: hallsym.generate(steep, ranges={"v_sin_v": (-4, 4)}), None),
     ):
         if said is not None:

@@ -9,7 +9,7 @@ from hallsym.codegen.box import Box
 from hallsym.codegen.checks import check_columns
 from hallsym.codegen.entries import unit
 from hallsym.codegen.families import made
-from hallsym.codegen.parts import Decoupler
+from hallsym.codegen.parts import Bits, Decoupler, Lookup, Whole
 from hallsym.model import Model
 
 TYPICAL = {"m": 5e-4, "rad": 5e-4, "degC": 10.0}
@@ -37,13 +37,18 @@ def cost(d: Decoupler) -> Cost:
     """Return the cost of a decoupler's arithmetic, range test and status apart."""
     operations, read = 0, set()
     for step in d.steps:
+        operations += 3 * isinstance(step, Lookup) + isinstance(step, Whole | Bits)
         symbols = ca.symvar(step.expression)
         f = ca.Function("step", symbols, [ca.densify(step.expression)])
         operations += sum(f.instruction_id(k) not in NO_WORK for k in range(f.n_instructions()))
         read |= {s.name() for s in symbols}
     entries = {e.name for e in (*d.table, *d.zeros)}
     moves = len(read & entries) + len(d.inputs) + len(d.pose)
-    return Cost(operations, moves, HEAD + 4 * len(d.entries))
+    return Cost(
+        operations,
+        moves,
+        HEAD + 4 * len(d.entries) + sum((2 if a.integers else 4) * len(a.values) for a in d.arrays),
+    )
 
 
 def cost_of(model: Model, p: np.ndarray | None = None) -> Cost:

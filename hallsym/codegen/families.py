@@ -6,6 +6,7 @@ and entries; source, table, bounds, self-test, proofs and reports follow from th
 """
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -13,20 +14,34 @@ from hallsym.calibration import Fit
 from hallsym.codegen import chain, rotary
 from hallsym.codegen.box import Box
 from hallsym.codegen.parts import Decoupler
+from hallsym.errors import InputError
 from hallsym.model import Model
 
-Maker = Callable[[Model, np.ndarray, np.ndarray, Box], Decoupler]
+Maker = Callable[..., Decoupler]
 
 MAKERS: Mapping[str, Maker] = {"rotary": rotary.decoupler}
 """Maker by family. Families that are not here have readings gain * displacement + offset, as the stage."""
+OPTIONS: Mapping[str, tuple[str, ...]] = {"rotary": ("accuracy", "correction")}
+"""What a family's maker takes beyond that, by keyword."""
 
 
-def decoupler(fit: Fit, box: Box) -> Decoupler:
-    """Return the decoupler of a calibration over a box, made by its family."""
+def decoupler(fit: Fit, box: Box, options: Mapping[str, Any] | None = None) -> Decoupler:
+    """Return the decoupler of a calibration over a box, made by its family, which takes the `options`."""
     sigma = np.array([fit.noise.sigmas[c].value for c in fit.model.channels])
-    return made(fit.model, fit.values, 1.0 / sigma**2, box)
+    return made(fit.model, fit.values, 1.0 / sigma**2, box, options)
 
 
-def made(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
-    """Return the decoupler of a model at parameters `p`; `weight`: 1 / variance of each reading."""
-    return MAKERS.get(model.family, chain.decoupler)(model, p, weight, box)
+def made(
+    model: Model, p: np.ndarray, weight: np.ndarray, box: Box, options: Mapping[str, Any] | None = None
+) -> Decoupler:
+    """Return the decoupler of a model at parameters `p`; `weight`: 1 / variance of each reading.
+
+    `options`: those of its family that are given, by name (`OPTIONS`); raises `InputError` for others.
+    """
+    for name in options or {}:
+        if name not in OPTIONS.get(model.family, ()):
+            raise InputError(
+                f"--{name} belongs to families that correct an angle ({', '.join(OPTIONS)}); {model.name} of "
+                f"the family {model.family} is decoded as exactly as float32 can: leave it out."
+            )
+    return MAKERS.get(model.family, chain.decoupler)(model, p, weight, box, **(options or {}))

@@ -83,17 +83,20 @@ def generate(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     double: bool = False,
     jacobian: bool = False,
+    accuracy: float | None = None,
+    correction: str | None = None,
     allow_undetermined: bool = False,
     calibration_sha256: str | None = None,
 ) -> Generated:
     """Generate the C decoupler of a calibration.
 
     `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
-    `jacobian`: with `decoupler_jacobian()`. Raises `InputError` for a calibration that cannot be trusted on a
-    controller.
+    `jacobian`: with `decoupler_jacobian()`. Encoders: `accuracy` is what the correction of the angle may
+    leave besides rounding [rad], default 3e-8; `correction` is "series", "table", or "auto" for the one of
+    fewer bytes. Raises `InputError` for a calibration that cannot be trusted on a controller.
     """
     check(fit, allow_undetermined)
-    found = decoupler(fit, box_of(fit, ranges))
+    found = decoupler(fit, box_of(fit, ranges), given(accuracy, correction))
     if jacobian and found.bounded is not None:
         raise InputError(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
@@ -105,11 +108,23 @@ def generate(
     check_bounds(found, said)
     check_same(found)
     digest = calibration_sha256 or digest_of(fit)
-    table = Table(found, real, {"model": fit.model.name, "calibration_sha256": digest})
+    record = {"model": fit.model.name, "calibration_sha256": digest, **recorded(found.options, accuracy)}
+    table = Table(found, real, record)
     source = Source(table, jacobian)
     errors = worst(found, real)
     notes = notes_of(fit)
     return Generated(source, _files(source, said, errors, notes), said, errors, notes)
+
+
+def given(accuracy: float | None, correction: str | None) -> dict[str, Any]:
+    """Return the options of a family that are given, by name."""
+    options = {"accuracy": accuracy, "correction": correction}
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def recorded(options: Mapping[str, Any], accuracy: float | None) -> dict[str, Any]:
+    """Return the choices of a family as `params/decoupler_params.json` holds them, for a recalibration."""
+    return {"options": {**options, **given(accuracy, None)}} if options else {}
 
 
 def decouple(fit: Fit) -> ca.Function:

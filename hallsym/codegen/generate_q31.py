@@ -5,14 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hallsym.calibration import Fit
 from hallsym.codegen import q31_proof, q31_selftest
 from hallsym.codegen.bounds import bounds
 from hallsym.codegen.box import box_of
 from hallsym.codegen.checks import check, check_gains, check_same, digest_of, notes_of
 from hallsym.codegen.entries import short, unit
-from hallsym.codegen.families import decoupler
+from hallsym.codegen.families import OPTIONS, decoupler
 from hallsym.codegen.folder import BINARY, replace_params, write_folder
+from hallsym.codegen.generate import given, recorded
 from hallsym.codegen.printer import FLOAT
 from hallsym.codegen.project import MARK, template
 from hallsym.codegen.q31 import program
@@ -20,6 +23,7 @@ from hallsym.codegen.q31_source import CPU, MACHINE, IntegerSource
 from hallsym.codegen.source import BANNER, Source
 from hallsym.codegen.source_header import params_header
 from hallsym.codegen.table import Table
+from hallsym.errors import InputError
 
 REPLACED = (
     "params/",
@@ -29,6 +33,10 @@ REPLACED = (
     "proof/cbmc.c",
     "doc/report.md",
 )
+
+
+SHIFTS = "misra-c2012-10.1:src/decoupler.c\n"
+TRIED, AS_PROVED = "range test, all bit patterns, and reciprocals, all divisors", ", reciprocals as proved"
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +70,7 @@ class Integers:
             "table_bytes": len(self.source.binary),
             "calibration_sha256": self.source.source["calibration_sha256"],
             "box": {c: list(p.d.ends(c)) for c in p.d.inputs},
-            "exponents": {**p.inputs, **{c: e for c, (_, e) in p.outputs.items()}},
+            "exponents": p.exponents,
             "error_bound": {c: error for c, (_, _, error) in p.bounds.items()},
             "error_met": dict(self.errors),
             "files": sorted(self.files),
@@ -74,21 +82,42 @@ def generate_q31(
     fit: Fit,
     *,
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    accuracy: float | None = None,
+    correction: str | None = None,
     allow_undetermined: bool = False,
     calibration_sha256: str | None = None,
 ) -> Integers:
-    """Generate the integer decoupler of a calibration whose model is linear in the pose.
+    """Generate the integer decoupler of a calibration whose model is linear in the pose, or of an encoder.
 
-    `ranges`: least and greatest value by column [SI] in place of what the log recorded.
+    `ranges`: least and greatest value by column [SI] in place of what the log recorded. Encoders: `accuracy`
+    is what the table of the correction may leave [rad], default 1e-5.
     """
     check(fit, allow_undetermined)
-    d = decoupler(fit, box_of(fit, ranges))
+    options = given(accuracy, correction)
+    d = decoupler(fit, box_of(fit, ranges), _unseen(fit, ranges, options))
     check_gains(bounds(d))
     check_same(d)
     digest = calibration_sha256 or digest_of(fit)
-    source = IntegerSource(program(d), {"model": fit.model.name, "calibration_sha256": digest})
+    made = program(d, **options)
+    record = {"model": fit.model.name, "calibration_sha256": digest, **recorded(made.options, accuracy)}
+    source = IntegerSource(made, record)
     errors, notes = q31_selftest.errors(source), notes_of(fit)
     return Integers(source, _files(source, errors, notes), errors, notes)
+
+
+def _unseen(
+    fit: Fit, ranges: Mapping[str, tuple[float, float]] | None, options: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    """Return options for the float code, of which an encoder's integers take the model and the box alone."""
+    if fit.model.family not in OPTIONS:
+        return options
+    for column in ranges or {}:
+        if column in fit.model.channels and column in fit.model.period:
+            raise InputError(
+                f"--range {column} does not go with --arithmetic q31, where every bit pattern of {column} is an "
+                "angle; leave it out."
+            )
+    return {"accuracy": np.pi, "correction": "series:0"}
 
 
 def _files(source: IntegerSource, errors: dict[str, float], notes: tuple[str, ...]) -> dict[str, str | bytes]:
@@ -113,12 +142,24 @@ def _files(source: IntegerSource, errors: dict[str, float], notes: tuple[str, ..
         "proof/exhaustive.c": q31_proof.exhaustive(source),
         "proof/eva.c": q31_proof.eva(source),
         "proof/cbmc.c": q31_proof.cbmc(source),
-        "proof/prove.sh": template("prove_q31.sh"),
+        "proof/prove.sh": _prove(source),
         "doc/report.md": _report(source, errors, notes),
-        "doc/misra.txt": template("misra.txt") + "misra-c2012-10.1:src/decoupler.c\n",
+        "doc/misra.txt": template("misra.txt") + (SHIFTS if source.program.shifts else ""),
         "CMakeLists.txt": template("CMakeLists.txt"),
         "Makefile": _makefile(),
     }
+
+
+def _prove(source: IntegerSource) -> str:
+    p, text = source.program, template("prove_q31.sh")
+    if not p.angles:
+        return text
+    read = (
+        "every angle, through all of the code"
+        if p.angles & set(p.d.inputs)
+        else "range test, all bit patterns"
+    )
+    return text.replace(TRIED, read).replace(AS_PROVED, "").replace(", outputs within the stated bounds", "")
 
 
 def _makefile() -> str:
@@ -129,9 +170,13 @@ def _count(source: IntegerSource) -> str:
     p = source.program
     rows = []
     for share in (0.7, 3.0, -3.0):
-        ends = [max(abs(v) for v in p.d.ends(c)) * 2.0 ** p.inputs[c] for c in p.d.inputs]
+        ends = [max(abs(v) for v in p.d.ends(c)) / p.unit(c) for c in p.d.inputs]
+        if p.angles & set(p.d.inputs):
+            ends = [2.0**29 for _ in ends]
         rows.append(", ".join(str(max(min(int(share * v), 2**31 - 1), 1 - 2**31)) for v in ends))
     rows.append(", ".join(part if k % 2 else f"-{part}" for k, part in enumerate(rows[1].split(", "))))
+    if p.angles & set(p.d.inputs):
+        rows = [f"{int(row) % 2**32}U" for row in rows]
     lines = "\n".join(f"    {{{row}}}," for row in rows)
     return f"""{BANNER}/* Calls whose instructions test/count.sh counts. */
 #include "decoupler.h"
@@ -159,16 +204,14 @@ int main(void)
 def _report(source: IntegerSource, errors: dict[str, float], notes: tuple[str, ...]) -> str:
     p = source.program
     box = "\n".join(
-        f"| {c} | {low:.6g} | {high:.6g} | 2^-{p.inputs[c]} {unit(c)} |"
-        for c in p.d.inputs
-        for low, high in [p.d.ends(c)]
+        f"| {c} | {low:.6g} | {high:.6g} | {p.scale(c)} |" for c in p.d.inputs for low, high in [p.d.ends(c)]
     )
     pose = "\n".join(
-        f"| {c} | 2^-{e} {unit(c)} | {p.bounds[c][0]:.6g} | {p.bounds[c][1]:.6g} | "
+        f"| {c} | {p.scale(c)} | {p.bounds[c][0]:.6g} | {p.bounds[c][1]:.6g} | "
         f"{1e9 * p.bounds[c][2]:.3g} n{unit(c)} | {1e9 * errors[c]:.3g} n{unit(c)} |"
-        for c, (_, e) in p.outputs.items()
+        for c in p.outputs
     )
-    said = "\n".join(f"- {note}" for note in notes)
+    said = "\n".join(f"- {note}" for note in (*p.said, *notes))
     products = sum(line.operation == "mul" for line in p.lines)
     names = ", ".join(short(c) for c in p.d.pose)
     return f"""\

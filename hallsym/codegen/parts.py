@@ -4,13 +4,15 @@ A family's own file makes a `Decoupler` (`hallsym.codegen.families`); source, ta
 and reports are made from it.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from hallsym.arrays import on_arrays
 from hallsym.codegen.box import Box
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.intervals import Enclosure
@@ -28,6 +30,41 @@ class Step:
     name: str
     expression: ca.SX
     remark: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Whole(Step):
+    """`name` = the whole part of `expression`, a symbol, as 32 bits: 0 <= expression < 2^32."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bits(Step):
+    """`name` = bits of `expression`, the symbol of a `Whole`: those from `first` on, or those below it."""
+
+    first: int = 0
+    below: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Array:
+    """A row of numbers in the table, a power of two of them; `integers`: of 16 bits."""
+
+    name: str
+    values: tuple[float, ...]
+    unit: str
+    meaning: str
+    integers: bool = False
+
+
+NONE = Array("none", (0.0,), "1", "nothing")
+
+
+@dataclass(frozen=True, eq=False)
+class Lookup(Step):
+    """`name` = entry `expression` + `ahead` of `array`, counted round; `expression`: the symbol of `Bits`."""
+
+    array: Array = NONE
+    ahead: int = 0
 
 
 @dataclass(frozen=True)
@@ -87,6 +124,12 @@ class Decoupler:
     """Inputs at which the self-test takes a zero, for a pose near zero; any small ones if there are none."""
     listed: tuple[tuple[float, ...], ...] = ()
     """Inputs that the self-test shall list, beside its own."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """What the choices of a family came to: given again, they make the same code."""
+    integers: "Callable[..., Any] | None" = None
+    """The program of integers (`hallsym.codegen.q31`), of a family that brings one of its own."""
+    arrays: tuple[Array, ...] = ()
+    """Rows of numbers that steps look up; in the table after the limits."""
     said: tuple[str, ...] = ()
     """Sentences for header and report: approximations, and what they may leave."""
 
@@ -131,8 +174,11 @@ class Decoupler:
         """Each step as an expression of inputs, table and zeros."""
         done: dict[str, ca.SX] = {}
         for step in self.steps:
+            if isinstance(step, Lookup):
+                continue  # its symbol stays: a number that is looked up
             earlier = {n: (self.symbols[n], e) for n, e in done.items() if n in self.symbols}
-            done[step.name] = _replaced(step.expression, earlier)
+            made = _replaced(step.expression, earlier)
+            done[step.name] = _whole(step, made)
         return done
 
     @cached_property
@@ -148,11 +194,35 @@ class Decoupler:
     def function(self) -> ca.Function:
         """`(inputs, coefficients and zeros) -> pose`, and the values that flags look at, if any."""
         table = [*self.table, *self.zeros]
-        given = [
-            ca.vertcat(*(self.symbols[n] for n in names)) for names in (self.inputs, [e.name for e in table])
-        ]
+        given = [self._column(names) for names in (self.inputs, [e.name for e in table])]
+        given += [self._column([s.name for s in self.lookups])] if self.lookups else []
         seen = [ca.densify(ca.vertcat(*(self._done[f.step] for f in self.flags)))] if self.flags else []
         return ca.Function("folded", given, [ca.densify(self.folded), *seen])
+
+    def _column(self, names: Sequence[str]) -> ca.SX:
+        return ca.vertcat(*(self.symbols[n] for n in names))
+
+    @property
+    def lookups(self) -> list[Lookup]:
+        """The steps that take an entry of an array."""
+        return [step for step in self.steps if isinstance(step, Lookup)]
+
+    def on_arrays(self, real: type = float) -> Callable[..., list[np.ndarray]]:
+        """Return `run(inputs, coefficients and zeros)` of `function` on arrays, in the type `real`."""
+        run, lookups = on_arrays(self.function, real), self.lookups
+        if not lookups:
+            return run
+        cells = ca.vertcat(*(self._done[step.expression.name()] for step in lookups))
+        place = on_arrays(ca.Function("cells", self.function.sx_in()[:2], [cells]), real)
+
+        def looked_up(inputs: Sequence, constants: Sequence) -> list[np.ndarray]:
+            entries = []
+            for step, cell in zip(lookups, place(inputs, constants)[0], strict=True):
+                values: np.ndarray = np.array(step.array.values, dtype=real)
+                entries.append(values[(cell.astype(np.int64) + step.ahead) % len(values)])
+            return run(inputs, constants, entries)
+
+        return looked_up
 
     def raised(self, seen: np.ndarray, dtype: type = float) -> np.ndarray:
         """Return the bits (s,) of the flags that their values (n_flags, s) raise."""
@@ -171,6 +241,16 @@ class Decoupler:
 def flag_bit(k: int) -> int:
     """Return the status bit of the flag of that number; bits of inputs begin at the other end."""
     return 1 << (30 - k)
+
+
+def _whole(step: Step, value: ca.SX) -> ca.SX:
+    """Return what a step makes of its value: integers where it holds bits, exact in any type."""
+    if isinstance(step, Whole):
+        return ca.floor(value)
+    if isinstance(step, Bits):
+        upper = ca.floor(value * 2.0**-step.first)
+        return value - upper * 2.0**step.first if step.below else upper
+    return value
 
 
 def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca.SX:

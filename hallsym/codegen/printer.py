@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.parts import Step
+from hallsym.codegen.parts import Bits, Lookup, Step, Whole
 from hallsym.errors import InputError
 
 _SIGNS = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
@@ -49,14 +49,35 @@ def statements(
     `names`: C text of each symbol by its SX name (others stand for themselves). `results`: C lvalue of the
     steps that are results; the others become constants.
     """
-    lines = []
+    lines: list[str] = []
+    names = dict(names)
     for step in steps:
         before, text = _text(step, names, real)
         lines += before
         left = results.get(step.name, f"const {real.name} {step.name}")
         lines += [f"/* {step.remark} */"] if step.remark else []
+        if isinstance(step, Whole | Bits):
+            left, text = f"const uint32_t {step.name}", _bits(step)
+            names[step.name] = f"({real.name}){step.name}"
+        elif isinstance(step, Lookup):
+            text = _entry(step, real)
         lines.append(f"{left} = {text};")
     return lines
+
+
+def _bits(step: Whole | Bits) -> str:
+    source = step.expression.name()
+    if isinstance(step, Whole):
+        return f"(uint32_t){source}"
+    return f"{source} & 0x{(1 << step.first) - 1:X}U" if step.below else f"{source} >> {step.first}U"
+
+
+def _entry(step: Lookup, real: Real) -> str:
+    """Return `p->name[cell & 63U]`: an index that lies within the array whatever the cell."""
+    cell, size = step.expression.name(), len(step.array.values)
+    place = f"({cell} + {step.ahead % size}U)" if step.ahead else cell
+    entry = f"p->{step.array.name}[{place} & {size - 1}U]"
+    return f"({real.name}){entry}" if step.array.integers else entry
 
 
 def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], str]:

@@ -31,7 +31,7 @@ def count(source: Source) -> str:
     turn = [(above, below)[k % 2][k] for k in range(len(d.inputs))]
     for row in (middle, above, below, turn):
         rows.append("    {" + ", ".join(real.constant(v) for v in row) + "},")
-    rows.append("    {" + ", ".join(["NAN"] * len(d.inputs)) + "},")
+    rows.append("    {" + ", ".join(["NAN" if real.size == 4 else "(double)NAN"] * len(d.inputs)) + "},")
     given = "const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out"
     bare = f"extern void decoupler_bare({given});"
     jacobian = (

@@ -11,17 +11,21 @@ rounding is all that is left.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import ceil, log2
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.entries import short
+from hallsym.codegen import turns
+from hallsym.codegen.entries import short, unit
 from hallsym.codegen.parts import Decoupler
 from hallsym.codegen.printer import straight
 from hallsym.errors import InputError
 
 ROOM = 30
 """Bits that a value may take: one is left for what rounding adds."""
+UNSIGNED = ("angle", "turn")
+"""Operations whose result is a binary angle."""
 LOW = 3
 """A product is low by less than so many units of its last bit (`UPPER`)."""
 MOST_STEPS = 5
@@ -56,8 +60,9 @@ class Fixed:
 class Line:
     """One integer statement: `name` = an operation on earlier names, constants of the table and shifts.
 
-    Operations: `mul a b` (upper 32 bits), `add a i b j` (a >> i plus b >> j), `sub`, `left a n`, `copy a`,
-    `one n a` (2^n - a).
+    Operations: `mul a b` (upper 32 bits), `add a i b j` (a >> i plus b >> j), `sub`, `left a n`, `right a n`,
+    `one n a` (2^n - a); of angles, which are unsigned (`hallsym.codegen.turns`): `angle x y` in i steps,
+    `look a` in an array, `turn a b` (a plus b, counted round).
     """
 
     name: str
@@ -101,6 +106,17 @@ class Program:
     bounds: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """Least and greatest exact value and error [SI], by pose column."""
     reciprocals: list[Reciprocal] = field(default_factory=list)
+    angles: frozenset[str] = frozenset()
+    """Columns that are binary angles: 2^32 to a turn, unsigned."""
+    unsigned: dict[str, str] = field(default_factory=dict)
+    """Entries of the table that are binary angles, and what they mean."""
+    arrays: dict[str, turns.Array] = field(default_factory=dict)
+    said: list[str] = field(default_factory=list)
+    """Sentences for header and report."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """What the choices of a family came to: given again, they make the same code."""
+    flags: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """By name of a flag: the line and the least value, an entry, below which it is set."""
     _count: int = 0
 
     def run(self, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -109,7 +125,10 @@ class Program:
         value |= {n: np.array(q, dtype=np.int64) for n, (q, _) in self.table.items()}
         for line in self.lines:
             a = value[line.a]
-            b = value[line.b] if line.b else np.int64(0)
+            b = value[line.b] if line.b in value else np.int64(0)
+            if line.operation in UNSIGNED:
+                value[line.name] = self._angle(line, value)
+                continue
             if line.operation == "mul":
                 ah, al, bh, bl = a >> 16, a & 0xFFFF, b >> 16, b & 0xFFFF
                 result = ah * bh + ((ah * bl) >> 16) + ((al * bh) >> 16)
@@ -119,12 +138,56 @@ class Program:
                 result = (a >> line.i) - (b >> line.j)
             elif line.operation == "left":
                 result = a << line.i
+            elif line.operation == "right":
+                result = a >> line.i
+            elif line.operation == "look":
+                result = self.arrays[line.b].at(a)
             else:  # one
                 result = (np.int64(1) << line.i) - a
             if np.any(np.abs(result) > 2**31 - 1):
                 raise OverflowError(f"{line.name} overflows")
             value[line.name] = result
-        return {c: value[name] for c, (name, _) in self.outputs.items()}
+        return {c: value[name] for c, (name, _) in self.outputs.items()} | {
+            flag: value[name] for flag, (name, _) in self.flags.items()
+        }
+
+    def _angle(self, line: Line, value: Mapping[str, np.ndarray]) -> np.ndarray:
+        a, b = value[line.a], value[line.b]
+        return turns.angle_of(a, b, line.i) if line.operation == "angle" else (a + b) & turns.MASK
+
+    def unit(self, column: str) -> float:
+        """Return the SI value of the last bit of an input or output."""
+        if column in self.angles:
+            return turns.UNIT
+        return 2.0 ** -(self.inputs[column] if column in self.inputs else self.outputs[column][1])
+
+    @property
+    def shifts(self) -> bool:
+        """Whether numbers with a sign are shifted right."""
+        return any(
+            line.operation in ("mul", "right", "angle", "look") or line.i or line.j for line in self.lines
+        )
+
+    def scale(self, column: str) -> str:
+        """Return what the last bit of an input or output is, for a reader."""
+        if column in self.angles:
+            return "2^-32 turn"
+        e = self.inputs[column] if column in self.inputs else self.outputs[column][1]
+        return f"2^-{e} {unit(column)}"
+
+    @property
+    def exponents(self) -> dict[str, int]:
+        """Of inputs and outputs that are no binary angles."""
+        found = {**self.inputs, **{c: e for c, (_, e) in self.outputs.items()}}
+        return {c: e for c, e in found.items() if c not in self.angles}
+
+    def member(self, column: str) -> str:
+        """Return the C name of an input or output: `angle_bam` of a binary angle."""
+        return f"{short(column)}_bam" if column in self.angles else column
+
+    def kind(self, column: str) -> str:
+        """Return the C type of an input or output."""
+        return "uint32_t" if column in self.angles else "int32_t"
 
     def c(self, names: Mapping[str, str]) -> list[str]:
         """Return the lines in C; `names` gives the text of inputs and table entries."""
@@ -138,9 +201,18 @@ class Program:
                 text = f"{_shifted(a, line.i)} {sign} {_shifted(b, line.j)}"
             elif line.operation == "left":
                 text = f"{a} * {1 << line.i}"
+            elif line.operation == "right":
+                text = f"{a} >> {line.i}"
+            elif line.operation == "angle":
+                text = f"angle_of({a}, {b})"
+            elif line.operation == "look":
+                text = f"{line.b}_at(p, {a})"
+            elif line.operation == "turn":
+                text = f"{a} + {b if line.b in self.unsigned else f'(uint32_t){b}'}"
             else:
                 text = f"{1 << line.i} - {a}"
-            out.append(f"const int32_t {line.name} = {text};")
+            kind = "uint32_t" if line.operation in UNSIGNED else "int32_t"
+            out.append(f"const {kind} {line.name} = {text};")
         return out
 
 
@@ -148,8 +220,13 @@ def _shifted(text: str, n: int) -> str:
     return f"({text} >> {n})" if n else text
 
 
-def program(d: Decoupler) -> Program:
-    """Return the integer program of a decoupler that is linear in the pose."""
+def program(d: Decoupler, **options: Any) -> Program:
+    """Return the integer program of a decoupler that is linear in the pose, or that brings one of its own.
+
+    `options`: what the latter takes.
+    """
+    if d.integers is not None:
+        return cast(Program, d.integers(**options))
     if d.at_pose:
         raise InputError(
             "--arithmetic q31 is generated for models that are linear in the pose; "
@@ -158,17 +235,19 @@ def program(d: Decoupler) -> Program:
     if not straight(d.steps):
         raise InputError(
             f"--arithmetic q31 is generated for models without comparisons; {d.model.name} of the family "
-            f"{d.model.family} chooses by octant or branch: use float, which runs without a floating-point "
-            "unit too."
+            f"{d.model.family} chooses by branch: use float, which runs without a floating-point unit too."
         )
-    return _Compiler(d).compile()
+    return Compiler(d).compile()
 
 
-class _Compiler:
+class Compiler:
+    """Makes integer lines of steps, each with its exponent, its range and its error."""
+
     def __init__(self, d: Decoupler) -> None:
         self.d, self.p = d, Program(d)
 
     def compile(self) -> Program:
+        """Return the program."""
         d, p = self.d, self.p
         known: dict[str, Fixed] = {}
         for c in d.inputs:
@@ -190,8 +269,8 @@ class _Compiler:
             p.bounds[c] = (found.low, found.high, found.error + (2.0**-e if found.e > e else 0.0))
         return p
 
-    def _constant(self, name: str, value: float) -> Fixed:
-        e = exponent(value, value)
+    def _constant(self, name: str, value: float, e: int | None = None) -> Fixed:
+        e = exponent(value, value) if e is None else e
         self.p.table[name] = (round(value * 2.0**e), e)
         q = self.p.table[name][0]
         return Fixed(name, e, value, value, abs(value - q * 2.0**-e))

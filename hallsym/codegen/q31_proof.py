@@ -10,6 +10,7 @@
 from math import ceil, floor
 
 from hallsym.codegen.entries import short
+from hallsym.codegen.parts import flag_bit
 from hallsym.codegen.q31 import UPPER, Reciprocal
 from hallsym.codegen.q31_source import IntegerSource
 from hallsym.codegen.source import BANNER, bit, ends, function, lines
@@ -45,6 +46,8 @@ def exhaustive(source: IntegerSource) -> str:
         calls.append(
             f"for (int32_t b = {low}; b <= {high}; b++) {{ bad += wrong_{r.b.text}(b); divisors++; }}"
         )
+    if p.angles & set(d.inputs):
+        return _every_angle(source)
     tests = []
     for c in d.inputs:
         low_text, high_text = (side.replace("p->", "decoupler_params.") for side in ends(d, c))
@@ -95,6 +98,8 @@ def exhaustive(source: IntegerSource) -> str:
 def eva(source: IntegerSource) -> str:
     """Return the driver for Frama-C EVA."""
     p, d = source.program, source.program.d
+    if p.angles:
+        return _eva_of_step(source)
     names = {n: f"decoupler_params.{n}" for n, _, _ in source.entries}
     text = p.c(names)
     for r in p.reciprocals:
@@ -133,13 +138,14 @@ def cbmc(source: IntegerSource) -> str:
     """Return the harness for CBMC: any bits of any input."""
     p, d = source.program, source.program.d
     body = ["decoupler_in_t in;", "decoupler_out_t out;", "uint32_t wanted = 0U;"]
-    body += [f"in.{c} = nondet_int32();" for c in d.inputs]
-    body.append("const uint32_t status = decoupler_step(&decoupler_params, &in, &out);")
-    for c in d.inputs:
+    body += [f"in.{p.member(c)} = {'(uint32_t)' if c in p.angles else ''}nondet_int32();" for c in d.inputs]
+    flags = f" & ~({' | '.join(f'DECOUPLER_{f.name}' for f in d.flags)})" if d.flags else ""
+    body.append(f"const uint32_t status = decoupler_step(&decoupler_params, &in, &out){flags};")
+    for c in source.limited:
         low, high = (side.replace("p->", "decoupler_params.") for side in ends(d, c))
         body.append(f"wanted |= ((in.{c} >= {low}) && (in.{c} <= {high})) ? 0U : {bit(c)};")
     body.append('__CPROVER_assert(status == wanted, "status is 0 iff every input is in the box");')
-    for c, (_, e) in p.outputs.items():
+    for c, (_, e) in p.outputs.items() if not p.angles else ():
         low_value, high_value, error = p.bounds[c]
         least, most = floor((low_value - error) * 2.0**e), ceil((high_value + error) * 2.0**e)
         body.append(f'__CPROVER_assert((out.{c} >= {least}) && (out.{c} <= {most}), "{c} bounded");')
@@ -151,6 +157,70 @@ def cbmc(source: IntegerSource) -> str:
         '#include "decoupler_params.h"',
         "",
         "int32_t nondet_int32(void);",
+        "",
+        function("int main(void)", body),
+    )
+
+
+def _every_angle(source: IntegerSource) -> str:
+    """Every angle through decoupler_step(): the correction is no larger than an entry of the table."""
+    p = source.program
+    (read,), (pose,) = p.d.inputs, p.d.pose
+    most = max((int(abs(a.values).max()) << a.shift for a in p.arrays.values()), default=0)
+    shift = "decoupler_params.shift" if "shift" in p.unsigned else "0U"
+    return lines(
+        BANNER.rstrip(),
+        "/* Every angle through decoupler_step(), compiled to stop where an integer overflows: the angle moves by no",
+        "   more than the largest entry of the table. */",
+        "#include <stdio.h>",
+        "",
+        '#include "../src/decoupler.c"',
+        '#include "decoupler_params.h"',
+        "",
+        function(
+            "int main(void)",
+            [
+                f"const int64_t most = {most};",
+                "unsigned long bad = 0UL;",
+                "decoupler_in_t in;",
+                "decoupler_out_t out;",
+                f"in.{p.member(read)} = 0U;",
+                "do",
+                "{",
+                "    const uint32_t status = decoupler_step(&decoupler_params, &in, &out);",
+                f"    const uint32_t moved = out.{p.member(pose)} - in.{p.member(read)} - {shift};",
+                "    const int64_t by = (moved < 0x80000000U) ? (int64_t)moved : ((int64_t)moved - 4294967296);",
+                "    bad += ((status == 0U) && (by <= most) && (by >= -most)) ? 0UL : 1UL;",
+                f"    in.{p.member(read)}++;",
+                f"}} while (in.{p.member(read)} != 0U);",
+                '(void)printf("exhaustive: %lu of 2^32 angles fail\\n", bad);',
+                "return (bad == 0UL) ? 0 : 1;",
+            ],
+        ),
+    )
+
+
+def _eva_of_step(source: IntegerSource) -> str:
+    """decoupler_step() itself, which has no reciprocal that EVA could not follow."""
+    p, d = source.program, source.program.d
+    body = ["decoupler_in_t in;", "decoupler_out_t out;"]
+    for c in d.inputs:
+        if c in p.angles:
+            body.append(f"in.{p.member(c)} = Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU);")
+            continue
+        low, high = (side.replace("p->", "decoupler_params.") for side in ends(d, c))
+        body.append(f"in.{c} = Frama_C_interval({low}, {high});")
+    body.append("const uint32_t status = decoupler_step(&decoupler_params, &in, &out);")
+    flags = sum(flag_bit(k) for k in range(len(d.flags)))
+    weak = f"status == 0 || status == 0x{flags:08X}" if d.flags else "status == 0"
+    body += [f"//@ assert status_zero: {weak};", "return (int)(status & 1U);"]
+    return lines(
+        BANNER.rstrip(),
+        "/* Frama-C EVA: every input in the box. No alarm means no overflow and no entry beyond the table. */",
+        '#include "__fc_builtin.h"',
+        "",
+        '#include "../src/decoupler.c"',
+        '#include "decoupler_params.h"',
         "",
         function("int main(void)", body),
     )

@@ -3,9 +3,11 @@
 import numpy as np
 
 from hallsym.codegen.entries import short
+from hallsym.codegen.parts import flag_bit
 from hallsym.codegen.project import template
 from hallsym.codegen.q31_source import IntegerSource
 from hallsym.codegen.source import BANNER
+from hallsym.codegen.turns import MASK
 from hallsym.codegen.vectors import BATCH, COUNT, mix
 
 HASHED = (4096, 100_000)
@@ -16,29 +18,43 @@ MOST = 2**31 - 1
 def emulate(source: IntegerSource, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return pose (n_pose, s) and status (s,) as integers, for integers (n_inputs, s)."""
     p, d = source.program, source.program.d
-    low, high = (
-        np.array([[int(v * 2.0 ** p.inputs[c])] for c, v in zip(d.inputs, side, strict=True)])
-        for side in zip(*(d.ends(c) for c in d.inputs), strict=True)
-    )
+    low, high = _ends(source)
+    if p.angles & set(d.inputs):
+        inputs = inputs.astype(np.int64) & MASK
     outside = (inputs > high) | (inputs < low)
     held = np.clip(inputs.astype(np.int64), low, high)
     status = (outside * (1 << np.arange(len(inputs)))[:, None]).sum(axis=0)
-    pose = p.run({short(c): row for c, row in zip(d.inputs, held, strict=True)})
-    return np.array([pose[c] for c in d.pose]), status
+    found = p.run({short(c): row for c, row in zip(d.inputs, held, strict=True)})
+    for k, flag in enumerate(d.flags):
+        status = status | np.where(found[flag.name] < p.table[p.flags[flag.name][1]][0], flag_bit(k), 0)
+    return np.array([found[c] for c in d.pose]), status
+
+
+def _ends(source: IntegerSource) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest integers of the inputs, (n_inputs, 1) each."""
+    p, d = source.program, source.program.d
+    ends = [(0, MASK) if c in p.angles else [int(v / p.unit(c)) for v in d.ends(c)] for c in d.inputs]
+    return np.array(ends)[:, :1], np.array(ends)[:, 1:]
+
+
+def _model(source: IntegerSource, inputs: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return the pose [SI] of the model in double, on the branch of the integers `pose`."""
+    p, d = source.program, source.program.d
+    found = pose * np.array([[p.unit(c)] for c in d.pose])
+    return found - d.difference(found, d.exact(inputs * np.array([[p.unit(c)] for c in d.inputs])))
 
 
 def errors(source: IntegerSource, samples: int = 100_000, seed: int = 0) -> dict[str, float]:
     """Return the largest error against the model in double, over random integers in the box."""
     p, d = source.program, source.program.d
-    low, high = np.array([d.ends(c) for c in d.inputs]).T[:, :, None]
-    scale = np.array([[2.0 ** p.inputs[c]] for c in d.inputs])
+    low, high = _ends(source)
     share = np.random.default_rng(seed).random((len(low), samples))
-    inputs = np.clip(
-        np.round((low + (high - low) * share) * scale), np.ceil(low * scale), np.floor(high * scale)
-    )
-    pose, _ = emulate(source, inputs.astype(np.int64))
-    found = pose * np.array([[2.0 ** -p.outputs[c][1]] for c in d.pose])
-    return dict(zip(d.pose, np.abs(found - d.exact(inputs / scale)).max(axis=1).tolist(), strict=True))
+    inputs = np.round(low + (high - low) * share).astype(np.int64)
+    pose, status = emulate(source, inputs)
+    inputs, pose = inputs[:, status == 0], pose[:, status == 0]
+    found = pose * np.array([[p.unit(c)] for c in d.pose])
+    off = np.abs(found - _model(source, inputs, pose)).max(axis=1)
+    return dict(zip(d.pose, off.tolist(), strict=True))
 
 
 def stated(source: IntegerSource, count: int) -> int:
@@ -59,23 +75,26 @@ def stated(source: IntegerSource, count: int) -> int:
 def vectors(source: IntegerSource) -> str:
     """Return inputs, the pose that the model gives for them in double, status, bounds and hashes."""
     p, d = source.program, source.program.d
-    low, high = (
-        np.array([[int(v * 2.0 ** p.inputs[c])] for c, v in zip(d.inputs, side, strict=True)])
-        for side in zip(*(d.ends(c) for c in d.inputs), strict=True)
-    )
+    low, high = _ends(source)
     rng = np.random.default_rng(1)
     share = np.hstack([rng.choice([0.0, 1.0], (len(low), 8)), rng.random((len(low), COUNT - 8))])
     given = [np.round(low + (high - low) * share).astype(np.int64)]
-    for k in range(len(low)):
+    for k in range(len(low) if not p.angles & set(d.inputs) else 0):
         beyond = np.repeat(given[0][:, 9 + k : 10 + k], 4, axis=1)
         beyond[k] = (-MOST - 1, low[k, 0] - 1, high[k, 0] + 1, MOST)
         given.append(beyond)
     inputs = np.hstack(given)
-    _, status = emulate(source, inputs)
-    scale = np.array([[2.0 ** p.inputs[c]] for c in d.inputs])
-    pose = d.exact(np.clip(inputs, low, high) / scale)
+    if d.listed:
+        units = np.array([p.unit(c) for c in d.inputs])
+        listed = np.round(np.array(d.listed) / units).astype(np.int64).T
+        inputs = np.hstack([inputs, listed & MASK if p.angles & set(d.inputs) else listed])
+    found, status = emulate(source, inputs)
+    pose = _model(source, np.clip(inputs, low, high), found)
+    weak = status >= flag_bit(len(d.flags) - 1) if d.flags else np.zeros(len(status), bool)
+    pose = np.where(weak, found * np.array([[p.unit(c)] for c in d.pose]), pose)
+    binary = [c in p.angles for c in d.inputs]
     rows = [
-        f"    {{{{{', '.join(_integer(v) for v in inputs[:, k])}}}, "
+        f"    {{{{{', '.join(map(_integer, inputs[:, k], binary))}}}, "
         f"{{{', '.join(f'{v:.12e}' for v in pose[:, k])}}}, 0x{int(status[k]):X}UL}},"
         for k in range(inputs.shape[1])
     ]
@@ -99,7 +118,9 @@ def vectors(source: IntegerSource) -> str:
     )
 
 
-def _integer(value: int) -> str:
+def _integer(value: int, unsigned: bool) -> str:
+    if unsigned:
+        return f"{value}U"
     return f"({value + 1} - 1)" if value == -MOST - 1 else str(value)
 
 
@@ -107,13 +128,16 @@ def selftest(source: IntegerSource) -> str:
     """Return the self-test."""
     p, d = source.program, source.program.d
     width = f"{len(d.pose) + 1}U"
-    sample = [f"    in->{c} = input(n, {k + 1}U);" for k, c in enumerate(d.inputs)]
+    sample = [
+        f"    in->{p.member(c)} = {'(uint32_t)' if c in p.angles else ''}input(n, {k + 1}U);"
+        for k, c in enumerate(d.inputs)
+    ]
     words = [
-        f"        total += mix((uint32_t)out.{c} ^ mix((n * {width}) + {k + 1}U));"
+        f"        total += mix((uint32_t)out.{p.member(c)} ^ mix((n * {width}) + {k + 1}U));"
         for k, c in enumerate(d.pose)
     ]
     compare = [
-        f"        failed |= differs((double)out.{c} * {2.0 ** -p.outputs[c][1]!r}, wanted->pose[{k}], "
+        f"        failed |= differs((double)out.{p.member(c)} * {p.unit(c)!r}, wanted->pose[{k}], "
         f"decoupler_bounds[{k}], &result.worst);"
         for k, c in enumerate(d.pose)
     ]
@@ -130,10 +154,17 @@ def selftest(source: IntegerSource) -> str:
 
 def main(source: IntegerSource) -> str:
     """Return the program that runs the self-test and says what it found."""
-    d = source.program.d
+    p, d = source.program, source.program.d
+    rest = [round(v / p.unit(c)) for c, v in zip(d.inputs, d.rest or [0.0] * len(d.inputs), strict=True)]
+    if not d.rest or p.angles & set(d.inputs):
+        rest = [1000] * len(d.inputs)
+    given = [
+        f"    in.{p.member(c)} = {_integer(v, c in p.angles)};" for c, v in zip(d.inputs, rest, strict=True)
+    ]
+    known = {p.member(c): _integer(4096, c in p.angles) for c in d.pose}
     return (
         template("main_q31.c")
-        .replace("@REST@", "\n".join(f"    in.{c} = 1000;" for c in d.inputs))
-        .replace("@KNOWN@", "\n".join(f"    pose.{c} = 4096;" for c in d.pose))
-        .replace("@BACK@", " && ".join(f"(out.{c} == 4096)" for c in d.pose))
+        .replace("@REST@", "\n".join(given))
+        .replace("@KNOWN@", "\n".join(f"    pose.{c} = {v};" for c, v in known.items()))
+        .replace("@BACK@", " && ".join(f"(out.{c} == {v})" for c, v in known.items()))
     )

@@ -1,24 +1,27 @@
 """Decoupler of rotary encoders: from two voltages or from the decoded angle to the corrected angle.
 
 Two voltages: the ellipse is undone by a linear map, the phase taken by an arctangent whose polynomial is
-proved (`hallsym.codegen.trigonometry`), and what is left corrected by a series of its waves. A decoded angle:
-the series alone. Both wrap. The series comes from the model by solving it over a turn
-(`hallsym.codegen.rotary_curve`), so any effect that is a static function of the angle follows; for the
-circle and the ellipse it is empty.
+proved (`hallsym.codegen.trigonometry`), and what is left corrected by a series of its waves or by a table. A
+decoded angle: the correction alone. Both wrap. The correction comes from the model by solving it over a turn
+(`hallsym.codegen.rotary_curve`, `rotary_correction`), so any effect that is a static function of the angle
+follows; for the circle and the ellipse it is empty.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import pi
 
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen import q31_rotary
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.entries import Entry, short
-from hallsym.codegen.parts import Decoupler, Flag, Margin, Step
+from hallsym.codegen.parts import Array, Bits, Decoupler, Flag, Lookup, Margin, Step, Whole
 from hallsym.codegen.rotary_bounds import Rounding
-from hallsym.codegen.rotary_curve import ENOUGH, Curve
+from hallsym.codegen.rotary_correction import Grid, Series
+from hallsym.codegen.rotary_correction import correction as corrected
+from hallsym.codegen.rotary_curve import Curve
 from hallsym.codegen.trigonometry import (
     ARCTANGENT,
     HALF_PI,
@@ -40,14 +43,25 @@ ROOM = 0.1
 TINY = 1e-30
 """Added to a divisor that may be zero; lost in rounding where it is not."""
 ROUNDED = 1e-13
+NEIGHBOURS = ("before", "left", "right", "after")
+SIXTH = 1 / 6
 EVIDENT = 8
 """Waves up to which Frama-C EVA sees by itself that their sum is small: its intervals grow with each."""
 
 
-def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
+def decoupler(
+    model: Model,
+    p: np.ndarray,
+    weight: np.ndarray,
+    box: Box,
+    *,
+    accuracy: float | None = None,
+    correction: str = "auto",
+) -> Decoupler:
     """Return the decoupler of an encoder at parameters `p` over a box; `weight` does not matter.
 
-    The corrected angle is that at which the model reads the measured phase, so a change of both amplitudes
+    `accuracy`: what the correction may leave [rad], default `ENOUGH`; `correction`: one of `KINDS`. The
+    corrected angle is that at which the model reads the measured phase, so a change of both amplitudes
     alike, by temperature, leaves it alone. Raises `InputError` for readings that depend on anything else.
     """
     if model.state:
@@ -61,7 +75,9 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
             f"The calibration of {model.name} with {', '.join(model.effects)} holds errors of its reference, "
             "which a controller does not have; fit without that effect, or correct the log's reference."
         )
-    return _Assembly(Curve(model, np.asarray(p, dtype=float)), box).make()
+    curve = Curve(model, np.asarray(p, dtype=float))
+    made = _Assembly(curve, box, corrected(curve, accuracy, correction)).make()
+    return replace(made, integers=lambda **options: q31_rotary.program(made, curve, WEAK, **options))
 
 
 @dataclass(eq=False)
@@ -70,9 +86,11 @@ class _Assembly:
 
     curve: Curve
     given: Box
+    correction: Series | Grid
     table: list[Entry] = field(default_factory=list)
     symbols: dict[str, ca.SX] = field(default_factory=dict)
     steps: list[Step] = field(default_factory=list)
+    arrays: list[Array] = field(default_factory=list)
 
     def make(self) -> Decoupler:
         model = self.curve.model
@@ -104,9 +122,11 @@ class _Assembly:
             symbols=self.symbols,
             flags=flags,
             approximation=self._left,
-            bounded=Rounding(self.curve, WEAK),
+            bounded=Rounding(self.curve, self.correction, WEAK),
             rest=tuple(self.curve.readings(np.zeros(1))[:, 0].tolist()),
             listed=self._listed(),
+            arrays=tuple(self.arrays),
+            options={"correction": self.correction.form},
             said=self._said(),
         )
 
@@ -164,21 +184,69 @@ class _Assembly:
 
     def _finish(self, phase: ca.SX) -> None:
         """The correction, the zero, and the branch."""
-        series = self.curve.series
+        found = self.correction
         angle = phase
-        if series.constant or series.cos:
-            constant = self._add("shift", series.constant, "rad", "correction, mean over a turn")
+        if found.constant or found.most:
+            constant = self._add("shift", found.constant, "rad", "correction, the same all round")
             angle = phase + constant
-        if series.cos:
-            angle = angle + self._waves(phase)
+        if isinstance(found, Grid):
+            angle = angle + self._looked_up(found, phase)
+        elif found.cos:
+            angle = angle + self._waves(found, phase)
         if self.curve.angle_only and angle is not phase:
             angle = self._step("turned", wrapped(angle))
         total = self._step("total", self.symbols["zero_angle"] + angle)
         self._step("angle", wrapped(total), "[rad] within half a turn")
 
-    def _waves(self, phase: ca.SX) -> ca.SX:
+    def _whole(self, step: Whole | Bits) -> ca.SX:
+        self.steps.append(step)
+        return self.symbols.setdefault(step.name, ca.SX.sym(step.name))
+
+    def _looked_up(self, grid: Grid, phase: ca.SX) -> ca.SX:
+        """Entry of the table, and a line or a cubic to the next."""
+        count = len(grid.values)
+        unit = "1" if grid.integers else "rad"
+        if grid.integers:
+            scale = self._add(
+                "correction_unit", grid.unit, "rad", "one unit of the entries of the correction"
+            )
+        array = Array(
+            "correction", tuple(grid.values.tolist()), "correction_unit" if grid.integers else "rad",
+            f"correction at {count} angles from half a turn below zero", grid.integers,
+        )  # fmt: skip
+        self.arrays.append(array)
+        fine = 31 - (count.bit_length() - 1)
+        rate = count * 2.0**fine / (2 * pi)
+        place = self._step("place", (phase + PI) * rate, f"in 2^-{fine} of the way between two entries")
+        spot = self._whole(Whole("spot", place))
+        cell = self._whole(Bits("cell", spot, "", fine))
+        rest = self._whole(Bits("rest", spot, "", fine, True))
+        part = self._step("part", rest * 2.0**-fine)
+
+        def entry(name: str, ahead: int) -> ca.SX:
+            self.symbols[name] = ca.SX.sym(name)
+            self.steps.append(Lookup(name, cell, "", array, ahead))
+            return self.symbols[name]
+
+        if grid.degree == 1:
+            left, right = entry("left", 0), entry("right", 1)
+            between = left + part * (right - left)
+        else:
+            before, left, right, after = (entry(n, k) for k, n in enumerate(NEIGHBOURS, -1))
+            rise = self._step("rise", right - left)
+            bend_left = self._step("bend_left", (before - left) + rise)
+            bend_right = self._step("bend_right", (after - right) - rise)
+            bends = (2.0 - part) * bend_left + (1.0 + part) * bend_right
+            share = self._step("share_of_bends", (1.0 - part) * SIXTH)
+            self._step("bends", bends)
+            between = left + part * (rise - share * self.symbols["bends"])
+        about = f"[{unit}] {'a line' if grid.degree == 1 else 'a cubic'} between entries"
+        if grid.integers:
+            return self._step("correction", scale * self._step("between", between, about), "[rad]")
+        return self._step("correction", between, about)
+
+    def _waves(self, series: Series, phase: ca.SX) -> ca.SX:
         """Sum of the waves by Horner's rule for complex numbers, highest first."""
-        series = self.curve.series
         entries = []
         for n, pair in enumerate(zip(series.cos, series.sin, strict=True), 1):
             about = f"{n} wave{'s' if n > 1 else ''} per turn of the correction"
@@ -227,12 +295,14 @@ class _Assembly:
 
     @cached_property
     def _left(self) -> float:
-        """What the polynomials and the waves left out may leave in the angle [rad]."""
-        series = self.curve.series
-        arctangent = 0.0 if self.curve.angle_only else arctangent_error() * (1 + series.slope)
-        # sine and cosine off by e change wave n by at most n e sqrt 2 (1 + e)^n
-        sines = sine_error() * 2**0.5 * series.slope * (1 + 2 * sine_error()) ** len(series.cos)
-        return float(arctangent + sines + series.left + ROUNDED)
+        """What the polynomials and the correction may leave in the angle [rad]."""
+        found = self.correction
+        arctangent = 0.0 if self.curve.angle_only else arctangent_error() * (1 + found.slope)
+        sines = 0.0
+        if isinstance(found, Series):
+            # sine and cosine off by e change wave n by at most n e sqrt 2 (1 + e)^n
+            sines = sine_error() * 2**0.5 * found.slope * (1 + 2 * sine_error()) ** len(found.cos)
+        return float(arctangent + sines + found.left + ROUNDED)
 
     def _listed(self) -> tuple[tuple[float, ...], ...]:
         """No field, and the seams of the octants."""
@@ -243,17 +313,29 @@ class _Assembly:
         return tuple(map(tuple, [self.curve.center.tolist(), *back.tolist()]))
 
     def _said(self) -> tuple[str, ...]:
-        series, out = self.curve.series, []
+        found, out = self.correction, []
         if not self.curve.angle_only:
             out.append(
                 f"The arctangent is a polynomial of degree {2 * len(ARCTANGENT) - 1}: off by at most "
                 f"{arctangent_error():.2g} rad (proved)."
             )
-        if series.cos:
-            count = len(series.cos)
+        if isinstance(found, Grid):
+            size = (2 if found.integers else 4) * len(found.values)
+            between = "straight lines" if found.degree == 1 else "cubics"
+            out.append(
+                f"The correction is a table of {len(found.values)} entries, {size} bytes, with {between} "
+                f"between them; it leaves at most {found.left:.2g} rad, the rounding of its entries counted "
+                "(proved)."
+            )
+        elif found.cos:
+            count = len(found.cos)
+            left = f"those left out sum to {found.left:.2g} rad"
+            if not found.summed:
+                left = f"it leaves at most {found.left:.2g} rad (proved)"
             out.append(
                 f"The correction is a series of {count} waves per turn, {8 * count + 4} bytes of table; "
-                f"those left out sum to {series.left:.2g} rad. A table of straight lines as near as "
-                f"{ENOUGH:g} rad needs up to {series.entries} entries."
+                f"{left}."
             )
+        elif found.left > 1e-12:
+            out.append(f"No correction is needed for the accuracy asked: {found.left:.2g} rad are left.")
         return tuple(out)

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.rotary_correction import Grid, Series
 from hallsym.codegen.rotary_curve import Curve
 from hallsym.codegen.trigonometry import ARCTANGENT, HALF_PI, PI, SINE, odd
 
@@ -25,18 +26,19 @@ class Rounding:
     """Digits of the significand -> range and rounding of the angle, where the field is not weak."""
 
     curve: Curve
+    correction: Series | Grid
     weak: float
 
     def __call__(self, digits: int) -> dict[str, Enclosure]:
         """Return the enclosure of each pose coordinate, zeros at zero."""
-        series, u = self.curve.series, 2.0**-digits
+        found, u = self.correction, 2.0**-digits
         phase = self._read(digits) if self.curve.angle_only else self._vector(digits) + _octants(digits)
-        most = sum(series.waves)
-        error = phase * (1 + series.slope)
-        if series.cos:
-            error += self._waves(digits) + _half_ulp(pi + abs(series.constant) + most, digits)
-        if series.cos or series.constant:
-            error += u * abs(series.constant) + _half_ulp(pi + abs(series.constant), digits)
+        error = phase * (1 + found.slope)
+        if found.most:
+            error += self._looked_up(found, digits) if isinstance(found, Grid) else self._waves(found, digits)
+            error += _half_ulp(pi + abs(found.constant) + found.most, digits)
+        if found.most or found.constant:
+            error += u * abs(found.constant) + _half_ulp(pi + abs(found.constant), digits)
             error += _half_ulp(pi, digits)  # a wrap rounds once: its first difference is exact
         end = float(np.float32(pi)) * (1 + 4 * u) + error
         return {c: Enclosure(-end, end, float(error)) for c in self.curve.model.pose}
@@ -57,9 +59,21 @@ class Rounding:
         moved = (1 + 8 * u) * (4 * u * spread + center / (self.weak * (1 - 8 * u)))
         return asin(min(1.0, float(moved)))
 
-    def _waves(self, digits: int) -> float:
+    def _looked_up(self, grid: Grid, digits: int) -> float:
+        """A place that rounding moves, by the slope of what is looked up, and the arithmetic between entries.
+
+        The interpolation is continuous, and what rounding takes into the next cell is looked up there.
+        """
+        u, count = 2.0**-digits, len(grid.values)
+        scale = count / (2 * pi)
+        moved = _constant(PI, digits).error + _half_ulp(2 * pi, digits)
+        moved += (_constant(scale, digits).error * 2 * pi + _half_ulp(count, digits)) / scale
+        moved += 2 * pi * 2.0**-31  # bits of a place that are cut off
+        return moved * grid.slope + _between(grid, digits) + u * grid.most
+
+    def _waves(self, series: Series, digits: int) -> float:
         """The complex Horner rule: |partial sums| <= sum of amplitudes, |exp(i phase)| <= 1 + its error."""
-        series, u = self.curve.series, 2.0**-digits
+        u = 2.0**-digits
         sine = sqrt(2) * _sine(digits)
         most = sum(series.waves) * (1 + 1e-5)
         error = u * series.waves[-1]  # of the entries
@@ -67,6 +81,22 @@ class Rounding:
             # two products, their sum, the entry's own rounding and its addition, in two components
             error = error * (1 + sine) + sine * most + sqrt(2) * u * (2 * most + most + size + size + most)
         return float(error)
+
+
+def _between(grid: Grid, digits: int) -> float:
+    """Rounding from entries and part of a cell to the correction; a part is exact, entries are as stored."""
+    part, left, right, before, after = (ca.SX.sym(n) for n in ("part", "left", "right", "before", "after"))
+    line = left + part * (right - left)
+    if grid.degree == 3:
+        rise = right - left
+        bends = (2.0 - part) * ((before - left) + rise) + (1.0 + part) * ((after - right) - rise)
+        line = left + part * (rise - (1.0 - part) * (1 / 6) * bends)
+    scale = _constant(grid.unit, digits) if grid.integers else Enclosure(1.0, 1.0)
+    function = ca.Function("between", [part, left, right, before, after], [line])
+    most = float(np.abs(grid.values).max())
+    entry = Enclosure(-most, most)
+    (found,) = enclose(function, [Enclosure(0.0, 1.0), entry, entry, entry, entry], digits)
+    return float(found.error * grid.unit + most * scale.error + 2.0**-digits * grid.most * 2)
 
 
 @cache

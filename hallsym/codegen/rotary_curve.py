@@ -1,29 +1,29 @@
-"""What an encoder's C corrects: the phase that it reads over a turn, and its inverse as a short series.
+"""What an encoder's C corrects: the phase that it reads over a turn, its slopes and its inverse.
 
 For two voltages the phase is that of the linear map which brings the model's curve nearest to the unit
 circle: the ellipse of offsets, amplitudes and phase is undone by it. For a decoded angle the phase is the
-reading. What is left, whatever caused it (a quadratic plate, harmonics of the magnet, an axis that is off),
-is periodic: angle = phase + c0 + sum over n of c_n cos(n phase) + s_n sin(n phase).
+reading. What is left, angle - phase, is periodic whatever caused it (a quadratic plate, harmonics of the
+magnet, an axis that is off, a rail): `hallsym.codegen.rotary_correction` makes waves or a table of it.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import pi
 
+import casadi as ca
 import numpy as np
 
 from hallsym.arrays import on_arrays
+from hallsym.codegen.ranges import ranges
 from hallsym.errors import InputError
 from hallsym.families.rotary import ANGLE
 from hallsym.model import Model
 from hallsym.turning import wrapped
 
 POINTS = 1024
-ENOUGH = 3e-8
-"""Angle [rad] that the waves left out of a correction may add up to: a quarter of float32 rounding at pi."""
-MOST_WAVES = 32
-ROUNDS = 60
+BRACKETS = 4096
+ROUNDS = 12
 SETTLED = 1e-13
 """Change of the angle [rad] below which its iteration ends."""
 
@@ -34,6 +34,7 @@ class Curve:
 
     model: Model
     p: np.ndarray
+    _slopes: dict[int, tuple[np.ndarray, ...]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def angle_only(self) -> bool:
@@ -43,8 +44,11 @@ class Curve:
     def readings(self, angle: np.ndarray) -> np.ndarray:
         """Return the model's readings (n_channels, s) at angles (s,)."""
         zeros = np.zeros(len(self.model.zeros))
-        found = on_arrays(self.model.reading)(self.p, zeros, [np.asarray(angle, dtype=float)], [])[0]
-        return np.asarray(found)
+        return np.asarray(self._run(self.p, zeros, [np.asarray(angle, dtype=float)], [])[0])
+
+    @cached_property
+    def _run(self) -> Callable[..., list[np.ndarray]]:
+        return on_arrays(self.model.reading)
 
     @cached_property
     def turn(self) -> np.ndarray:
@@ -79,95 +83,94 @@ class Curve:
         return np.asarray(np.arctan2(y, x))
 
     @cached_property
-    def _shift(self) -> float:
-        """Circular mean of phase - angle over a turn."""
-        return float(np.angle(np.exp(1j * (self.phase(self.readings(self.turn)) - self.turn)).mean()))
+    def _grown(self) -> tuple[np.ndarray, np.ndarray]:
+        """Angles over a turn, both ends included, and their phases without jumps, (n + 1,) each."""
+        angles = np.linspace(-pi, pi, BRACKETS + 1)
+        phases = np.unwrap(self.phase(self.readings(angles)))
+        if not (np.diff(phases) > 0).all() or abs(phases[-1] - phases[0] - 2 * pi) > 1e-6:
+            raise self.too_large
+        return angles, phases
+
+    @property
+    def too_large(self) -> InputError:
+        """What to say where no angle belongs to each phase."""
+        return InputError(
+            f"The distortion of this calibration of {self.model.name} is too large to be undone by a "
+            "correction of the angle: the phase it reads does not grow steadily over a turn."
+        )
 
     def angle(self, phase: np.ndarray) -> np.ndarray:
         """Return the angle (s,) at which the model reads a phase (s,), within -pi .. pi: its inverse.
 
-        Newton's method on the model, from the series and with its slope.
+        Steps with the slope of the bracket that the phase lies in; by halves where the slope jumps within it.
         """
-        correction, slope = self.series.at(phase)
-        return self._inverse(phase, phase + correction, 1 + slope)
-
-    def _inverse(self, phase: np.ndarray, start: np.ndarray, slope: np.ndarray | float) -> np.ndarray:
-        found = np.asarray(start, dtype=float)
+        angles, phases = self._grown
+        aim = phases[0] + np.mod(phase - phases[0], 2 * pi)
+        k = np.clip(np.searchsorted(phases, aim, side="right") - 1, 0, BRACKETS - 1)
+        slope = (angles[k + 1] - angles[k]) / (phases[k + 1] - phases[k])
+        found = angles[k] + (aim - phases[k]) * slope
         for _ in range(ROUNDS):
-            off = wrapped(phase - self.phase(self.readings(found)), 2 * pi) * slope
+            off = self._ahead(aim, found) * slope
             found = found + off
             if np.abs(off).max(initial=0.0) < SETTLED:
                 break
         else:
-            raise InputError(
-                f"The distortion of this calibration of {self.model.name} is too large to be undone by a "
-                "correction of the angle: the phase it reads does not grow steadily over a turn."
-            )
+            rest = np.abs(off) >= SETTLED
+            found[rest] = self._halved(aim[rest], angles[k[rest]], angles[k[rest] + 1])
         return np.asarray(wrapped(found, 2 * pi))
 
+    def _ahead(self, phase: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        return np.asarray(wrapped(phase - self.phase(self.readings(angle)), 2 * pi))
+
+    def _halved(self, phase: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        while np.abs(high - low).max(initial=0.0) >= SETTLED:
+            middle = (low + high) / 2
+            above = self._ahead(phase, middle) > 0
+            low, high = np.where(above, middle, low), np.where(above, high, middle)
+        return (low + high) / 2
+
     @cached_property
-    def series(self) -> "Series":
-        """The correction, as many pairs of waves as count."""
-        phase = self.turn
-        found = (
-            np.fft.rfft(wrapped(self._inverse(phase, phase - self._shift, 1.0) - phase + self._shift, 2 * pi))
-            / POINTS
-        )
+    def needed(self) -> tuple[float, np.ndarray]:
+        """The correction angle - phase over a turn: middle of its range [rad], and the rest at `turn`."""
+        angles, phases = self._grown
+        middle = float((angles - phases).max() + (angles - phases).min()) / 2
+        return middle, np.asarray(wrapped(self.angle(self.turn) - self.turn - middle, 2 * pi))
+
+    @cached_property
+    def waves(self) -> tuple[float, np.ndarray]:
+        """Mean of the correction [rad], and its waves c_n - i s_n from the first on."""
+        middle, rest = self.needed
+        found = np.fft.rfft(rest) / POINTS
         n = np.arange(len(found))
-        waves = 2 * found * np.exp(1j * n * pi)  # the grid begins at -pi
-        size = np.abs(waves)
-        left = np.append(np.cumsum(size[::-1])[::-1], 0.0)  # left[k]: waves k and up
-        count = next((k for k in range(0, MOST_WAVES + 2, 2) if left[k + 1] <= ENOUGH), None)
-        if left[1] >= 1.0:
-            raise InputError(
-                f"The distortion of this calibration of {self.model.name} is more than 1 rad; no correction "
-                "of the angle is generated for it."
-            )
-        if count is None:
-            raise InputError(
-                f"The correction of this calibration of {self.model.name} needs more than {MOST_WAVES} waves "
-                "per turn; C is generated for smooth distortions: fit a model without "
-                f"{' and '.join(self.model.effects) or 'so large a distortion'}."
-            )
-        constant = float(wrapped(np.array(found[0].real - self._shift), 2 * pi))
-        if not count and abs(constant) <= 1e-12:
-            constant = 0.0
-        kept = waves[1 : count + 1]
-        return Series(
-            constant, tuple(kept.real.tolist()), tuple((-kept.imag).tolist()), float(left[count + 1])
-        )
+        return middle + float(found[0].real), (2 * found * np.exp(1j * n * pi))[1:]  # the grid begins at -pi
 
+    @cached_property
+    def trial(self) -> tuple[np.ndarray, np.ndarray]:
+        """Some angles and the phases they are read at, (8 POINTS,) each."""
+        angle = np.linspace(-pi, pi, 8 * POINTS, endpoint=False)
+        return angle, self.phase(self.readings(angle))
 
-@dataclass(frozen=True)
-class Series:
-    """constant + sum of cos_n cos(n phase) + sin_n sin(n phase) [rad]; `left`: sum of the others."""
+    def slopes(self, count: int) -> tuple[np.ndarray, ...]:
+        """Return least and greatest d phase / d angle over `count` equal intervals of a turn, (count,) each.
 
-    constant: float
-    cos: tuple[float, ...]
-    sin: tuple[float, ...]
-    left: float
-
-    def at(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the correction (s,) [rad] and its derivative (s,) at phases (s,)."""
-        total, slope = np.full(np.shape(phase), self.constant), np.zeros(np.shape(phase))
-        for n, (c, s) in enumerate(zip(self.cos, self.sin, strict=True), 1):
-            cos, sin = np.cos(n * phase), np.sin(n * phase)
-            total += c * cos + s * sin
-            slope += n * (s * cos - c * sin)
-        return total, slope
-
-    @property
-    def waves(self) -> Sequence[float]:
-        """Amplitude of each wave [rad]."""
-        return np.hypot(self.cos, self.sin).tolist()
-
-    @property
-    def slope(self) -> float:
-        """Bound of its derivative."""
-        return float(sum((n + 1) * size for n, size in enumerate(self.waves)))
-
-    @property
-    def entries(self) -> int:
-        """Entries that a table of straight lines needs to be as near: max |second derivative| h^2 / 8."""
-        bend = sum((n + 1) ** 2 * size for n, size in enumerate(self.waves))
-        return int(np.ceil(2 * pi * np.sqrt(bend / 8 / ENOUGH))) if bend else 0
+        And angles and phases, without jumps, at their ends, (count + 1,) each. By interval arithmetic on the
+        derivative of the model's own expressions. Raises `InputError` where it may be negative: then no angle
+        belongs to each phase.
+        """
+        angle = ca.SX.sym("angle")
+        readings = self.model.reading(self.p, np.zeros(0), angle, [])
+        if count in self._slopes:
+            return self._slopes[count]
+        if self.angle_only:
+            slope = ca.jacobian(readings, angle)
+        else:
+            x, y = ca.vertsplit(ca.DM(self.matrix) @ (readings - ca.DM(self.center)))
+            slope = (x * ca.jacobian(y, angle) - y * ca.jacobian(x, angle)) / (x * x + y * y)
+        ends = np.linspace(-pi, pi, count + 1)
+        function = ca.Function("slope", [angle], [ca.densify(slope)])
+        ((low, high),) = ranges(function, [(ends[:-1], ends[1:])])
+        low, high = np.broadcast_to(low, count), np.broadcast_to(high, count)
+        if not (low > 0).all() or not np.isfinite(high).all():
+            raise self.too_large
+        self._slopes[count] = low, high, ends, np.unwrap(self.phase(self.readings(ends)))
+        return self._slopes[count]

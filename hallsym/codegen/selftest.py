@@ -209,10 +209,11 @@ def _slopes(source: Source, found: Vectors) -> tuple[np.ndarray, list[str]]:
 
 
 def _literal(value: float, source: Source) -> str:
+    cast = "" if source.real.size == 4 else "(double)"  # math.h has them as float
     if np.isnan(value):
-        return "NAN"
+        return f"{cast}NAN"
     if np.isinf(value):
-        return "INFINITY" if value > 0 else "-INFINITY"
+        return f"{'' if value > 0 else '-'}{cast}INFINITY"
     return source.real.constant(value)
 
 

@@ -1,5 +1,6 @@
 """What the printed C files share: the table they are printed for, its names, ranges, and layout of text."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -73,6 +74,11 @@ def function(signature: str, body: Sequence[str]) -> str:
 
 def _indented(body: Sequence[str]) -> list[str]:
     return [part for line in body for part in line.split("\n")]
+
+
+def numbers(text: str) -> list[str]:
+    """Return the lines of a row of numbers in an initializer."""
+    return [f"        {line}" for line in textwrap.wrap(text, 104)]
 
 
 def no_contraction() -> list[str]:

@@ -1,8 +1,18 @@
 """src/decoupler_check.c: what is tested of a table when it is loaded."""
 
 from hallsym.codegen.bounds import LEAST_GAIN, spreads
+from hallsym.codegen.parts import Array
 from hallsym.codegen.printer import statements
 from hallsym.codegen.source import BANNER, Source, ends, function, lines, no_contraction
+
+
+def _each(array: Array) -> list[str]:
+    return [
+        f"for (uint32_t k = 0U; k < {len(array.values)}U; k++)",
+        "{",
+        f"    bad += not_finite(p->{array.name}[k]);",
+        "}",
+    ]
 
 
 def check(source: Source) -> str:
@@ -81,6 +91,7 @@ def check(source: Source) -> str:
                 "uint32_t found = 0U;",
                 "uint32_t bad = 0U;",
                 *[f"bad += not_finite(p->{e.name});" for e in d.entries],
+                *[line for a in d.arrays if not a.integers for line in _each(a)],
                 "if (p->version != DECOUPLER_VERSION)",
                 "{",
                 "    found |= DECOUPLER_BAD_VERSION;",

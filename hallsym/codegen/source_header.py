@@ -5,7 +5,7 @@ import textwrap
 from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.parts import Decoupler, flag_bit
-from hallsym.codegen.source import BANNER, Source, bit, lines
+from hallsym.codegen.source import BANNER, Source, bit, lines, numbers
 from hallsym.codegen.table import VERSION
 
 
@@ -22,7 +22,12 @@ def header(source: Source) -> str:
     units = {what: ", ".join(dict.fromkeys(map(unit, columns))) for what, columns in _groups(d).items()}
     state = f" and state [{units['state']}]" if d.model.state else ""
     known = ", ".join(dict.fromkeys(f"{d.known(c):.6g} {unit(c)}" for c in d.pose))
-    table = [f"    {t} {e.name}; /**< [{e.unit}] {e.meaning} */" for e in d.entries]
+    table = [f"    {t} {e.name}; /**< [{e.unit}] {e.meaning} */" for e in (*d.table, *d.limits)]
+    table += [
+        f"    {'int16_t' if a.integers else t} {a.name}[{len(a.values)}]; /**< [{a.unit}] {a.meaning} */"
+        for a in d.arrays
+    ]
+    table += [f"    {t} {e.name}; /**< [{e.unit}] {e.meaning} */" for e in d.zeros]
     pad = ["    uint32_t reserved; /**< 0 */"] if source.real.size == 8 else []
     columns = {c: ("reading" if c in d.model.channels else "measured state") for c in d.inputs}
     jacobian = [
@@ -186,7 +191,11 @@ def params(source: Source) -> str:
     head += [("crc", f"0x{source.table.crc:08X}UL")]
     head += [("reserved", "0UL")] if real.size == 8 else []
     rows = [f"    .{name} = {value}," for name, value in head]
-    rows += [f"    .{e.name} = {real.constant(e.value)}, /* [{e.unit}] */" for e in d.entries]
+    rows += [f"    .{e.name} = {real.constant(e.value)}, /* [{e.unit}] */" for e in (*d.table, *d.limits)]
+    for a in d.arrays:
+        text = ", ".join(f"{int(v)}" if a.integers else real.constant(v) for v in a.values)
+        rows += [f"    .{a.name} = {{ /* [{a.unit}] */", *numbers(text), "    },"]
+    rows += [f"    .{e.name} = {real.constant(e.value)}, /* [{e.unit}] */" for e in d.zeros]
     return lines(
         BANNER.rstrip(),
         f"/* Calibration {source.table.source['calibration_sha256']} */",

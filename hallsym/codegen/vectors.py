@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.arrays import on_arrays
 from hallsym.codegen.parts import Decoupler, flag_bit
 from hallsym.codegen.printer import Real
 
@@ -36,7 +35,7 @@ class Emulator:
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
-        return on_arrays(self.d.function, self.real.dtype)
+        return self.d.on_arrays(self.real.dtype)
 
     @cached_property
     def _ends(self) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,8 @@ import numpy as np
 from hallsym.budget.settings import column_value
 from hallsym.calibration import Fit, load_fit
 from hallsym.codegen import Generated, Integers, generate, generate_q31
+from hallsym.codegen.folder import options_of
+from hallsym.codegen.rotary_correction import KINDS
 from hallsym.codegen.table import sha256
 from hallsym.commands.common import NOT_DETERMINED, OK, command, noted, say
 from hallsym.errors import InputError
@@ -19,6 +21,7 @@ examples:
   hallsym codegen calib.json -o firmware                      C99, float32, parameters, self-test, proofs
   hallsym codegen new.json -o firmware --params-only          recalibrated: the parameters alone
   hallsym codegen calib.json -o firmware --range z_um=-200:200   the box within which status is 0
+  hallsym codegen angle.json -o firmware --accuracy angle_mrad=1   an encoder: the least code that is as near
 then: make -C firmware check qemu count misra prove
 """
 
@@ -46,6 +49,15 @@ def add(sub: Any) -> None:
         "--arithmetic", choices=("float", "q31"), default="float",
         help="q31: 32-bit integers, for a controller without a floating-point unit",
     )  # fmt: skip
+    parser.add_argument(
+        "--accuracy", metavar="COLUMN=ANGLE",
+        help="encoders: what the correction of the angle may leave besides rounding, as angle_mrad=1 "
+        "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table",
+    )  # fmt: skip
+    parser.add_argument(
+        "--correction", choices=KINDS,
+        help="encoders: a series of waves, or a table of 64 to 1024 entries (default: auto, fewer bytes)",
+    )  # fmt: skip
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
     parser.add_argument("--jacobian", action="store_true", help="with d pose / d reading, for Kalman filters")
     parser.add_argument(
@@ -65,16 +77,31 @@ def run(options: Namespace) -> int:
 def _made(fit: Fit, options: Namespace) -> Generated | Integers:
     digest = sha256(Path(options.calibration).read_bytes())
     ranges, allow = _ranges(options.range, fit), options.allow_undetermined
+    before = options_of(Path(options.output)) if options.params_only else {}
+    accuracy, correction = _accuracy(options.accuracy, fit), options.correction
+    if accuracy is None:
+        accuracy = before.get("accuracy")
+    if correction is None:
+        correction = before.get("correction")
     if options.arithmetic == "q31":
         for name in ("double", "jacobian"):
             if getattr(options, name):
                 raise InputError(f"--{name} belongs to --arithmetic float; leave it out, or the integers.")
-        return generate_q31(fit, ranges=ranges, allow_undetermined=allow, calibration_sha256=digest)
+        return generate_q31(
+            fit,
+            ranges=ranges,
+            accuracy=accuracy,
+            correction=correction,
+            allow_undetermined=allow,
+            calibration_sha256=digest,
+        )
     return generate(
         fit,
         ranges=ranges,
         double=options.double,
         jacobian=options.jacobian,
+        accuracy=accuracy,
+        correction=correction,
         allow_undetermined=allow,
         calibration_sha256=digest,
     )
@@ -91,6 +118,20 @@ def _text(made: Generated | Integers, options: Namespace) -> list[str]:
     wrote = sorted(made.params) if options.params_only else sorted(made.files)
     lines += [f"wrote {Path(options.output) / name}" for name in wrote]
     return lines
+
+
+def _accuracy(given: str | None, fit: Fit) -> float | None:
+    """`angle_mrad=1` in SI."""
+    if given is None:
+        return None
+    key, _, value = given.partition("=")
+    _, factor = column_value(key, fit.model.pose, "--accuracy")
+    try:
+        return float(value) * factor
+    except ValueError:
+        raise InputError(
+            f"--accuracy must be a column of the pose and a number, such as angle_mrad=1; got {given!r}."
+        ) from None
 
 
 def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:

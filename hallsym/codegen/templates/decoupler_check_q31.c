@@ -20,14 +20,7 @@ static uint32_t crc32(const uint8_t *bytes, size_t count) /* IEEE 802.3, bit by 
     return ~crc;
 }
 
-static uint64_t size(int32_t value)
-{
-    const int64_t wide = (int64_t)value;
-    const int64_t positive = (wide < 0) ? -wide : wide;
-    return (uint64_t)positive;
-}
-
-uint32_t decoupler_check(const decoupler_params_t *p)
+@SIZE@uint32_t decoupler_check(const decoupler_params_t *p)
 {
     const uint8_t *bytes = (const uint8_t *)p;
     uint32_t found = 0U;
@@ -43,13 +36,5 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_CRC;
     }
-    if (!(@LIMITS@))
-    {
-        found |= DECOUPLER_BAD_LIMITS;
-    }
-    if (@GAINS@)
-    {
-        found |= DECOUPLER_BAD_GAIN;
-    }
-    return found;
+@LIMITS@@GAINS@    return found;
 }

@@ -5,7 +5,7 @@
  *
  * Every quantity is an integer times a power of two of its SI unit (m, rad); the exponents are below. No heap, no
  * 64-bit arithmetic and no division per sample, no static data; reentrant.
- */
+@ANGLES@ */
 #ifndef DECOUPLER_H
 #define DECOUPLER_H
 
@@ -21,8 +21,7 @@ extern "C" {
 /** @name Status of decoupler_step(): 0, or the inputs that were brought back into their range */
 /** @{ */
 @BITS@
-#define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */
-/** @} */
+@KNOWN@/** @} */
 
 /** @name Units of inputs and outputs */
 /** @{ */
