@@ -158,7 +158,7 @@ class Curve:
         belongs to each phase.
         """
         angle = ca.SX.sym("angle")
-        readings = self.model.reading(self.p, np.zeros(0), angle, [])
+        readings = self.model.reading(self.p, np.zeros(len(self.model.zeros)), angle, [])
         if count in self._slopes:
             return self._slopes[count]
         if self.angle_only:
