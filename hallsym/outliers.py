@@ -17,6 +17,9 @@ WINDOW = 7
 SPIKE = 10.0
 """Robust standard deviations off its neighbours that make a sample a gross outlier. Smaller ones do no harm,
 and at 7 the turning points of a raster would count."""
+EXTRAPOLATED = 0.5
+"""Weight of what the two samples at either end are off: lines that end before a sample miss a curve by more
+than lines through it."""
 ROUNDS = 20
 AROUND = 41
 """Samples around one whose own jumps say what is usual there: motion after rest, and ringing that lasts as
@@ -81,6 +84,7 @@ def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
         predicted[2:-2] = np.sort(lines, axis=0)[2:4].sum(axis=0) / 4  # the median of six
         predicted[:2], predicted[-2:] = _from_inside(x), _from_inside(x[::-1])[::-1]
         jump = np.abs(x - predicted)
+        jump[:2], jump[-2:] = EXTRAPOLATED * jump[:2], EXTRAPOLATED * jump[-2:]
         far = jump > SPIKE * max(1.4826 * median(jump), 1e-15)
         if far.any():
             far &= jump > SPIKE * _usual(jump, MOSTLY_SPIKY) / SPIKY_STD
@@ -104,6 +108,8 @@ def _usual(jump: np.ndarray, percent: int) -> np.ndarray:
     return np.max([wide[: len(jump)], about, wide[-len(jump) :]], axis=0)
 
 
+_AHEAD = np.linalg.pinv(np.vander(np.arange(1, 7), 3, increasing=True))[0]
+"""What the next six samples weigh in the parabola through them, which misses a sample by 2.05 sigma of noise."""
 _PAIRS = np.triu_indices(5, 1)
 _OTHERS = np.array([[1, 2, 3, 4, 5], [0, 2, 3, 4, 5]])
 _RUN = _OTHERS[:, _PAIRS[1]] - _OTHERS[:, _PAIRS[0]]
@@ -151,7 +157,8 @@ def reject_spikes(
 def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, ...]:
     """What a residual may be without being a spike: running median, line from either side (a kink), cubic.
 
-    Lines and cubic go through `good` samples only; elsewhere the median stands for them.
+    The two samples at either end, which have neighbours on one side only, may also go on as a parabola. Lines
+    and curves go through `good` samples only; elsewhere the median stands for them.
     """
     left, right, cubic = median.copy(), median.copy(), median.copy()
     before, after = good[1:-1] & good[:-2], good[1:-1] & good[2:]
@@ -160,6 +167,10 @@ def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.n
     around = good[1:-3] & good[3:-1] & good[:-4] & good[4:]
     bent = (4 * (r[:, 1:-3] + r[:, 3:-1]) - (r[:, :-4] + r[:, 4:])) / 6
     cubic[:, 2:-2] = np.where(around, bent, median[:, 2:-2])
+    for at, step in ((0, 1), (1, 1), (-1, -1), (-2, -1)):
+        inside = at + step * np.arange(1, len(_AHEAD) + 1)
+        if len(good) > len(_AHEAD) + 1 and good[inside].all():
+            cubic[:, at] = r[:, inside] @ _AHEAD
     return median, left, right, cubic
 
 
