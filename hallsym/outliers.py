@@ -109,7 +109,7 @@ def _usual(jump: np.ndarray, percent: int) -> np.ndarray:
 
 
 _AHEAD = np.linalg.pinv(np.vander(np.arange(1, 7), 3, increasing=True))[0]
-"""What the next six samples weigh in the parabola through them, which misses a sample by 2.05 sigma of noise."""
+"""What the next six samples weigh in the parabola through them; it misses a sample by 2.05 sigma of noise."""
 _PAIRS = np.triu_indices(5, 1)
 _OTHERS = np.array([[1, 2, 3, 4, 5], [0, 2, 3, 4, 5]])
 _RUN = _OTHERS[:, _PAIRS[1]] - _OTHERS[:, _PAIRS[0]]
