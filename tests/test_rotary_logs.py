@@ -9,6 +9,7 @@ from test_rotary import ANGLE, TURN, angle_log, plates, voltage_log, wrap
 
 import hallsym
 from hallsym.cli import main
+from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
 from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, check_log
@@ -294,3 +295,36 @@ def test_a_recorded_resolver_loads_as_it_is():
         fit = hallsym.fit(log, "rotary", solver="direct", drop_bad=True)
         assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < np.radians(most), name
         assert not any("isolated spikes" in note for note in fit.notes)  # it rests half of the time
+
+
+@pytest.mark.slow
+def test_recorded_encoders_are_taken_apart_by_their_waves():
+    """The stepper's pattern is the reference's wherever it is 0.04 deg and more; nothing is above the gap."""
+    folder = BESIDE / "real" / "rotary-mechaduino-luts"
+    if not folder.is_dir():
+        pytest.skip("no folder of recorded encoders beside the repository")
+    columns = {"angle_count": "raw_count", "angle_ref_deg": "ref_angle_deg"}
+    for file in sorted(folder.glob("*.csv")):
+        log = hallsym.read_log(file, columns=columns, counts_per_turn=16384)
+        d = diagnose(log, "rotary_ideal")
+        largest = max(d.waves, key=lambda w: w.designed)
+        assert {e.name for e in d.effects} & set(largest.causes), file.name
+        steps = np.degrees(max((w.model for w in d.waves if w.per_turn in (50, 100)), default=0.0))
+        assert steps < 0.04 or "reference_pole_pairs" in d.ranked, file.name
+        assert d.metric["after"] < 0.4 * d.metric["before"], file.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["rotary", "rotary_ideal"])
+def test_a_recorded_resolver_is_overdriven_late_and_its_reference_short(model):
+    folder = BESIDE / "real" / "rotary-resolver-amci"
+    if not folder.is_dir():
+        pytest.skip("no folder of a recorded resolver beside the repository")
+    columns = {"angle_deg": "resolver_deg", "angle_ref_deg": "ref_deg"}
+    for name, clipped in (("normal_connection", True), ("divider_on_excitation", False)):
+        d = diagnose(hallsym.read_log(folder / f"{name}.csv", columns=columns), model)
+        assert (d.ranked[0] == "saturation") == clipped, name
+        found = {e.name: {n: p.value for n, p in e.parameters.items()} for e in d.effects}
+        (late,) = (v for n in ("time_skew", "first_order_lag") if n in found for v in found[n].values())
+        assert late == pytest.approx(0.034, abs=0.001), name
+        assert found["reference_scale_error"]["scale"] == pytest.approx(0.003, abs=5e-4), name
