@@ -145,6 +145,8 @@ def find_features(model: Model) -> Features:
     """
     s = model.symbols
     variables = ca.vertcat(s.pose, s.state, s.derived)
+    if not _of_low_degree(model, variables):
+        raise _not_polynomial(model)
     zero = (0,) * variables.numel()
     found, level = {zero: s.reading}, {zero: s.reading}
     while level:
@@ -162,6 +164,25 @@ def find_features(model: Model) -> Features:
     if not _reproduces(features):
         raise _not_polynomial(model)
     return features
+
+
+def _of_low_degree(model: Model, variables: ca.SX) -> bool:
+    """Return whether the reading may be a polynomial: cheap, since no derivative is taken.
+
+    Along a line of one variable the difference of order MAX_DEGREE + 1 of a polynomial vanishes.
+    """
+    s, rng, order = model.symbols, np.random.default_rng(0), MAX_DEGREE + 1
+    read = ca.Function("along", [s.parameters, s.zeros, variables], [s.reading])
+    weights = np.array([(-1.0) ** k * comb(order, k) for k in range(order + 1)])
+    p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
+    zeros, at = (rng.standard_normal(n) for n in (len(model.zeros), variables.numel()))
+    for v in range(variables.numel()):
+        line = np.repeat(at[:, None], order + 1, axis=1)
+        line[v] += np.linspace(-1.0, 1.0, order + 1)
+        terms = np.asarray(read(p, zeros, line)) * weights
+        if not np.all(np.abs(terms.sum(axis=1)) <= 1e-9 * np.abs(terms).sum(axis=1)):
+            return False
+    return True
 
 
 def _reproduces(features: Features) -> bool:

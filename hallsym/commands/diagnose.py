@@ -113,9 +113,10 @@ def _reading(options: Namespace) -> list[str]:
     """Words of this command that its next step needs too: how the log is read, and the machine."""
     words = [word for column in options.column for word in ("--column", column)]
     words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("column_file", "format", "delimiter", "machine", "effects"):
-        if getattr(options, option) is not None:
-            words += [f"--{option.replace('_', '-')}", getattr(options, option)]
+    for option in ("counts_per_turn", "column_file", "format", "delimiter", "machine", "effects"):
+        value = getattr(options, option)
+        if value is not None:
+            words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
     return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 

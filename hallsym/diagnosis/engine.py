@@ -83,8 +83,8 @@ def examine(
     began, say = perf_counter(), on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
     kind = kind_of(model)
-    log, apart = _pieces(log, model) if holdout is None else (log, None)
-    apart = apart or _holdout(log, holdout)
+    log, pieces = _pieces(log, model) if holdout is None else (log, None)
+    apart = pieces or _holdout(log, holdout)
     level = _threshold(log, threshold)
     say("fitting the model")
     log, result = _fitted(log, model, apart, drop_bad, say)
@@ -95,6 +95,9 @@ def examine(
     search = Search(base, runs, (*kind.catalogue, *effects), level, floor_of(result, base.length_m), say)
     search.run()
     said = report(search, log, result, apart, wiring, level, perf_counter() - began)
+    if pieces:  # which the log on disk does not have
+        at = said.next_step.index("--holdout") if said.next_step else 0
+        said = replace(said, next_step=said.next_step[:at] + said.next_step[at + 2 :])
     return Examined(said, result, base, search.now.base if said.effects else None)
 
 

@@ -353,7 +353,8 @@ def _groups(search: Search, inflation: float) -> tuple[list[tuple[str, ...]], li
         names = (one.score.effect.name, *(r.score.effect.name for r, _ in close))
         groups.append(names)
         least = min(d for _, d in close)
-        records = dict.fromkeys(e.score.effect.record for e in (one, *(r for r, _ in close)))
+        members = (one, *(r for r, _ in close))
+        records = dict.fromkeys(way for e in members for way in e.score.effect.record.split("; or "))
         separate.append(
             separation(
                 names, [one.fit, *(r.fit for r, _ in close)], least, limit / APART, "; or ".join(records)

@@ -39,4 +39,4 @@ def split(log: Log) -> tuple[Log, tuple[int, ...]]:
     short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
     many = f"{len(log.runs)} run{'s' if len(log.runs) > 1 else ''}"
     note = f"{many} cannot be held out whole: taken as {how}, every second held out."
-    return replace(short, notes=(*log.notes, note)), held
+    return replace(short, notes=(*log.notes, note), path=log.path), held

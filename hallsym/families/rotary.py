@@ -98,7 +98,10 @@ def rotary_ideal(layout: tuple[Output, ...] | None = None) -> Model:
     def begin(v: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
         return ca.atan2(v[0], v[1]) - p["zero"]
 
-    parameters = (_amplitude("A", layout, "amplitude of both voltages"), _zero())
+    both = _amplitude("A", layout, "amplitude of both voltages")
+    if layout == angle_only():  # which has none
+        both = Parameter("A", 1.0, 1.0, 1.0, "1", both.meaning)
+    parameters = (both, _zero())
     return _encoder("rotary_ideal", layout, parameters, transducer, begin)
 
 
