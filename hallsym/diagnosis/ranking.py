@@ -22,6 +22,9 @@ The first order misjudges what is not linear, so the best one of it need not be 
 effect leaves a quarter of the squares that the best one explains, far more than a refit makes up for."""
 REFITS = 6
 """Effects that are refitted at most; each takes some five passes over the log."""
+STARTS = 3
+"""Starts that are refitted of an effect whose numbers were searched on a grid: the first order of one, such
+as a rail, says little of where it ends."""
 NIL = 1e-9
 """Part of a column's squares below which what is left of it is rounding (products are good to 1e-13)."""
 NEARLY, UNSEEN = 0.97, 0.01
@@ -36,6 +39,10 @@ FORESEEN = 0.75
 """Gap that is left on other runs, over that of the best fitting effect, by which an effect beats it.
 
 A first order is good to about a quarter (`CLOSE`); what is better by more foresees more."""
+
+
+ALIKE = 0.05
+"""Relative difference of the gaps of two exact fits up to which they fit alike: what is worth reporting."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,18 +272,29 @@ def refitted(
 ) -> list[Exact]:
     """Refit the promising effects exactly, shapes refined; best first. None where none is `worth` it.
 
-    A variant whose fit does not `stand`, or has parameters that its cause cannot have, is left out with all
-    of its effect that are no plainer, and what it was in the way of is looked at.
+    An effect whose fit does not `stand`, or that no start brings to parameters that its cause can have, is
+    left out but for its plainer variants, and what it was in the way of is looked at.
     """
+
+    def exact(first: Score) -> Exact | None:
+        starts = [s for s in left if s.effect is first.effect and s.gain >= CLOSE * first.gain]
+        wanted, possible = (STARTS if first.variant.tried > 1 else 1), []
+        for score in starts[:REFITS]:
+            found = _exact(base, _finer(base, score, runs, facts, inflation), runs, inflation)
+            if score.effect.possible(found.fit.base.values):
+                possible.append(found)
+            if len(possible) == wanted:
+                break
+        best = min(possible, key=lambda e: e.bic, default=None)
+        return best if best is not None and stands(best) else None
+
     left = list(scored)
     for _ in range(REFITS):
-        tried = _promising(left, worth)
-        fitted = [(s, _exact(base, _finer(base, s, runs, facts, inflation), runs, inflation)) for s in tried]
-        out = [(s, e) for s, e in fitted if e.score.effect.possible(e.fit.base.values) and stands(e)]
-        if len(out) == len(fitted) or any(worth(e.score) for _, e in out):
-            return _ordered([e for _, e in out], left, worth)
-        stood = {id(s) for s, _ in out}
-        fallen = {s.effect.name: s.size for s, _ in fitted if id(s) not in stood}
+        fitted = [(s, exact(s)) for s in _promising(left, worth)]
+        out = [e for _, e in fitted if e is not None]
+        if len(out) == len(fitted) or any(worth(e.score) for e in out):
+            return _ordered(out, left, worth)
+        fallen = {s.effect.name: s.size for s, e in fitted if e is None}
         left = [s for s in left if s.size < fallen.get(s.effect.name, s.size + 1)]
     return []
 
@@ -310,13 +328,15 @@ def _ordered(exact: Sequence[Exact], scored: Sequence[Score], worth: Callable[[S
 
 
 def _foreseen_first(exact: list[Exact]) -> list[Exact]:
-    """Put the effect first that predicts other runs far better than the best fitting one does.
+    """Put the effect first that fits nearly as well as the best one and predicts other runs far better.
 
     Where much else is left, that is no noise, and BIC has no measure for it.
     """
     if not exact:
         return exact
-    least = min(exact, key=lambda e: e.score.ratio)
+    gap = exact[0].fit.gap(exact[0].fit.fitted)
+    near = [e for e in exact if e.fit.gap(e.fit.fitted) <= gap * (1 + ALIKE)]
+    least = min(near, key=lambda e: e.score.ratio)
     if least.score.ratio >= FORESEEN * exact[0].score.ratio:
         return exact
     return [least, *(e for e in exact if e is not least)]
