@@ -162,18 +162,25 @@ class Search:
         self.most = kind_of(base.model).most
 
     def run(self) -> None:
-        """Add effects while they lower the gap metric by the threshold; then ask of each again."""
-        for count in range(self.most + 1):
+        """Add effects while they lower the gap metric by the threshold; then ask of each again.
+
+        Where another takes the place of one, what is left is another rest, and is asked about too.
+        """
+        self.grow()
+        if self.found:
+            self.prune()
+        if len(self.found) > 1 and self.reconsider():
+            self.grow()
+
+    def grow(self) -> None:
+        """Add effects while they lower the gap metric by the threshold."""
+        for count in range(len(self.found), self.most + 1):
             self.say(f"testing {len(self.catalogue)} effects" + (f" beside {count}" if count else ""))
             exact, self.last = self.step(self.now, partial(self.worth, beside=count))
             if not exact or not self.worth(exact[0].score, count):
                 break
             self.found.append(Found(exact[0], exact[1:], self.now.cost))
             self.now = exact[0].fit
-        if self.found:
-            self.prune()
-        if len(self.found) > 1:
-            self.reconsider()
 
     def scores_at(self, base: Base) -> list[Score]:
         """Return how the catalogue scored at a fit that was asked about; nothing elsewhere."""
@@ -247,8 +254,9 @@ class Search:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
         return exact, ranked
 
-    def reconsider(self) -> None:
-        """Ask of each effect again, with the others in place, which one it should be."""
+    def reconsider(self) -> bool:
+        """Ask of each effect again, with the others in place, which one it should be; say if any changed."""
+        before = [f.exact.score.effect for f in self.found]
         for k in range(len(self.found) - 1):  # the last was chosen with the others in place
             others = [f.exact for j, f in enumerate(self.found) if j != k]
             without = self.rebuilt(others)
@@ -257,6 +265,7 @@ class Search:
                 continue
             self.found[k] = Found(exact[0], exact[1:], without.cost)
             self.now = exact[0].fit
+        return [f.exact.score.effect for f in self.found] != before
 
     def rebuilt(self, exact: Sequence[Exact]) -> Refitted:
         """Fit the base model with some of the effects."""
