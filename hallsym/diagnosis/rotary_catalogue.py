@@ -119,7 +119,8 @@ def _hums(name: str, facts: Facts) -> list[Variant]:
 def _clipped_angle(level: float, axes: float) -> Variant:
     text = write("saturation", level=level, axes_deg=float(np.degrees(axes)))
     label = f"from a rail at {level:g} of the amplitude, axes at {np.degrees(axes):.0f} deg"
-    return _variant(label, text, 0, None, len(LEVELS) * len(AXES))
+    # the share clipped must come out as 1 (`_clips_whole`): it is no number that is free
+    return _variant(label, text, -1, None, len(LEVELS) * len(AXES))
 
 
 def _clipping(model: Model, facts: Facts) -> list[Variant]:
