@@ -399,9 +399,8 @@ def _smaller(search: Search) -> list[dict[str, Any]]:
     names = {f.exact.score.effect.name for f in search.found}
     for score in by_name(search.last):
         p = score.corrected(tested)
-        small = (
-            SMALLEST * search.level <= 1 - score.ratio < search.level
-        )  # above it was judged, and not taken
+        # what is worth more was judged, and not taken
+        small = SMALLEST * search.level <= 1 - score.ratio < search.level
         if p < SMALL and small and score.effect.name not in names:
             out.append({"name": score.effect.name, "shrinkage": 1 - score.ratio, "p_value": p})
     return out
