@@ -289,8 +289,11 @@ def refitted(
         return best if best is not None and stands(best) else None
 
     left = list(scored)
+    known: dict[int, Exact | None] = {}
     for _ in range(REFITS):
-        fitted = [(s, exact(s)) for s in _promising(left, worth)]
+        tried = _promising(left, worth)
+        known |= {id(s): exact(s) for s in tried if id(s) not in known}
+        fitted = [(s, known[id(s)]) for s in tried]
         out = [e for _, e in fitted if e is not None]
         if len(out) == len(fitted) or any(worth(e.score) for e in out):
             return _ordered(out, left, worth)
