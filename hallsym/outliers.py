@@ -15,8 +15,10 @@ from hallsym.turning import wrapped
 
 WINDOW = 7
 SPIKE = 10.0
-"""Robust standard deviations off its neighbours that make a sample a gross outlier. Smaller ones do no harm,
-and at 7 the turning points of a raster would count."""
+"""Robust standard deviations off its neighbours that make a sample a gross outlier, unless others tell of
+smaller ones: at 7 the turning points of a raster would count."""
+TELLING, ODDS = 3, 100.0
+"""Spikes in a channel that tell of smaller ones, and the odds that a smaller jump must have to be one."""
 EXTRAPOLATED = 0.5
 """Weight of what the two samples at either end are off: lines that end before a sample miss a curve by more
 than lines through it."""
@@ -136,22 +138,47 @@ def reject_spikes(
 
     def weigh(block: Block) -> np.ndarray:
         r, good = residual(block), suspect(block) > 0
-        if good.sum() < WINDOW:
-            good = np.ones_like(good)
-        at = np.arange(len(good))
-        clean = np.array([np.interp(at, at[good], row[good]) for row in r])
-        middle = median_filter(r[:, good], size=(1, WINDOW), mode="mirror")
-        median = np.array([np.interp(at, at[good], row) for row in middle])
-        off = [np.abs(r - near) for near in _expected(clean, median, good)]
-        jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
-        scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
-        spike = jump > SPIKE * scale
-        for k in np.flatnonzero(spike.any(axis=1)):
-            usual = np.interp(at, at[good], _usual(jump[k, good], 50))
-            spike[k] &= jump[k] > SPIKE * 1.4826 * usual
+        spike = np.zeros_like(r, dtype=bool)
+        for _ in range(ROUNDS):
+            before, (jump, scale) = spike, _jumps(r, good, stated)
+            least = _least(jump / scale, spike)
+            spike = jump > least[:, None] * scale
+            for k in np.flatnonzero(spike.any(axis=1)):
+                at, here = np.arange(len(good)), np.flatnonzero(good)
+                usual = np.interp(at, here, _usual(jump[k, good], 50))
+                spike[k] &= jump[k] > least[k] * 1.4826 * usual
+            if np.array_equal(spike, before):
+                break
+            good = good & ~spike.any(axis=0)  # what turned out to be a spike speaks for nobody else
         return np.all(~spike, axis=0).astype(float)
 
     return weigh
+
+
+def _least(jump: np.ndarray, spike: np.ndarray) -> np.ndarray:
+    """Return the jump (n_channels,), in standard deviations, from which on a sample is a spike.
+
+    Where spikes were found, their share and size tell how many smaller ones hide below `SPIKE`: from here on
+    a jump is ODDS times likelier one of them, spread evenly up to twice the median, than normal noise.
+    """
+    least = np.full(len(jump), SPIKE)
+    for k in np.flatnonzero(spike.sum(axis=1) >= TELLING):
+        density = spike[k].mean() / (4 * median(jump[k, spike[k]]))
+        least[k] = min(SPIKE, np.sqrt(-2 * np.log(density * np.sqrt(2 * np.pi) / ODDS)))
+    return least
+
+
+def _jumps(r: np.ndarray, good: np.ndarray, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far residuals (n_channels, samples) are off their neighbours, and each channel's scale."""
+    if good.sum() < WINDOW:
+        good = np.ones_like(good)
+    at = np.arange(len(good))
+    clean = np.array([np.interp(at, at[good], row[good]) for row in r])
+    middle = median_filter(r[:, good], size=(1, WINDOW), mode="mirror")
+    running = np.array([np.interp(at, at[good], row) for row in middle])
+    off = [np.abs(r - near) for near in _expected(clean, running, good)]
+    jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
+    return jump, np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
 
 
 def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -108,6 +108,37 @@ def test_stated_noise_is_the_least_scale():
     assert np.array_equal(spikes()(block(r)), expected)
 
 
+def test_where_spikes_abound_small_ones_are_found_too():
+    """A tenth spread evenly up to 700 sigma: of those from 6 sigma on 5 in 1000 stay; nothing good goes."""
+    left = gone = 0
+    for seed in range(20):
+        rng, r = np.random.default_rng(seed), noise(seed, 1000)
+        hit = rng.random(1000) < 0.1
+        size = np.where(hit, rng.uniform(-700, 700, 1000), 0.0)
+        kept = spikes()(block(r + SIGMA * np.stack([size, 0 * size, 0 * size]))) > 0
+        left, gone = left + int(np.sum(kept & (np.abs(size) > 6))), gone + int(np.sum(~kept & ~hit))
+    assert left <= 0.005 * 2000
+    assert gone <= 0.001 * 18000
+    alone = noise(0)
+    alone[1, 200] = 8 * SIGMA  # the same size, where nothing else says that there are spikes
+    assert np.all(spikes()(block(alone)) == 1.0)
+
+
+@pytest.mark.parametrize("end", [slice(None), slice(None, None, -1)])
+def test_spikes_side_by_side_at_the_end_of_a_run_do_not_vouch_for_each_other(end):
+    """Samples 2, 4 and 5 are suspected; 1 and 3 are off and are not: they must not be each other's median."""
+    r, flagged = noise(5, 100), 1e-3 * np.random.default_rng(0).standard_normal(100)
+    r[1, [1, 2, 3, 4, 5]] += np.array([280, 380, 725, 430, -290]) * SIGMA
+    flagged[[2, 4, 5]] += [1.0, -2.0, 3.0]
+    columns = {**dict(zip(HALL, r[:, end], strict=True)), "flagged": flagged[end]}
+    suspected = column_spikes(("flagged",))(Block(0, columns))[end] == 0
+    assert np.array_equal(np.flatnonzero(suspected), [2, 4, 5])
+    weigh = reject_spikes(lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, ("flagged",))
+    kept = weigh(Block(0, columns))[end]
+    assert np.all(kept[[1, 2, 3, 4, 5]] == 0)
+    assert np.all(kept[6:] == 1)
+
+
 @settings(max_examples=20)
 @given(seeds, st.sampled_from([0.01, 0.05, 0.1]))
 def test_columns_alone_show_most_spikes_and_accuse_few_good_samples(seed, share):
