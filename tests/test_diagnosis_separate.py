@@ -20,6 +20,7 @@ from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.separate import recorded, separation, with_readings
 from hallsym.diagnosis.text import WIDTH, diagnosis_text, p_text, separation_text
 from hallsym.families import stage_effects as se
+from hallsym.families.parts import Make
 from hallsym.log import Log
 
 NAMES = ("time_skew", "first_order_lag")
@@ -31,7 +32,7 @@ def grid_log() -> Log:
     return machine("grid", (listed(np.random.default_rng(1))["time_skew"],), seed=1)
 
 
-def fitted(log: Log, *makes: se.Make) -> list[Refitted]:
+def fitted(log: Log, *makes: Make) -> list[Refitted]:
     base = base_of(log, hallsym.fit(log, "stage31", solver="direct", holdout=log.meta.holdout))
     runs = [r for r in log.runs if r not in log.meta.holdout]
     return [refit(with_model(base, make(base.model)), runs) for make in makes]
@@ -143,7 +144,7 @@ def test_what_cannot_be_simulated_keeps_the_words_of_the_catalogue() -> None:
     arrays["gap_m"] = np.sin(arrays["t_s"])
     log = Log.from_arrays(arrays, grid_log().noise, grid_log().meta)
 
-    def current(name: str) -> se.Make:
+    def current(name: str) -> Make:
         return se.offset_drift(name, ["gap_m"], lambda s: [s["gap_m"]])
 
     s = separation(("one", "two"), fitted(log, current("one"), current("two")), 0.5, 1.5, "other currents")

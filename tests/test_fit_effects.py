@@ -22,6 +22,7 @@ from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families import stage_effects as se
+from hallsym.families.play import stop_state
 from hallsym.families.recipes import FAULTS, RECIPES, lacking, make_of, write
 from hallsym.linearised import exact, summarise_at
 from hallsym.log import Log
@@ -236,14 +237,12 @@ def test_an_unknown_start_of_a_play_is_the_mean_over_all_starts(seed: int, width
         states.append(z.copy())
     weights = np.full(801, 1 / 800)
     weights[[0, -1]] /= 2
-    mean, slope = se.stop_state(u, width)
+    mean, slope = stop_state(u, width)
     assert np.allclose(mean, np.array(states) @ weights, atol=1e-4)
     covered = np.maximum.accumulate(u) - np.minimum.accumulate(u) >= 2 * width
     assert np.all(np.ptp(np.array(states)[covered], axis=1) < 1e-9)
     # the state is smooth in the width but at turning points that just reach the end of the loop
-    steps = [
-        (se.stop_state(u, width + h)[0] - se.stop_state(u, width - h)[0]) / (2 * h) for h in (1e-6, 2e-6)
-    ]
+    steps = [(stop_state(u, width + h)[0] - stop_state(u, width - h)[0]) / (2 * h) for h in (1e-6, 2e-6)]
     smooth = np.abs(steps[0] - steps[1]) < 1e-6
     assert smooth.mean() > 0.9
     assert np.allclose(steps[0][smooth], slope[smooth], atol=1e-5)

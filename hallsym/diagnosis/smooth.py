@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from hallsym.diagnosis.residue import Coordinate, Residue, hats, knots
-from hallsym.families.stage_effects import stop_operator
+from hallsym.families.play import stop_operator
 
 BEND = 0.01
 """Weight of the bending penalty against the data."""

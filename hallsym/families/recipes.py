@@ -12,9 +12,8 @@ from typing import Any
 
 from hallsym.errors import InputError, nearest
 from hallsym.families import rotary_recipes, stage_recipes
+from hallsym.families.parts import Make
 from hallsym.model import Model
-
-Make = Callable[[Model], Model]
 
 REPAIR = "is a fault of the recording, which no model holds"
 FAULTS = {

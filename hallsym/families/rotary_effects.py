@@ -14,10 +14,10 @@ import numpy as np
 
 from hallsym.computed import Computed, Stretch, campaign_time, rate
 from hallsym.families import rotary
+from hallsym.families.play import stop_operator
 from hallsym.families.rotary import ANGLE, REFERENCES
 from hallsym.families.rotary_waveforms import waveform
 from hallsym.families.rotary_waves import Wave, cosine, sine
-from hallsym.families.stage_effects import stop_operator
 from hallsym.model import Model, Parameter, Signals, Step
 
 (REFERENCE,) = REFERENCES

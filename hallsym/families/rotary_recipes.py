@@ -9,10 +9,9 @@ import casadi as ca
 
 from hallsym.errors import InputError
 from hallsym.families import rotary_effects as re
+from hallsym.families.parts import Make
 from hallsym.families.recipe_numbers import among, positive
 from hallsym.model import Model, Step
-
-Make = Callable[[Model], Model]
 
 
 def short(model: Model) -> Model:

@@ -174,7 +174,7 @@ def tied_vertical_coupling(model: Model) -> Model:
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
         rows = []
         for k, probe in enumerate(model.layout):
-            x, y = _position(k, probe, p)
+            x, y = position(k, probe, p)
             lift = s["z_m"] + (y - p["y0"]) * s["rx_rad"] - (x - p["x0"]) * s["ry_rad"]
             rows.append(p[f"a_{probe.label}"] * lift)
         s["gain"] = s["gain"] + ca.vertcat(*rows)
@@ -193,7 +193,7 @@ def exact_rotation(model: Model) -> Model:
         sine = s.derive("sin rz", ca.sin(s["rz_rad"]))
         rows = []
         for k, probe in enumerate(model.layout):
-            (x, y), (nx, ny) = _position(k, probe, p), _direction(probe, p)
+            (x, y), (nx, ny) = position(k, probe, p), direction(probe, p)
             px, py = x + s["x_m"], y + s["y_m"]
             moved = nx * (-versine * px - sine * py) + ny * (sine * px - versine * py)  # (2)
             small = nx * (-y * s["rz_rad"]) + ny * (x * s["rz_rad"])  # (8)
@@ -254,7 +254,7 @@ def _entry(coefficients: Mapping[str, np.ndarray], pose: str, state: str, k: int
 
 def _set_lever(p: dict[str, float], k: int, probe: Probe, nx: float, ny: float, lever: float) -> None:
     """Give the lever arm p_x n_y - p_y n_x to the coordinate that carries most of it."""
-    sx, sy = (-1 if value < 0 else 1 for value in probe.position)
+    sx, sy = _signs(probe)
     hx, hy = f"H{k + 1}x", f"H{k + 1}y"
     if abs(ny) >= abs(nx):
         p[hx] = sx * (lever + sy * p[hy] * nx) / ny
@@ -333,13 +333,20 @@ def _parameters(probes: tuple[Probe, ...], *, paper: bool) -> tuple[Parameter, .
     return tuple(parameters)
 
 
-def _position(k: int, probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    sx, sy = (-1 if value < 0 else 1 for value in probe.position)
+def _signs(probe: Probe) -> tuple[int, int]:
+    """Signs of the coordinates of a probe, which belong to the layout."""
+    x, y = probe.position
+    return (-1 if x < 0 else 1), (-1 if y < 0 else 1)
+
+
+def position(k: int, probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Return the position of probe k [m] by its parameters, which are magnitudes."""
+    sx, sy = _signs(probe)
     return sx * p[f"H{k + 1}x"], sy * p[f"H{k + 1}y"]
 
 
-def _direction(probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Sensing axis turned counter-clockwise by theta, Eq. (10)."""
+def direction(probe: Probe, p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Return the sensing axis of a probe turned counter-clockwise by theta, Eq. (10)."""
     (nx, ny), theta = probe.senses, p[f"theta_{probe.label}"]
     return nx * ca.cos(theta) - ny * ca.sin(theta), ny * ca.cos(theta) + nx * ca.sin(theta)
 
@@ -348,7 +355,7 @@ def _small_angle(probes: tuple[Probe, ...]) -> Step:
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
         rows = []
         for k, probe in enumerate(probes):
-            (px, py), (nx, ny) = _position(k, probe, p), _direction(probe, p)
+            (px, py), (nx, ny) = position(k, probe, p), direction(probe, p)
             rows.append(nx * s["x_m"] + ny * s["y_m"] + (px * ny - py * nx) * s["rz_rad"])  # (11)
         s["displacement"] = ca.vertcat(*rows)
 
@@ -369,7 +376,7 @@ def _read_out(s: Signals, p: Mapping[str, ca.SX]) -> None:
 def _lever_arm(k: int, probe: Probe) -> Combination:
     """The factor of Rz in Eq. (11), the only way in which H enters a small-angle reading."""
     hx, hy, theta = f"H{k + 1}x", f"H{k + 1}y", f"theta_{probe.label}"
-    sx, sy = (-1 if value < 0 else 1 for value in probe.position)
+    sx, sy = _signs(probe)
     nx, ny = probe.senses
     terms = [(sx * ny, hx, "cos"), (sx * nx, hx, "sin"), (-sy * nx, hy, "cos"), (sy * ny, hy, "sin")]
     text = ""
@@ -380,7 +387,7 @@ def _lever_arm(k: int, probe: Probe) -> Combination:
             text += f"{sign}{scale}{name}*{turn}({theta})"
 
     def value(p: Mapping[str, ca.SX]) -> ca.SX:
-        (px, py), (dx, dy) = _position(k, probe, p), _direction(probe, p)
+        (px, py), (dx, dy) = position(k, probe, p), direction(probe, p)
         return px * dy - py * dx
 
     return Combination(text, "m", (hx, hy, theta), value)

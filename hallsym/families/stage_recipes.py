@@ -5,10 +5,9 @@ from typing import Any
 
 from hallsym.errors import InputError
 from hallsym.families import stage_effects as se
+from hallsym.families.parts import Make
 from hallsym.families.recipe_numbers import among, positive
 from hallsym.model import Model
-
-Make = Callable[[Model], Model]
 
 ARMS = ((0, "ry_rad"), (1, "rx_rad"))
 ALL_ARMS = tuple((i, c) for i in (0, 1) for c in ("z_m", "rx_rad", "ry_rad"))

@@ -1,0 +1,51 @@
+"""The elastic part of a play, the memory of a hysteresis, in closed form between turning points."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+
+def stop_operator(u: np.ndarray, width: float) -> np.ndarray:
+    """Return the elastic part of a play of half-width `width`, -1 to 1, starting from 0.
+
+    z follows du / width and stops at +-1: between turning points it has a closed form.
+    """
+    return _stops_from(u, width, (0.0,))[0][0] if len(u) else np.empty(0)
+
+
+def stop_state(u: np.ndarray, width: float) -> np.ndarray:
+    """Return state and d state / d width of a play whose state at the first sample nobody knows, (2, n).
+
+    From every start s in [-1, 1] the state is clip(s + U, low, high): U the travel over the width, low and
+    high the states from -1 and 1. Returned is the mean over all starts; once the motion has covered 2 width,
+    low and high are one and the state is known.
+    """
+    if len(u) == 0:
+        return np.zeros((2, 0))
+    (low, by_low), (high, by_high) = _stops_from(u, width, (-1.0, 1.0))
+    U = (u - u[0]) / width
+    a, b = np.clip(low - U, -1.0, 1.0), np.clip(high - U, -1.0, 1.0)
+    inside = ((b + U) ** 2 - (a + U) ** 2) / 2
+    mean = 0.5 * (low * (a + 1) + inside + high * (1 - b))
+    slope = 0.5 * (by_low * (a + 1) - U / width * (b - a) + by_high * (1 - b))
+    return np.array([mean, slope])
+
+
+def _stops_from(u: np.ndarray, width: float, starts: Sequence[float]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """State from each start, and its slope with the width: both in closed form between turning points."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(np.diff(u))) != 0) + 1, [len(u) - 1]])
+    strokes = (np.diff(u[edges]) / width).tolist()
+    stroke = np.repeat(np.arange(len(strokes)), np.diff(edges))
+    along = (u[1:] - u[edges[stroke]]) / width
+    out = []
+    for start in starts:
+        states, slopes = [start], [0.0]
+        for moved in strokes:
+            state = states[-1] + moved
+            slopes.append(slopes[-1] - moved / width if abs(state) < 1.0 else 0.0)
+            states.append(1.0 if state > 1.0 else -1.0 if state < -1.0 else state)
+        z, slope = np.full(len(u), start), np.zeros(len(u))
+        z[1:] = np.clip(np.array(states)[stroke] + along, -1.0, 1.0)
+        slope[1:] = np.where(np.abs(z[1:]) < 1.0, np.array(slopes)[stroke] - along / width, 0.0)
+        out.append((z, slope))
+    return out
