@@ -1,10 +1,12 @@
-"""Data-only functions that gains and offsets may follow, each as `(columns, read)`: time, temperature."""
+"""Data-only functions that gains and offsets may follow, as `(columns, read)`: of time, runs, temperature."""
 
 from collections.abc import Callable, Sequence
+from math import pi
 
 import casadi as ca
+import numpy as np
 
-from hallsym.computed import Computed, campaign_time
+from hallsym.computed import Computed, Stretch, campaign_time
 from hallsym.model import Model, Signals
 
 Read = Callable[[Signals], list[ca.SX]]
@@ -36,3 +38,26 @@ def settling(tau_s: float) -> Followed:
 def temperature(mean: float) -> Followed:
     """Return the logged temperature above its mean."""
     return ["temperature_degc"], lambda s: [s["temperature_degc"] - mean]
+
+
+def during(runs: Sequence[int]) -> Followed:
+    """Return 1 in some runs, 0 in the others."""
+    name, on = f"on_in_{'_'.join(map(str, runs))}", frozenset(runs)
+
+    def rule(s: Stretch) -> np.ndarray:
+        return np.full(len(s.data["t_s"]), float(s.run in on))
+
+    return [Computed(name, (), rule)], lambda s: [s[name]]
+
+
+def wave_of_time(frequency_hz: float, harmonics: Sequence[int] = (1,)) -> Followed:
+    """Return cosine and sine of a frequency and its harmonics over the campaign."""
+    columns = []
+    for k in harmonics:
+        for name, function in (("cos", np.cos), ("sin", np.sin)):
+
+            def rule(s: Stretch, f: float = k * frequency_hz, of: Callable = function) -> np.ndarray:
+                return np.asarray(of(2 * pi * f * (s.data["t_s"] - s.origin_s)))
+
+            columns.append(Computed(f"{name}_{k}x{frequency_hz:.9g}hz", (), rule))
+    return columns, lambda s: [s[c.name] for c in columns]

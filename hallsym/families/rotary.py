@@ -176,9 +176,9 @@ def _encoder(
         channels=channels,
         parameters=parameters,
         steps=(
-            ("mechanics", _turned),
+            ("mechanics", turned),
             ("transducer", transducer),
-            ("electronics", _arctangent if decoded else _voltages),
+            ("electronics", arctangent if decoded else voltages),
         ),
         combinations=combinations if decoded else (),
         layout=outputs,
@@ -193,8 +193,8 @@ def _encoder(
 # -- links -----------------------------------------------------------------------------------------------
 
 
-def _turned(s: Signals, p: Mapping[str, ca.SX]) -> None:
-    """The field at the plates, as waves of the angle from the encoder's own zero."""
+def turned(s: Signals, p: Mapping[str, ca.SX]) -> None:
+    """Set the field at the plates, as waves of the angle from the encoder's own zero."""
     s["cosine"], s["sine"] = cosine(), sine()
 
 
@@ -203,12 +203,13 @@ def _transfer(u: Wave, p: Mapping[str, ca.SX]) -> Wave:
     return u * u * (p["K1"] * p["m"] ** 2) + u * (p["K2"] * p["m"]) + p["K3"]
 
 
-def _voltages(s: Signals, p: Mapping[str, ca.SX]) -> None:
+def voltages(s: Signals, p: Mapping[str, ca.SX]) -> None:
+    """Set the reading to both voltages."""
     s["reading"] = ca.vertcat(*(s[v].ahead(p["zero"]).of(s, POSE[0]) for v in ("v_sin", "v_cos")))
 
 
-def _arctangent(s: Signals, p: Mapping[str, ca.SX]) -> None:
-    """The chip's own atan2, as a series in the angle (`rotary_waves.angle`)."""
+def arctangent(s: Signals, p: Mapping[str, ca.SX]) -> None:
+    """Set the reading to the chip's own atan2, as a series in the angle (`rotary_waves.angle`)."""
     columns = [value for name, value in s.items() if name not in POSE and _is_column(name, value)]
     error = angle(s["v_sin"], s["v_cos"], ca.vertcat(*columns) if columns else ca.SX(0, 1))
     s["reading"] = s[POSE[0]] + p["zero"] + error.ahead(p["zero"]).of(s, POSE[0])

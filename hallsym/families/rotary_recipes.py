@@ -1,14 +1,14 @@
 """Effects of an encoder by their texts: each a function of the numbers that its text holds (`recipes`)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import radians
-from typing import Any
 
 import casadi as ca
 
 from hallsym.errors import InputError
 from hallsym.families import rotary_effects as re
+from hallsym.families.data_functions import Columns, Followed, Read
 from hallsym.families.parts import Make
 from hallsym.families.recipe_numbers import among, positive
 from hallsym.model import Model, Step
@@ -223,9 +223,9 @@ RECIPES: dict[str, tuple[Callable[..., Make], ...]] = {
 """By name; where an effect has several forms the numbers that are given tell them apart."""
 
 
-def _gains(effect: str, columns: Sequence[Any], functions: Any, count: int) -> Make:
+def _gains(effect: str, columns: Columns, read: Read) -> Make:
     """Drift of the gains of both plates; of the angle alone only that of the sine against the cosine."""
-    both = re.gain_drift(effect, columns, functions, count)
+    both = re.gain_drift(effect, columns, read)
 
     def make(model: Model) -> Model:
         wide = both(model)
@@ -240,7 +240,7 @@ def _gains(effect: str, columns: Sequence[Any], functions: Any, count: int) -> M
     return make
 
 
-def _polynomial(duration_s: float, degree: int) -> tuple[Any, Any, int]:
+def _polynomial(duration_s: float, degree: int) -> Followed:
     among("degree", str(degree), "1 2 3")
     return re.powers_of_time(positive("duration_s", duration_s), degree)
 

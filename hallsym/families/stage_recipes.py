@@ -1,10 +1,10 @@
 """Effects of the stage by their texts: each a function of the numbers that its text holds (`recipes`)."""
 
 from collections.abc import Callable
-from typing import Any
 
 from hallsym.errors import InputError
 from hallsym.families import stage_effects as se
+from hallsym.families.data_functions import Followed
 from hallsym.families.parts import Make
 from hallsym.families.recipe_numbers import among, positive
 from hallsym.model import Model
@@ -164,6 +164,6 @@ RECIPES: dict[str, tuple[Callable[..., Make], ...]] = {
 """By name; where an effect has two forms the numbers that are given tell them apart."""
 
 
-def _polynomial(duration_s: float, degree: int) -> tuple[Any, Any]:
+def _polynomial(duration_s: float, degree: int) -> Followed:
     among("degree", str(degree), "1 2 3")
     return se.powers_of_time(positive("duration_s", duration_s), degree)
