@@ -12,16 +12,9 @@ import hallsym
 import hallsym.diagnosis.selftest as module
 from hallsym.cli import main
 from hallsym.diagnosis import diagnose, engine
-from hallsym.diagnosis.injection import (
-    Injection,
-    Truth,
-    _ages,
-    generator,
-    injections,
-    readings_of,
-    sized,
-    truth_of,
-)
+from hallsym.diagnosis.injection import Injection, generator, sized
+from hallsym.diagnosis.injection_catalogue import injections
+from hallsym.diagnosis.injection_faults import ages
 from hallsym.diagnosis.likeness import likeness
 from hallsym.diagnosis.search import base_of, facts_of
 from hallsym.diagnosis.selftest import NONE, RATIOS, SelfTest, selftest
@@ -30,6 +23,7 @@ from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.thin import thinned
+from hallsym.diagnosis.truth import Truth, readings_of, truth_of
 from hallsym.log import Log
 
 FLOOR = 1.4e-6
@@ -100,7 +94,7 @@ def test_what_cannot_be_seen_says_why() -> None:
 def test_a_stale_reading_ages_until_its_hold_ends_and_not_beyond_its_run() -> None:
     begins = np.array([0, 1, 0, 0, 0, 0, 1, 0], bool)
     run = np.array([0, 0, 0, 0, 0, 0, 0, 1])
-    assert _ages(begins, np.full(8, 3), run).tolist() == [0, 1, 2, 3, 0, 0, 1, 0]
+    assert ages(begins, np.full(8, 3), run).tolist() == [0, 1, 2, 3, 0, 0, 1, 0]
 
 
 # -- noise -------------------------------------------------------------------------------------------------

@@ -16,21 +16,15 @@ from hallsym.calibration import Fit
 from hallsym.diagnosis import engine
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
-from hallsym.diagnosis.injection import (
-    Injection,
-    Sized,
-    Truth,
-    generator,
-    injections,
-    sized,
-    truth_of,
-)
+from hallsym.diagnosis.injection import Injection, Sized, generator, sized
+from hallsym.diagnosis.injection_catalogue import injections
 from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.likeness import Likeness, likeness
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.search import base_of, facts_of
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.thin import thinned
+from hallsym.diagnosis.truth import Truth, truth_of
 from hallsym.errors import InputError, nearest
 from hallsym.log import Log
 from hallsym.model import Model
