@@ -1,8 +1,8 @@
 """One self-contained HTML page for a fit or a diagnosis: opens from disk, prints, needs no network.
 
 `html` escapes, `page` is the skeleton, `svg` and `figures` draw, `series` draws what can be zoomed, `gather`
-reads the log in blocks; `fit_page` and `diagnosis_page` put the sections together. The same input gives the
-same bytes.
+reads the log in blocks; `fit_page` and `diagnosis_page` put the sections together, those of a diagnosis from
+`diagnosis_errors`, `diagnosis_effects` and `diagnosis_places`. The same input gives the same bytes.
 """
 
 from hallsym.page.cells import Cells
