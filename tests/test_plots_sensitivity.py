@@ -37,7 +37,7 @@ from hallsym.plots.sensitivity import (
 from hallsym.plots.spectrum import sorts
 from hallsym.plots.style import text_width
 from hallsym.plots.verdicts import LOOKS
-from hallsym.profiles import Side
+from hallsym.profile_walk import Side
 from hallsym.sensitivity import Identifiability, identify
 from hallsym.sensitivity.intervals import Interval
 from hallsym.sensitivity.verdict import VERDICTS, Verdict

@@ -13,7 +13,8 @@ from hallsym.cost import Cost
 from hallsym.determination import Determination, determine
 from hallsym.errors import InputError
 from hallsym.model import Model
-from hallsym.profiles import Profile, profile, skewness, tangent
+from hallsym.profile_tangent import skewness, tangent
+from hallsym.profiles import Profile, profile
 from hallsym.quantities import Quantity, combination, linear, parameter
 from hallsym.search import refit
 from hallsym.uncertainty import Estimate, estimate

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hallsym.profiles import Profile, Side
+    from hallsym.profile_walk import Side
+    from hallsym.profiles import Profile
     from hallsym.sensitivity import Identifiability
     from hallsym.sensitivity.intervals import Interval
 

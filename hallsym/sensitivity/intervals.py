@@ -10,7 +10,8 @@ from hallsym.bootstrap import Bootstrap
 from hallsym.bootstrap import bootstrap as resample
 from hallsym.cost import Cost
 from hallsym.errors import InputError
-from hallsym.profiles import Profile, profile, skewness
+from hallsym.profile_tangent import skewness
+from hallsym.profiles import Profile, profile
 from hallsym.quantities import Quantity, combination, linear, parameter
 from hallsym.sensitivity.evidence import Evidence
 from hallsym.sensitivity.verdict import INTERVAL
