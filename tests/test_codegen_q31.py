@@ -15,7 +15,8 @@ from hallsym.cli import main
 from hallsym.codegen import generate_q31
 from hallsym.codegen.box import box_of
 from hallsym.codegen.families import decoupler
-from hallsym.codegen.q31 import Line, Program, program
+from hallsym.codegen.q31 import program
+from hallsym.codegen.q31_program import Line, Program
 from hallsym.codegen.q31_selftest import emulate, errors
 from hallsym.errors import InputError
 

@@ -127,7 +127,7 @@ class Decoupler:
     options: Mapping[str, Any] = field(default_factory=dict)
     """What the choices of a family came to: given again, they make the same code."""
     integers: "Callable[..., Any] | None" = None
-    """The program of integers (`hallsym.codegen.q31`), of a family that brings one of its own."""
+    """The program of integers (`hallsym.codegen.q31_program`), of a family that brings one of its own."""
     arrays: tuple[Array, ...] = ()
     """Rows of numbers that steps look up; in the table after the limits."""
     said: tuple[str, ...] = ()

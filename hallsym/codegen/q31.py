@@ -9,215 +9,30 @@ rounding is all that is left.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from math import ceil, log2
 from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen import turns
-from hallsym.codegen.entries import short, unit
+from hallsym.codegen.entries import short
 from hallsym.codegen.parts import Decoupler
 from hallsym.codegen.printer import straight
+from hallsym.codegen.q31_program import Fixed, Line, Program, Reciprocal
 from hallsym.errors import InputError
 
 ROOM = 30
 """Bits that a value may take: one is left for what rounding adds."""
-UNSIGNED = ("angle", "turn")
-"""Operations whose result is a binary angle."""
 LOW = 3
-"""A product is low by less than so many units of its last bit (`UPPER`)."""
+"""A product is low by less than so many units of its last bit (`q31_program.UPPER`)."""
 MOST_STEPS = 5
 """Newton steps of a reciprocal: enough for a divisor that falls to a tenth of itself."""
-
-
-@dataclass(frozen=True)
-class Fixed:
-    """An integer in the printed code: its C text, exponent e (value = q 2^-e), range of exact values.
-
-    The computed value differs from the exact one by at most `error`.
-    """
-
-    text: str
-    e: int
-    low: float
-    high: float
-    error: float = 0.0
-
-    @property
-    def most(self) -> float:
-        """Largest magnitude of the computed value."""
-        return max(abs(self.low), abs(self.high)) + self.error
-
-    @property
-    def unit(self) -> float:
-        """Value of the last bit."""
-        return 2.0**-self.e
-
-
-@dataclass(frozen=True)
-class Line:
-    """One integer statement: `name` = an operation on earlier names, constants of the table and shifts.
-
-    Operations: `mul a b` (upper 32 bits), `add a i b j` (a >> i plus b >> j), `sub`, `left a n`, `right a n`,
-    `one n a` (2^n - a); of angles, which are unsigned (`hallsym.codegen.turns`): `angle x y` in i steps,
-    `look a` in an array, `turn a b` (a plus b, counted round).
-    """
-
-    name: str
-    operation: str
-    a: str
-    b: str = ""
-    i: int = 0
-    j: int = 0
 
 
 def exponent(low: float, high: float, bits: int = ROOM) -> int:
     """Return the largest e with |v| 2^e <= 2^bits."""
     most = max(abs(low), abs(high), 2.0**-60)
     return bits - ceil(log2(most) + 1e-9)
-
-
-@dataclass(frozen=True)
-class Reciprocal:
-    """Lines `first` to `last` (not included) turn divisor `b` into r, |r - 1/b| <= r.error for the integer b.
-
-    Exponents and ranges are those of `b` and `r`, the ranges with what rounding adds.
-    """
-
-    b: Fixed
-    r: Fixed
-    first: int
-    last: int
-
-
-@dataclass(eq=False)
-class Program:
-    """Integer lines of a decoupler, its table of integers, and the exponents of inputs and outputs."""
-
-    d: Decoupler
-    lines: list[Line] = field(default_factory=list)
-    table: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """Integer and exponent of each entry."""
-    inputs: dict[str, int] = field(default_factory=dict)
-    outputs: dict[str, tuple[str, int]] = field(default_factory=dict)
-    """Name of the line and exponent, by pose column."""
-    bounds: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    """Least and greatest exact value and error [SI], by pose column."""
-    reciprocals: list[Reciprocal] = field(default_factory=list)
-    angles: frozenset[str] = frozenset()
-    """Columns that are binary angles: 2^32 to a turn, unsigned."""
-    unsigned: dict[str, str] = field(default_factory=dict)
-    """Entries of the table that are binary angles, and what they mean."""
-    arrays: dict[str, turns.Array] = field(default_factory=dict)
-    said: list[str] = field(default_factory=list)
-    """Sentences for header and report."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """What the choices of a family came to: given again, they make the same code."""
-    flags: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """By name of a flag: the line and the least value, an entry, below which it is set."""
-    _count: int = 0
-
-    def run(self, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return the integers of the pose for integers of the inputs: the same as C, in 64-bit integers."""
-        value: dict[str, np.ndarray] = {n: np.asarray(v, dtype=np.int64) for n, v in inputs.items()}
-        value |= {n: np.array(q, dtype=np.int64) for n, (q, _) in self.table.items()}
-        for line in self.lines:
-            a = value[line.a]
-            b = value[line.b] if line.b in value else np.int64(0)
-            if line.operation in UNSIGNED:
-                value[line.name] = self._angle(line, value)
-                continue
-            if line.operation == "mul":
-                ah, al, bh, bl = a >> 16, a & 0xFFFF, b >> 16, b & 0xFFFF
-                result = ah * bh + ((ah * bl) >> 16) + ((al * bh) >> 16)
-            elif line.operation == "add":
-                result = (a >> line.i) + (b >> line.j)
-            elif line.operation == "sub":
-                result = (a >> line.i) - (b >> line.j)
-            elif line.operation == "left":
-                result = a << line.i
-            elif line.operation == "right":
-                result = a >> line.i
-            elif line.operation == "look":
-                result = self.arrays[line.b].at(a)
-            else:  # one
-                result = (np.int64(1) << line.i) - a
-            if np.any(np.abs(result) > 2**31 - 1):
-                raise OverflowError(f"{line.name} overflows")
-            value[line.name] = result
-        return {c: value[name] for c, (name, _) in self.outputs.items()} | {
-            flag: value[name] for flag, (name, _) in self.flags.items()
-        }
-
-    def _angle(self, line: Line, value: Mapping[str, np.ndarray]) -> np.ndarray:
-        a, b = value[line.a], value[line.b]
-        return turns.angle_of(a, b, line.i) if line.operation == "angle" else (a + b) & turns.MASK
-
-    def unit(self, column: str) -> float:
-        """Return the SI value of the last bit of an input or output."""
-        if column in self.angles:
-            return turns.UNIT
-        return 2.0 ** -(self.inputs[column] if column in self.inputs else self.outputs[column][1])
-
-    @property
-    def shifts(self) -> bool:
-        """Whether numbers with a sign are shifted right."""
-        return any(
-            line.operation in ("mul", "right", "angle", "look") or line.i or line.j for line in self.lines
-        )
-
-    def scale(self, column: str) -> str:
-        """Return what the last bit of an input or output is, for a reader."""
-        if column in self.angles:
-            return "2^-32 turn"
-        e = self.inputs[column] if column in self.inputs else self.outputs[column][1]
-        return f"2^-{e} {unit(column)}"
-
-    @property
-    def exponents(self) -> dict[str, int]:
-        """Of inputs and outputs that are no binary angles."""
-        found = {**self.inputs, **{c: e for c, (_, e) in self.outputs.items()}}
-        return {c: e for c, e in found.items() if c not in self.angles}
-
-    def member(self, column: str) -> str:
-        """Return the C name of an input or output: `angle_bam` of a binary angle."""
-        return f"{short(column)}_bam" if column in self.angles else column
-
-    def kind(self, column: str) -> str:
-        """Return the C type of an input or output."""
-        return "uint32_t" if column in self.angles else "int32_t"
-
-    def c(self, names: Mapping[str, str]) -> list[str]:
-        """Return the lines in C; `names` gives the text of inputs and table entries."""
-        out = []
-        for line in self.lines:
-            a, b = names.get(line.a, line.a), names.get(line.b, line.b)
-            if line.operation == "mul":
-                text = f"upper({a}, {b})"
-            elif line.operation in ("add", "sub"):
-                sign = "+" if line.operation == "add" else "-"
-                text = f"{_shifted(a, line.i)} {sign} {_shifted(b, line.j)}"
-            elif line.operation == "left":
-                text = f"{a} * {1 << line.i}"
-            elif line.operation == "right":
-                text = f"{a} >> {line.i}"
-            elif line.operation == "angle":
-                text = f"angle_of({a}, {b})"
-            elif line.operation == "look":
-                text = f"{line.b}_at(p, {a})"
-            elif line.operation == "turn":
-                text = f"{a} + {b if line.b in self.unsigned else f'(uint32_t){b}'}"
-            else:
-                text = f"{1 << line.i} - {a}"
-            kind = "uint32_t" if line.operation in UNSIGNED else "int32_t"
-            out.append(f"const {kind} {line.name} = {text};")
-        return out
-
-
-def _shifted(text: str, n: int) -> str:
-    return f"({text} >> {n})" if n else text
 
 
 def program(d: Decoupler, **options: Any) -> Program:
@@ -384,18 +199,3 @@ class Compiler:
 
 def _between(a: float, b: float) -> tuple[float, float]:
     return min(a, b), max(a, b)
-
-
-UPPER = """\
-/* Upper 32 bits of a product, low by at most 2: three 16-bit products. */
-static inline int32_t upper(int32_t a, int32_t b)
-{
-    const int32_t a_high = a >> 16;
-    const int32_t b_high = b >> 16;
-    const uint32_t a_bits = (uint32_t)a & 0xFFFFU;
-    const uint32_t b_bits = (uint32_t)b & 0xFFFFU;
-    const int32_t a_low = (int32_t)a_bits;
-    const int32_t b_low = (int32_t)b_bits;
-    return (a_high * b_high) + ((a_high * b_low) >> 16) + ((a_low * b_high) >> 16);
-}
-"""

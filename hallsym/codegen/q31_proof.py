@@ -11,7 +11,7 @@ from math import ceil, floor
 
 from hallsym.codegen.entries import short
 from hallsym.codegen.parts import flag_bit
-from hallsym.codegen.q31 import UPPER, Reciprocal
+from hallsym.codegen.q31_program import UPPER, Reciprocal
 from hallsym.codegen.q31_source import IntegerSource
 from hallsym.codegen.source import BANNER, bit, ends, function, lines
 

@@ -14,7 +14,8 @@ import numpy as np
 from hallsym.codegen import turns
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.parts import Decoupler
-from hallsym.codegen.q31 import Compiler, Fixed, Program, exponent
+from hallsym.codegen.q31 import Compiler, exponent
+from hallsym.codegen.q31_program import Fixed, Program
 from hallsym.codegen.rotary_correction import (
     ROUNDED,
     SIZES,

@@ -14,7 +14,7 @@ from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.parts import flag_bit
 from hallsym.codegen.project import MARK, template
-from hallsym.codegen.q31 import UPPER, Program
+from hallsym.codegen.q31_program import UPPER, Program
 from hallsym.codegen.source import BANNER, bit, ends, function, lines, numbers
 from hallsym.codegen.table import VERSION
 from hallsym.codegen.turns import MASK
