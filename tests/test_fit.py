@@ -1,26 +1,17 @@
 """A fit finds the truth in a twin, says the same twice, and refuses logs that cannot be what it needs."""
 
-import json
-from dataclasses import fields
-from itertools import permutations, product
-
 import numpy as np
 import pytest
-from twins import COLUMNS, EPS, HALL, SIGMAS, TRUTH, pm, record, true_model, truth_of, with_noise
+from twins import EPS, HALL, SIGMAS, TRUTH, pm, record, same, true_model, truth_of, with_noise
 
-from hallsym.calibration import load_fit
 from hallsym.campaign import paper_campaign
-from hallsym.cost import cost_of
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.stage import Probe, stage31
 from hallsym.fitting import fit
 from hallsym.log import Log, Meta, Noise
 from hallsym.published import values
-from hallsym.start import linear_fit
-from hallsym.summary import summarise
 from hallsym.twin import NoiseModel, simulate, table8_noise
-from hallsym.wiring import check_wiring, find_wiring
 
 SMALL = 30
 """Samples per run: the whole fit takes about a tenth of a second."""
@@ -50,13 +41,6 @@ def deviations(result, truth=TRUTH) -> dict[str, float]:
     }
     arms = dict(zip((c.expression for c in result.model.combinations), pm(truth)[:, 2], strict=True))
     return out | {c.expression: (c.value - arms[c.expression]) / c.std for c in result.combinations}
-
-
-def same(one, other) -> None:
-    """Two fits have the same optimum: values within 1e-6 standard deviations."""
-    ok = one.determined
-    assert np.array_equal(ok, other.determined)
-    assert np.all(np.abs(one.values - other.values)[ok] < 1e-6 * one.std[ok])
 
 
 # -- recovery --------------------------------------------------------------------------------------------
@@ -311,192 +295,7 @@ def test_robust_losses_bear_outliers_that_plain_least_squares_does_not(loss):
     assert worst > 10
 
 
-# -- wiring and references -------------------------------------------------------------------------------
-
-WIRINGS = [(p, s) for p in permutations(range(3)) for s in product((1, -1), repeat=3)]
-QUICK = [WIRINGS[0], ((1, 0, 2), (1, 1, 1)), ((2, 0, 1), (1, -1, 1))]
-
-
-@pytest.fixture(scope="module")
-def unequal():
-    """A log whose channels differ in noise, so that noise has to follow its channel."""
-    sigma = {**SIGMAS, "hall_a_m": 0.3e-6, "hall_b_m": 0.6e-6, "hall_c_m": 1.2e-6}
-    columns = record(seed=4, samples=20, sigma=sigma)
-    return columns, sigma, fit(with_noise(columns, sigma), "stage31", solver="direct")
-
-
-@pytest.mark.parametrize(("order", "signs"), WIRINGS, ids=str)
-def test_every_wiring_is_seen(unequal, order, signs):
-    """Channel HALL[k] carries probe order[k] times signs[k]; linear least squares alone tells."""
-    columns, sigma, _ = unequal
-    mixed = columns | {
-        HALL[k]: s * columns[HALL[c]] for k, (c, s) in enumerate(zip(order, signs, strict=True))
-    }
-    merged = cost_of(summarise(with_noise(mixed), stage31()).merged(), sigma)
-    linear = linear_fit(merged)
-    expected = tuple((HALL[order.index(k)], signs[order.index(k)]) for k in range(3))
-    assert find_wiring(merged, linear)[0] == expected
-    wrong = [HALL[k] for k in range(3) if order[k] != k or signs[k] != 1]
-    if not wrong:
-        check_wiring(merged, linear, "log")
-        return
-    with pytest.raises(InputError) as caught:
-        check_wiring(merged, linear, "log")
-    assert all(channel in str(caught.value) for channel in wrong)
-    assert ("swapped" in str(caught.value)) == (order != (0, 1, 2))
-    assert ("inverted" in str(caught.value)) == (signs != (1, 1, 1))
-
-
-@pytest.mark.parametrize(
-    ("order", "signs"),
-    [
-        pytest.param(*w, marks=() if w in QUICK else pytest.mark.slow, id=str(w))
-        for w in dict.fromkeys([*QUICK, *WIRINGS[1::5]])
-    ],
-)
-def test_every_wiring_is_refused_or_resolved(unequal, order, signs):
-    """The same optimum, errors and noise as with the right wiring."""
-    columns, sigma, right = unequal
-    mixed = dict(columns)
-    stated = dict(sigma)
-    for k, (source, sign) in enumerate(zip(order, signs, strict=True)):
-        mixed[HALL[k]] = sign * columns[HALL[source]]
-        stated[HALL[k]] = sigma[HALL[source]]
-    log = with_noise(mixed, stated)
-    wrong = [HALL[k] for k in range(3) if order[k] != k or signs[k] != 1]
-    if wrong:
-        with pytest.raises(InputError) as caught:
-            fit(log, "stage31", solver="direct")
-        assert all(channel in str(caught.value) for channel in wrong)
-    result = fit(log, "stage31", solver="direct", resolve_wiring=True)
-    same(right, result)
-    assert result.solver["cost"] == pytest.approx(right.solver["cost"], rel=1e-9)
-    for row in ("rmse", "peak"):
-        for name, value in right.error_rows["fitted"][row].items():
-            assert result.error_rows["fitted"][row][name] == pytest.approx(value, rel=1e-6)
-    expected = tuple((HALL[order.index(k)], signs[order.index(k)]) for k in range(3))
-    assert result.wiring == (expected if wrong else None)
-
-
-def test_a_reference_that_does_not_belong_is_refused(columns):
-    other = dict(columns)
-    rng = np.random.default_rng(0)
-    for c in COLUMNS[:3]:
-        other[c] = rng.permutation(columns[c])
-    with pytest.raises(InputError, match="does not belong"):
-        fit(with_noise(other), "stage31", solver="direct")
-
-
-# -- files -----------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def rich(columns):
-    """A fit with something in every field."""
-    mixed = {**columns, "hall_a_m": columns["hall_b_m"], "hall_b_m": columns["hall_a_m"]}
-    return fit(
-        with_noise(mixed),
-        "stage30",
-        solver="direct",
-        effects=("vertical_coupling", "exact_rotation"),
-        parameters={
-            "theta_C": {"fixed": True},
-            "eta_B": {"lower": 0.71, "nominal": 0.72},
-            "delta_A": {"upper": 5e-5},
-        },
-        holdout=(3,),
-        resolve_wiring=True,
-    )
-
-
-LIVE = ("keep", "source", "likelihood", "determination")
-"""Fields of a fit just made that a file does not hold."""
-
-
-def test_saving_and_loading_keeps_every_field(rich, tmp_path):
-    path = tmp_path / "calib.json"
-    rich.save(path)
-    back = load_fit(path)
-    assert back.to_dict() == rich.to_dict()
-    for field in fields(rich):
-        one, two = getattr(rich, field.name), getattr(back, field.name)
-        if field.name in ("model", "errors", "zeros", "noise", "log") or field.name in LIVE:
-            continue
-        if isinstance(one, np.ndarray):
-            assert np.array_equal(one, two, equal_nan=one.dtype.kind == "f"), field.name
-        else:
-            assert one == two, field.name
-    assert back.noise.sigmas == rich.noise.sigmas
-    assert {r: d.tolist() for r, d in back.zeros.items()} == {r: d.tolist() for r, d in rich.zeros.items()}
-    assert back.model.parameters == rich.model.parameters
-    assert back.model.zeros == rich.model.zeros
-    assert (back.model.name, back.model.effects, back.model.layout) == (
-        rich.model.name, rich.model.effects, rich.model.layout,
-    )  # fmt: skip
-
-
-def test_loaded_models_read_the_same(rich, tmp_path):
-    rich.save(tmp_path / "calib.json")
-    back = load_fit(tmp_path / "calib.json")
-    arguments = ([1e-6, 2e-6, 3e-6], [1e-4, 2e-4, 3e-4], [1e-4, -1e-4, 2e-4])
-    one, two = (np.asarray(f.model.reading(f.values, *arguments)) for f in (rich, back))
-    assert np.array_equal(one, two)
-
-
-def test_json_has_no_nan(rich, tmp_path):
-    rich.save(tmp_path / "calib.json")
-    text = (tmp_path / "calib.json").read_text(encoding="utf-8")
-
-    def never(name):
-        raise AssertionError(f"{name} in JSON")
-
-    raw = json.loads(text, parse_constant=never)
-    assert raw["parameters"]["theta_C"]["std"] is None
-
-
-def test_infinite_bounds_can_be_saved(log, tmp_path):
-    """A bound that is not there is not a number in JSON, but it is an allowed bound."""
-    result = fit(log, "stage31", solver="direct", parameters={"a_A": {"lower": -float("inf")}})
-    result.save(tmp_path / "calib.json")
-    assert load_fit(tmp_path / "calib.json").model.parameters == result.model.parameters
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "{}",
-        "[1, 2]",
-        '{"format": "hallsym calibration 0"}',
-        '{"format": "hallsym calibration 1"}',
-        "\xff",
-    ],
-)
-def test_foreign_files_are_refused(tmp_path, text):
-    path = tmp_path / "calib.json"
-    path.write_text(text, encoding="latin-1")
-    with pytest.raises(InputError):
-        load_fit(path)
-
-
-def test_files_with_one_field_missing_or_wrong_are_refused(rich, tmp_path):
-    whole = rich.to_dict()
-    path = tmp_path / "calib.json"
-    for key in whole:
-        for value in ("absent", None, 3, "text", [1]):
-            raw = {k: v for k, v in whole.items() if k != key} if value == "absent" else {**whole, key: value}
-            path.write_text(json.dumps(raw), encoding="utf-8")
-            try:
-                load_fit(path)
-            except InputError:
-                continue
-            except Exception as error:
-                pytest.fail(f"{key} = {value!r} raises {error!r}")
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        load_fit(tmp_path / "none.json")
+# -- what is said ----------------------------------------------------------------------------------------
 
 
 def test_values_by_name(found):

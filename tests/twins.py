@@ -141,3 +141,10 @@ class Chopped:
                 last = first + self.sizes[turn % len(self.sizes)]
                 yield Block(block.run, {c: v[first:last] for c, v in block.data.items()})
                 first, turn = last, turn + 1
+
+
+def same(one, other) -> None:
+    """Two fits have the same optimum: values within 1e-6 standard deviations."""
+    ok = one.determined
+    assert np.array_equal(ok, other.determined)
+    assert np.all(np.abs(one.values - other.values)[ok] < 1e-6 * one.std[ok])
