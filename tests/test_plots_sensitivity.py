@@ -2,54 +2,28 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pytest
+import reports
 from matplotlib import style
-from matplotlib.axis import Tick
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.text import Text
-from twins import SIGMAS, TRUTH, record, with_noise
 
-from hallsym.campaign import Campaign, Run, sine
-from hallsym.errors import InputError
-from hallsym.families import build
-from hallsym.fitting import fit
-from hallsym.plots import DPI, STYLE, WIDTH
-from hallsym.plots.captions import broken, number
+from hallsym.plots import STYLE
 from hallsym.plots.correlation import blocks
 from hallsym.plots.profiles import ends_in_words
-from hallsym.plots.saving import save_figures
 from hallsym.plots.sensitivity import (
     correlation,
-    drawable,
     effects,
     intervals,
     profiles,
-    save_sensitivity_pictures,
     spectrum,
 )
 from hallsym.plots.spectrum import sorts
-from hallsym.plots.style import text_width
 from hallsym.plots.verdicts import LOOKS
-from hallsym.profile_walk import Side
-from hallsym.sensitivity import Identifiability, identify
-from hallsym.sensitivity.intervals import Interval
-from hallsym.sensitivity.verdict import VERDICTS, Verdict
-from hallsym.twin import NoiseModel, simulate
-
-PICTURES = {
-    "correlation": correlation,
-    "effects": effects,
-    "intervals": intervals,
-    "profiles": profiles,
-    "spectrum": spectrum,
-}
+from hallsym.sensitivity import Identifiability
 
 
 @pytest.fixture(autouse=True)
@@ -60,68 +34,17 @@ def _look() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def full() -> Identifiability:
-    """The paper's campaign: three structural pairs, everything else determined."""
-    return identify(fit(with_noise(record(seed=1)), "stage31", solver="direct", loss="none"), profiles="all")
-
-
-def constant_height() -> Campaign:
-    motion = {"x_m": sine(3e-4, 1.0), "y_m": sine(5e-4, 1.5), "rz_rad": sine(3e-4, 2.5)}
-    return Campaign(0.01, (Run(2.0, {}, motion, (0.0, 0.0, 0.0)),))
+    return reports.full()
 
 
 @pytest.fixture(scope="module")
 def level() -> Identifiability:
-    """One run at one height: nothing of a, b, c."""
-    values = {n: v for n, v in TRUTH.items() if n[0] not in "abc"}
-    columns = simulate(build("stage31"), values, constant_height(), NoiseModel(SIGMAS), seed=1)
-    return identify(fit(with_noise(columns), "stage31", solver="direct"), profiles="none")
+    return reports.level()
 
 
 @pytest.fixture(scope="module")
-def plan() -> Identifiability:
-    return identify(build("stage31"), constant_height(), values=TRUTH, noise=SIGMAS, name="level.toml")
-
-
-@pytest.fixture(scope="module")
-def odd(full: Identifiability) -> Identifiability:
-    """The full report with every verdict and every end an interval can have."""
-    changes: dict[str, dict[str, Any]] = {
-        "eta_A": {"verdict": Verdict("weak", "of the test"), "share": 0.6},
-        "eta_B": {"verdict": Verdict("at bound"), "std": None, "sigma": None},
-        "eta_C": {
-            "interval": Interval(-np.inf, 0.9, "profile", ("open", "reached")),
-            "share": float("inf"),
-            "verdict": Verdict("weak"),
-        },
-        "theta_A": {"interval": Interval(-np.inf, np.nan, "profile", ("open", "failed")), "share": np.nan},
-        "theta_B": {"interval": Interval(-9.0, 9.0, "block bootstrap"), "share": 18 / 0.279},
-        "theta_C": {"interval": Interval(0.01, 0.01, "profile", ("at bound", "at bound")), "share": 0.0},
-        "a_A": {"verdict": Verdict("no effect"), "std": None, "interval": None, "share": None, "sigma": None},
-        "a_B": {"verdict": Verdict("fixed"), "std": None, "interval": None, "share": None, "sigma": None},
-    }
-    parameters = tuple(replace(e, **changes.get(e.name, {})) for e in full.parameters)
-    ends = {
-        "eta_A": {"lower": Side(np.nan, "failed", "of the test")},
-        "eta_B": {"upper": Side(0.7049, "at bound", "of the test"), "better": np.zeros(21), "drop": 1.0},
-        "eta_C": {
-            "lower": Side(-np.inf, "open", "of the test"),
-            "upper": Side(np.inf, "open", "of the test"),
-        },
-        "theta_A": {"lower": Side(-np.inf, "open", ""), "upper": Side(np.nan, "failed", "of the test")},
-    }
-    told = [replace(p, **ends.get(p.quantity.name, {})) for p in full.intervals.profiles]
-    twice = next(k for k, p in enumerate(told) if p.quantity.name == "theta_B")
-    told[twice] = replace(  # the points of a profile that met a bound at once
-        told[twice],
-        values=np.full(3, told[twice].value),
-        rises=np.array([-0.1, 0.0, 0.0]),
-        lower=Side(told[twice].value, "open", ""),
-        upper=Side(told[twice].value, "at bound", ""),
-    )
-    stated = {e.name: e.interval for e in parameters if e.interval is not None}
-    std = {n: s for n, s in full.intervals.std.items() if n != "eta_B"}
-    known = replace(full.intervals, std=std, of={**full.intervals.of, **stated}, profiles=tuple(told))
-    return replace(full, parameters=parameters, intervals=known)
+def odd() -> Identifiability:
+    return reports.odd()
 
 
 def words(figure: Figure) -> list[str]:
@@ -194,7 +117,7 @@ def test_many_parameters_are_squares_on_both_sides_without_numbers(full: Identif
     figure = correlation(Many())  # type: ignore[arg-type]
     assert not figure.axes[0].texts
     assert sum(len(c.get_paths()) for c in figure.axes[0].collections[:2]) == n * (n - 1)
-    inside(figure)
+    reports.inside(figure)
 
 
 # -- effects ---------------------------------------------------------------------------------------------
@@ -298,10 +221,8 @@ def test_profiles_say_in_words_how_they_end(odd: Identifiability) -> None:
 @pytest.mark.parametrize(
     ("which", "counts"), [("full", (18, 0, 3)), ("level", (9, 9, 3)), ("plan", (9, 9, 3))]
 )
-def test_spectrum_marks_what_is_not_determined(
-    which: str, counts: tuple[int, int, int], request: pytest.FixtureRequest
-) -> None:
-    report: Identifiability = request.getfixturevalue(which)
+def test_spectrum_marks_what_is_not_determined(which: str, counts: tuple[int, int, int]) -> None:
+    report: Identifiability = getattr(reports, which)()
     figure = spectrum(report)
     ax = figure.axes[0]
     *series, threshold = ax.lines[:4]
@@ -380,132 +301,3 @@ def test_a_parameter_without_bounds_says_so(full: Identifiability) -> None:
     assert "no bounds" in [text.get_text() for text in figure.axes[0].texts]
     assert len(figure.axes[1].patches) == 14
     assert "Parameters without bounds count in their own unit." in words(spectrum(Unbounded()))  # type: ignore[arg-type]
-
-
-# -- all of them -----------------------------------------------------------------------------------------
-
-
-def inside(figure: Figure) -> None:
-    drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
-    assert width == WIDTH
-    assert min(drawn.x0, drawn.y0) >= 0
-    assert drawn.x1 <= width
-    assert drawn.y1 <= height
-
-
-def apart(figure: Figure) -> None:
-    """No two texts lie on each other."""
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    axes = [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]
-    seen = [axis for axis in axes if axis.get_visible()]
-    drawn = {id(label) for axis in seen for tick in axis._update_ticks() for label in labels(tick)}
-    beyond = {
-        id(label)
-        for axis in axes
-        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks())
-        for label in labels(tick)
-    } - drawn
-    texts = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip()]
-    texts = [t for t in texts if id(t) not in beyond]
-    assert len(texts) > 10
-    boxes = np.array([t.get_window_extent(renderer).extents for t in texts])
-    shrunk = boxes + np.array([0.5, 0.5, -0.5, -0.5])
-    across = (shrunk[:, None, 0] < shrunk[None, :, 2]) & (shrunk[None, :, 0] < shrunk[:, None, 2])
-    up = (shrunk[:, None, 1] < shrunk[None, :, 3]) & (shrunk[None, :, 1] < shrunk[:, None, 3])
-    same = [(texts[i].get_text(), texts[j].get_text()) for i, j in np.argwhere(np.triu(across & up, 1))]
-    assert same == []
-
-
-def labels(tick: Tick) -> tuple[Text, Text]:
-    return tick.label1, tick.label2
-
-
-@pytest.mark.parametrize(
-    ("picture", "which"),
-    [
-        *(("correlation", which) for which in ("full", "level")),
-        *(("effects", which) for which in ("odd", "level")),
-        *(("intervals", which) for which in ("odd", "plan")),
-        *(("profiles", which) for which in ("full", "odd")),
-        *(("spectrum", which) for which in ("full", "level")),
-    ],
-)
-def test_nothing_is_beyond_the_edge_or_on_other_words(
-    picture: str, which: str, request: pytest.FixtureRequest
-) -> None:
-    report: Identifiability = request.getfixturevalue(which)
-    figure = PICTURES[picture](report)
-    FigureCanvasAgg(figure).draw()
-    inside(figure)
-    apart(figure)
-
-
-def test_pictures_that_have_nothing_to_show_are_not_drawn(
-    plan: Identifiability, full: Identifiability
-) -> None:
-    assert drawable(plan) == [correlation, effects, intervals, spectrum]
-    assert drawable(full) == [correlation, effects, intervals, profiles, spectrum]
-    assert drawable(replace(plan, correlation=np.full((21, 21), np.nan))) == [effects, intervals, spectrum]
-
-
-def test_pictures_are_whole_files_in_their_own_style(plan: Identifiability, tmp_path: Path) -> None:
-    with matplotlib.rc_context({"font.size": 17.0, "axes.facecolor": "red"}):
-        written = save_sensitivity_pictures(plan, tmp_path / "new" / "folder")
-        assert matplotlib.rcParams["font.size"] == 17.0
-    names = [f"{name}.png" for name in ("correlation", "effects", "intervals", "spectrum")]
-    assert [path.name for path in written] == names
-    assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == names
-    for path in written:
-        assert int.from_bytes(path.read_bytes()[16:20], "big") == round(WIDTH * DPI)
-    (again,) = save_figures({"again": lambda: spectrum(plan)}, tmp_path)
-    assert again.read_bytes() == written[-1].read_bytes()
-
-
-def test_drawings_are_the_same_every_time(plan: Identifiability, tmp_path: Path) -> None:
-    one, two = (
-        save_figures({name: lambda: spectrum(plan)}, tmp_path, suffixes=("svg",))[0].read_bytes()
-        for name in "ab"
-    )
-    assert one == two
-
-
-def test_bad_input_is_one_sentence(plan: Identifiability, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="only png, pdf, svg; instead received 'gif'"):
-        save_sensitivity_pictures(plan, tmp_path, suffixes=("gif",))
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
-        save_sensitivity_pictures(plan, tmp_path / "file")
-    assert (tmp_path / "file").read_text() == "mine"
-
-
-def test_every_verdict_has_a_look_of_its_own() -> None:
-    assert set(LOOKS) == set(VERDICTS)
-    assert len({look.marker + str(look.filled) for look in LOOKS.values()}) == len(LOOKS)
-
-
-# -- words -----------------------------------------------------------------------------------------------
-
-
-def test_broken_lines_fit_and_lose_no_word() -> None:
-    text = " ".join(f"parameter_{k}," for k in range(40))
-    lines = broken(text, 3.0)
-    assert len(lines) > 5
-    assert max(map(text_width, lines)) <= 3.0
-    assert " ".join(line.strip() for line in lines) == text
-    assert broken("unbreakablylongword", 0.1) == ["unbreakablylongword"]
-
-
-@pytest.mark.parametrize(
-    ("value", "half", "text"),
-    [
-        (0.86677703, 0.0002, "0.86678"),
-        (-189.416, 1.8, "\N{MINUS SIGN}189.4"),
-        (np.inf, 1.0, "∞"),
-        (-np.inf, 0.0, "\N{MINUS SIGN}∞"),
-        (np.nan, 1.0, "unknown"),
-        (0.85, 0.0, "0.85"),
-        (12345.6, 200.0, "12346"),
-    ],
-)
-def test_numbers_have_the_digits_of_their_interval(value: float, half: float, text: str) -> None:
-    assert number(value, half) == text
