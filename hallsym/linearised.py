@@ -25,7 +25,7 @@ from hallsym.errors import InputError
 from hallsym.features import Features, find_features
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.summary import Summary, summarise, summarised
+from hallsym.summary import Summary, summarised
 
 SAMPLES = 60
 """Random poses and states at which it is asked what no recording can determine."""
@@ -170,17 +170,3 @@ def summarise_at(
         return np.repeat(own, np.diff(batch.edges), axis=0).T
 
     return summarised(extended(log, model, sigma, model.named(p)), features, place, weigh, on_rows)
-
-
-def summary_near(
-    log: Log,
-    model: Model,
-    p: np.ndarray,
-    zeros: Mapping[int, np.ndarray],
-    weigh: Weigh | None = None,
-    sigma: Mapping[str, float] | None = None,
-) -> Summary:
-    """Return the exact run summaries of a model that has them, else those of its tangent."""
-    if exact(model):
-        return summarise(log, model, weigh)
-    return summarise_at(log, model, p, zeros, weigh, sigma=sigma)

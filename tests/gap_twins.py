@@ -138,7 +138,6 @@ def machine(
     curvature: float = 0.3,
     noise: str = "white",
     thin: int = 3,
-    state_noise: bool = True,
 ) -> Log:
     """Return the log of a machine with a hidden gap; every fifth run is held out."""
     rng = np.random.default_rng(seed)

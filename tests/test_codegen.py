@@ -242,11 +242,7 @@ def test_one_sided_ranges_keep_both_ends():
             "not finite",
         ),
         (
-            lambda f: with_effect(
-                stage_effects.gain_drift(
-                    "warm", [*stage_effects.settling(9.0)[0]], stage_effects.settling(9.0)[1]
-                )
-            ),
+            lambda f: with_effect(stage_effects.gain_drift("warm", *stage_effects.settling(9.0))),
             "computed from a whole log",
         ),
     ],

@@ -1,7 +1,6 @@
 """Read a budget from TOML: one `[[source]]` table per input, the unit of a number in its key."""
 
 import re
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,27 +9,14 @@ import numpy as np
 
 from hallsym.budget.gum import DIVISORS, Budget, Source
 from hallsym.errors import InputError, nearest
-from hallsym.files import reason
 from hallsym.log.units import UNITS
+from hallsym.toml import known, number, read_toml, tables
 
 WIDTHS = tuple(DIVISORS)
 SIZES = ("std", "expanded", "half_width", "full_width", "resolution", "readings", "scatter")
 """How large a source is: exactly one of these per source, with its unit (`half_width_nm`)."""
 TOP = ("quantity", "unit", "coverage_factor", "level", "source", "correlation")
 OTHERS = ("name", "distribution", "coverage_factor", "n", "degrees_of_freedom")
-
-
-def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Read a TOML file; a missing or broken one is an `InputError` that calls it `what`."""
-    path = Path(path)
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{what} {path} does not exist; give the path of a TOML file.") from None
-    except OSError as error:
-        raise InputError(f"{what} {path} cannot be read: {reason(error)}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{what} {path} is not valid TOML: {' '.join(str(error).split())}.") from None
 
 
 def read_budget(path: str | Path) -> tuple[Budget, str | None]:
@@ -230,29 +216,6 @@ def unit_of(suffix: str, where: str) -> tuple[str, float]:
             f"known are {', '.join(known_units)}."
         )
     return UNITS[suffix].si, UNITS[suffix].factor
-
-
-def known(raw: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
-    """Refuse keys that would be ignored."""
-    for key in raw:
-        if key not in keys:
-            raise InputError(
-                f"Unknown key {key!r} in {where}{nearest(key, list(keys))}; known are {', '.join(keys)}."
-            )
-
-
-def tables(raw: Any, key: str, where: str) -> list[Mapping[str, Any]]:
-    """Return `[[key]]` tables."""
-    if not (isinstance(raw, list) and all(isinstance(entry, Mapping) for entry in raw)):
-        raise InputError(f"'{key}' of {where} must be [[{key}]] tables; instead received {raw!r}.")
-    return raw
-
-
-def number(value: Any, key: str, where: str) -> float:
-    """Return a finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError(f"'{key}' of {where} must be a finite number; instead received {value!r}.")
-    return float(value)
 
 
 def size(value: Any, key: str, where: str) -> float:

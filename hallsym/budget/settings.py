@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.budget.files import known, number, read_toml, size, unit_of
+from hallsym.budget.files import size, unit_of
 from hallsym.errors import InputError, nearest
 from hallsym.log.units import split_unit
 from hallsym.model import Model
+from hallsym.toml import known, number, read_toml
 
 SECTIONS = ("coverage_factor", "level", "reading", "zeroing", "state", "reference")
 
@@ -66,7 +67,7 @@ def read_settings(path: str | Path, model: Model) -> Settings:
     Units are in the keys: `adc_step_nm`, `z_nm`, `x_scale_ppm`. Raises `InputError` for a missing file,
     unknown keys and impossible numbers.
     """
-    raw, where = read_toml(path, "Settings file"), f"settings {Path(path).name}"
+    raw, where = read_toml(Path(path), "Settings file"), f"settings {Path(path).name}"
     known(raw, SECTIONS, where)
     if "coverage_factor" in raw and "level" in raw:
         raise InputError(f"In {where} give 'coverage_factor' or 'level', not both.")

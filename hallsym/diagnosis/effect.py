@@ -57,8 +57,8 @@ class Effect:
 
     `needs`: logged columns without which it cannot be tested. `variants(model, facts)`: from plain to
     general. `refine(model, facts, shape)`: finer variants around a searched shape. `record`: what to record
-    so that it shows by itself. `plausible`: the size above which it would be unusual, as text. `possible`:
-    whether fitted parameters are such as this cause can have; what fits with others is another cause's.
+    so that it shows by itself. `possible`: whether fitted parameters are such as this cause can have; what
+    fits with others is another cause's.
     """
 
     name: str
@@ -66,8 +66,6 @@ class Effect:
     meaning: str
     variants: Callable[[Model, Facts], list[Variant]]
     record: str
-    plausible: str = ""
     needs: tuple[str, ...] = ()
     refine: Callable[[Model, Facts, float], list[Variant]] | None = None
-    runtime: str = "a few multiplications per sample"
     possible: Callable[[Mapping[str, float]], bool] = lambda values: True
