@@ -1,4 +1,4 @@
-"""The kinds of sensor: one file per family, only physics. Models are looked up here by name."""
+"""The kinds of sensor: one file per family, its effects beside it, only physics. Looked up here by name."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Any

@@ -26,7 +26,8 @@ from hallsym.determination import determine
 from hallsym.families import build
 from hallsym.fitting import fit
 from hallsym.log import Log, Noise
-from hallsym.profiles import Profile, profile, skewness, tangent
+from hallsym.profile_tangent import skewness, tangent
+from hallsym.profiles import Profile, profile
 from hallsym.quantities import Quantity, combination, parameter
 from hallsym.sensitivity import identify
 from hallsym.twin import NoiseModel, simulate, table8_noise

@@ -29,11 +29,11 @@ from hallsym import start
 from hallsym.arrays import on_arrays
 from hallsym.campaign import paper_campaign
 from hallsym.cost import Cost, cost_of
-from hallsym.decoding import judge
 from hallsym.determination import determine
 from hallsym.fitting import noise_of
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Model
+from hallsym.passes import judge
 from hallsym.published import values
 from hallsym.summary import summarise
 from hallsym.twin import NoiseModel, table8_noise
