@@ -1,36 +1,24 @@
 """What is said: the Diagnosis, put together from what the search found."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
-
-import numpy as np
 
 from hallsym.calibration import Fit
 from hallsym.diagnosis.alike import groups_of, ranked_names, smaller_findings
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
-from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
-from hallsym.diagnosis.found import (
-    EITHER,
-    closed,
-    cures,
-    fault_record,
-    found_effects,
-    miswired,
-    wiring_record,
-)
+from hallsym.diagnosis.found import EITHER, closed, fault_record, found_effects, miswired, wiring_record
 from hallsym.diagnosis.holding import held
 from hallsym.diagnosis.kinds import kind_of
-from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.refit import refit
+from hallsym.diagnosis.leftover import Leftover, leftover
+from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation
 from hallsym.diagnosis.search import Search
-from hallsym.diagnosis.sentences import next_step, noise_held_gap, sentence, shapeless
+from hallsym.diagnosis.sentences import next_step, sentence, shapeless
 from hallsym.diagnosis.shape import unexplained
 from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base
-from hallsym.diagnosis.verdict import ALLOWANCE, UNSTRUCTURED, remains, shaped, slow_share
+from hallsym.diagnosis.verdict import ALLOWANCE, remains
 from hallsym.diagnosis.waves import waves
 from hallsym.diagnosis.where import Located, both, located
 from hallsym.diagnosis.words import gap_unit
@@ -44,6 +32,22 @@ Of a gap of twice the floor a tenth of the excess is 14 % above the floor: what 
 own, and the verdict says so."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Said:
+    """What a diagnosis says of its effects; nothing where there is no gap."""
+
+    effects: tuple[FoundEffect, ...]
+    groups: tuple[tuple[str, ...], ...]
+    ranked: tuple[str, ...]
+    separate: tuple[Separation, ...]
+    smaller: tuple[dict[str, Any], ...]
+    gap_after: dict[str, dict[str, float]]
+    after: float
+    interval: tuple[float, float]
+    added: int
+    notes: tuple[str, ...] = ()
+
+
 def report(
     search: Search,
     log: Log,
@@ -54,124 +58,160 @@ def report(
     seconds: float,
 ) -> Diagnosis:
     """Judge what `search` found on the held-out runs `apart` and say it; `level` is the threshold."""
-    start, rows = search.start.base, log.rows
+    start = search.start.base
     plain = replace(start, keep=None)
-    before = _before(plain, log, apart, rows, result)
-    weak = held(search, before, apart, rows)
-    now = search.now.base
-    final = survey(replace(now, keep=None), frozenset(search.runs))
-    kept = survey(now, frozenset(search.runs)) if now.keep else final
-    inflation = kept.inflation
-    after = block_errors(replace(now, keep=None), apart, rows, None)
-    floor, noted = dict(result.noise_floor), []
-    spoiled = [f for f in faults(now, final, search.tested) if cures(f) >= level]
-    chip = sum(f.power for f in spoiled if f.name == "cordic_steps")  # an error of each angle, no noise
-    least = after.metric * float(np.sqrt(max(1 - chip, 1e-6)))
-    held_gap = least * (1 + UNSTRUCTURED) < search.floor.metric
-    if not search.floor.stated and (search.found or chip) and held_gap:
-        noted.append(noise_held_gap(search.floor.metric / least))
-        floor = {c: v * least / search.floor.metric for c, v in floor.items()}
-        search.floor = replace(search.floor, metric=least)
-    floor_metric = search.floor.metric
-    if after.metric <= floor_metric * (1 + ALLOWANCE):
-        spoiled = []
-    search_end, rest = now, structure(now, search.runs)
-    if shaped(rest, level):  # what has a shape is no scatter, and may look like late samples here and there
-        least = max(rest.lines, *(s.drop for s in rest.shapes))
-        spoiled = [
-            f for f in spoiled if f.name != "clock_jitter" and 1 - np.sqrt(max(1 - f.power, 0.0)) >= least
-        ]
-    cured = after
-    if any(f.name in TAILS for f in spoiled):
-        now = replace(now, keep=without_tail(now))
-        search.now = refit(now, search.runs)
-        now = search.now.base
-        cured = block_errors(now, apart, rows, now.keep)
-    smooth = [f for f in spoiled if f.name not in TAILS]
-    left = cured.metric * float(np.sqrt(max(1 - sum(f.power for f in smooth), 1e-6)))
-    left = max(left, min(floor_metric, cured.metric))
-    scale = left / after.metric
-    effects = found_effects(search, before, after, floor_metric, inflation, apart, rows)
-    effects += [fault_record(f, scale, before, after, floor_metric, search.tested) for f in spoiled]
-    if wiring and miswired(result.model, wiring):
-        effects.insert(0, wiring_record(start, log, wiring, search, before, left, floor_metric))
-    effects.sort(key=lambda e: -e.share)
-    drop = 1 - left / before.metric
-    named = bool(effects) and drop >= level
-    if (now if named else start) is not search_end:
-        rest = structure(now if named else start, search.runs)
-    slow = slow_share(kept.variance, kept.fast)
-    open_ = remains(rest, slow, left if named else before.metric, search.floor, level)
-    verdict = _verdict(named, open_, closed(before.metric, left, floor_metric))
-    groups, separate = groups_of(search, inflation) if verdict != "no gap" else ([], [])
-    if effects and effects[0].name in EITHER and len(result.model.pose) == 1:
-        groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
-    ranked = ranked_names(effects, groups, search, verdict, inflation) if verdict != "no gap" else []
-    smaller = weak + [s for s in smaller_findings(search) if s["name"] not in {w["name"] for w in weak}]
+    before = _before(plain, log, apart, log.rows, result)
+    weak = held(search, before, apart, log.rows)
+    left = leftover(search, apart, log.rows, result.noise_floor, level)
+    effects = _effects(search, log, result, wiring, apart, before, left)
+    verdict = _verdict(search, effects, before, left, level)
     if verdict == "no gap":
-        smaller = [
-            {"name": e.name, "shrinkage": e.shrinkage, "p_value": e.p_value} for e in effects
-        ] + smaller
-    share = left / cured.metric
-    gap_after = {
-        k: {c: v * (share if k == "rmse" else 1.0) for c, v in row.items()} for k, row in cured.gap().items()
-    }
-    if verdict == "no gap":
-        if before.metric > search.floor.high(level):
-            noted.append(shapeless(before.metric / floor_metric, search.floor.stated))
-        gap_after, left, effects = before.gap(), before.metric, []
-    low, high = interval(before, after)
-    gap = _gap(search, plain, log, spoiled, final.variance, before.metric > floor_metric * (1 + ALLOWANCE))
-    remainder = None
+        said = _nothing(search, effects, before, weak, level)
+    else:
+        said = _named(search, effects, before, left, weak, verdict)
+    floor = search.floor.metric
+    gap = _gap(search, plain, log, left, before.metric > floor * (1 + ALLOWANCE))
+    rest = None
     if verdict == "unexplained":
-        remainder = gap if now is start else located(now, log.runs, search.scores_at(now))
+        rest = gap if left.base is start else located(left.base, log.runs, search.scores_at(left.base))
+    share = closed(before.metric, said.after, floor)
+    pose = result.model.pose
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(
-            verdict, effects, groups, before.metric, left, floor_metric, gap_unit(result.model.pose)
+            verdict, said.effects, said.groups, before.metric, said.after, floor, gap_unit(pose)
         ),
-        noise_floor={**floor, "source": _source(result)},
+        noise_floor={**left.floor, "source": _source(result)},
         gap_before=before.gap(),
-        gap_after=gap_after,
-        metric={"before": before.metric, "after": left, "floor": floor_metric},
+        gap_after=said.gap_after,
+        metric={"before": before.metric, "after": said.after, "floor": floor},
         shrinkage={
-            "value": 1 - left / before.metric,
-            "interval": [low, high] if verdict != "no gap" else [0.0, 0.0],
-            "share_closed": closed(before.metric, left, floor_metric),
-            "parameters_added": len(now.p) - len(start.p) if verdict != "no gap" else 0,
+            "value": 1 - said.after / before.metric,
+            "interval": list(said.interval),
+            "share_closed": share,
+            "parameters_added": said.added,
         },
-        ranked=tuple(ranked),
-        groups=tuple(groups),
-        effects=tuple(effects),
+        ranked=said.ranked,
+        groups=said.groups,
+        effects=said.effects,
         where=gap.statements,
         shares=gap.shares,
-        size=_size(search, plain, log, gap, before, result, rows),
-        remaining=remainder.statements if remainder else (),
-        unexplained=unexplained(remainder, 1 - closed(before.metric, left, floor_metric))
-        if remainder
-        else {},
-        separate_by=tuple(separate),
+        size=_size(search, plain, log, gap, before, result, log.rows),
+        remaining=rest.statements if rest else (),
+        unexplained=unexplained(rest, 1 - share) if rest else {},
+        separate_by=said.separate,
         validation_runs=apart,
         not_testable=search.not_testable,
-        smaller_findings=tuple(smaller),
+        smaller_findings=said.smaller,
         threshold=level,
         model=result.model.name,
         log={**result.log, "runs_fitted": len(search.runs)},
-        notes=tuple(dict.fromkeys((*result.notes, *noted))),
+        notes=tuple(dict.fromkeys((*result.notes, *left.notes, *said.notes))),
         seconds=seconds,
         versions=dict(result.versions),
-        waves=waves(kind_of(start.model).waves, start, now if effects else None),
-        next_step=next_step(result, effects, search, apart, bool(wiring and miswired(result.model, wiring))),
+        waves=waves(kind_of(start.model).waves, start, left.base if said.effects else None),
+        next_step=next_step(
+            result, said.effects, search, apart, bool(wiring and miswired(result.model, wiring))
+        ),
     )
 
 
-def _gap(
-    search: Search, plain: Base, log: Log, spoiled: Sequence[Fault], variance: float, above: bool
-) -> Located:
+def _effects(
+    search: Search,
+    log: Log,
+    result: Fit,
+    wiring: Wiring | None,
+    apart: tuple[int, ...],
+    before: BlockErrors,
+    left: Leftover,
+) -> list[FoundEffect]:
+    """Return effects of the model, faults of samples and the wiring, by their share of the excess."""
+    floor, scale = search.floor.metric, left.metric / left.after.metric
+    effects = found_effects(search, before, left.after, floor, left.inflation, apart, log.rows)
+    effects += [fault_record(f, scale, before, left.after, floor, search.tested) for f in left.faults]
+    if wiring and miswired(result.model, wiring):
+        effects.insert(0, wiring_record(search.start.base, log, wiring, search, before, left.metric, floor))
+    return sorted(effects, key=lambda e: -e.share)
+
+
+def _verdict(
+    search: Search, effects: Sequence[FoundEffect], before: BlockErrors, left: Leftover, level: float
+) -> str:
+    """Explained if what is named closes the gap, no gap if nothing is named and nothing remains."""
+    named = bool(effects) and 1 - left.metric / before.metric >= level
+    base, metric = (left.base, left.metric) if named else (search.start.base, before.metric)
+    rest = left.rest if base is left.found else structure(base, search.runs)
+    open_ = remains(rest, left.slow, metric, search.floor, level)
+    if not named:
+        return "unexplained" if open_ else "no gap"
+    share = closed(before.metric, left.metric, search.floor.metric)
+    return "unexplained" if open_ and share < CLOSED else "explained"
+
+
+def _named(
+    search: Search,
+    effects: Sequence[FoundEffect],
+    before: BlockErrors,
+    left: Leftover,
+    weak: Sequence[dict[str, Any]],
+    verdict: str,
+) -> _Said:
+    """Return what is said where there is a gap."""
+    groups, separate = groups_of(search, left.inflation)
+    if effects and effects[0].name in EITHER and len(search.start.base.model.pose) == 1:
+        groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
+    share = left.metric / left.cured.metric
+    after = left.cured.gap()
+    after["rmse"] = {c: v * share for c, v in after["rmse"].items()}
+    return _Said(
+        effects=tuple(effects),
+        groups=tuple(groups),
+        ranked=tuple(ranked_names(effects, groups, search, verdict, left.inflation)),
+        separate=tuple(separate),
+        smaller=_smaller(search, weak),
+        gap_after=after,
+        after=left.metric,
+        interval=interval(before, left.after),
+        added=len(left.base.p) - len(search.start.base.p),
+    )
+
+
+def _nothing(
+    search: Search,
+    effects: Sequence[FoundEffect],
+    before: BlockErrors,
+    weak: Sequence[dict[str, Any]],
+    level: float,
+) -> _Said:
+    """Return what is said where there is no gap: what was found is too small to be one."""
+    small = [{"name": e.name, "shrinkage": e.shrinkage, "p_value": e.p_value} for e in effects]
+    floor = search.floor
+    above = before.metric > floor.high(level)
+    return _Said(
+        effects=(),
+        groups=(),
+        ranked=(),
+        separate=(),
+        smaller=(*small, *_smaller(search, weak)),
+        gap_after=before.gap(),
+        after=before.metric,
+        interval=(0.0, 0.0),
+        added=0,
+        notes=(shapeless(before.metric / floor.metric, floor.stated),) if above else (),
+    )
+
+
+def _smaller(search: Search, weak: Sequence[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
+    """Return effects that do not hold on the held-out runs, and those that do little."""
+    known = {w["name"] for w in weak}
+    return (*weak, *(s for s in smaller_findings(search) if s["name"] not in known))
+
+
+def _gap(search: Search, plain: Base, log: Log, left: Leftover, above: bool) -> Located:
     """Where the gap lies; faults of samples by their power over all of the excess."""
     if not above:
         return Located((), (), *both(plain, log.runs))
-    return located(plain, log.runs, search.scores_at(search.start.base), spoiled, variance)
+    return located(plain, log.runs, search.scores_at(search.start.base), left.faults, left.variance)
 
 
 def _size(
@@ -191,12 +231,6 @@ def _before(plain: Base, log: Log, apart: tuple[int, ...], rows: int, result: Fi
     if result.wiring is not None and miswired(result.model, result.wiring):
         plain = replace(plain, log=log)
     return block_errors(plain, apart, rows, None)
-
-
-def _verdict(named: bool, remains: bool, closed: float) -> str:
-    if not named:
-        return "unexplained" if remains else "no gap"
-    return "unexplained" if remains and closed < CLOSED else "explained"
 
 
 def _source(result: Fit) -> str:
