@@ -20,7 +20,7 @@ from hallsym.decoding import columns_of
 from hallsym.diagnosis.chance import as_many, as_often, exceeds, student
 from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
-from hallsym.diagnosis.ranking import candidates
+from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey

@@ -12,7 +12,7 @@ from hallsym.arrays import on_arrays
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.errors import block_errors
 from hallsym.diagnosis.links import _smoothed
-from hallsym.diagnosis.ranking import Score, candidates, scores
+from hallsym.diagnosis.scores import Score, candidates, scores
 from hallsym.diagnosis.search import facts_of
 from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.stage_catalogue import CATALOGUE

@@ -5,7 +5,7 @@ import pytest
 
 from hallsym.diagnosis import diagnose, diagnosis_text
 from hallsym.diagnosis import split as pieces
-from hallsym.diagnosis.structure import _others
+from hallsym.diagnosis.predicted import others
 from hallsym.log import Log
 
 DEG = np.pi / 180
@@ -124,6 +124,6 @@ def test_all_folds_but_one_leave_nothing_where_nothing_is():
     folds = np.random.default_rng(0).normal(size=(13, 4, 4)) * 1e6
     folds[:, 2, 2] = 0.0
     folds[5, 2, 2] = 0.1
-    for k, others in enumerate(_others(folds)):
-        assert np.allclose(others, np.delete(folds, k, axis=0).sum(axis=0))
-    assert _others(folds)[5, 2, 2] == 0.0
+    for k, rest in enumerate(others(folds)):
+        assert np.allclose(rest, np.delete(folds, k, axis=0).sum(axis=0))
+    assert others(folds)[5, 2, 2] == 0.0

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from hallsym.diagnosis.kinds import kind_of
-from hallsym.diagnosis.ranking import Exact, by_name, distance
+from hallsym.diagnosis.ranking import Exact, distance
 from hallsym.diagnosis.record import FoundEffect, Separation
+from hallsym.diagnosis.scores import by_name
 from hallsym.diagnosis.search import Found, Search
 from hallsym.diagnosis.separate import separation
 

@@ -7,7 +7,8 @@ from typing import Any
 from hallsym import fitting
 from hallsym.calibration import Fit
 from hallsym.diagnosis.kinds import kind_of
-from hallsym.diagnosis.ranking import candidates, refitted, scores
+from hallsym.diagnosis.ranking import refitted
+from hallsym.diagnosis.scores import candidates, scores
 from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.verdict import SURE

@@ -7,7 +7,7 @@ import numpy as np
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.injection import Injection, Noisy, Size
 from hallsym.diagnosis.injection_faults import faults, rails
-from hallsym.diagnosis.ranking import Trouble, candidates
+from hallsym.diagnosis.scores import Trouble, candidates
 from hallsym.diagnosis.tangent import Base, tangents
 from hallsym.diagnosis.truth import Truth, goes_round, readings_of
 from hallsym.model import Model

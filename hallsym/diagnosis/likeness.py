@@ -14,7 +14,7 @@ from hallsym.batches import batches
 from hallsym.computed import extended
 from hallsym.decoding import columns_of
 from hallsym.diagnosis.effect import Effect, Facts
-from hallsym.diagnosis.ranking import candidates
+from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.tangent import Base, Products
 
 ORDERS = 12

@@ -18,10 +18,10 @@ from hallsym.computed import extended, rate
 from hallsym.decoding import columns_of
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.marginal import LEAST, LEVEL, Found
-from hallsym.diagnosis.ranking import Score, by_name
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.refit import inverse, solve
 from hallsym.diagnosis.residue import BLOCKS, FEWEST, FOLDS, SHORTEST, Residue, moved
+from hallsym.diagnosis.scores import Score, by_name
 from hallsym.diagnosis.smooth import chance_of_signs
 from hallsym.diagnosis.tangent import Base, Products
 from hallsym.diagnosis.words import percent

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hallsym.diagnosis.effect import Effect, Facts
-from hallsym.diagnosis.ranking import CLOSE, Exact, candidates, scores
+from hallsym.diagnosis.ranking import CLOSE, Exact
+from hallsym.diagnosis.scores import candidates, scores
 
 MOST = 2
 """Plain effects that are looked at."""

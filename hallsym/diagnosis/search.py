@@ -13,8 +13,9 @@ from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
 from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.plainer import plain_pairs
-from hallsym.diagnosis.ranking import Exact, Score, bic_of, by_name, candidates, refitted, scores
+from hallsym.diagnosis.ranking import Exact, bic_of, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.scores import Score, by_name, candidates, scores
 from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import SEGMENT, Survey, survey

@@ -17,6 +17,7 @@ from hallsym.arrays import on_arrays
 from hallsym.computed import rate
 from hallsym.decoding import decoding_gain
 from hallsym.diagnosis.chance import beyond
+from hallsym.diagnosis.predicted import Shape, gained, judged, shape, solved
 from hallsym.diagnosis.survey import Piece, pieces
 from hallsym.diagnosis.tangent import Base
 
@@ -34,23 +35,12 @@ CHUNK = 32
 """Samples of a stretch of a run; odd ones are predicted from even ones and back."""
 SEGMENT = 128
 """Samples of a segment of the spectrum."""
-RIDGE = 1e-3
-"""Pull of coefficients towards 0, over the squares of their column: what no fold determines stays 0."""
 STILL = 5.0
 """An axis that moves less than this many sigma of its noise (rms) stands still.
 
 Its logged place is then noise to 4 % of its variance, and that noise is in the residual too."""
 CURVES = ("place", "reading", "displacement")
 """First words of the families that are curves over one coordinate."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """How far a generic family lowers the gap metric on runs it was not fitted on, and its significance."""
-
-    by: str
-    drop: float
-    p_value: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,8 +317,8 @@ class _Work:
         even, odd = self.within
         n = len(even) - self.E
         if even.size and odd.size and min(even[n - 1, n - 1], odd[n - 1, n - 1]) >= CHUNK:
-            gained = _gained(_solved(even, n), odd) + _gained(_solved(odd, n), even)
-            self.gained.append((gained, float(np.trace((even + odd)[n:, n:]))))
+            gain = gained(solved(even, n), odd) + gained(solved(odd, n), even)
+            self.gained.append((gain, float(np.trace((even + odd)[n:, n:]))))
         self.within = [np.zeros((0, 0)), np.zeros((0, 0))]
         self.seen += 1
 
@@ -339,12 +329,12 @@ class _Work:
         for by, products in self.families.items():
             used = products.folds[: min(self.seen, FOLDS)]
             if by.startswith(CURVES):
-                shapes += [_judged(by, _coarse(used, level, self.E), self.E) for level in LEVELS]
+                shapes += [judged(by, _coarse(used, level, self.E), self.E) for level in LEVELS]
             else:
-                shapes.append(_judged(by, used, self.E))
+                shapes.append(judged(by, used, self.E))
         if len(self.gained) > 2:
             gain, total = np.array(self.gained).T
-            shapes.append(_shape("a gain or trend of each run", gain, float(total.sum()), beyond(gain)))
+            shapes.append(shape("a gain or trend of each run", gain, float(total.sum()), beyond(gain)))
         return Structure(tuple(sorted(shapes, key=lambda s: -s.drop)), self._lines())
 
     def _lines(self) -> float:
@@ -386,48 +376,3 @@ def _coarse(folds: np.ndarray, level: int, E: int) -> np.ndarray:
     T[1 : 1 + m, 1 : 1 + wide.shape[1]] = wide
     T[1 + m :, 1 + wide.shape[1] :] = np.eye(E)
     return T.T @ folds @ T
-
-
-def _solved(train: np.ndarray, n: int) -> np.ndarray:
-    """Coefficients of the first n columns for the others, (n, E), pulled to 0 a little."""
-    G = train[:n, :n]
-    size = np.sqrt(np.maximum(np.diag(G), 0.0))  # differences of sums may round below 0
-    d = np.maximum(size, 1e-9 * max(size.max(initial=0.0), 1e-140))  # what never moved has no coefficient
-    A = G / np.outer(d, d) + RIDGE * np.eye(n)
-    return np.linalg.solve(A, train[:n, n:] / d[:, None]) / d[:, None]
-
-
-def _gained(x: np.ndarray, test: np.ndarray) -> float:
-    """Decrease of the squares of `test` by coefficients x."""
-    n = len(x)
-    return float(2 * (x * test[:n, n:]).sum() - ((test[:n, :n] @ x) * x).sum())
-
-
-def _judged(by: str, folds: np.ndarray, E: int) -> Shape:
-    total, n = folds.sum(axis=0), folds.shape[1] - 1 - E
-    if len(folds) < 3:
-        return Shape(by, 0.0, 1.0)
-    own = np.diag(total)[1 : 1 + n]
-    live = 1 + np.flatnonzero(own > 1e-9 * max(own.max(), 1e-300))
-    pick = np.concatenate([live, np.arange(1 + n, 1 + n + E)])
-    folds, total, n = folds[:, pick[:, None], pick], total[np.ix_(pick, pick)], len(live)
-    best = _solved(total, n)
-    gains, scores, noise = [], [], []
-    for fold, others in zip(folds, _others(folds), strict=True):
-        x = _solved(others, n)
-        gains.append(_gained(x, fold))
-        scores.append(float((x * fold[:n, n:]).sum()))
-        noise.append(float((x * (fold[:n, n:] - fold[:n, :n] @ best)).sum()))
-    p = beyond(np.array(scores), np.array(noise))
-    return _shape(by, np.array(gains), float(np.trace(total[n:, n:])), p)
-
-
-def _others(folds: np.ndarray) -> np.ndarray:
-    """Sum of all folds but one, for each; a difference to the total would leave rounding where nothing is."""
-    before, after = np.cumsum(folds[:-1], axis=0), np.cumsum(folds[:0:-1], axis=0)[::-1]
-    return np.concatenate([after[:1], before[:-1] + after[1:], before[-1:]])
-
-
-def _shape(by: str, gains: np.ndarray, total: float, p_value: float) -> Shape:
-    share = float(np.clip(gains.sum() / max(total, 1e-300), 0.0, 1.0))
-    return Shape(by, 1 - float(np.sqrt(1 - share)), p_value)

@@ -24,9 +24,9 @@ from hallsym.diagnosis.marginal import (
     outputs,
     sensors,
 )
-from hallsym.diagnosis.ranking import Score
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.residue import Residue, coordinates, residue
+from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.smooth import NO_ORDER, Curve, FineMap, Smooth, own_gains, predicted
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.words import percent, plain, shown
