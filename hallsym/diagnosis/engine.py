@@ -158,10 +158,10 @@ def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:
     if holdout is None:
         holdout = log.meta.holdout or log.runs[HOLD_EVERY // 2 :: HOLD_EVERY]
     if len(log.runs) < FEWEST_RUNS or len(log.runs) - len(set(holdout)) < 2 or not holdout:
-        short = log.rows < split.FEWEST
+        short, many = log.rows < split.FEWEST, f"{len(log.runs)} run{'s' * (len(log.runs) != 1)}"
         raise InputError(
-            f"{log.name} has {len(log.runs)} run{'s' * (len(log.runs) != 1)}, too few to hold any out and still "
-            "choose an effect on the others (2 to fit and 1 to judge on at least); record more runs or "
+            f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
+            "(2 to fit and 1 to judge on at least); record more runs or "
             + (f"at least {split.FEWEST} samples (it has {log.rows})." if short else "split a long one.")
         )
     return tuple(holdout)
