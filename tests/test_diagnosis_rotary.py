@@ -159,7 +159,8 @@ def test_angles_of_an_encoder_are_read_in_degrees():
     shape = {"unit": "rad", "grid": [np.pi], "coordinate": "place in the turn of angle"}
     assert "skewed 0.70000(57) deg" in text._parameters(effect, text.units_of(found))
     assert text._at(shape, 0) == "180 deg"
-    assert "skewed 12217(10) urad" in text._parameters(effect, text.units_of(replace(found, noise_floor={"rz_rad": 1e-7})))
+    stage = text.units_of(replace(found, noise_floor={"rz_rad": 1e-7}))
+    assert "skewed 12217(10) urad" in text._parameters(effect, stage)
     assert shown(2 * np.pi, "rad/s") == "60 rpm"
 
 
