@@ -8,6 +8,7 @@ import pytest
 from test_rotary import ANGLE, TURN, angle_log, plates, voltage_log, wrap
 
 import hallsym
+from hallsym import tables
 from hallsym.cli import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
@@ -190,6 +191,15 @@ def test_voltages_beyond_the_bounds_of_an_amplitude():
         InputError, match=r"v_sin_v .* beyond the bounds of its amplitude Ay \(0.001 to 20 V\)"
     ):
         fitted(log)
+
+
+def test_noise_that_is_estimated_too_large_is_said():
+    """A sample every 1.7 rad: differences of the angle's error are no noise, and what is left shows it."""
+    log = angle_log(V, 1.7 * np.arange(1000), 1e-4)
+    fit = fitted(Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"}))
+    assert "noise was estimated" in tables.evidence(fit)[0]
+    assert "state it with --noise" in tables.evidence(fit)[0]
+    assert "estimated" not in tables.evidence(fitted(angle_log(V, BOTH, 1e-4)))[0]
 
 
 def test_one_direction_and_a_gap_are_said():

@@ -115,7 +115,7 @@ def _check_swing(seen: Seen, name: str, model: Model) -> None:
             raise InputError(
                 f"Column {channel} of {name} swings by +-{half:.3g} V, beyond the bounds of its amplitude "
                 f"{amplitude.name} ({amplitude.lower:g} to {amplitude.upper:g} V): check its unit, or give "
-                "other bounds in a machine file."
+                "lower, upper and nominal of amplitudes and offsets of that size in a machine file."
             )
 
 
