@@ -13,7 +13,7 @@ from hallsym.cli import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
 from hallsym.families import build, default_model
-from hallsym.log import Log, Meta, check_log
+from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.turning import continuous, wrapped
 
 V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}
@@ -31,6 +31,8 @@ def test_the_form_follows_from_the_columns():
     assert build("rotary", meta=angle_log(V, BOTH).meta).channels == ("angle_rad",)
     assert default_model(angle_log(V, BOTH).meta) == "rotary"
     assert default_model(Meta(columns=("x_ref_m",))) == "stage31"
+    with pytest.raises(InputError, match=r"neither a stage .* nor an encoder .*; map columns with --column"):
+        default_model(Meta(columns=("run", "t_s")))
     assert build("ellipse").name == "rotary"
     assert build("ideal_arctan").name == "rotary_ideal"
     chosen = build("rotary", meta=Meta(probes=[{"channel": "angle_rad"}]))
@@ -191,6 +193,17 @@ def test_voltages_beyond_the_bounds_of_an_amplitude():
         InputError, match=r"v_sin_v .* beyond the bounds of its amplitude Ay \(0.001 to 20 V\)"
     ):
         fitted(log)
+
+
+def test_rows_in_no_order_need_a_stated_noise():
+    """Differences of shuffled knots are no noise: 50 deg of it, and every parameter at its nominal value."""
+    log = angle_log(V, np.arange(200) * TURN / 200, 1e-4)
+    order = np.random.default_rng(5).permutation(200)
+    columns = {c: log.array(c)[order] for c in ("angle_rad", "angle_ref_rad")}
+    with pytest.raises(InputError, match=r"in no order .* sort them by angle_ref_rad, or state the noise"):
+        fitted(Log.from_arrays(columns))
+    stated = Noise.given({"angle_rad": 1e-4, "angle_ref_rad": 1e-5}, list(columns))
+    assert fitted(Log.from_arrays(columns, stated)).value("beta") == pytest.approx(V["beta"], abs=1e-3)
 
 
 def test_noise_that_is_estimated_too_large_is_said():

@@ -19,6 +19,8 @@ CLEARLY, LEAST_ZERO = 3.0, 1.0
 SURE, TURNS, LEAST_DRIFT, MOST_DRIFT = 0.8, 1.9, 1.0, 30.0
 """A reference of another scale: share of the variation within runs that drifts along it, turns that show
 it, and how far it must drift over them for a note [deg], and to be refused."""
+ORDERED = 0.3
+"""Length of the mean of exp(2 i |step|) below which rows follow no motion."""
 DEAD = 0.2
 """Share of its variation below which a voltage does not go round."""
 MOST_LEFT = 0.5
@@ -38,6 +40,12 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
         for k in (1.0, -1.0):
             seen.follows[k] = sum(abs(own[k]) for own in seen.runs.values())
     _refuse(seen, log.name, model, fitted)
+    guessed = fitted and "t_s" not in log.columns and column not in log.noise
+    if guessed and abs(seen.even) < ORDERED * (seen.samples - len(seen.runs)):
+        raise InputError(
+            f"Rows of {log.name} are in no order ({column} moves by anything from one to the next), so the "
+            f"noise cannot be estimated: sort them by {column}, or state the noise with --noise."
+        )
     forward = abs(seen.follows[1.0]) >= abs(seen.follows[-1.0])
     notes = _notes(seen, column)
     slope = _scale(seen, LEAST_DRIFT)

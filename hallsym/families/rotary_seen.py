@@ -145,6 +145,8 @@ class Seen:
     angle: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
     up: float = 0.0
     down: float = 0.0
+    even: complex = 0j
+    """Sum of exp(2 i |step|) over the steps of the reference: short where they are of all lengths."""
     lines: dict[float, Straight] = field(default_factory=lambda: {1.0: Straight(), -1.0: Straight()})
     plates: Plates = field(default_factory=Plates)
     jumps: tuple[Jumps, Jumps] = field(default_factory=lambda: (Jumps(), Jumps()))
@@ -171,6 +173,7 @@ class Seen:
         for jumps, values in zip(self.jumps, (angle, reference), strict=True):
             jumps.add(values, angle, reference)
         moved = np.diff(np.unwrap(reference))
+        self.even += np.exp(2j * np.abs(moved)).sum()
         self.up += float(moved[moved > 0].sum())
         self.down -= float(moved[moved < 0].sum())
 
