@@ -74,8 +74,8 @@ def default_model(meta: Meta) -> str:
     if meta.columns and not meta.base_model and not any(map(is_moving, meta.columns)):
         raise InputError(
             f"The log's columns ({', '.join(meta.columns)}) are neither a stage (hall_a_m, ..., x_ref_m) "
-            "nor an encoder (v_sin_v and v_cos_v, or angle_rad; angle_ref_rad); map columns with --column, or name "
-            "the model with --model."
+            "nor an encoder (v_sin_v and v_cos_v, or angle_rad; angle_ref_rad); map columns with --column, "
+            "or name the model with --model."
         )
     fitting = (f.DEFAULT for f in FAMILIES if f.reads(meta.columns))
     return meta.base_model or next(fitting, FAMILIES[0].DEFAULT)

@@ -138,7 +138,7 @@ def _unit(seen: Seen, model: Model) -> tuple[str, str] | None:
     """Which column looks like another unit than its name says, and what to do."""
     (column,), spans = model.references, seen.spans
     for (mine, theirs, _), total in sorted(seen.units.items(), key=lambda entry: -abs(entry[1])):
-        if abs(total) < TOGETHER * seen.samples:
+        if abs(total) < TOGETHER * seen.tried:
             return None
         if min(mine * spans[0], theirs * spans[1]) < np.radians(360.0 - GAP_REFUSE):
             continue  # all angles are near each other then

@@ -15,7 +15,7 @@ DEGREES = np.pi / 180
 UNITS = {1.0: "", DEGREES: "degrees", 1 / DEGREES: "rad"}
 """Factor that would put right an angle whose unit is not the one that is said -> what it looks like."""
 THIN = 4096
-"""Samples of a block that the extent of a voltage is taken from."""
+"""Samples of a block that the extent of a voltage is taken from and units are tried on, at least."""
 RARE, BESIDE = 0.1, 0.1
 """Wraps per step, at most, and how far from whole turns they are [rad] at least, to say so."""
 EDGE = 0.02
@@ -139,6 +139,8 @@ class Seen:
     samples: int = 0
     follows: dict[float, complex] = field(default_factory=dict)
     units: dict[tuple[float, float, float], complex] = field(default_factory=dict)
+    tried: int = 0
+    """Samples that units were tried on."""
     runs: dict[int, dict[float, complex]] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
     reference: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
@@ -183,6 +185,9 @@ class Seen:
             if len(values):
                 self.low[k] = min(self.low[k], float(values.min()))
                 self.high[k] = max(self.high[k], float(values.max()))
+        every = slice(None, None, max(1, len(angle) // THIN))
+        angle, reference = angle[every], reference[every]
+        self.tried += len(angle)
         for mine in UNITS if read else (1.0,):
             for theirs in UNITS:
                 for sign in (1.0, -1.0):
