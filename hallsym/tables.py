@@ -10,6 +10,8 @@ from hallsym.calibration import Fit
 
 ANGLES = re.compile(r"angle\w*")
 """Angles that go round are read in degrees; the small ones of a stage in urad."""
+TOO_SMALL = 0.1
+"""Cost per degree of freedom below which the noise is more than three times what is left."""
 READ = {"m": (1e6, "um"), "rad": (1e6, "urad"), "v": (1e3, "mV"), "s": (1e3, "ms"), "degc": (1.0, "degC")}
 """Unit of a column -> factor and unit for reading."""
 
@@ -169,7 +171,16 @@ def evidence(fit: Fit) -> list[str]:
 
 
 def _excess(fit: Fit) -> str:
-    """What a cost per degree of freedom well above 1 means."""
-    if fit.solver["cost_per_degree_of_freedom"] < 1.5:
+    """What a cost per degree of freedom well above or below 1 means."""
+    cost = fit.solver["cost_per_degree_of_freedom"]
+    guessed = any(sigma.source == "estimated" for sigma in fit.noise.sigmas.values())
+    if 0 < cost < TOO_SMALL:
+        what = "was estimated" if guessed else "is stated"
+        why = ": motion from sample to sample was counted as noise; state it with --noise" if guessed else ""
+        return (
+            f" (the noise {what} {cost**-0.5:.3g} x as large as what is left{why}; uncertainties and noise "
+            "floor are too large by that)"
+        )
+    if cost < 1.5:
         return ""
     return " (1 is what the noise explains: the machine does more than this model, or the noise is larger)"

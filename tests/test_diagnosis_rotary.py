@@ -4,14 +4,18 @@ Facts used beside the machines: waves of angle error per turn of a field harmoni
 the field of a dipole off its axis, a knot table of a stepper with its pattern of 50 per turn.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import hallsym
 from hallsym.computed import Stretch
-from hallsym.diagnosis import diagnose, diagnosis_text
+from hallsym.diagnosis import diagnose, diagnosis_text, text
+from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.rotary_catalogue import CATALOGUE
 from hallsym.diagnosis.split import split
+from hallsym.diagnosis.words import shown
 from hallsym.errors import InputError
 from hallsym.families import build, rotary, rotary_effects
 from hallsym.log import Log, Meta, Noise
@@ -144,6 +148,20 @@ def test_where_says_waves_per_turn():
     found = diagnose(machine(third))
     assert any("place in the turn, 4 waves per turn" in s.text for s in found.where)
     assert "4 waves per turn" in diagnosis_text(found)
+    assert "ends of the range" not in diagnosis_text(found)  # a turn has none
+
+
+def test_angles_of_an_encoder_are_read_in_degrees():
+    """As the documentation says; those of a stage stay in urad."""
+    estimate = Estimate(np.radians(0.7), 1e-5, "rad")
+    found = diagnose(machine(third))
+    effect = replace(found.effects[0], parameters={"skewed": estimate})
+    shape = {"unit": "rad", "grid": [np.pi], "coordinate": "place in the turn of angle"}
+    assert "skewed 0.70000(57) deg" in text._parameters(effect, text.units_of(found))
+    assert text._at(shape, 0) == "180 deg"
+    stage = text.units_of(replace(found, noise_floor={"rz_rad": 1e-7}))
+    assert "skewed 12217(10) urad" in text._parameters(effect, stage)
+    assert shown(2 * np.pi, "rad/s") == "60 rpm"
 
 
 def test_clipped_voltages_are_a_rail():

@@ -106,6 +106,7 @@ def test_the_same_delay_is_called_by_its_usual_name():
     assert d.ranked[0] == "time_skew"
     assert ("time_skew", "first_order_lag") in d.groups
     assert "saturation" not in (*d.ranked, *(s["name"] for s in d.smaller_findings))
+    assert not any("differs between runs" in note for note in d.notes)  # it is one recording
 
 
 @pytest.mark.parametrize("knots", [200, 400])
@@ -117,6 +118,25 @@ def test_groups_of_knots_go_round_the_turn_and_see_every_phase_of_a_stepper(knot
         at = log.array("t_s")[log.array("run") == run].astype(int)
         assert np.diff(at).max() <= knots // 6
         assert set(at % 4) == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize("knots", [48, 60, 72, 100, 144, 175])
+@pytest.mark.parametrize("timed", [False, True])
+def test_a_short_recording_is_taken_to_fewer_pieces_that_each_can_be_a_run(knots, timed):
+    a = np.arange(knots) * 2 * np.pi / knots
+    time = {"t_s": 1e-3 * np.arange(knots)} if timed else {}
+    log, held = pieces.split(Log.from_arrays({**time, "angle_ref_rad": a, "angle_rad": a}))
+    sizes = np.bincount(log.array("run").astype(int))
+    assert sizes.min() >= 8
+    assert len(sizes) == 2 * len(held) >= 6
+    assert log.rows == knots
+
+
+def test_a_turn_of_72_knots_is_diagnosed():
+    a = np.arange(72) * 2 * np.pi / 72
+    angle = a + 4e-3 * np.sin(4 * a) + np.random.default_rng(4).normal(0, 2e-4, 72)
+    found = diagnose(Log.from_arrays({"angle_ref_rad": a, "angle_rad": angle}), "rotary")
+    assert found.ranked[0] in {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"}
 
 
 def test_all_folds_but_one_leave_nothing_where_nothing_is():

@@ -8,11 +8,12 @@ import pytest
 from test_rotary import ANGLE, TURN, angle_log, plates, voltage_log, wrap
 
 import hallsym
+from hallsym import tables
 from hallsym.cli import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
 from hallsym.families import build, default_model
-from hallsym.log import Log, Meta, check_log
+from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.turning import continuous, wrapped
 
 V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}
@@ -30,6 +31,8 @@ def test_the_form_follows_from_the_columns():
     assert build("rotary", meta=angle_log(V, BOTH).meta).channels == ("angle_rad",)
     assert default_model(angle_log(V, BOTH).meta) == "rotary"
     assert default_model(Meta(columns=("x_ref_m",))) == "stage31"
+    with pytest.raises(InputError, match=r"neither a stage .* nor an encoder .*; map columns with --column"):
+        default_model(Meta(columns=("run", "t_s")))
     assert build("ellipse").name == "rotary"
     assert build("ideal_arctan").name == "rotary_ideal"
     chosen = build("rotary", meta=Meta(probes=[{"channel": "angle_rad"}]))
@@ -111,6 +114,15 @@ def test_the_noise_floor_is_that_of_the_decoded_angle():
         ),
         (lambda a: a / 7, BOTH, "makes 7 turns while angle_ref_rad makes one"),
         (lambda a: a**2 / 3, FORTH, "does not follow angle_ref_rad"),
+        (lambda a: 1.05 * a, 3 * BOTH, "makes 0.952.? turns while angle_ref_rad makes one; .*by 0.952"),
+        (np.degrees, BOTH, "angle_ref_rad of .* another unit: .* if angle_ref_rad were in degrees; say so"),
+        (lambda a: np.degrees(a) % 360, BOTH, "if angle_ref_rad were in degrees"),
+        (np.radians, 3 * BOTH, "if angle_ref_rad were in rad"),
+        (
+            lambda a: np.mod(a, TURN) * 20000 / 16384,
+            BOTH,
+            "wraps after 1.22. turns, which is no whole number",
+        ),
     ],
 )
 def test_references_that_cannot_be_used(make, reference, a, says):
@@ -121,6 +133,86 @@ def test_references_that_cannot_be_used(make, reference, a, says):
     with pytest.raises(InputError, match=says) as caught:
         fitted(log)
     assert str(caught.value).count(". ") == 0
+
+
+def test_an_angle_that_is_in_degrees_is_said():
+    log = angle_log(V, BOTH, 1e-4)
+    for columns in (("angle_rad",), ("angle_rad", "angle_ref_rad")):
+        other = {c: np.degrees(np.mod(log.array(c), TURN)) for c in columns}
+        table = {c: log.array(c) for c in log.columns if c != "run"} | other
+        with pytest.raises(InputError, match=r"angle_rad .* if angle_rad were in degrees"):
+            fitted(Log.from_arrays(table))
+
+
+def test_a_reference_of_another_scale_is_said_and_not_called_homed():
+    """Half a percent over six turns: 11 deg, which zeros of runs would differ by too."""
+    rng, parts = np.random.default_rng(3), []
+    for run, sign in enumerate((1, -1, 1)):
+        a = rng.uniform(0, 6) + sign * np.linspace(0, 6 * TURN, 1500)
+        log = angle_log(V, a, 1e-4)
+        parts.append(
+            {"run": np.full(len(a), run), "angle_rad": log.array("angle_rad"), "angle_ref_rad": 1.005 * a}
+        )
+    log = Log.from_arrays({c: np.concatenate([part[c] for part in parts]) for c in parts[0]})
+    (note,) = (n for n in fitted(log).notes if "turns while" in n)
+    assert "makes 0.99" in note
+    assert "--effect reference_scale_error" in note
+    assert not any("homed" in n for n in fitted(log).notes)
+
+
+def test_parts_of_a_turn_may_be_repeated():
+    """Each pass ends where the next one does not begin: no wrap of the reference, which the encoder shows."""
+    a = np.tile(np.linspace(0, 0.8 * TURN, 200), 4)
+    for make in (angle_log, voltage_log):
+        assert fitted(make(V, a, 1e-4)).value("beta") == pytest.approx(V["beta"], abs=1e-3)
+
+
+def test_a_plate_that_only_hums_is_dead():
+    y, x = plates(V, BOTH)
+    rng = np.random.default_rng(2)
+    for dead in ("v_sin_v", "v_cos_v"):
+        columns = {"v_sin_v": y, "v_cos_v": x, "angle_ref_rad": BOTH} | {
+            dead: 0.3 + 2e-4 * rng.standard_normal(len(y))
+        }
+        with pytest.raises(InputError, match=f"Column {dead} .* check that plate and its wiring"):
+            fitted(Log.from_arrays(columns))
+
+
+def test_spikes_do_not_hide_how_an_encoder_turns():
+    y, x = plates(V, BOTH)
+    y, x = (v + 2e-4 * np.random.default_rng(k).standard_normal(len(v)) for k, v in enumerate((y, x)))
+    y[50::80] = 100.0
+    fit = fitted(Log.from_arrays({"v_sin_v": y, "v_cos_v": x, "angle_ref_rad": BOTH}))
+    assert fit.value("Ay") == pytest.approx(V["Ay"], rel=1e-3)
+
+
+def test_voltages_beyond_the_bounds_of_an_amplitude():
+    y, x = plates(V, BOTH)
+    log = Log.from_arrays({"v_sin_v": 1e-5 * y, "v_cos_v": 1e-5 * x, "angle_ref_rad": BOTH})
+    with pytest.raises(
+        InputError, match=r"v_sin_v .* beyond the bounds of its amplitude Ay \(0.001 to 20 V\)"
+    ):
+        fitted(log)
+
+
+def test_rows_in_no_order_need_a_stated_noise():
+    """Differences of shuffled knots are no noise: 50 deg of it, and every parameter at its nominal value."""
+    log = angle_log(V, np.arange(200) * TURN / 200, 1e-4)
+    order = np.random.default_rng(5).permutation(200)
+    columns = {c: log.array(c)[order] for c in ("angle_rad", "angle_ref_rad")}
+    with pytest.raises(InputError, match=r"in no order .* sort them by angle_ref_rad, or state the noise"):
+        fitted(Log.from_arrays(columns))
+    stated = Noise.given({"angle_rad": 1e-4, "angle_ref_rad": 1e-5}, list(columns))
+    assert fitted(Log.from_arrays(columns, stated)).value("beta") == pytest.approx(V["beta"], abs=1e-3)
+
+
+def test_noise_that_is_estimated_too_large_is_said():
+    """A sample every 1.7 rad: differences of the angle's error are no noise, and what is left shows it."""
+    log = angle_log(V, 1.7 * np.arange(1000), 1e-4)
+    fit = fitted(Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"}))
+    assert "noise was estimated" in tables.evidence(fit)[0]
+    assert "state it with --noise" in tables.evidence(fit)[0]
+    assert "estimated" not in tables.evidence(fitted(angle_log(V, BOTH, 1e-4)))[0]
 
 
 def test_one_direction_and_a_gap_are_said():

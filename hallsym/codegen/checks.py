@@ -92,7 +92,7 @@ def check_same(d: Decoupler) -> None:
         printed, inputs = printed[:, clear], inputs[:, clear]
     off = np.abs(d.difference(printed, d.exact(inputs))).max(axis=1, initial=0.0)
     for column, error in zip(d.pose, off, strict=True):
-        if not error <= d.slack + SAME:
+        if not error <= d.slack + d.cut + SAME:
             raise InputError(
                 f"The generated {column} differs by {error:.3g} from model {d.model.name}: its readings are "
                 "no polynomial of pose and state times a gain, and C cannot be generated for it."

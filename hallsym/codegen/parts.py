@@ -117,6 +117,8 @@ class Decoupler:
     flags: tuple[Flag, ...] = ()
     approximation: float = 0.0
     """What polynomials and series in place of functions leave in the pose [m, rad]."""
+    cut: float = 0.0
+    """What bits that whole steps cut off add to the pose [m, rad]; `bounded` counts it as rounding."""
     bounded: "Callable[[int], Mapping[str, Enclosure]] | None" = None
     """Digits of the significand -> range and rounding of each pose coordinate, flags clear; interval
     arithmetic on the whole of the steps where there is none."""

@@ -43,6 +43,8 @@ ROOM = 0.1
 TINY = 1e-30
 """Added to a divisor that may be zero; lost in rounding where it is not."""
 ROUNDED = 1e-13
+CUT = 2 * pi * 2.0**-31
+"""Phase [rad] that the last bit of a place in a table stands for."""
 NEIGHBOURS = ("before", "left", "right", "after")
 SIXTH = 1 / 6
 EVIDENT = 8
@@ -122,6 +124,7 @@ class _Assembly:
             symbols=self.symbols,
             flags=flags,
             approximation=self._left,
+            cut=CUT * self.correction.slope if isinstance(self.correction, Grid) else 0.0,
             bounded=Rounding(self.curve, self.correction, WEAK),
             rest=tuple(self.curve.readings(np.zeros(1))[:, 0].tolist()),
             listed=self._listed(),

@@ -83,6 +83,7 @@ def examine(
     began, say = perf_counter(), on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
     kind = kind_of(model)
+    whole = log
     log, pieces = _pieces(log, model) if holdout is None else (log, None)
     apart = pieces or _holdout(log, holdout)
     level = _threshold(log, threshold)
@@ -97,7 +98,8 @@ def examine(
     said = report(search, log, result, apart, wiring, level, perf_counter() - began)
     if pieces:  # which the log on disk does not have
         at = said.next_step.index("--holdout") if said.next_step else 0
-        said = replace(said, next_step=said.next_step[:at] + said.next_step[at + 2 :])
+        notes = _of_whole(said.notes, model, log, whole)
+        said = replace(said, next_step=said.next_step[:at] + said.next_step[at + 2 :], notes=notes)
     return Examined(said, result, base, search.now.base if said.effects else None)
 
 
@@ -113,6 +115,15 @@ def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...] | None]:
         return log, None
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     return split.split(continuous(replace(log, noise=fitting.noise_of(log, model)), model))
+
+
+def _of_whole(notes: Sequence[str], model: Model, log: Log, whole: Log) -> tuple[str, ...]:
+    """Return notes with what an inspection says of the recording, not of its pieces, which are no runs."""
+    if not model.inspect:
+        return tuple(notes)
+    of_pieces = model.inspect(model, log).notes
+    true = model.inspect(model, whole).notes
+    return tuple(dict.fromkeys((*(note for note in notes if note not in of_pieces), *true)))
 
 
 def _fitted(
@@ -147,9 +158,11 @@ def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:
     if holdout is None:
         holdout = log.meta.holdout or log.runs[HOLD_EVERY // 2 :: HOLD_EVERY]
     if len(log.runs) < FEWEST_RUNS or len(log.runs) - len(set(holdout)) < 2 or not holdout:
+        short, many = log.rows < split.FEWEST, f"{len(log.runs)} run{'s' * (len(log.runs) != 1)}"
         raise InputError(
-            f"{log.name} has {len(log.runs)} runs, too few to hold any out and still choose an effect on the "
-            "others (2 to fit and 1 to judge on at least); record more runs or split a long one."
+            f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
+            "(2 to fit and 1 to judge on at least); record more runs or "
+            + (f"at least {split.FEWEST} samples (it has {log.rows})." if short else "split a long one.")
         )
     return tuple(holdout)
 

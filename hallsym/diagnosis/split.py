@@ -8,13 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from hallsym.log import Log
+from hallsym.log.findings import FEWEST_SAMPLES
 
 PIECES = 20
 """Stretches of time: every second is held out, so that ten are fitted and held against each other."""
 GROUPS = 22
 """Groups of knots: eleven are fitted. Each goes round the turn, so that waves of it do not lean on another;
 an odd number takes every phase of a pattern of two or four knots into each group."""
-FEWEST = 40
+LEAST = 6
+"""Pieces of a short recording: three are fitted, three judge."""
+FEWEST = LEAST * FEWEST_SAMPLES
 """Samples that a recording must have to be taken to pieces."""
 BLOCK = 4
 """Knots of a block. Every second is held out, the other ones in the next block, so that a pattern of two or
@@ -29,8 +32,8 @@ def split(log: Log) -> tuple[Log, tuple[int, ...]]:
     held out, and a counter stands for the time that the log does not have.
     """
     n, timed = log.rows, TIME in log.columns
-    at, count = np.arange(n), PIECES if timed else GROUPS
-    piece = at * PIECES // n if timed else 2 * (at // 2 % (GROUPS // 2)) + (at + at // BLOCK) % 2
+    at, count = np.arange(n), _pieces(n, timed)
+    piece = at * count // n if timed else _group(at, count)
     held = tuple(range(1, count, 2))
     order = np.argsort(piece, kind="stable")
     columns = {c: log.array(c)[order] for c in log.columns if c != "run"}
@@ -40,3 +43,17 @@ def split(log: Log) -> tuple[Log, tuple[int, ...]]:
     many = f"{len(log.runs)} run{'s' if len(log.runs) > 1 else ''}"
     note = f"{many} cannot be held out whole: taken as {how}, every second held out."
     return replace(short, notes=(*log.notes, note), path=log.path), held
+
+
+def _pieces(n: int, timed: bool) -> int:
+    """How many pieces of `n` samples: as many as leave each the samples that a run must have."""
+    at = np.arange(n)
+    for count in range(PIECES if timed else GROUPS, LEAST, -4):  # half of it stays even, or odd
+        smallest = n // count if timed else int(np.bincount(_group(at, count), minlength=count).min())
+        if smallest >= FEWEST_SAMPLES:
+            return count
+    return LEAST
+
+
+def _group(at: np.ndarray, count: int) -> np.ndarray:
+    return 2 * (at // 2 % (count // 2)) + (at + at // BLOCK) % 2

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
+from hallsym.diagnosis.words import degrees_of
 from hallsym.tables import concise, error_rows, grid, readable
 
 MUCH = 1e3
@@ -35,7 +36,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     """
     parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), *_sizes(d), *_waves(d)]
     if d.effects:
-        parts += ["", effect_text(d.effects), "", *(_parameters(e) for e in d.effects)]
+        parts += ["", effect_text(d.effects), "", *(_parameters(e, units_of(d)) for e in d.effects)]
         parts += [_wrapped(f"  {e.note}", "    ") for e in d.effects if e.note]
         parts.append(_wrapped(_shrinks(d)))
     if d.next_step:
@@ -136,16 +137,22 @@ def effect_text(effects: tuple[FoundEffect, ...]) -> str:
     return grid(rows, left=2)
 
 
-def _parameters(effect: FoundEffect) -> str:
+def units_of(d: Diagnosis) -> Mapping[str, tuple[float, str]]:
+    """How numbers of a diagnosis are shown: angles of an encoder in degrees, those of a stage in urad."""
+    factor, unit, _ = readable(next(iter(d.noise_floor), "x_m"))
+    return UNITS | ({"rad": (factor, unit)} if unit == "deg" else {})
+
+
+def _parameters(effect: FoundEffect, units: Mapping[str, tuple[float, str]]) -> str:
     """What an effect is on this machine, and what it costs."""
-    values = ", ".join(f"{n} {_estimate(p)}" for n, p in effect.parameters.items())
+    values = ", ".join(f"{n} {_estimate(p, units)}" for n, p in effect.parameters.items())
     form = f" ({effect.variant})" if effect.variant else ""
     text = f"{effect.name}{form}: {values + '; ' if values else ''}{effect.cost}"
     return _wrapped(text, "  ")
 
 
-def _estimate(p: Estimate) -> str:
-    factor, unit = UNITS.get(p.unit, (1.0, p.unit))
+def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> str:
+    factor, unit = units.get(p.unit, (1.0, p.unit))
     std = None if p.std is None else p.std * factor
     return f"{concise(p.value * factor, std)} {unit}".strip()
 
@@ -212,6 +219,7 @@ def _curve(rest: Mapping[str, Any]) -> list[str]:
 
 def _at(curve: Mapping[str, Any], k: int) -> str:
     factor, unit = UNITS.get(curve["unit"], (1.0, curve["unit"])) if curve["unit"] != "s" else (1.0, "s")
+    factor, unit = degrees_of(curve["unit"], curve["coordinate"]) or (factor, unit)
     return f"{curve['grid'][k] * factor:.3g} {unit}".strip()
 
 

@@ -188,7 +188,7 @@ def _own_gain(r: Residue, left: np.ndarray, excess: float, count: int) -> Statem
 
 
 def _statement(r: Residue, c: Curve, share: float, p: float, further: bool) -> Statement:
-    at = "" if c.coordinate.column in NO_ORDER else _most(r, c)
+    at = "" if c.coordinate.column in (*NO_ORDER, "turn_rad") else _most(r, c)  # a turn has no ends
     what = "a further " if further else ""
     form = _form(r, c)
     text = f"{what}{percent(share)} of the excess goes with {c.coordinate.name}{form}"

@@ -1,10 +1,12 @@
 """Words of statements: shares in per cent, names of channels, places in the unit a person reads."""
 
+import math
 from collections.abc import Iterable
 
 from hallsym.tables import readable
 
-UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s"), "v": (1e3, "mV"), "v/s": (1.0, "V/s")}
+UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s"), "v": (1e3, "mV"), "v/s": (1.0, "V/s"),
+         "rad/s": (30 / math.pi, "rpm")}  # fmt: skip
 """How places are shown to a person."""
 
 
@@ -23,6 +25,11 @@ def shown(value: float, unit: str, *, sign: bool = False) -> str:
     factor, name = UNITS.get(unit, (1.0, unit))
     number = f"{value * factor:+.3g}" if sign and unit not in ("s", "degC") else f"{value * factor:.3g}"
     return f"{number} {name}"
+
+
+def degrees_of(unit: str, coordinate: str) -> tuple[float, str] | None:
+    """Return factor and unit of a place in the turn, which is read in degrees; None of anything else."""
+    return (180 / math.pi, "deg") if unit == "rad" and coordinate.startswith("place in the turn") else None
 
 
 def gap_unit(outputs: Iterable[str]) -> tuple[float, str]:

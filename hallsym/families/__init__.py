@@ -6,6 +6,7 @@ from typing import Any
 from hallsym.errors import InputError, nearest
 from hallsym.families import recipes, rotary, stage
 from hallsym.log import Meta
+from hallsym.log.limits import is_moving
 from hallsym.model import Model
 
 FAMILIES = (stage, rotary)
@@ -66,7 +67,16 @@ def build(
 
 
 def default_model(meta: Meta) -> str:
-    """Return the model where none is named: the log's own, else that of the family whose columns it has."""
+    """Return the model where none is named: the log's own, else that of the family whose columns it has.
+
+    Raises `InputError` where the columns are of no family.
+    """
+    if meta.columns and not meta.base_model and not any(map(is_moving, meta.columns)):
+        raise InputError(
+            f"The log's columns ({', '.join(meta.columns)}) are neither a stage (hall_a_m, ..., x_ref_m) "
+            "nor an encoder (v_sin_v and v_cos_v, or angle_rad; angle_ref_rad); map columns with --column, "
+            "or name the model with --model."
+        )
     fitting = (f.DEFAULT for f in FAMILIES if f.reads(meta.columns))
     return meta.base_model or next(fitting, FAMILIES[0].DEFAULT)
 

@@ -148,7 +148,7 @@ def _combine(channel: str, spreads: list[Array], steps: list[float], where: str)
     if not usable:
         raise InputError(
             f"Noise of {channel} cannot be estimated from {where}: no run has {_FEWEST + 2} samples in a row;"
-            " state it in the column file's [noise] table or in meta.json."
+            f" state it with --noise {channel}=..., in the column file's [noise] table or in meta.json."
         )
     chosen = next(value for value in usable if value <= _SLACK * min(usable))
     return max(chosen, float(np.median(steps)) / np.sqrt(12.0))

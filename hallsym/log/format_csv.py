@@ -19,6 +19,7 @@ from hallsym.log.units import Array
 
 _IN_MEMORY_BYTES = 250_000_000
 _MISSING = ("", "nan", "NaN", "NAN")
+_TYPED = {"\t": "$'\\t'"}  # in a shell
 _SAY = {"\t": "tabs", ";": "';'", "|": "'|'", ",": "','"}
 
 
@@ -124,7 +125,8 @@ def _parse_header(path: Path, line: str, number: int, delimiter: str | None) -> 
     if len(names) == 1 and other:
         raise InputError(
             f"Columns of {path} must be separated by {_SAY.get(chosen, repr(chosen))}; line {number} looks"
-            f" separated by {_SAY[other]}, so say it with delimiter={other!r}."
+            f" separated by {_SAY[other]}, so say it with --delimiter {_TYPED.get(other, repr(other))}"
+            f" (in Python delimiter={other!r})."
         )
     if all(_number(name) is not None for name in names):
         raise InputError(

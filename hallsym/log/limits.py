@@ -55,6 +55,12 @@ def is_moving(column: str) -> bool:
     return is_reading(column) or is_reference(column) or bool(_POSE.fullmatch(column))
 
 
+def has_meaning(column: str) -> bool:
+    """Say whether a column is one of a kind (`v_sin_v`, `x_ref_m`), so that it is not meant for another."""
+    alone = column in ("v_sin_v", "v_cos_v", "angle_rad")
+    return alone or is_reference(column) or bool(_POSE.fullmatch(column))
+
+
 def limit_of(column: str) -> Limit | None:
     """Return the limit of a column's span, if there is one."""
     return next((limit for limit in LIMITS if re.fullmatch(limit.pattern, column)), None)

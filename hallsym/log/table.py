@@ -9,6 +9,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.log.columns import RUN, Binding, listed
+from hallsym.log.limits import has_meaning
 from hallsym.log.units import Array
 
 IN_MEMORY_ROWS = 2_000_000
@@ -109,8 +110,10 @@ class Table:
                 raise InputError(
                     f"Column {name} of {self.where} cannot be used: {self.source.left_out[name]}."
                 )
+            sure = has_meaning(name)  # then no other column of a kind is meant for it
+            others = [c for c in self.columns if not (sure and has_meaning(c))]
             raise InputError(
-                f"{self.where} has no column {name}{nearest(name, list(self.columns))}; it has"
+                f"{self.where} has no column {name}{nearest(name, others)}; it has"
                 f" {listed(self.source.names)}; a column under another name is mapped with"
                 f" --column {name}=ITS_NAME, where the ending is the unit it is in."
             )

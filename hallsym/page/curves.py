@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from hallsym.diagnosis.words import UNITS
+from hallsym.diagnosis.words import UNITS, degrees_of
 from hallsym.page.html import Markup, join, tag
 from hallsym.page.svg import NARROW, RIM, Scale, below, beside, chart, dot, line, polyline, px, text
 from hallsym.plots.names import name, scale, three
@@ -35,7 +35,8 @@ def _line(
     shape: Mapping[str, Any], channel: str, r: Mapping[str, Any], factor: float, unit: str, high: float
 ) -> Markup:
     grid = shape["grid"]
-    across, shown = _scale(shape["unit"], max(map(abs, grid)))
+    turn = degrees_of(shape["unit"], shape["coordinate"])
+    across, shown = turn or _scale(shape["unit"], max(map(abs, grid)))
     x = Scale(across * grid[0], across * grid[-1], LEFT, NARROW - RIM)
     y = Scale(-high, high, BOTTOM, TOP)
     places = [x(across * v) for v in grid]

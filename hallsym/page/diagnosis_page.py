@@ -84,10 +84,14 @@ def _asked(record: Record, floor: Mapping[str, float]) -> Markup:
 
 def _parameters(record: Record, fit: Fit | None) -> Markup:
     rows: list[list[object]] = []
+    turns = "angle_rad" in (record.get("noise_floor") or {})
     for e in record.get("effects") or []:
         for name, p in (e.get("parameters") or {}).items():
-            value = "" if p.get("value") is None else concise(p["value"], p.get("std")).replace("-", MINUS)
-            rows.append([e["name"], name, value, p.get("unit") or "", e.get("cost") or ""])
+            degrees = turns and p.get("unit") == "rad"
+            factor, unit = (180 / math.pi, "deg") if degrees else (1.0, p.get("unit") or "")
+            std = None if p.get("std") is None else factor * p["std"]
+            value = "" if p.get("value") is None else concise(factor * p["value"], std).replace("-", MINUS)
+            rows.append([e["name"], name, value, unit, e.get("cost") or ""])
     head = ["effect", "parameter", "value (std)", "unit", "adds to the model"]
     added = table(head, rows, left=2, wordy=(4,), caption="parameters of the effects")
     own = (

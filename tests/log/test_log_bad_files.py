@@ -72,7 +72,7 @@ def test_unknown_suffix_and_format(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("t_s;x_ref_m\n0;1\n", r"separated by ','; line 1 looks separated by ';'.*delimiter=';'"),
+        ("t_s;x_ref_m\n0;1\n", r"by ','; line 1 looks separated by ';'.*--delimiter ';' .*delimiter=';'"),
         ("# lab\nt_s\tx_ref_m\n0\t1\n", r"line 2 looks separated by tabs"),
         ("0,1\n0,2\n", "Line 1 of .* must hold column names"),
         ("t_s,t_s\n0,2\n", "'t_s' stands there twice"),

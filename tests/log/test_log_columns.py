@@ -145,3 +145,14 @@ def test_unknown_run_and_column_name_what_there_is() -> None:
         log.array("x_rf_m")
     with pytest.raises(ValueError, match="read-only"):
         log.array("x_ref_m")[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("missing", "there"), [("angle_rad", "angle_ref_rad"), ("v_cos_v", "v_sin_v"), ("x_ref_m", "y_ref_m")]
+)
+def test_a_column_of_its_own_kind_is_not_suggested_for_another(missing, there):
+    """A reference mapped to the reading would be a perfect calibration."""
+    log = Log.from_arrays({there: np.arange(20.0)})
+    with pytest.raises(InputError, match=f"has no column {missing}; it has") as caught:
+        log.table.require((missing,))
+    assert "did you mean" not in str(caught.value)

@@ -1,0 +1,241 @@
+"""Sums over a log that tell how an encoder follows its reference: turns, sectors, drift, waves of a plate."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hallsym.model import Model
+
+BINS = 72
+"""Sectors of a turn that are looked at: 5 deg each."""
+RATIOS = tuple(range(2, 13))
+"""Other counts of turns that are tried: pole pairs and gears."""
+DEGREES = np.pi / 180
+UNITS = {1.0: "", DEGREES: "degrees", 1 / DEGREES: "rad"}
+"""Factor that would put right an angle whose unit is not the one that is said -> what it looks like."""
+THIN = 4096
+"""Samples of a block that the extent of a voltage is taken from and units are tried on, at least."""
+RARE, BESIDE = 0.1, 0.1
+"""Wraps per step, at most, and how far from whole turns they are [rad] at least, to say so."""
+EDGE = 0.02
+"""Share of the samples at either end that may be spikes."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """Slope [rad/rad], share of the variation that it makes, longest way of a run, scatter about it [rad]."""
+
+    slope: float
+    share: float
+    longest: float
+    left: float
+
+
+@dataclass
+class Straight:
+    """Sums for a line of angle - sign * reference along the reference, each run about its own mean."""
+
+    last: tuple[int, float, float] | None = None
+    sums: dict[int, np.ndarray] = field(default_factory=dict)
+    ends: dict[int, tuple[float, float]] = field(default_factory=dict)
+
+    def add(self, run: int, angle: np.ndarray, reference: np.ndarray, sign: float) -> None:
+        """Take a block of a run, angles (n,) [rad] in either form."""
+        if not len(angle):
+            return
+        r, d = np.unwrap(reference), np.unwrap(angle - sign * reference)
+        if self.last and self.last[0] == run:  # go on from the block before
+            r = r + 2 * np.pi * np.round((self.last[1] - r[0]) / (2 * np.pi))
+            d = d + 2 * np.pi * np.round((self.last[2] - d[0]) / (2 * np.pi))
+        self.last = run, float(r[-1]), float(d[-1])
+        low, high = self.ends.get(run, (np.inf, -np.inf))
+        self.ends[run] = min(low, float(r.min())), max(high, float(r.max()))
+        new = np.array([len(r), r.sum(), d.sum(), r @ r, r @ d, d @ d])
+        self.sums[run] = self.sums.get(run, np.zeros(6)) + new
+
+    def found(self) -> "Line":
+        """Return the line."""
+        rr = rd = dd = samples = 0.0
+        for n, r, d, r2, cross, d2 in self.sums.values():
+            rr, rd, dd = rr + r2 - r * r / n, rd + cross - r * d / n, dd + d2 - d * d / n
+            samples += n
+        longest = max((high - low for low, high in self.ends.values()), default=0.0)
+        if rr <= 0 or dd <= 0:
+            return Line(0.0, 0.0, longest, 0.0)
+        left = float(np.sqrt(max(dd - rd * rd / rr, 0.0) / samples))
+        return Line(float(rd / rr), float(rd * rd / (rr * dd)), longest, left)
+
+
+@dataclass
+class Plates:
+    """Sums for one wave per turn in each voltage, run by run."""
+
+    square: dict[int, np.ndarray] = field(default_factory=dict)
+    right: dict[int, np.ndarray] = field(default_factory=dict)
+    energy: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def add(self, run: int, values: np.ndarray, reference: np.ndarray) -> None:
+        """Take a block of a run: voltages (2, n), reference (n,) [rad]."""
+        rows = np.array([np.ones_like(reference), np.cos(reference), np.sin(reference)])
+        for kept, new in (
+            (self.square, rows @ rows.T),
+            (self.right, rows @ values.T),
+            (self.energy, (values**2).sum(axis=1)),
+        ):
+            kept[run] = kept.get(run, np.zeros(np.shape(new))) + new
+
+    def shares(self) -> np.ndarray:
+        """Share of each voltage's variation within runs that one wave of the reference makes, (2,)."""
+        made, whole = np.zeros(2), np.zeros(2)
+        for run, square in self.square.items():
+            right, n = self.right[run], square[0, 0]
+            found, *_ = np.linalg.lstsq(square, right, rcond=1e-9)
+            level = right[0] ** 2 / n
+            made += (found * right).sum(axis=0) - level
+            whole += self.energy[run] - level
+        return np.asarray(made / np.maximum(whole, 1e-300))
+
+
+@dataclass
+class Jumps:
+    """Steps of a column: those of half a turn or more, where it wraps, and the others."""
+
+    wraps: list[np.ndarray] = field(default_factory=list)
+    steps: list[np.ndarray] = field(default_factory=list)
+    apart: list[np.ndarray] = field(default_factory=list)
+    """What angle - reference and angle + reference do where it wraps, whole turns aside."""
+
+    def add(self, values: np.ndarray, angle: np.ndarray, reference: np.ndarray) -> None:
+        """Take a block of a run (n,) [rad]; `values` is one of the other two."""
+        step = np.diff(values)
+        wraps = np.abs(step) > np.pi
+        self.wraps.append(np.abs(step[wraps]))
+        self.steps.append(np.abs(step[~wraps]))
+        both = np.array([np.diff(angle - reference), np.diff(angle + reference)])[:, wraps]
+        self.apart.append(np.abs(both - 2 * np.pi * np.round(both / (2 * np.pi))))
+
+    @property
+    def odd(self) -> float:
+        """Turns after which the column wraps, if that is always the same and no whole number; else 0.
+
+        And if the other column does not go along, as it does where parts of a turn are repeated.
+        """
+        wraps, steps = (np.concatenate(v) if v else np.empty(0) for v in (self.wraps, self.steps))
+        if len(wraps) < 2 or len(wraps) > RARE * len(steps):
+            return 0.0
+        low, size, high = np.quantile(wraps, [0.25, 0.5, 0.75])
+        usual = float(np.quantile(steps, 0.9))
+        beside = abs(size - 2 * np.pi * round(size / (2 * np.pi)))
+        alone = np.median(np.hstack(self.apart), axis=1).min() > BESIDE
+        odd = high - low < 2 * usual + 0.02 and beside > 3 * usual + BESIDE
+        return float((size + usual) / (2 * np.pi)) if odd and alone else 0.0
+
+
+@dataclass
+class Seen:
+    """Sums over a log. `follows[k]`: of exp(i (angle - k reference)); 1/k stands for k angle - reference."""
+
+    samples: int = 0
+    follows: dict[float, complex] = field(default_factory=dict)
+    units: dict[tuple[float, float, float], complex] = field(default_factory=dict)
+    tried: int = 0
+    """Samples that units were tried on."""
+    runs: dict[int, dict[float, complex]] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    reference: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
+    angle: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
+    up: float = 0.0
+    down: float = 0.0
+    even: complex = 0j
+    """Sum of exp(2 i |step|) over the steps of the reference: short where they are of all lengths."""
+    lines: dict[float, Straight] = field(default_factory=lambda: {1.0: Straight(), -1.0: Straight()})
+    plates: Plates = field(default_factory=Plates)
+    jumps: tuple[Jumps, Jumps] = field(default_factory=lambda: (Jumps(), Jumps()))
+    """Of angle and reference."""
+    scales: list[tuple[float, float]] = field(default_factory=list)
+    """Middle and half of the extent of each voltage [V]."""
+    low: list[float] = field(default_factory=lambda: [np.inf, np.inf])
+    high: list[float] = field(default_factory=lambda: [-np.inf, -np.inf])
+
+    def add(self, run: int, angle: np.ndarray, reference: np.ndarray) -> None:
+        """Take a block of a run, (n,) each [rad]."""
+        self.samples += len(angle)
+        self.counts[run] = self.counts.get(run, 0) + len(angle)
+        own = self.runs.setdefault(run, {})
+        for k, line in self.lines.items():
+            own[k] = own.get(k, 0j) + np.exp(1j * (angle - k * reference)).sum()
+            line.add(run, angle, reference, k)
+        for k in (1, -1, *RATIOS, *(-k for k in RATIOS)):
+            self._follow(float(k), angle - k * reference)
+            if abs(k) > 1:
+                self._follow(1.0 / k, k * angle - reference)
+        for bins, values in ((self.reference, reference), (self.angle, angle)):
+            bins[(np.mod(values, 2 * np.pi) / (2 * np.pi) * BINS).astype(int) % BINS] = True
+        for jumps, values in zip(self.jumps, (angle, reference), strict=True):
+            jumps.add(values, angle, reference)
+        moved = np.diff(np.unwrap(reference))
+        self.even += np.exp(2j * np.abs(moved)).sum()
+        self.up += float(moved[moved > 0].sum())
+        self.down -= float(moved[moved < 0].sum())
+
+    def try_units(self, angle: np.ndarray, reference: np.ndarray, *, read: bool) -> None:
+        """Take a block as if units were others: the reference's, and that of an angle that is `read`."""
+        for k, values in enumerate((angle, reference)):
+            if len(values):
+                self.low[k] = min(self.low[k], float(values.min()))
+                self.high[k] = max(self.high[k], float(values.max()))
+        every = slice(None, None, max(1, len(angle) // THIN))
+        angle, reference = angle[every], reference[every]
+        self.tried += len(angle)
+        for mine in UNITS if read else (1.0,):
+            for theirs in UNITS:
+                for sign in (1.0, -1.0):
+                    key = mine, theirs, sign
+                    total = np.exp(1j * (mine * angle - sign * theirs * reference)).sum()
+                    self.units[key] = self.units.get(key, 0j) + total
+
+    def _follow(self, k: float, difference: np.ndarray) -> None:
+        self.follows[k] = self.follows.get(k, 0j) + np.exp(1j * difference).sum()
+
+    @property
+    def spans(self) -> tuple[float, float]:
+        """Extent of the values of angle and reference [rad, if that is their unit]."""
+        return self.high[0] - self.low[0], self.high[1] - self.low[1]
+
+    @property
+    def together(self) -> float:
+        """Length of the mean of exp(i (angle - reference)), each run by itself; the better direction."""
+        return max(sum(abs(own[k]) for own in self.runs.values()) for k in (1.0, -1.0)) / max(self.samples, 1)
+
+
+def seen_of(model: Model, log: Any) -> Seen:
+    """Go over a log once (twice for voltages, whose middle and extent come first)."""
+    scales = _scales(model, log) if len(model.channels) == 2 else []
+    seen, (column,) = Seen(scales=scales), model.references
+    for block in log.blocks((*model.channels, column)):
+        values = np.array([block.data[c] for c in model.channels])
+        good = np.isfinite(values.sum(axis=0) + block.data[column])
+        values, reference = values[:, good], block.data[column][good]
+        if scales:
+            y, x = ((v - middle) / half for v, (middle, half) in zip(values, scales, strict=True))
+            seen.plates.add(block.run, np.array([y, x]), reference)
+            angle = np.arctan2(y, x)
+        else:
+            angle = values[0]
+        seen.add(block.run, angle, reference)
+        seen.try_units(angle, reference, read=not scales)
+    return seen
+
+
+def _scales(model: Model, log: Any) -> list[tuple[float, float]]:
+    """Middle and half of the extent of each voltage, spikes aside: near enough to count turns by."""
+    parts = [
+        [block.data[c][:: max(1, len(block.data[c]) // THIN)] for c in model.channels]
+        for block in log.blocks(model.channels)
+    ]
+    out = []
+    for values in zip(*parts, strict=True):
+        low, high = np.nanquantile(np.concatenate(values), [EDGE, 1 - EDGE])
+        out.append((float(low + high) / 2, float(high - low) / 2 or 1.0))
+    return out
