@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.calibration import Fit
+from hallsym.words import counted
 
 ANGLES = re.compile(r"angle\w*")
 """Angles that go round are read in degrees; the small ones of a stage in urad."""
@@ -89,7 +90,8 @@ def fit_text(fit: Fit) -> str:
     log = fit.log
     used = log["runs"] - len(log["holdout"])
     parts = [
-        f"{fit.model.name} on {log['path'] or 'a log in memory'}: {log['rows']} samples, {used} runs fitted"
+        f"{fit.model.name} on {log['path'] or 'a log in memory'}: {counted(log['rows'], 'sample')}, "
+        + f"{counted(used, 'run')} fitted"
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
         + f"; {fit.status} in {fit.seconds:.2f} s",
         "",

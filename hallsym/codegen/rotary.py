@@ -35,6 +35,7 @@ from hallsym.codegen.trigonometry import (
 from hallsym.errors import InputError
 from hallsym.families.rotary import TURN
 from hallsym.model import Model
+from hallsym.words import counted
 
 WEAK = 0.5
 """Share of its calibrated amplitude below which the field is reported as too weak."""
@@ -252,7 +253,7 @@ class _Assembly:
         """Sum of the waves by Horner's rule for complex numbers, highest first."""
         entries = []
         for n, pair in enumerate(zip(series.cos, series.sin, strict=True), 1):
-            about = f"{n} wave{'s' if n > 1 else ''} per turn of the correction"
+            about = f"{counted(n, 'wave')} per turn of the correction"
             cosine = self._add(f"cos_{n}", pair[0], "rad", f"{about}, cosine")
             entries.append((cosine, self._add(f"sin_{n}", pair[1], "rad", f"{about}, sine")))
         self._step("upright", HALF_PI - ca.fabs(phase), "[rad] angle from the other axis")

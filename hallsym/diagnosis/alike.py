@@ -38,13 +38,29 @@ def groups_of(search: Search, inflation: float) -> tuple[list[tuple[str, ...]], 
         groups.append(names)
         least = min(d for _, d in close)
         members = (one, *(r for r, _ in close))
-        records = dict.fromkeys(way for e in members for way in e.score.effect.record.split("; or "))
         separate.append(
             separation(
-                names, [one.fit, *(r.fit for r, _ in close)], least, limit / APART, "; or ".join(records)
+                names,
+                [one.fit, *(r.fit for r, _ in close)],
+                least,
+                limit / APART,
+                ways([e.score.effect.record for e in members]),
             )
         )
     return groups, separate
+
+
+def ways(records: Sequence[str]) -> str:
+    """Return what the members of a group ask to be recorded, each way once with all that it would show.
+
+    >>> ways(["another air gap; or a longer run", "another air gap: it follows the field"])
+    'another air gap: it follows the field; or a longer run'
+    """
+    reasons: dict[str, dict[str, None]] = {}
+    for way in (way for record in records for way in record.split("; or ")):
+        what, _, reason = way.partition(": ")
+        reasons.setdefault(what, {}).update({reason: None} if reason else {})
+    return "; or ".join(f"{what}: {', '.join(why)}" if why else what for what, why in reasons.items())
 
 
 def ranked_names(

@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
+import numpy as np
+
 from hallsym import fitting
 from hallsym.calibration import Fit
 from hallsym.decoding import logged_columns
@@ -24,6 +26,7 @@ from hallsym.families import build, default_model
 from hallsym.log import Log, clean_log
 from hallsym.model import Model
 from hallsym.turning import continuous
+from hallsym.words import counted
 
 THRESHOLD = 0.05
 """Relative decrease of the gap metric from which on a gap is worth reporting."""
@@ -88,7 +91,7 @@ def examine(
     apart = pieces or _holdout(log, holdout)
     level = _threshold(log, threshold)
     say("fitting the model")
-    log, result = _fitted(log, model, apart, drop_bad, say)
+    log, result = _fitted(log, model, apart, drop_bad, say, "auto" if timed or not pieces else "none")
     wiring = result.wiring
     base = base_of(log, result)
     base = replace(base, model=kind.direct(base.model), timed=timed)
@@ -114,7 +117,19 @@ def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...] | None]:
     if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < split.FEWEST:
         return log, None
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
-    return split.split(continuous(replace(log, noise=fitting.noise_of(log, model)), model))
+    log = continuous(replace(log, noise=fitting.noise_of(log, model)), model)
+    return split.split(log, None if split.TIME in log.columns else _spikes(log, model))
+
+
+def _spikes(log: Log, model: Model) -> np.ndarray | None:
+    """Which knots are spikes, judged where they are neighbours, as in their groups they are not."""
+    try:
+        found = fitting.fit(log, model, solver="direct", resolve_wiring=True)
+    except InputError:
+        return None  # the fit of the groups says it of what is left
+    if found.keep is None or found.wiring is not None:
+        return None
+    return np.concatenate([found.keep(block) for block in log.blocks()]) == 0
 
 
 def _of_whole(notes: Sequence[str], model: Model, log: Log, whole: Log) -> tuple[str, ...]:
@@ -132,13 +147,15 @@ def _fitted(
     apart: tuple[int, ...],
     drop_bad: bool,
     say: Callable[[str], None],
+    loss: str = "auto",
 ) -> tuple[Log, Fit]:
     """Fit the model; samples that no fit can use are left out, which is then noted."""
 
     def fitted(source: Log, drop: bool) -> Fit:
         return fitting.fit(
-            source, model, solver="direct", holdout=apart, resolve_wiring=True, drop_bad=drop, on_progress=say
-        )
+            source, model, solver="direct", holdout=apart, loss=loss, resolve_wiring=True, drop_bad=drop,
+            on_progress=say,
+        )  # fmt: skip
 
     if not drop_bad:
         try:
@@ -158,7 +175,7 @@ def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:
     if holdout is None:
         holdout = log.meta.holdout or log.runs[HOLD_EVERY // 2 :: HOLD_EVERY]
     if len(log.runs) < FEWEST_RUNS or len(log.runs) - len(set(holdout)) < 2 or not holdout:
-        short, many = log.rows < split.FEWEST, f"{len(log.runs)} run{'s' * (len(log.runs) != 1)}"
+        short, many = log.rows < split.FEWEST, counted(len(log.runs), "run")
         raise InputError(
             f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
             "(2 to fit and 1 to judge on at least); record more runs or "

@@ -6,6 +6,7 @@ import numpy as np
 from hallsym.codegen import cost_of
 from hallsym.errors import InputError
 from hallsym.model import Model
+from hallsym.words import counted
 
 NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN)
 
@@ -29,9 +30,9 @@ def price(before: Model, after: Model, p: np.ndarray | None = None) -> str:
     """
     new = len(after.parameters) - len(before.parameters)
     columns = [c.name for c in after.computed if c.name not in before.state]
-    text = f"{new} parameter{'s' if new != 1 else ''}; {_work(before, after, p)}"
+    text = f"{counted(new, 'parameter')}; {_work(before, after, p)}"
     if columns:
-        text += f" and {len(columns)} signal{'s' if len(columns) != 1 else ''} to compute ({_some(columns)})"
+        text += f" and {counted(len(columns), 'signal')} to compute ({_some(columns)})"
     return text
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from hallsym.log import Log
 from hallsym.log.findings import FEWEST_SAMPLES
+from hallsym.words import counted
 
 PIECES = 20
 """Stretches of time: every second is held out, so that ten are fitted and held against each other."""
@@ -25,24 +26,30 @@ four knots (a stepper's) is seen on both sides."""
 TIME = "t_s"
 
 
-def split(log: Log) -> tuple[Log, tuple[int, ...]]:
+def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, ...]]:
     """Return the log in pieces as runs, with a note that says how it was done, and the pieces to hold out.
 
     With time, pieces are stretches of it, every second held out. Without, samples are knots: every second is
-    held out, and a counter stands for the time that the log does not have.
+    held out, and a counter stands for the time that the log does not have. `spikes` (samples,) are left out.
     """
     n, timed = log.rows, TIME in log.columns
     at, count = np.arange(n), _pieces(n, timed)
     piece = at * count // n if timed else _group(at, count)
     held = tuple(range(1, count, 2))
     order = np.argsort(piece, kind="stable")
+    notes = []
+    if spikes is not None and spikes.any():
+        order = order[~spikes[order]]
+        gone = int(spikes.sum())
+        are = "is an isolated spike and was" if gone == 1 else "are isolated spikes and were"
+        notes.append(f"{gone} of {n} knots {are} left out.")
     columns = {c: log.array(c)[order] for c in log.columns if c != "run"}
-    columns = {TIME: at.astype(float)} | columns | {"run": piece[order]}
+    columns = {TIME: at[: len(order)].astype(float)} | columns | {"run": piece[order]}
     how = f"{count} {'stretches of time' if timed else 'groups of single knots, each round the turn'}"
     short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
-    many = f"{len(log.runs)} run{'s' if len(log.runs) > 1 else ''}"
-    note = f"{many} cannot be held out whole: taken as {how}, every second held out."
-    return replace(short, notes=(*log.notes, note), path=log.path), held
+    many = counted(len(log.runs), "run")
+    notes.append(f"{many} cannot be held out whole: taken as {how}, every second held out.")
+    return replace(short, notes=(*log.notes, *notes), path=log.path), held
 
 
 def _pieces(n: int, timed: bool) -> int:

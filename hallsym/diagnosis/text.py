@@ -10,6 +10,7 @@ import numpy as np
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
 from hallsym.diagnosis.words import degrees_of
 from hallsym.tables import concise, error_rows, grid, readable
+from hallsym.words import counted
 
 MUCH = 1e3
 """Times that a difference must show more, from which on the number says nothing: this log has none."""
@@ -68,7 +69,8 @@ def _wrapped(text: str, indent: str = "") -> str:
 
 def _basis(d: Diagnosis) -> str:
     return (
-        f"verdict: {d.verdict}. Model {d.model}; errors are on the {len(d.validation_runs)} held-out runs, "
+        f"verdict: {d.verdict}. Model {d.model}; errors are on "
+        f"{counted(len(d.validation_runs), 'held-out run')}, "
         "which took part in neither the fit nor the choice of effects; a gap counts from "
         f"{100 * d.threshold:g} %; the noise floor is {d.noise_floor['source']}; {d.seconds:.1f} s."
     )
@@ -163,7 +165,7 @@ def _shrinks(d: Diagnosis) -> str:
     return (
         f"The gap shrinks by {100 * d.shrinkage['value']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f}), "
         f"{100 * d.shrinkage['share_closed']:.0f} % of what is above the floor, for "
-        f"{added} parameter{'s' if added != 1 else ''} more."
+        f"{counted(added, 'parameter')} more."
     )
 
 

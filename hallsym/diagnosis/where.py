@@ -41,6 +41,8 @@ NEARLY = 0.92
 """Of coordinates that explain at least this part of what the best one explains the most telling is named."""
 RATHER = 0.6
 """A gain of its own in every run is named only where no coordinate explains this part of what it does."""
+ALIKE = 0.9
+"""Part of the largest wave's power from which on a slower one is as likely, see `_orders`."""
 ROUGH = 0.4
 """Part of a fine map's power that is short against the range, from which on it counts as fine structure."""
 
@@ -232,11 +234,31 @@ def _waves(r: Residue, c: Curve) -> str:
         error = (x * c.predicted[0] - y * c.predicted[1]) / (x**2 + y**2)
     else:
         error = c.predicted[0]
-    at, orders = c.values, np.arange(1, 105)
-    power = np.array([abs(np.mean((error - error.mean()) * np.exp(-1j * n * at))) for n in orders]) ** 2
-    most = orders[np.argsort(-power)[:3]]
-    said = [n for n in most if power[n - 1] > 0.1 * power.sum()]
+    said = _orders(c.values, error)
     return f", {' and '.join(map(str, said))} waves per turn" if said else ""
+
+
+def _orders(at: np.ndarray, error: np.ndarray) -> list[int]:
+    """Waves per turn of up to three sines that hold a tenth of an error's squares each, the largest first.
+
+    One after the other, each fitted beside those before it: where half of a table's knots are held out, a
+    wave has images at other orders. Of alike ones the slowest is meant.
+    """
+    waves = np.exp(-1j * np.outer(np.arange(1, 105), at))
+    columns = [np.ones_like(at)]
+    said: list[int] = []
+    rest = error - error.mean()
+    least = 0.1 * float(rest @ rest)
+    while len(said) < 3:
+        power = 2 * np.abs(waves @ rest) ** 2 / len(at)
+        k = int(np.argmax(power >= ALIKE * power.max()))
+        if power[k] <= least:
+            break
+        said.append(k + 1)
+        columns += [waves[k].real, waves[k].imag]
+        X = np.array(columns).T
+        rest = error - X @ np.linalg.lstsq(X, error, rcond=None)[0]
+    return said
 
 
 def _period(c: Curve) -> float | None:

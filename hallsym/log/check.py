@@ -42,7 +42,8 @@ def clean_log(log: Log, required: Sequence[str] = (), *, rails: bool = True) -> 
                 drop |= finding.drop
                 dropped.append(f"{finding.text}; left out.")
             elif finding.refuse and not finding.bear:
-                raise InputError(finding.sentence)
+                before = f" ({dropped[-1][:-1]})" if dropped else ""
+                raise InputError(f"{finding.sentence[:-1]}{before}.")
             else:
                 notes.append(f"{finding.text}.")
         if not drop:

@@ -12,6 +12,7 @@ from hallsym.log.limits import is_moving, is_reading, is_reference, likely_unit,
 from hallsym.log.scan import Scan, Span, Spans
 from hallsym.log.suspects import held, piled_up, repeats_each
 from hallsym.log.units import split_unit
+from hallsym.words import counted
 
 FEWEST_SAMPLES = 8
 _MISSING_NOTE, _MISSING_REFUSE = 0.0, 0.02
@@ -125,7 +126,8 @@ def short_runs(log: Log, scan: Scan) -> Iterator[Finding]:
         yield Finding(
             f"Every run of {log.name} must have at least {FEWEST_SAMPLES} samples; run {run} has"
             f" {n}{_others(short)}",
-            True, Drop(runs=frozenset(short)), remedy="record longer runs",
+            True, Drop(runs=frozenset(short)) if len(short) < len(scan.samples) else None,
+            remedy="record longer runs",
         )  # fmt: skip
 
 
@@ -205,4 +207,4 @@ def _still(name: str, spans: dict[str, Span], samples: int) -> bool:
 
 
 def _others(runs: Sequence[int] | dict[int, int]) -> str:
-    return f" (and {len(runs) - 1} more runs)" if len(runs) > 1 else ""
+    return f" (and {counted(len(runs) - 1, 'more run')})" if len(runs) > 1 else ""

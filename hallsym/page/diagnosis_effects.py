@@ -14,6 +14,7 @@ from hallsym.page.diagnosis_record import (
 )
 from hallsym.page.html import Markup, items, join, table, tag
 from hallsym.plots.names import three
+from hallsym.words import counted
 
 
 def effects_section(record: Record) -> Markup:
@@ -82,7 +83,7 @@ def _separation(s: Record) -> list[object]:
     if s.get("simulated") and s.get("sigma") is not None and s.get("runs"):
         each = f": simulated, one run of {s['run_s']:.3g} s tells them apart by {three(s['sigma'])} sigma"
         total = f" ({s['seconds']:.3g} s in all)" if s["runs"] > 1 and s.get("seconds") else ""
-        out.append(f"{each}; 5 sigma take {s['runs']} run{'s' if s['runs'] > 1 else ''}{total}.")
+        out.append(f"{each}; 5 sigma take {counted(s['runs'], 'run')}{total}.")
         tried = sorted((s.get("tried") or {}).items(), key=lambda x: -(x[1] or 0.0))
         rows = [[what, three(sigma)] for what, sigma in tried if sigma is not None]
         out.append(table(["recording that was simulated", "sigma per run"], rows))

@@ -22,6 +22,7 @@ from hallsym.plots.names import name
 from hallsym.plots.survey import Decode
 from hallsym.tables import evidence
 from hallsym.wiring import as_read
+from hallsym.words import counted
 
 NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
@@ -128,7 +129,7 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
     return facts(
         [
             ("log", tag("code", str(log.path) if log.path else "a log in memory")),
-            ("samples", f"{count} in {len(runs)} runs"),
+            ("samples", f"{count} in {counted(len(runs), 'run')}"),
             ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
             ("runs fitted", used),
             (

@@ -170,8 +170,14 @@ def test_only_required_columns_are_judged() -> None:
 
 
 def test_nothing_left() -> None:
-    with pytest.raises(InputError, match="Nothing is left"):
-        clean_log(Log.from_arrays({"x_ref_m": np.arange(5.0)}))
+    """Runs that are all too short are told so at once: leaving them out is no way."""
+    short, gone = np.arange(5.0), np.where(np.arange(8) == 3, np.nan, np.arange(8.0))
+    with pytest.raises(InputError, match=r"run 0 has 5: record longer runs\.$"):
+        clean_log(Log.from_arrays({"x_ref_m": short}))
+    with pytest.raises(InputError, match=r"run 0 has 5: record longer runs\.$"):
+        check_log(Log.from_arrays({"x_ref_m": short}), ("x_ref_m",))
+    with pytest.raises(InputError, match=r"run 0 has 7: record longer runs \(.* 1 of 8 .*; left out\)\.$"):
+        clean_log(Log.from_arrays({"x_ref_m": gone}))
 
 
 def test_faults_of_several_kinds_are_dropped_together() -> None:
