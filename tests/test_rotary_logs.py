@@ -12,7 +12,7 @@ from hallsym import tables
 from hallsym.cli import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
-from hallsym.families import build, default_model
+from hallsym.families import build, default_model, rotary_seen
 from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.turning import continuous, wrapped
 
@@ -420,3 +420,14 @@ def test_a_recorded_resolver_is_overdriven_late_and_its_reference_short(model):
         (late,) = (v for n in ("time_skew", "first_order_lag") if n in found for v in found[n].values())
         assert late == pytest.approx(0.034, abs=0.001), name
         assert found["reference_scale_error"]["scale"] == pytest.approx(0.003, abs=5e-4), name
+
+
+def test_what_is_seen_of_a_long_log_takes_no_more_memory():
+    """Of numbers that go by in blocks of any size some are kept, evenly."""
+    some, stream = rotary_seen.Some(np.empty((2, 0))), np.arange(500_000.0)
+    for part in np.split(np.array([stream, -stream]), [7, 100_000, 100_001, 333_333], axis=1):
+        some.add(part)
+    assert some.count == 500_000
+    assert rotary_seen.MANY / 2 < some.values.shape[1] <= rotary_seen.MANY
+    assert np.array_equal(some.values[0], np.arange(0, 500_000, some.every))
+    assert np.array_equal(some.values[1], -some.values[0])

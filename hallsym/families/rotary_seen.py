@@ -15,9 +15,11 @@ DEGREES = np.pi / 180
 UNITS = {1.0: "", DEGREES: "degrees", 1 / DEGREES: "rad"}
 """Factor that would put right an angle whose unit is not the one that is said -> what it looks like."""
 THIN = 4096
-"""Samples of a block that the extent of a voltage is taken from and units are tried on, at least."""
+"""Samples of a block that units are tried on, at least."""
 RARE, BESIDE = 0.1, 0.1
 """Wraps per step, at most, and how far from whole turns they are [rad] at least, to say so."""
+MANY = 65536
+"""Numbers of a stream that are kept, however long it is."""
 EDGE = 0.02
 """Share of the samples at either end that may be spikes."""
 
@@ -98,22 +100,39 @@ class Plates:
 
 
 @dataclass
+class Some:
+    """Evenly taken numbers (..., n) of a stream, at most MANY of them; `count` went by."""
+
+    values: np.ndarray
+    count: int = 0
+    every: int = 1
+
+    def add(self, new: np.ndarray) -> None:
+        """Take more of the stream."""
+        kept = new[..., -self.count % self.every :: self.every]
+        self.values = np.concatenate([self.values, kept], axis=-1)
+        self.count += new.shape[-1]
+        while self.values.shape[-1] > MANY:
+            self.values, self.every = self.values[..., ::2], 2 * self.every
+
+
+@dataclass
 class Jumps:
     """Steps of a column: those of half a turn or more, where it wraps, and the others."""
 
-    wraps: list[np.ndarray] = field(default_factory=list)
-    steps: list[np.ndarray] = field(default_factory=list)
-    apart: list[np.ndarray] = field(default_factory=list)
+    wraps: Some = field(default_factory=lambda: Some(np.empty(0)))
+    steps: Some = field(default_factory=lambda: Some(np.empty(0)))
+    apart: Some = field(default_factory=lambda: Some(np.empty((2, 0))))
     """What angle - reference and angle + reference do where it wraps, whole turns aside."""
 
     def add(self, values: np.ndarray, angle: np.ndarray, reference: np.ndarray) -> None:
         """Take a block of a run (n,) [rad]; `values` is one of the other two."""
         step = np.diff(values)
         wraps = np.abs(step) > np.pi
-        self.wraps.append(np.abs(step[wraps]))
-        self.steps.append(np.abs(step[~wraps]))
+        self.wraps.add(np.abs(step[wraps]))
+        self.steps.add(np.abs(step[~wraps]))
         both = np.array([np.diff(angle - reference), np.diff(angle + reference)])[:, wraps]
-        self.apart.append(np.abs(both - 2 * np.pi * np.round(both / (2 * np.pi))))
+        self.apart.add(np.abs(both - 2 * np.pi * np.round(both / (2 * np.pi))))
 
     @property
     def odd(self) -> float:
@@ -121,13 +140,12 @@ class Jumps:
 
         And if the other column does not go along, as it does where parts of a turn are repeated.
         """
-        wraps, steps = (np.concatenate(v) if v else np.empty(0) for v in (self.wraps, self.steps))
-        if len(wraps) < 2 or len(wraps) > RARE * len(steps):
+        if self.wraps.count < 2 or self.wraps.count > RARE * self.steps.count:
             return 0.0
-        low, size, high = np.quantile(wraps, [0.25, 0.5, 0.75])
-        usual = float(np.quantile(steps, 0.9))
+        low, size, high = np.quantile(self.wraps.values, [0.25, 0.5, 0.75])
+        usual = float(np.quantile(self.steps.values, 0.9))
         beside = abs(size - 2 * np.pi * round(size / (2 * np.pi)))
-        alone = np.median(np.hstack(self.apart), axis=1).min() > BESIDE
+        alone = np.median(self.apart.values, axis=1).min() > BESIDE
         odd = high - low < 2 * usual + 0.02 and beside > 3 * usual + BESIDE
         return float((size + usual) / (2 * np.pi)) if odd and alone else 0.0
 
@@ -230,12 +248,8 @@ def seen_of(model: Model, log: Any) -> Seen:
 
 def _scales(model: Model, log: Any) -> list[tuple[float, float]]:
     """Middle and half of the extent of each voltage, spikes aside: near enough to count turns by."""
-    parts = [
-        [block.data[c][:: max(1, len(block.data[c]) // THIN)] for c in model.channels]
-        for block in log.blocks(model.channels)
-    ]
-    out = []
-    for values in zip(*parts, strict=True):
-        low, high = np.nanquantile(np.concatenate(values), [EDGE, 1 - EDGE])
-        out.append((float(low + high) / 2, float(high - low) / 2 or 1.0))
-    return out
+    seen = Some(np.empty((2, 0)))
+    for block in log.blocks(model.channels):
+        seen.add(np.array([block.data[c] for c in model.channels]))
+    low, high = np.nanquantile(seen.values, [EDGE, 1 - EDGE], axis=1)
+    return [(float(a + b) / 2, float(b - a) / 2 or 1.0) for a, b in zip(low, high, strict=True)]
