@@ -181,8 +181,10 @@ def _least(jump: np.ndarray, spike: np.ndarray) -> np.ndarray:
     """
     least = np.full(len(jump), SPIKE)
     for k in np.flatnonzero(spike.sum(axis=1) >= TELLING):
-        density = spike[k].mean() / (4 * median(jump[k, spike[k]]))
-        least[k] = min(SPIKE, np.sqrt(-2 * np.log(density * np.sqrt(2 * np.pi) / ODDS)))
+        twice, share = 2 * median(jump[k, spike[k]]), spike[k].mean()
+        rare = share * np.sqrt(2 * np.pi) / (2 * ODDS)
+        if twice > rare:  # else they are spikes no more, now that others are not asked about them
+            least[k] = min(SPIKE, np.sqrt(-2 * np.log(rare / twice)))
     return least
 
 

@@ -156,6 +156,15 @@ def test_columns_alone_show_most_spikes_and_accuse_few_good_samples(seed, share)
     assert np.mean(weight[hit]) < 0.03 if hit.any() else True
 
 
+@settings(max_examples=25)
+@given(seeds, st.integers(12, 150), st.floats(3.0, 80.0))
+def test_a_steep_residual_in_a_short_run_warns_of_nothing(seed, n, period):
+    """What was a spike may be none, and off by nothing, once its neighbours are out."""
+    r = noise(seed, n) + 1e-3 * np.sin(np.arange(n) / period)
+    weight = spikes(1e-2 * COVARIANCE)(block(r))
+    assert set(weight) <= {0.0, 1.0}
+
+
 def test_weights_are_remembered_for_the_same_numbers_only():
     """A periodic log has many blocks of one length that begin alike."""
     asked = []
