@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 
@@ -76,17 +77,26 @@ REMEMBERED = 4_000_000
 """Samples whose weights are kept: 32 MB."""
 
 
-def remembered(weigh: Weigh | None, rows: int) -> Weigh | None:
-    """Return the same weights, computed once per block where a log of `rows` samples is not too long."""
+@overload
+def remembered(weigh: Weigh, rows: int, columns: Sequence[str] | None = None) -> Weigh: ...
+@overload
+def remembered(weigh: None, rows: int, columns: Sequence[str] | None = None) -> None: ...
+def remembered(weigh: Weigh | None, rows: int, columns: Sequence[str] | None = None) -> Weigh | None:
+    """Return the same weights, computed once per block where a log of `rows` samples is not too long.
+
+    A block is known by its run and its numbers: those of `columns`, which are all that `weigh` looks at (all
+    of the block's by default).
+    """
     if weigh is None or rows > REMEMBERED:
         return weigh
     known: dict[tuple, np.ndarray] = {}
 
     def weights(block: Block) -> np.ndarray:
-        first = next(iter(block.data.values()))
-        key = (block.run, len(first), *(float(v[0]) for v in block.data.values() if len(v)))
+        names = block.data if columns is None else columns
+        key = (block.run, *((name, hash(block.data[name].tobytes())) for name in names))
         if key not in known:
             known[key] = weigh(block)
+            known[key].flags.writeable = False
         return known[key]
 
     return weights

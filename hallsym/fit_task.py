@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from hallsym import outliers, start, uncertainty
-from hallsym.batches import Weigh
+from hallsym.batches import Weigh, remembered
 from hallsym.calibration import Errors
 from hallsym.cost import Cost, cost_of
-from hallsym.decoding import error_tables
+from hallsym.decoding import columns_of, error_tables
 from hallsym.determination import Determination, determine
 from hallsym.log import Log, Noise
 from hallsym.model import Model
@@ -122,7 +122,9 @@ class Task:
     def without_outliers(self, state: Started, loss: str) -> tuple[Started, Weigh | None, list[str]]:
         """Take outliers out, refit, until the same samples are left."""
         total, before, whole = float(state.everything.summary.counts.sum()), -1.0, state
-        weigh = outliers.column_spikes((*self.model.references, *self.model.channels))
+        columns = (*self.model.references, *self.model.channels)
+        suspects = remembered(outliers.column_spikes(columns), self.log.rows, columns)
+        weigh = suspects
         for _ in range(ROUNDS):
             summary = self.summary(weigh)
             left = float(summary.counts.sum())
@@ -132,7 +134,7 @@ class Task:
             self.check(state)
             if abs(left - before) <= 1e-6 * total:
                 break
-            before, weigh = left, self.weigh(state, loss)
+            before, weigh = left, self.weigh(state, loss, suspects)
         if left == total:
             return whole, None, []
         state = self.solve(summary, state.holdout)
@@ -145,13 +147,15 @@ class Task:
         )
         return state, weigh, [said]
 
-    def weigh(self, state: State, loss: str) -> Weigh:
-        """Return what takes outliers out, judged by the residuals of the fit so far."""
+    def weigh(self, state: State, loss: str, suspects: Weigh) -> Weigh:
+        """Return what takes outliers out, judged by the residuals of the fit so far; each block once."""
         residual = outliers.residuals(self.model, state.p, state.zeros())
         covariance = state.fitted.at(state.p).covariance.mean(axis=0)
         if loss == "tukey":
-            return outliers.tukey(residual, covariance)
-        return outliers.reject_spikes(residual, covariance, (*self.model.references, *self.model.channels))
+            weigh = outliers.tukey(residual, covariance)
+        else:
+            weigh = outliers.reject_spikes(residual, covariance, suspects)
+        return remembered(weigh, self.log.rows, columns_of(self.model))
 
     def check(self, state: Started) -> None:
         """Refuse a reference that does not belong, and channels that no value in the bounds explains."""

@@ -17,3 +17,15 @@ def median(values: np.ndarray) -> float:
     if np.isnan(ordered[-1]):  # nan sorts to the end
         return np.nan
     return float(ordered[half]) if n % 2 else float(0.5 * (ordered[half - 1] + ordered[half]))
+
+
+def medians(rows: np.ndarray) -> np.ndarray:
+    """Return the median of each row (c, n), n at least 1; nan where one of its numbers is nan.
+
+    >>> medians(np.array([[3.0, 1.0, 2.0, 10.0], [1.0, 1.0, 1.0, 9.0]]))
+    array([2.5, 1. ])
+    """
+    half, odd = rows.shape[1] // 2, rows.shape[1] % 2
+    ordered = np.partition(rows, sorted({max(half - 1, 0), half, rows.shape[1] - 1}), axis=1)
+    middle = ordered[:, half] if odd else 0.5 * (ordered[:, half - 1] + ordered[:, half])
+    return np.where(np.isnan(ordered[:, -1]), np.nan, middle)

@@ -9,7 +9,7 @@ from scipy.special import gammaincinv
 from hallsym.arrays import on_arrays
 from hallsym.batches import Weigh
 from hallsym.log import Block
-from hallsym.medians import median
+from hallsym.medians import median, medians
 from hallsym.model import Model
 from hallsym.turning import wrapped
 
@@ -59,55 +59,69 @@ def column_spikes(columns: Sequence[str]) -> Weigh:
     """
 
     def weigh(block: Block) -> np.ndarray:
-        bad = np.zeros(len(next(iter(block.data.values()))), dtype=bool)
-        for name in columns:
-            bad |= _leaves_neighbourhood(block.data[name])
-        return (~bad).astype(float)
+        values = np.array([block.data[name] for name in columns])
+        return (~_leaves_neighbourhood(values).any(axis=0)).astype(float)
 
     return weigh
 
 
 def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
-    bad = np.zeros(len(values), dtype=bool)
-    if len(values) < WINDOW:
+    """Return which entries of columns (c, samples) do; each column is judged by itself."""
+    bad = np.zeros(values.shape, dtype=bool)
+    if values.shape[1] < WINDOW:
         return bad
-    x = values.copy()
+    open_, x = np.arange(len(values)), values.copy()  # columns in which a spike may still be found
     for _ in range(ROUNDS):
-        a2, a1, b1, b2 = x[:-4], x[1:-3], x[3:-1], x[4:]
-        lines = [
-            a1 + b1,
-            a2 + b2,
-            4 * a1 - 2 * a2,
-            4 * b1 - 2 * b2,
-            (4 * a1 + 2 * b2) / 3,
-            (2 * a2 + 4 * b1) / 3,
-        ]
-        predicted = np.empty_like(x)
-        predicted[2:-2] = np.sort(lines, axis=0)[2:4].sum(axis=0) / 4  # the median of six
-        predicted[:2], predicted[-2:] = _from_inside(x), _from_inside(x[::-1])[::-1]
+        predicted = _predicted(x)
         jump = np.abs(x - predicted)
-        jump[:2], jump[-2:] = EXTRAPOLATED * jump[:2], EXTRAPOLATED * jump[-2:]
-        far = jump > SPIKE * max(1.4826 * median(jump), 1e-15)
-        if far.any():
-            far &= jump > SPIKE * _usual(jump, MOSTLY_SPIKY) / SPIKY_STD
+        jump[:, :2], jump[:, -2:] = EXTRAPOLATED * jump[:, :2], EXTRAPOLATED * jump[:, -2:]
+        far = jump > SPIKE * np.maximum(1.4826 * medians(jump), 1e-15)[:, None]
+        spiky = far.any(axis=1)
+        if spiky.any():
+            far[spiky] &= jump[spiky] > SPIKE * _usual(jump[spiky], MOSTLY_SPIKY) / SPIKY_STD
         worst = far & (jump == maximum_filter1d(jump, 5))
-        if not worst.any():
+        going_on = worst.any(axis=1)
+        if not going_on.any():
             break
-        bad |= worst
         x[worst] = predicted[worst]
+        bad[open_] |= worst
+        open_, x = open_[going_on], x[going_on]
     return bad
 
 
+def _predicted(x: np.ndarray) -> np.ndarray:
+    """Predict every entry of columns (c, samples) by its neighbours."""
+    a2, a1, b1, b2 = x[:, :-4], x[:, 1:-3], x[:, 3:-1], x[:, 4:]
+    lines = [
+        a1 + b1,
+        a2 + b2,
+        4 * a1 - 2 * a2,
+        4 * b1 - 2 * b2,
+        (4 * a1 + 2 * b2) / 3,
+        (2 * a2 + 4 * b1) / 3,
+    ]
+    predicted = np.empty_like(x)
+    predicted[:, 2:-2] = np.sort(lines, axis=0)[2:4].sum(axis=0) / 4  # the median of six
+    ends = _from_inside(np.concatenate([x[:, :6], x[:, :-7:-1]]))
+    predicted[:, :2], predicted[:, -2:] = ends[: len(x)], ends[len(x) :, ::-1]
+    return predicted
+
+
 def _usual(jump: np.ndarray, percent: int) -> np.ndarray:
-    """Return what jumps (samples,) are usual around each: before it, about it or after it, whichever is most.
+    """Return what jumps (c, samples) are usual around each: before, about or after it, whichever is most.
 
     Where a motion begins, only the neighbourhood after the sample is like it.
     """
-    if len(jump) < AROUND:
+    n, half = jump.shape[1], AROUND // 2
+    if n < AROUND:
         return np.zeros_like(jump)
-    about = percentile_filter(jump, percent, size=AROUND, mode="mirror")
-    wide = np.pad(about, AROUND // 2, mode="edge")
-    return np.max([wide[: len(jump)], about, wide[-len(jump) :]], axis=0)
+    # one row after the other, each mirrored at its ends: one call, and filters are fastest along one row
+    wide = jump[:, np.r_[half:0:-1, :n, n - 2 : n - 2 - half : -1]]
+    filtered = percentile_filter(wide.ravel(), percent, size=AROUND, mode="nearest").reshape(wide.shape)
+    about = filtered[:, half:-half]
+    before = np.concatenate([np.repeat(about[:, :1], half, axis=1), about[:, :-half]], axis=1)
+    after = np.concatenate([about[:, half:], np.repeat(about[:, -1:], half, axis=1)], axis=1)
+    return np.maximum(np.maximum(before, about), after)
 
 
 _AHEAD = np.linalg.pinv(np.vander(np.arange(1, 7), 3, increasing=True))[0]
@@ -119,25 +133,29 @@ _REACH = np.array([[0], [1]]) - _OTHERS
 
 
 def _from_inside(x: np.ndarray) -> np.ndarray:
-    """Predict the first two samples, which lack neighbours on one side, by Theil-Sen lines of five others."""
-    near = x[_OTHERS]
-    slopes = np.sort((near[:, _PAIRS[1]] - near[:, _PAIRS[0]]) / _RUN, axis=1)  # ten: the median is a mean
-    return np.sort(near + slopes[:, 4:6].mean(axis=1, keepdims=True) * _REACH, axis=1)[:, 2]
+    """Predict the first two of six samples (c, 6), which lack neighbours on one side.
+
+    By Theil-Sen lines of the five others.
+    """
+    near = x[:, _OTHERS]
+    slopes = np.sort(
+        (near[..., _PAIRS[1]] - near[..., _PAIRS[0]]) / _RUN, axis=2
+    )  # ten: the median is a mean
+    return np.sort(near + slopes[..., 4:6].mean(axis=2, keepdims=True) * _REACH, axis=2)[..., 2]
 
 
-def reject_spikes(
-    residual: Callable[[Block], np.ndarray], covariance: np.ndarray, columns: Sequence[str]
-) -> Weigh:
+def reject_spikes(residual: Callable[[Block], np.ndarray], covariance: np.ndarray, suspects: Weigh) -> Weigh:
     """Return weights 0 for isolated spikes of any channel's residual against a running median, else 1.
 
     What the model cannot explain but changes smoothly is kept: it is a gap, not an outlier. `covariance`:
     (n_channels, n_channels) of one sample's residual by the stated noise; the scale is the larger of it and
-    of what the block itself shows. Samples that `column_spikes` suspects take no part in median and scale.
+    of what the block itself shows. `suspects`: samples of weight 0 take no part in median and scale (those of
+    `column_spikes`, which do not change from one fit to the next).
     """
-    stated, suspect = np.sqrt(np.diag(covariance))[:, None], column_spikes(columns)
+    stated = np.sqrt(np.diag(covariance))[:, None]
 
     def weigh(block: Block) -> np.ndarray:
-        r, good = residual(block), suspect(block) > 0
+        r, good = residual(block), suspects(block) > 0
         spike = np.zeros_like(r, dtype=bool)
         for _ in range(ROUNDS):
             before, (jump, scale) = spike, _jumps(r, good, stated)
@@ -145,7 +163,7 @@ def reject_spikes(
             spike = jump > least[:, None] * scale
             for k in np.flatnonzero(spike.any(axis=1)):
                 at, here = np.arange(len(good)), np.flatnonzero(good)
-                usual = np.interp(at, here, _usual(jump[k, good], 50))
+                usual = np.interp(at, here, _usual(jump[k : k + 1, good], 50)[0])
                 spike[k] &= jump[k] > least[k] * 1.4826 * usual
             if np.array_equal(spike, before):
                 break
@@ -163,8 +181,10 @@ def _least(jump: np.ndarray, spike: np.ndarray) -> np.ndarray:
     """
     least = np.full(len(jump), SPIKE)
     for k in np.flatnonzero(spike.sum(axis=1) >= TELLING):
-        density = spike[k].mean() / (4 * median(jump[k, spike[k]]))
-        least[k] = min(SPIKE, np.sqrt(-2 * np.log(density * np.sqrt(2 * np.pi) / ODDS)))
+        twice, share = 2 * median(jump[k, spike[k]]), spike[k].mean()
+        rare = share * np.sqrt(2 * np.pi) / (2 * ODDS)
+        if twice > rare:  # else they are spikes no more, now that others are not asked about them
+            least[k] = min(SPIKE, np.sqrt(-2 * np.log(rare / twice)))
     return least
 
 

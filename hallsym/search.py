@@ -65,7 +65,10 @@ def search(
             **options,
         )
         first = scaled.from_unit(explored.x)
-    local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first), **WARM)
+    # restarted at an optimum IPOPT may look for it among rounding errors, thousands of evaluations long
+    local = solvers.newton(scaled.problem(fitted), scaled.to_unit(first), max_iterations=1)
+    if local.status != "converged":
+        local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first), **WARM)
     # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
     polished = solvers.newton(scaled.problem(fitted), local.x, max_iterations=POLISH)
     interrupted = explored is not None and explored.status == "interrupted"

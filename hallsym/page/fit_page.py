@@ -11,7 +11,7 @@ from hallsym.batches import Weigh
 from hallsym.calibration import Fit, added_effects
 from hallsym.cost import Cost
 from hallsym.log import Log
-from hallsym.outliers import reject_spikes, residuals
+from hallsym.outliers import column_spikes, reject_spikes, residuals
 from hallsym.page import figures, parts
 from hallsym.page.gather import Gathered, gather
 from hallsym.page.html import Markup, facts, items, join, tag
@@ -192,10 +192,9 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
         run: place.zeros(run, state)
         for run, state in zip(cost.summary.runs, cost.summary.first_state, strict=True)
     }
-    columns = (*model.references, *model.channels)
-    return reject_spikes(
-        residuals(model, fit.values, zeros), cost.at(fit.values).covariance.mean(axis=0), columns
-    )
+    suspects = column_spikes((*model.references, *model.channels))
+    covariance = cost.at(fit.values).covariance.mean(axis=0)
+    return reject_spikes(residuals(model, fit.values, zeros), covariance, suspects)
 
 
 def _cost(log: Log, fit: Fit) -> Cost:
