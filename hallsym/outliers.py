@@ -17,8 +17,9 @@ WINDOW = 7
 SPIKE = 10.0
 """Robust standard deviations off its neighbours that make a sample a gross outlier, unless others tell of
 smaller ones: at 7 the turning points of a raster would count."""
-TELLING, ODDS = 3, 100.0
-"""Spikes in a channel that tell of smaller ones, and the odds that a smaller jump must have to be one."""
+ABOUND, ODDS = 0.02, 100.0
+"""Share of a block's samples that are spikes from which on they tell of smaller ones, and the odds that a
+smaller jump must have to be one. Where there are few, the smaller ones do no harm."""
 EXTRAPOLATED = 0.5
 """Weight of what the two samples at either end are off: lines that end before a sample miss a curve by more
 than lines through it."""
@@ -158,8 +159,8 @@ def reject_spikes(residual: Callable[[Block], np.ndarray], covariance: np.ndarra
         r, good = residual(block), suspects(block) > 0
         spike = np.zeros_like(r, dtype=bool)
         for _ in range(ROUNDS):
-            before, (jump, scale) = spike, _jumps(r, good, stated)
-            least = _least(jump / scale, spike)
+            before, (jump, scale, side) = spike, _jumps(r, good, stated)
+            least = _least(jump / scale, spike & _abound(side, spike))
             spike = jump > least[:, None] * scale
             for k in np.flatnonzero(spike.any(axis=1)):
                 at, here = np.arange(len(good)), np.flatnonzero(good)
@@ -167,29 +168,39 @@ def reject_spikes(residual: Callable[[Block], np.ndarray], covariance: np.ndarra
                 spike[k] &= jump[k] > least[k] * 1.4826 * usual
             if np.array_equal(spike, before):
                 break
-            good = good & ~spike.any(axis=0)  # what turned out to be a spike speaks for nobody else
+            if _abound(side, spike):  # what turned out to be a spike speaks for nobody else
+                good = good & ~spike.any(axis=0)
         return np.all(~spike, axis=0).astype(float)
 
     return weigh
 
 
+def _abound(side: np.ndarray, spike: np.ndarray) -> bool:
+    """Whether there are many spikes (n_channels, samples), each by itself; `side`: of the median, +1 or -1.
+
+    Where those next to each other are on the same side more often than by chance (2 sigma), something moves
+    that the model does not know, such as a rail: that tells of no smaller spikes.
+    """
+    pairs = spike[:, 1:] & spike[:, :-1]
+    same = (side[:, 1:] * side[:, :-1] * pairs).sum()
+    return bool(spike.any(axis=0).mean() >= ABOUND and same <= 2 * np.sqrt(pairs.sum()))
+
+
 def _least(jump: np.ndarray, spike: np.ndarray) -> np.ndarray:
     """Return the jump (n_channels,), in standard deviations, from which on a sample is a spike.
 
-    Where spikes were found, their share and size tell how many smaller ones hide below `SPIKE`: from here on
-    a jump is ODDS times likelier one of them, spread evenly up to twice the median, than normal noise.
+    Share and size of the spikes found tell how many smaller ones hide below `SPIKE`: from here on a jump is
+    ODDS times likelier one of them, spread evenly up to twice the median, than normal noise.
     """
     least = np.full(len(jump), SPIKE)
-    for k in np.flatnonzero(spike.sum(axis=1) >= TELLING):
-        twice, share = 2 * median(jump[k, spike[k]]), spike[k].mean()
-        rare = share * np.sqrt(2 * np.pi) / (2 * ODDS)
-        if twice > rare:  # else they are spikes no more, now that others are not asked about them
-            least[k] = min(SPIKE, np.sqrt(-2 * np.log(rare / twice)))
+    for k in np.flatnonzero(spike.any(axis=1)):
+        density = spike[k].mean() / (4 * median(jump[k, spike[k]]))
+        least[k] = min(SPIKE, np.sqrt(-2 * np.log(density * np.sqrt(2 * np.pi) / ODDS)))
     return least
 
 
-def _jumps(r: np.ndarray, good: np.ndarray, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far residuals (n_channels, samples) are off their neighbours, and each channel's scale."""
+def _jumps(r: np.ndarray, good: np.ndarray, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how far residuals (n_channels, samples) are off neighbours, each channel's scale, the side."""
     if good.sum() < WINDOW:
         good = np.ones_like(good)
     at = np.arange(len(good))
@@ -198,7 +209,8 @@ def _jumps(r: np.ndarray, good: np.ndarray, stated: np.ndarray) -> tuple[np.ndar
     running = np.array([np.interp(at, at[good], row) for row in middle])
     off = [np.abs(r - near) for near in _expected(clean, running, good)]
     jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
-    return jump, np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
+    scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
+    return jump, scale, np.sign(r - running)
 
 
 def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, ...]:

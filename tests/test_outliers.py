@@ -125,6 +125,21 @@ def test_where_spikes_abound_small_ones_are_found_too():
     assert np.all(spikes()(block(alone)) == 1.0)
 
 
+def test_a_rail_tells_of_no_spikes():
+    """Tips cut off at every turn of a raster, with suspects there: of the others none goes."""
+    at = np.arange(3000)
+    tips = np.maximum(15 * (np.abs((at % 50) - 25.0) - 18), 0) * SIGMA  # 105 sigma high, kinks at both ends
+    r = noise(8, 3000) + np.stack([tips, -tips, 0 * tips])
+    turns = 12e-6 * np.abs((at % 50) - 25.0) + 1e-6 * np.random.default_rng(2).standard_normal(3000)
+    columns = {**dict(zip(HALL, r, strict=True)), "turns": turns}
+    suspected = column_spikes(("turns",))(Block(0, columns)) == 0
+    assert suspected.any()
+    weigh = reject_spikes(
+        lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, column_spikes(("turns",))
+    )
+    assert np.all(weigh(Block(0, columns))[~suspected] == 1)
+
+
 @pytest.mark.parametrize("end", [slice(None), slice(None, None, -1)])
 def test_spikes_side_by_side_at_the_end_of_a_run_do_not_vouch_for_each_other(end):
     """Samples 2, 4 and 5 are suspected; 1 and 3 are off and are not: they must not be each other's median."""
