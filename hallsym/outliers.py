@@ -139,10 +139,9 @@ def _from_inside(x: np.ndarray) -> np.ndarray:
     By Theil-Sen lines of the five others.
     """
     near = x[:, _OTHERS]
-    slopes = np.sort(
-        (near[..., _PAIRS[1]] - near[..., _PAIRS[0]]) / _RUN, axis=2
-    )  # ten: the median is a mean
-    return np.sort(near + slopes[..., 4:6].mean(axis=2, keepdims=True) * _REACH, axis=2)[..., 2]
+    slopes = np.sort((near[..., _PAIRS[1]] - near[..., _PAIRS[0]]) / _RUN, axis=2)
+    middle = slopes[..., 4:6].mean(axis=2, keepdims=True)  # of ten
+    return np.sort(near + middle * _REACH, axis=2)[..., 2]
 
 
 def reject_spikes(residual: Callable[[Block], np.ndarray], covariance: np.ndarray, suspects: Weigh) -> Weigh:

@@ -49,13 +49,14 @@ def of_a_table():
     return diagnose(table(LIKE_A_TABLE), "rotary_ideal")
 
 
-def test_a_knot_that_is_a_spike_is_judged_among_its_neighbours(of_a_table):
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_knot_that_is_a_spike_is_judged_among_its_neighbours(of_a_table, direction):
     """One knot off by 3 deg goes and changes no name; a pattern of four knots has none."""
     assert not any("spike" in note for note in of_a_table.notes)
     clean = table(LIKE_A_TABLE)
     angle = clean.array("angle_rad").copy()
     angle[57] += 3 * DEG
-    off = Log.from_arrays({"angle_ref_rad": clean.array("angle_ref_rad"), "angle_rad": angle})
+    off = Log.from_arrays({"angle_ref_rad": clean.array("angle_ref_rad"), "angle_rad": direction * angle})
     found = diagnose(off, "rotary_ideal")
     assert "1 of 200 knots is an isolated spike and was left out." in found.notes
     assert found.verdict == of_a_table.verdict

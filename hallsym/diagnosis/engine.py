@@ -127,9 +127,9 @@ def _spikes(log: Log, model: Model) -> np.ndarray | None:
         found = fitting.fit(log, model, solver="direct", resolve_wiring=True)
     except InputError:
         return None  # the fit of the groups says it of what is left
-    if found.keep is None or found.wiring is not None:
+    if found.keep is None or found.source is None:
         return None
-    return np.concatenate([found.keep(block) for block in log.blocks()]) == 0
+    return np.concatenate([found.keep(block) for block in found.source.blocks()]) == 0
 
 
 def _of_whole(notes: Sequence[str], model: Model, log: Log, whole: Log) -> tuple[str, ...]:
