@@ -7,71 +7,96 @@
 0.867
 """
 
-from hallsym.budget import Budget, Source, position_budget, read_budget, uncertainty_map
-from hallsym.calibration import Fit, load_fit
-from hallsym.campaign import Campaign, paper_campaign, read_campaign, write_campaign
-from hallsym.codegen import Generated, decouple, generate
-from hallsym.decoding import ErrorTable
-from hallsym.diagnosis import Diagnosis, diagnose
-from hallsym.diagnosis.selftest import SelfTest, selftest
-from hallsym.errors import InputError
-from hallsym.families import build
-from hallsym.fitting import fit, refit
-from hallsym.log import Log, LogWriter, Meta, Noise, read_log, write_log
-from hallsym.model import Model, Parameter
-from hallsym.paper import bundled_campaign
-from hallsym.passes import judge
-from hallsym.planning import Plan, Ranges, paper_ranges, plan, read_ranges
-from hallsym.sensitivity import Identifiability, identify
-from hallsym.tolerancing import Tolerances, read_tolerances, tolerances
-from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = [
-    "Budget",
-    "Campaign",
-    "Diagnosis",
-    "ErrorTable",
-    "Fit",
-    "Generated",
-    "Identifiability",
-    "InputError",
-    "Log",
-    "LogWriter",
-    "Meta",
-    "Model",
-    "Noise",
-    "NoiseModel",
-    "Parameter",
-    "Plan",
-    "Ranges",
-    "SelfTest",
-    "Source",
-    "Tolerances",
-    "build",
-    "bundled_campaign",
-    "decouple",
-    "diagnose",
-    "fit",
-    "generate",
-    "identify",
-    "judge",
-    "load_fit",
-    "paper_campaign",
-    "paper_ranges",
-    "plan",
-    "position_budget",
-    "read_budget",
-    "read_campaign",
-    "read_log",
-    "read_ranges",
-    "read_tolerances",
-    "refit",
-    "selftest",
-    "simulate",
-    "simulate_blocks",
-    "table8_noise",
-    "tolerances",
-    "uncertainty_map",
-    "write_campaign",
-    "write_log",
-]
+if TYPE_CHECKING:
+    from hallsym.codegen import Generated as Generated
+    from hallsym.codegen import decouple as decouple
+    from hallsym.codegen import generate as generate
+    from hallsym.diagnosis import Diagnosis as Diagnosis
+    from hallsym.diagnosis import diagnose as diagnose
+    from hallsym.diagnosis.selftest import SelfTest as SelfTest
+    from hallsym.diagnosis.selftest import selftest as selftest
+    from hallsym.errors import InputError as InputError
+    from hallsym.estimation.calibration import Fit as Fit
+    from hallsym.estimation.calibration import load_fit as load_fit
+    from hallsym.estimation.decoding import ErrorTable as ErrorTable
+    from hallsym.estimation.fit import fit as fit
+    from hallsym.estimation.fit import refit as refit
+    from hallsym.estimation.gauss_newton import judge as judge
+    from hallsym.experiment import Plan as Plan
+    from hallsym.experiment import Ranges as Ranges
+    from hallsym.experiment import paper_ranges as paper_ranges
+    from hallsym.experiment import plan as plan
+    from hallsym.experiment import read_ranges as read_ranges
+    from hallsym.families import build as build
+    from hallsym.families import published as published
+    from hallsym.inference import Identifiability as Identifiability
+    from hallsym.inference import identify as identify
+    from hallsym.log import Log as Log
+    from hallsym.log import LogWriter as LogWriter
+    from hallsym.log import Meta as Meta
+    from hallsym.log import Noise as Noise
+    from hallsym.log import read_log as read_log
+    from hallsym.log import write_log as write_log
+    from hallsym.model import Model as Model
+    from hallsym.model import Parameter as Parameter
+    from hallsym.simulation.campaign import Campaign as Campaign
+    from hallsym.simulation.campaign import paper_campaign as paper_campaign
+    from hallsym.simulation.campaign import read_campaign as read_campaign
+    from hallsym.simulation.campaign import write_campaign as write_campaign
+    from hallsym.simulation.machine import NoiseModel as NoiseModel
+    from hallsym.simulation.machine import simulate as simulate
+    from hallsym.simulation.machine import simulate_blocks as simulate_blocks
+    from hallsym.simulation.machine import table8_noise as table8_noise
+    from hallsym.simulation.paper import bundled_campaign as bundled_campaign
+    from hallsym.uncertainty import Budget as Budget
+    from hallsym.uncertainty import Source as Source
+    from hallsym.uncertainty import position_budget as position_budget
+    from hallsym.uncertainty import read_budget as read_budget
+    from hallsym.uncertainty import uncertainty_map as uncertainty_map
+    from hallsym.uncertainty.tolerances import Tolerances as Tolerances
+    from hallsym.uncertainty.tolerances import read_tolerances as read_tolerances
+    from hallsym.uncertainty.tolerances import tolerances as tolerances
+
+_PUBLIC = {
+    "hallsym.codegen": ("Generated", "decouple", "generate"),
+    "hallsym.diagnosis": ("Diagnosis", "diagnose"),
+    "hallsym.diagnosis.selftest": ("SelfTest", "selftest"),
+    "hallsym.errors": ("InputError",),
+    "hallsym.estimation.calibration": ("Fit", "load_fit"),
+    "hallsym.estimation.decoding": ("ErrorTable",),
+    "hallsym.estimation.fit": ("fit", "refit"),
+    "hallsym.estimation.gauss_newton": ("judge",),
+    "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),
+    "hallsym.families": ("build", "published"),
+    "hallsym.inference": ("Identifiability", "identify"),
+    "hallsym.log": ("Log", "LogWriter", "Meta", "Noise", "read_log", "write_log"),
+    "hallsym.model": ("Model", "Parameter"),
+    "hallsym.simulation.campaign": ("Campaign", "paper_campaign", "read_campaign", "write_campaign"),
+    "hallsym.simulation.machine": ("NoiseModel", "simulate", "simulate_blocks", "table8_noise"),
+    "hallsym.simulation.paper": ("bundled_campaign",),
+    "hallsym.uncertainty": ("Budget", "Source", "position_budget", "read_budget", "uncertainty_map"),
+    "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
+}
+"""Where each public name stands; it is imported when it is first used, so that `import hallsym` is quick."""
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
+__all__ = sorted([*_HOME, "__version__"])
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("hallsym")
+    if name not in _HOME:
+        raise AttributeError(f"module 'hallsym' has no attribute {name!r}")
+    module = import_module(_HOME[name])
+    value = getattr(module, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -2,6 +2,6 @@
 
 import sys
 
-from hallsym.cli import main
+from hallsym.cli.main import main
 
 sys.exit(main())

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym import published
+from hallsym.families import published
 from hallsym.log import Log, Meta, Noise, Sigma
 
 TRUTH = published.values("table7_estimates")

@@ -8,15 +8,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from twins import SIGMAS, TRUTH, record, with_noise
 
-from hallsym.campaign import Campaign, Run, sine
+from hallsym.estimation.fit import fit
 from hallsym.families import build
-from hallsym.fitting import fit
-from hallsym.plots import WIDTH
-from hallsym.profile_walk import Side
-from hallsym.sensitivity import Identifiability, identify
-from hallsym.sensitivity.intervals import Interval
-from hallsym.sensitivity.verdict import Verdict
-from hallsym.twin import NoiseModel, simulate
+from hallsym.inference import Identifiability, identify
+from hallsym.inference.intervals import Interval
+from hallsym.inference.profile_walk import Side
+from hallsym.inference.verdict import Verdict
+from hallsym.report.figures import WIDTH
+from hallsym.simulation.campaign import Campaign, Run, sine
+from hallsym.simulation.machine import NoiseModel, simulate
 
 
 @cache

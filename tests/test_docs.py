@@ -208,7 +208,7 @@ def test_commands_and_options_exist(page):
 
 
 def test_the_table_in_the_readme_is_what_the_demo_prints():
-    from hallsym import paper
+    from hallsym.cli import paper
 
     _, _, steps = paper.reproduce()
     printed = paper.text(steps)

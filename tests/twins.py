@@ -10,14 +10,13 @@ from functools import cache
 
 import numpy as np
 
-from hallsym import published
-from hallsym.campaign import Campaign, paper_campaign
-from hallsym.cost import Cost, cost_of
-from hallsym.families import build
+from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.run_statistics import summarise
+from hallsym.families import build, published
 from hallsym.log import Block, Log, Noise, Sigma
 from hallsym.model import Model
-from hallsym.summary import summarise
-from hallsym.twin import VERTICAL_NOISE, NoiseModel, simulate
+from hallsym.simulation.campaign import Campaign, paper_campaign
+from hallsym.simulation.machine import VERTICAL_NOISE, NoiseModel, simulate
 
 EPS = float(np.finfo(float).eps)
 TRUTH = published.values("table7_estimates")

@@ -12,13 +12,13 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from hallsym.arrays import on_arrays
 from hallsym.codegen.box import Box
 from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.parts import ENOUGH
 from hallsym.codegen.polynomials import NEGLIGIBLE, Polynomial, Row, polynomial, without_derived
 from hallsym.errors import InputError
 from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
 
 MOST_ITERATIONS = 8
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.calibration import Fit
 from hallsym.codegen.entries import Entry, short, unit
 from hallsym.errors import InputError, nearest
+from hallsym.estimation.calibration import Fit
 
 NEARLY = 0.9
 """Ends whose magnitudes differ by less than this ratio become one symmetric limit, the smaller of the two."""

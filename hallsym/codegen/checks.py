@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 
-from hallsym.calibration import Fit
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds
 from hallsym.codegen.parts import Decoupler
 from hallsym.codegen.table import sha256
 from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit
 from hallsym.model import Model
 
 SAME = 1e-13

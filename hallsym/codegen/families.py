@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.calibration import Fit
 from hallsym.codegen import chain, rotary
 from hallsym.codegen.box import Box
 from hallsym.codegen.parts import Decoupler
 from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit
 from hallsym.model import Model
 
 Maker = Callable[..., Decoupler]

@@ -8,7 +8,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.calibration import Fit
 from hallsym.codegen import proof, selftest, source_check
 from hallsym.codegen.bounds import Bounds, bounds
 from hallsym.codegen.box import box_of
@@ -24,6 +23,7 @@ from hallsym.codegen.source_step import bare, step
 from hallsym.codegen.table import Table
 from hallsym.codegen.vectors import worst
 from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.calibration import Fit
 from hallsym.codegen import q31_proof, q31_selftest
 from hallsym.codegen.bounds import bounds
 from hallsym.codegen.box import box_of
@@ -24,6 +23,7 @@ from hallsym.codegen.source import BANNER, Source
 from hallsym.codegen.source_header import params_header
 from hallsym.codegen.table import Table
 from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit
 
 REPLACED = (
     "params/",

@@ -12,12 +12,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.arrays import on_arrays
 from hallsym.codegen.box import Box
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.intervals import Enclosure
+from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.turning import wrapped
+from hallsym.model.arrays import on_arrays
 
 ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""

@@ -29,7 +29,7 @@ from hallsym.codegen.rotary_correction import (
 )
 from hallsym.codegen.rotary_curve import POINTS, Curve
 from hallsym.errors import InputError
-from hallsym.turning import wrapped
+from hallsym.log.phase import wrapped
 
 ENOUGH = 1e-5
 """Angle [rad] that a table of integers may leave unless another accuracy is asked for: 2 arc seconds."""

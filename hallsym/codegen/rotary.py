@@ -32,10 +32,9 @@ from hallsym.codegen.trigonometry import (
     sine_error,
     wrapped,
 )
-from hallsym.errors import InputError
+from hallsym.errors import InputError, counted
 from hallsym.families.rotary import TURN
 from hallsym.model import Model
-from hallsym.words import counted
 
 WEAK = 0.5
 """Share of its calibrated amplitude below which the field is reported as too weak."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from hallsym.codegen.rotary_curve import POINTS, Curve
 from hallsym.errors import InputError, nearest
-from hallsym.turning import wrapped
+from hallsym.log.phase import wrapped
 
 ENOUGH = 3e-8
 """Angle [rad] that a correction may leave unless another accuracy is asked for: a quarter of what float32

@@ -14,12 +14,12 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from hallsym.arrays import on_arrays
 from hallsym.codegen.ranges import ranges
 from hallsym.errors import InputError
 from hallsym.families.rotary import ANGLE
+from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.turning import wrapped
+from hallsym.model.arrays import on_arrays
 
 POINTS = 1024
 BRACKETS = 4096

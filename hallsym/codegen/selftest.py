@@ -3,10 +3,10 @@
 import casadi as ca
 import numpy as np
 
-from hallsym.arrays import on_arrays
 from hallsym.codegen.bounds import slope_errors
 from hallsym.codegen.source import BANNER, Source, ends
 from hallsym.codegen.vectors import Emulator, Vectors, vectors
+from hallsym.model.arrays import on_arrays
 
 HASHED = (4096, 1_000_000)
 """Samples in the hash of the self-test, and in the long one."""

@@ -9,7 +9,6 @@
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation, Statement
-from hallsym.diagnosis.text import diagnosis_text
 from hallsym.diagnosis.user import load_effects, makes, user_effect
 
 __all__ = [
@@ -21,7 +20,6 @@ __all__ = [
     "Statement",
     "Variant",
     "diagnose",
-    "diagnosis_text",
     "load_effects",
     "makes",
     "user_effect",

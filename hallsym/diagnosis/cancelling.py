@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hallsym.diagnosis.refit import Refitted
-from hallsym.turning import designed
+from hallsym.log.phase import designed
 
 OVER = 2.0
 """Times the whole deviation of the machine from its design by which an effect alone may move the pose, and

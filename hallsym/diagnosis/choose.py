@@ -4,8 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from hallsym import fitting
-from hallsym.calibration import Fit
 from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.ranking import refitted
 from hallsym.diagnosis.scores import candidates, scores
@@ -13,6 +11,8 @@ from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.verdict import SURE
 from hallsym.errors import InputError
+from hallsym.estimation import fit as fitting
+from hallsym.estimation.calibration import Fit
 from hallsym.families import adapted, build, default_model
 from hallsym.families.recipes import lacking
 from hallsym.log import Log

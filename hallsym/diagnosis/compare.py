@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.special import erfc
 
-from hallsym.calibration import FORMAT
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.errors import InputError
+from hallsym.estimation.calibration import FORMAT
 
 LEVEL = 0.05
 """Probability, over all parameters that are compared, of calling a change significant that is none."""

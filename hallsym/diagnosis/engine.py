@@ -11,9 +11,6 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym import fitting
-from hallsym.calibration import Fit
-from hallsym.decoding import logged_columns
 from hallsym.diagnosis import split
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.kinds import kind_of
@@ -21,12 +18,14 @@ from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
 from hallsym.diagnosis.tangent import Base
-from hallsym.errors import InputError
+from hallsym.errors import InputError, counted
+from hallsym.estimation import fit as fitting
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.decoding import logged_columns
 from hallsym.families import build, default_model
 from hallsym.log import Log, clean_log
+from hallsym.log.phase import continuous
 from hallsym.model import Model
-from hallsym.turning import continuous
-from hallsym.words import counted
 
 THRESHOLD = 0.05
 """Relative decrease of the gap metric from which on a gap is worth reporting."""

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.batches import Weigh, batches
-from hallsym.computed import extended
-from hallsym.decoding import columns_of, pose_errors
 from hallsym.diagnosis.tangent import Base
+from hallsym.estimation.decoding import columns_of, pose_errors
 from hallsym.log import Block
+from hallsym.log.batches import Weigh, batches
+from hallsym.log.derived import extended
 
 BLOCKS = 400
 """Blocks that a log is cut into for resampling, none shorter than 50 samples."""

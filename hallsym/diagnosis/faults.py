@@ -9,15 +9,15 @@ from math import factorial
 
 import numpy as np
 
-from hallsym.batches import Weigh
 from hallsym.diagnosis.chance import beyond, statistic_at
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.survey import Survey, pieces
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import SURE
+from hallsym.estimation.outliers import residuals
 from hallsym.log import Block, Log
-from hallsym.outliers import residuals
+from hallsym.log.batches import Weigh
 
 TAILS = ("outliers", "dropped_samples")
 """Faults of few samples, which can be left out."""

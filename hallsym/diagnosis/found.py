@@ -10,10 +10,10 @@ from hallsym.diagnosis.record import Estimate, FoundEffect
 from hallsym.diagnosis.search import Search
 from hallsym.diagnosis.sentences import blind_text, stuck_text
 from hallsym.diagnosis.tangent import Base
+from hallsym.estimation.channel_assignment import Wiring
 from hallsym.families.recipes import FAULTS
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.wiring import Wiring
 
 EITHER = ("sign_inversion", "channel_swap")
 """Faults of the wiring that an angle read from two channels cannot tell apart."""

@@ -10,12 +10,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from hallsym.batches import batches
-from hallsym.computed import extended
-from hallsym.decoding import columns_of
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.tangent import Base, Products
+from hallsym.estimation.decoding import columns_of
+from hallsym.log.batches import batches
+from hallsym.log.derived import extended
 
 ORDERS = 12
 """Highest order of the autoregression that is tried."""

@@ -12,10 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.arrays import on_arrays
-from hallsym.batches import batches
-from hallsym.computed import extended, rate
-from hallsym.decoding import columns_of
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.marginal import LEAST, LEVEL, Found
 from hallsym.diagnosis.record import Share, Statement
@@ -25,8 +21,13 @@ from hallsym.diagnosis.scores import Score, by_name
 from hallsym.diagnosis.smooth import chance_of_signs
 from hallsym.diagnosis.tangent import Base, Products
 from hallsym.diagnosis.words import percent
+from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
+from hallsym.log.batches import batches
+from hallsym.log.derived import extended
 from hallsym.model import LINKS, Model
+from hallsym.model.arrays import on_arrays
+from hallsym.model.derived import rate
 
 ROOM = 40_000
 """Samples that are looked at: of a longer log some runs, evenly chosen, and of long runs the beginning."""

@@ -4,9 +4,8 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import cost_of
-from hallsym.errors import InputError
+from hallsym.errors import InputError, counted
 from hallsym.model import Model
-from hallsym.words import counted
 
 NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN)
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hallsym.calibration import Fit
 from hallsym.diagnosis.alike import groups_of, ranked_names, smaller_findings
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.found import EITHER, closed, fault_record, found_effects, miswired, wiring_record
@@ -22,8 +21,9 @@ from hallsym.diagnosis.verdict import ALLOWANCE, remains
 from hallsym.diagnosis.waves import waves
 from hallsym.diagnosis.where import Located, both, located
 from hallsym.diagnosis.words import gap_unit
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.channel_assignment import Wiring
 from hallsym.log import Log
-from hallsym.wiring import Wiring
 
 CLOSED = 0.9
 """Part of the excess above the floor that named effects must close where much is left.

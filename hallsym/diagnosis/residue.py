@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hallsym.arrays import on_arrays
-from hallsym.computed import campaign_time, rate, run_time
 from hallsym.diagnosis.spectrum import Spectrum
 from hallsym.diagnosis.survey import pieces
 from hallsym.diagnosis.tangent import Base
-from hallsym.tables import readable
+from hallsym.model.arrays import on_arrays
+from hallsym.model.derived import campaign_time, rate, run_time
+from hallsym.units import readable
 
 ROOM = 60_000
 """Samples that are held."""

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.decoding import columns_of
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.refit import inverse, solve
 from hallsym.diagnosis.tangent import Base, Tangents, tangents
 from hallsym.errors import InputError
+from hallsym.estimation.decoding import columns_of
 from hallsym.model import Model
 
 FOLDS = 11

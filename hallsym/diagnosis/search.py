@@ -6,8 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from hallsym.batches import remembered
-from hallsym.calibration import Fit
 from hallsym.diagnosis.cancelling import undone
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
@@ -22,10 +20,12 @@ from hallsym.diagnosis.survey import SEGMENT, Survey, survey
 from hallsym.diagnosis.switching import switched_runs
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.channel_assignment import as_read
+from hallsym.estimation.gauss_newton import cost_near
 from hallsym.log import Log
+from hallsym.log.batches import remembered
 from hallsym.model import Model
-from hallsym.passes import cost_near
-from hallsym.wiring import as_read
 
 REPEATS = 4
 """Times that a channel must take its very highest or lowest value for that to be a rail.

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.calibration import Fit
 from hallsym.diagnosis import engine
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
@@ -26,6 +25,7 @@ from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.thin import thinned
 from hallsym.diagnosis.truth import Truth, truth_of
 from hallsym.errors import InputError, nearest
+from hallsym.estimation.calibration import Fit
 from hallsym.log import Log
 from hallsym.model import Model
 

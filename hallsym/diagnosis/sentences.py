@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from hallsym.calibration import Fit, added_effects
 from hallsym.diagnosis.record import FoundEffect
 from hallsym.diagnosis.search import Search
 from hallsym.diagnosis.verdict import ALLOWANCE
+from hallsym.estimation.calibration import Fit, added_effects
 
 
 def sentence(

@@ -10,15 +10,15 @@ from itertools import combinations
 
 import numpy as np
 
-from hallsym.arrays import on_arrays
-from hallsym.computed import extended
-from hallsym.decoding import columns_of
 from hallsym.diagnosis.record import Separation
 from hallsym.diagnosis.recordings import BETWEEN, Range, Recording, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inverse
 from hallsym.diagnosis.tangent import Base, tangents
 from hallsym.errors import InputError
+from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
+from hallsym.log.derived import extended
+from hallsym.model.arrays import on_arrays
 
 SIGMAS = 5.0
 """Standard deviations at which two members count as told apart."""

@@ -7,7 +7,7 @@ import numpy as np
 from hallsym.diagnosis.residue import Residue
 from hallsym.diagnosis.smooth import MEMORIES, NO_ORDER, Curve
 from hallsym.diagnosis.where import Located
-from hallsym.tables import readable
+from hallsym.units import readable
 
 BAND = 1.96
 """Standard errors of a band, which come from runs left out in turn: 95 %."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from hallsym.arrays import on_arrays
-from hallsym.batches import Batch
+from hallsym.log.batches import Batch
 from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
 
 
 @dataclass(frozen=True, eq=False)

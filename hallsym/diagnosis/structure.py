@@ -13,13 +13,13 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from hallsym.arrays import on_arrays
-from hallsym.computed import rate
-from hallsym.decoding import decoding_gain
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.predicted import Shape, gained, judged, shape, solved
 from hallsym.diagnosis.survey import Piece, pieces
 from hallsym.diagnosis.tangent import Base
+from hallsym.estimation.decoding import decoding_gain
+from hallsym.model.arrays import on_arrays
+from hallsym.model.derived import rate
 
 FOLDS = 13
 """Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""

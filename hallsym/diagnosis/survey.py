@@ -11,12 +11,13 @@ import casadi as ca
 import numpy as np
 from scipy.ndimage import median_filter
 
-from hallsym.arrays import on_arrays
-from hallsym.batches import batches
-from hallsym.computed import Computed, extended, rate
-from hallsym.decoding import columns_of
 from hallsym.diagnosis.chance import as_many, as_often, exceeds, statistic_at, student
 from hallsym.diagnosis.tangent import Base
+from hallsym.estimation.decoding import columns_of
+from hallsym.log.batches import batches
+from hallsym.log.derived import extended
+from hallsym.model.arrays import on_arrays
+from hallsym.model.derived import Computed, rate
 
 MAINS = ((46.0, 54.0), (56.0, 64.0))
 """Bands [Hz] in which mains lines are looked for."""

@@ -14,13 +14,13 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from hallsym.arrays import on_arrays
-from hallsym.batches import Batch, Weigh, batches
-from hallsym.computed import extended
-from hallsym.decoding import columns_of, decoding_gain
 from hallsym.diagnosis.slopes import Slopes
+from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log import Log
+from hallsym.log.batches import Batch, Weigh, batches
+from hallsym.log.derived import extended
 from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""

@@ -6,9 +6,10 @@ from itertools import islice
 
 import numpy as np
 
-from hallsym.computed import extended, rate
 from hallsym.diagnosis.tangent import Base
 from hallsym.log import Log
+from hallsym.log.derived import extended
+from hallsym.model.derived import rate
 
 PER_PERIOD = 25.0
 """Samples that a period of the fastest motion must keep."""

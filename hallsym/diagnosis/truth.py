@@ -9,14 +9,15 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from hallsym.arrays import on_arrays
-from hallsym.batches import Batch, batches
-from hallsym.computed import extended, rate
-from hallsym.decoding import columns_of
 from hallsym.diagnosis.refit import solve
 from hallsym.diagnosis.tangent import Base, tangents
+from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log, Noise, Sigma
+from hallsym.log.batches import Batch, batches
+from hallsym.log.derived import extended
 from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+from hallsym.model.derived import rate
 
 
 @dataclass(frozen=True, eq=False)

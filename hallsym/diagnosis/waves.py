@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from hallsym.batches import batches
-from hallsym.computed import extended
-from hallsym.decoding import columns_of
 from hallsym.diagnosis.errors import errors_of
 from hallsym.diagnosis.record import Waves
 from hallsym.diagnosis.tangent import Base
-from hallsym.turning import designed
+from hallsym.estimation.decoding import columns_of
+from hallsym.log.batches import batches
+from hallsym.log.derived import extended
+from hallsym.log.phase import designed
 
 FIRST = 12
 """Waves per turn up to which all are looked at, beside those that an effect is known by."""

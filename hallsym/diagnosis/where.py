@@ -30,7 +30,7 @@ from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.smooth import NO_ORDER, Curve, FineMap, Smooth, own_gains, predicted
 from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.words import percent, plain, shown
-from hallsym.tables import readable
+from hallsym.units import readable
 
 LIKELY = 0.05
 """Significance that is enough for a coordinate that predicts what certainly differs from run to run."""

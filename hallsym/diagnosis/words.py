@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 
-from hallsym.tables import readable
+from hallsym.units import readable
 
 UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s"), "v": (1e3, "mV"), "v/s": (1.0, "V/s"),
          "rad/s": (30 / math.pi, "rpm")}  # fmt: skip

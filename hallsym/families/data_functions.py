@@ -6,8 +6,8 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from hallsym.computed import Computed, Stretch, campaign_time
 from hallsym.model import Model, Signals
+from hallsym.model.derived import Computed, Stretch, campaign_time
 
 Read = Callable[[Signals], list[ca.SX]]
 """Values of the functions, from the signals of a chain that has the columns."""

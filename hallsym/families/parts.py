@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import casadi as ca
 
-from hallsym.computed import Computed
 from hallsym.model import Model, Parameter, Step
+from hallsym.model.derived import Computed
 
 Make = Callable[[Model], Model]
 """An effect."""

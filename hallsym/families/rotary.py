@@ -302,7 +302,7 @@ def harmonics(model: Model) -> Model:
 def zero_deviation(model: Model) -> Model:
     """Give the reference a zero of its own in each run: it was homed or coupled anew between runs.
 
-    Each run is turned to the encoder's own zero first (`hallsym.turning.homes`); `delta` is what is left.
+    Each run is turned to the encoder's own zero first (`hallsym.log.phase.homes`); `delta` is what is left.
     `zero` is that of each run then, and no parameter any more.
     """
 

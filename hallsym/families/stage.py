@@ -18,8 +18,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym import published
 from hallsym.errors import InputError, nearest
+from hallsym.families import published
 from hallsym.log import Meta
 from hallsym.model import Combination, Model, Parameter, Signals, Step
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 _LATE = 1.8  # a step longer than this many ticks means that samples are missing
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.log.units import Array, quantity, require_unit, si_name, split_unit
+from hallsym.units import Array, quantity, require_unit, si_name, split_unit
 
 RUN = "run"
 

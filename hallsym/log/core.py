@@ -15,7 +15,7 @@ from hallsym.log.columns import RUN, Binding, bind
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise
 from hallsym.log.table import CHUNK_ROWS, Arrays, Piece, Table, TableLike
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.table import Filtered, Piece
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 
 @dataclass(frozen=True)

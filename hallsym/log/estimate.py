@@ -11,8 +11,8 @@ from hallsym.errors import InputError
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.noise import Noise, Sigma
-from hallsym.log.units import Array
-from hallsym.medians import median
+from hallsym.model.medians import median
+from hallsym.units import Array
 
 _ORDERS = range(2, 9)
 _SAMPLES = 1024  # taken from the middle of each block of a run

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from hallsym.errors import counted
 from hallsym.log.core import Log
 from hallsym.log.drop import Drop
 from hallsym.log.limits import is_moving, is_reading, is_reference, likely_unit, limit_of
 from hallsym.log.scan import Scan, Span, Spans
 from hallsym.log.suspects import held, piled_up, repeats_each
-from hallsym.log.units import split_unit
-from hallsym.words import counted
+from hallsym.units import split_unit
 
 FEWEST_SAMPLES = 8
 _MISSING_NOTE, _MISSING_REFUSE = 0.0, 0.02

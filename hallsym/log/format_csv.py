@@ -15,7 +15,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.extras import available, load
 from hallsym.log.table import CHUNK_ROWS
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 _IN_MEMORY_BYTES = 250_000_000
 _MISSING = ("", "nan", "NaN", "NAN")

@@ -17,7 +17,7 @@ from hallsym.errors import InputError
 from hallsym.log.columns import RUN
 from hallsym.log.extras import load
 from hallsym.log.table import IN_MEMORY_ROWS
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 Lengths = dict[str, int]
 

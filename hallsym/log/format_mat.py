@@ -11,7 +11,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.format_hdf5 import Hdf5Source, name_vectors
 from hallsym.log.table import Arrays
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 
 def open_mat(path: Path) -> Arrays | Hdf5Source:

@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.extras import load
 from hallsym.log.table import IN_MEMORY_ROWS
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 _BUFFER = 1 << 20
 

@@ -13,7 +13,7 @@ from hallsym.log.format_hdf5 import Hdf5Source, Hdf5Writer
 from hallsym.log.format_mat import MatWriter, open_mat
 from hallsym.log.format_parquet import ParquetSource, ParquetWriter
 from hallsym.log.table import Source
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 
 class Writer(Protocol):

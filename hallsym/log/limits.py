@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hallsym.log.units import UNITS
+from hallsym.units import UNITS
 
 
 @dataclass(frozen=True)

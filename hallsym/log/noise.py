@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from hallsym.errors import InputError, nearest
-from hallsym.log.units import UNITS, split_unit
+from hallsym.units import UNITS, split_unit
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from hallsym.log.columns import RUN
 from hallsym.log.core import Log, RunOrder
 from hallsym.log.limits import is_moving, is_reading
 from hallsym.log.table import CHUNK_ROWS, Piece
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 HELD_SAMPLES = 8
 _CACHE_ROWS = 32_768

@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.log.core import Log
 from hallsym.log.limits import is_reference
 from hallsym.log.scan import HELD_SAMPLES
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 _SAMPLE_ROWS = 2_000_000
 _FEWEST_LEVELS = 16

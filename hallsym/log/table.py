@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 from hallsym.log.columns import RUN, Binding, listed
 from hallsym.log.limits import has_meaning
-from hallsym.log.units import Array
+from hallsym.units import Array
 
 IN_MEMORY_ROWS = 2_000_000
 CHUNK_ROWS = 65_536

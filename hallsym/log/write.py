@@ -14,7 +14,7 @@ from hallsym.files import reason, replacing
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.formats import Writer, format_of
-from hallsym.log.units import Array, si_name, to_si
+from hallsym.units import Array, si_name, to_si
 
 
 class LogWriter:

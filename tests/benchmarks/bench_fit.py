@@ -35,16 +35,16 @@ from typing import Any
 import numpy as np
 import peers
 
-from hallsym import published, start
-from hallsym.calibration import Fit
-from hallsym.campaign import paper_campaign
-from hallsym.cost import Cost, cost_of
-from hallsym.families import build
-from hallsym.fitting import fit
+from hallsym.estimation import start
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.fit import fit
+from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.optimum import refit
+from hallsym.estimation.run_statistics import summarise
+from hallsym.families import build, published
 from hallsym.log import Log, LogWriter, Noise, read_log, write_log
-from hallsym.search import refit
-from hallsym.summary import summarise
-from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
+from hallsym.simulation.campaign import paper_campaign
+from hallsym.simulation.machine import NoiseModel, simulate, simulate_blocks, table8_noise
 
 MODEL = "stage31"
 DRAWS = 200

@@ -18,8 +18,8 @@ from math import radians
 import casadi as ca
 import numpy as np
 
+from hallsym.families.published import table
 from hallsym.families.rotary import K1, K2
-from hallsym.published import table
 from solvers import Problem, Stop, discarding, hybrid, minimize, newton, ranking
 
 BUDGET, SIZE, POINTS = 20_100, 100, 360

@@ -18,20 +18,19 @@ from typing import Any
 
 import numpy as np
 
-from hallsym import published
-from hallsym.bootstrap import bootstrap
-from hallsym.campaign import paper_campaign
-from hallsym.cost import Cost
-from hallsym.determination import determine
-from hallsym.families import build
-from hallsym.fitting import fit
+from hallsym.estimation.covariance import estimate
+from hallsym.estimation.fit import fit
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.likelihood import Cost
+from hallsym.families import build, published
+from hallsym.inference import identify
+from hallsym.inference.bootstrap import bootstrap
+from hallsym.inference.profile_tangent import skewness, tangent
+from hallsym.inference.profiles import Profile, profile
 from hallsym.log import Log, Noise
-from hallsym.profile_tangent import skewness, tangent
-from hallsym.profiles import Profile, profile
-from hallsym.quantities import Quantity, combination, parameter
-from hallsym.sensitivity import identify
-from hallsym.twin import NoiseModel, simulate, table8_noise
-from hallsym.uncertainty import estimate
+from hallsym.model.quantities import Quantity, combination, parameter
+from hallsym.simulation.campaign import paper_campaign
+from hallsym.simulation.machine import NoiseModel, simulate, table8_noise
 
 MODEL = "stage31"
 RZ_NOISE = 5e-8

@@ -25,19 +25,19 @@ from scipy.optimize import least_squares
 
 import hallsym
 import solvers
-from hallsym import start
-from hallsym.arrays import on_arrays
-from hallsym.campaign import paper_campaign
-from hallsym.cost import Cost, cost_of
-from hallsym.determination import determine
-from hallsym.fitting import noise_of
+from hallsym.estimation import start
+from hallsym.estimation.channel_assignment import find_wiring, rewired
+from hallsym.estimation.fit import noise_of
+from hallsym.estimation.gauss_newton import judge
+from hallsym.estimation.identifiable import determine
+from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.run_statistics import summarise
+from hallsym.families.published import values
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Model
-from hallsym.passes import judge
-from hallsym.published import values
-from hallsym.summary import summarise
-from hallsym.twin import NoiseModel, table8_noise
-from hallsym.wiring import find_wiring, rewired
+from hallsym.model.arrays import on_arrays
+from hallsym.simulation.campaign import paper_campaign
+from hallsym.simulation.machine import NoiseModel, table8_noise
 
 BUDGET, SIZE, KEEP, SAME = 20_100, 100, 3, 1e-6
 EVERY = 5

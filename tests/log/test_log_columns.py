@@ -12,7 +12,7 @@ from log_samples import one_sentence
 
 from hallsym.errors import InputError
 from hallsym.log import Log, parse_column_option, read_column_file, read_log, write_log
-from hallsym.log.units import UNITS, from_si, si_name, split_unit, to_si
+from hallsym.units import UNITS, from_si, si_name, split_unit, to_si
 
 
 @given(unit=st.sampled_from(sorted(UNITS)), value=st.floats(-1e6, 1e6))

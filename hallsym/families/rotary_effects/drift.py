@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from hallsym.computed import rate
 from hallsym.families.data_functions import Columns, Followed, Read, count
 from hallsym.families.parts import Make
 from hallsym.families.rotary_effects.parts import REFERENCE, SPEED, per_plate
 from hallsym.families.rotary_waves import Wave
 from hallsym.model import Model
+from hallsym.model.derived import rate
 
 
 def gain_drift(effect: str, columns: Columns, read: Read) -> Make:

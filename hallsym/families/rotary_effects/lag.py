@@ -2,10 +2,10 @@
 
 import casadi as ca
 
-from hallsym.computed import rate
 from hallsym.families.parts import P, add
 from hallsym.families.rotary_effects.parts import PLATES, REFERENCE, SPEED, ahead
 from hallsym.model import Model, Parameter, Signals
+from hallsym.model.derived import rate
 
 
 def time_skew(model: Model) -> Model:

@@ -3,11 +3,11 @@
 import casadi as ca
 import numpy as np
 
-from hallsym.computed import Computed, Stretch
 from hallsym.families.parts import Make, P, add, free
 from hallsym.families.play import stop_operator
 from hallsym.families.rotary_effects.parts import REFERENCE, ahead, harmonic
 from hallsym.model import Model, Parameter, Signals
+from hallsym.model.derived import Computed, Stretch
 
 
 def off_axis(effect: str, direction_rad: float, tilted: bool = False) -> Make:

@@ -6,10 +6,10 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from hallsym.computed import Computed, Stretch, rate
 from hallsym.families.parts import Make, P, add, free
 from hallsym.families.stage_effects.parts import AXES, UNIT, labels
 from hallsym.model import Model, Signals
+from hallsym.model.derived import Computed, Stretch, rate
 
 
 def motor_stray_field(positions: Sequence[str] = ()) -> Make:

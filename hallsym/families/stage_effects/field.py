@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from hallsym.computed import Computed, Stretch
 from hallsym.families.parts import Make, P, add, column, free
 from hallsym.families.play import stop_state
 from hallsym.families.stage_effects.parts import AXES, UNIT, across, labels
 from hallsym.model import Model, Parameter, Signals
+from hallsym.model.derived import Computed, Stretch
 
 
 def nonlinearity(effect: str, powers: Sequence[int]) -> Make:

@@ -1,9 +1,9 @@
 """Effects of the stage in time: the probes feel the past, by a delay or a low-pass."""
 
-from hallsym.computed import rate
 from hallsym.families.parts import Make, P, add, column
 from hallsym.families.stage_effects.parts import AXES, along, labels
 from hallsym.model import Model, Parameter, Signals
+from hallsym.model.derived import rate
 
 SERIES = {"time_skew": (-1.0, 1 / 2, -1 / 6, 1 / 24), "first_order_lag": (-1.0, 1.0, -1.0, 1.0)}
 """Factors of tau^n d^n/dt^n: a delay, and 1 / (1 + tau d/dt), to fourth order in tau times frequency."""

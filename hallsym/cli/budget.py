@@ -1,0 +1,290 @@
+"""`hallsym budget`: what a decoded position is known to, and any other budget by the GUM."""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.cli.common import (
+    NOT_DETERMINED,
+    OK,
+    assignment,
+    command,
+    log_options,
+    noted,
+    open_log,
+    say,
+    seed,
+)
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.log import Log, Noise
+from hallsym.log.noise import check_noise_keys
+from hallsym.report.text.budget import budget_text, comparison_text, position_words, recorded_text
+from hallsym.uncertainty import (
+    Budget,
+    Comparison,
+    Recorded,
+    Settings,
+    UncertaintyMap,
+    budget_monte_carlo,
+    map_axes,
+    notes,
+    over_log,
+    position_budget,
+    position_monte_carlo,
+    read_budget,
+    read_settings,
+    uncertainty_map,
+)
+from hallsym.uncertainty.settings import column_value
+
+LOG_OPTIONS = ("column", "column_file", "format", "delimiter", "drop_bad")
+EPILOG = """\
+examples:
+  hallsym budget budget.toml                          any budget: one [[source]] table for each input
+  hallsym budget calib.json --at x_um=100 --at z_um=250   of the position decoded there
+  hallsym budget calib.json LOG --plots pictures      over the recorded workspace, with a map of U
+"""
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "budget", run, "uncertainty of the decoded position, or any budget by the GUM",
+        "Say what a decoded position is known to: fit, Hall noise, vertical sensors, reference, ADC and\n"
+        "zeroing, propagated through the model; or work out a budget stated in a TOML file.", EPILOG,
+    )  # fmt: skip
+    parser.add_argument("file", metavar="FILE", help="a calibration (.json), or a budget (.toml)")
+    parser.add_argument("log", metavar="LOG", nargs="?", help="log whose workspace is looked over")
+    _position_options(parser)
+    parser.add_argument(
+        "--monte-carlo", nargs="?", const=0, type=int, metavar="N",
+        help="confirm by propagating distributions (JCGM 101): N trials, or until stable",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=seed, default=0, help="of the Monte Carlo trials (default 0)")
+    parser.add_argument(
+        "--plots", metavar="FOLDER", help="save budget bars, and the map if there is one, as PNG"
+    )
+    log_options(parser)
+
+
+def _position_options(parser: ArgumentParser) -> None:
+    group = parser.add_argument_group("of a calibration")
+    group.add_argument(
+        "--at", action="append", default=[], metavar="COLUMN=VALUE",
+        help="pose and vertical state of the budget: --at x_um=100 --at z_um=250 (repeat; default 0)",
+    )  # fmt: skip
+    group.add_argument(
+        "--settings", metavar="TOML", help="averaging, ADC, zeroing, vertical sensors, scale of the reference"
+    )
+    group.add_argument(
+        "--split", action="store_true", help="one line for each fitted parameter instead of one for the fit"
+    )
+    group.add_argument("--map", action="store_true", help="map U over x, y and Z (with LOG or --range)")
+    group.add_argument(
+        "--range", action="append", default=[], metavar="COLUMN=LOW:HIGH",
+        help="what the map covers: --range x_um=-300:300 (repeat; default: what LOG recorded)",
+    )  # fmt: skip
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    if Path(options.file).suffix.lower() == ".toml":
+        return _stand_alone(options)
+    return _position(options)
+
+
+# -- a budget file ---------------------------------------------------------------------------------------
+
+
+def _stand_alone(options: Namespace) -> int:
+    for name in ("log", "at", "settings", "split", "map", "range", "noise", *LOG_OPTIONS):
+        if getattr(options, name):
+            what = "A LOG" if name == "log" else f"--{name.replace('_', '-')}"
+            raise InputError(f"{what} belongs to a calibration; {options.file} is a budget file.")
+    budget, shown = read_budget(options.file)
+    found = []
+    if options.monte_carlo is not None:
+        found = [budget_monte_carlo(budget, _rng(options), trials=options.monte_carlo or None)]
+    pictures = _pictures(options, {budget.quantity: budget}, None, None)
+    record: dict[str, Any] = {"budget": budget.to_dict()}
+    if found:
+        record["monte_carlo"] = found[0].to_dict()
+    text = [budget_text(budget, shown), *(["", comparison_text(found)] if found else [])]
+    say(options, record, lambda: "\n".join([*text, *pictures]))
+    return OK
+
+
+# -- a calibration ---------------------------------------------------------------------------------------
+
+
+def _position(options: Namespace) -> int:
+    fit = _with_noise(load_fit(options.file), options.noise)
+    for name in LOG_OPTIONS:
+        if getattr(options, name) and not options.log:
+            raise InputError(f"--{name.replace('_', '-')} is about reading a LOG; give one.")
+    settings = read_settings(options.settings, fit.model) if options.settings else Settings()
+    at = _at(options.at, fit)
+    said = notes(fit, settings)
+    log = open_log(options) if options.log else None
+    recorded = None if log is None else over_log(fit, log, settings)
+    beyond = recorded.outside(at) if recorded else []
+    if beyond:
+        said.append(f"{', '.join(beyond)} of the budget is outside the recorded workspace.")
+    budgets = position_budget(fit, at, settings, split=options.split)
+    found = {}
+    if options.monte_carlo is not None:
+        found = position_monte_carlo(fit, at, settings, rng=_rng(options), trials=options.monte_carlo or None)
+    mapped = options.map or options.range or (options.plots and recorded)
+    grid = _map(options, fit, settings, at, recorded) if mapped else None
+    worst = _worst(fit, settings, recorded, grid, options.split)
+    record = {
+        "calibration": str(options.file),
+        "log": None if log is None else str(options.log),
+        "model": fit.model.name,
+        "covariance": fit.covariance_method,
+        "at": {c: at.get(c, 0.0) for c in (*fit.model.pose, *fit.model.state)},
+        "budgets": {c: b.to_dict() for c, b in budgets.items()},
+        "monte_carlo": {c: v.to_dict() for c, v in found.items()} or None,
+        "recorded": recorded.to_dict() if recorded else None,
+        "map": grid.to_dict() if grid else None,
+        "notes": said,
+    }
+    pictures = _pictures(options, worst or budgets, grid, log)
+    shown = grid if options.map or options.range else None
+    parts = _position_text(budgets, list(found.values()), recorded, shown, settings)
+    parts.insert(0, f"position at {position_words(at)}; fit covariance: {fit.covariance_method}")
+    parts += ["", *noted(said)] if said else []
+    say(options, record, lambda: "\n".join([*parts, *pictures]))
+    return NOT_DETERMINED if fit.undetermined_by_log else OK
+
+
+def _position_text(
+    budgets: Mapping[str, Budget],
+    found: Sequence[Comparison],
+    recorded: Recorded | None,
+    grid: UncertaintyMap | None,
+    settings: Settings,
+) -> list[str]:
+    """The tables that a person reads, an empty line before each."""
+    coverage = f"{100 * settings.level:g} %" if settings.level else f"k = {settings.coverage:g}"
+    parts = [f"\n{budget_text(budget)}" for budget in budgets.values()]
+    parts += [f"\n{comparison_text(found)}"] if found else []
+    parts += [f"\n{recorded_text(recorded, f'U ({coverage}), recorded workspace')}"] if recorded else []
+    parts += [f"\n{recorded_text(_over_map(grid), f'U ({coverage}), map')}"] if grid else []
+    return parts
+
+
+def _with_noise(fit: Fit, given: Sequence[str]) -> Fit:
+    """Return the calibration with the stated noise in place of that of its log."""
+    values = dict(map(assignment, given))
+    columns = (*fit.model.channels, *fit.model.state, *fit.model.references)
+    check_noise_keys(values, columns, "--noise")
+    return replace(fit, noise=Noise.given(values, columns).merged(fit.noise))
+
+
+def _at(given: Sequence[str], fit: Fit) -> dict[str, float]:
+    """`x_um=100` as column -> SI value."""
+    at: dict[str, float] = {}
+    for text in given:
+        key, _, value = text.partition("=")
+        column, factor = column_value(key, (*fit.model.pose, *fit.model.state), "--at")
+        if column in at:
+            raise InputError(f"--at gives {column} twice; keep one.")
+        at[column] = _number(value, "--at", text, "x_um=100") * factor
+    return at
+
+
+def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
+    """`x_um=-300:300` as column -> least and greatest SI value."""
+    ranges: dict[str, tuple[float, float]] = {}
+    axes = map_axes(fit.model)
+    for text in given:
+        key, _, value = text.partition("=")
+        column, factor = column_value(key, axes, "--range")
+        low, _, high = value.partition(":")
+        ends = [_number(v, "--range", text, "x_um=-300:300") * factor for v in (low, high)]
+        if not ends[0] < ends[1]:
+            raise InputError(
+                f"--range must go from the lesser to the greater value; instead received {text!r}."
+            )
+        ranges[column] = (ends[0], ends[1])
+    return ranges
+
+
+def _number(text: str, option: str, whole: str, example: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        raise InputError(
+            f"{option} must be numbers with the unit in the name, such as {example}; got {whole!r}."
+        )
+    return value
+
+
+def _map(
+    options: Namespace, fit: Fit, settings: Settings, at: Mapping[str, float], recorded: Recorded | None
+) -> UncertaintyMap:
+    ranges = _ranges(options.range, fit)
+    spans = recorded.span if recorded else {}
+    axes = {c: ranges.get(c) or spans.get(c) for c in map_axes(fit.model)}
+    for column, span in axes.items():
+        if span is None:
+            raise InputError(
+                f"A map needs to know what it shall cover: give a LOG, or --range {column}=LOW:HIGH "
+                f"(a calibration does not hold its workspace)."
+            )
+    lines = {c: sorted(set(span)) for c, span in axes.items() if span}  # one height, where Z never moved
+    return uncertainty_map(fit, lines, settings, fixed={c: v for c, v in at.items() if c not in axes})
+
+
+def _worst(
+    fit: Fit, settings: Settings, recorded: Recorded | None, grid: UncertaintyMap | None, split: bool
+) -> dict[str, Budget]:
+    """Budget of each coordinate where it is known worst; none without a workspace."""
+    worst = {}
+    for column in fit.model.pose:
+        if recorded:
+            spot = recorded.where[column]
+        elif grid:
+            spot = grid.worst(column)[0]
+        else:
+            return {}
+        worst[column] = position_budget(fit, spot, settings, split=split)[column]
+    return worst
+
+
+def _over_map(grid: UncertaintyMap) -> Recorded:
+    """rms and worst over the points of a map."""
+    worst = {c: grid.worst(c) for c in grid.pose}
+    return Recorded(
+        span={c: (float(v[0]), float(v[-1])) for c, v in grid.axes.items()},
+        rms={c: float(np.sqrt(np.mean(u**2))) for c, u in zip(grid.pose, grid.expanded, strict=True)},
+        worst={c: u for c, (_, u) in worst.items()},
+        where={c: at for c, (at, _) in worst.items()},
+        samples=grid.expanded[0].size,
+    )
+
+
+def _pictures(
+    options: Namespace, budgets: Mapping[str, Budget], grid: UncertaintyMap | None, log: Log | None
+) -> list[str]:
+    """Save the pictures asked for; returns the lines that say so."""
+    if not options.plots:
+        return []
+    from hallsym.report.figures.uncertainty import save_budget_pictures
+
+    paths = save_budget_pictures(
+        Path(options.plots), budgets, grid, worst=log is not None or grid is not None
+    )
+    return [f"wrote {path}" for path in paths]
+
+
+def _rng(options: Namespace) -> np.random.Generator:
+    return np.random.default_rng(options.seed)

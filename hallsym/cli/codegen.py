@@ -1,0 +1,154 @@
+"""`hallsym codegen`: a calibration as C for the controller."""
+
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.cli.common import NOT_DETERMINED, OK, command, noted, say
+from hallsym.codegen import Generated, Integers, generate, generate_q31
+from hallsym.codegen.folder import options_of
+from hallsym.codegen.rotary_correction import KINDS
+from hallsym.codegen.table import sha256
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.uncertainty.settings import column_value
+
+EPILOG = """\
+examples:
+  hallsym codegen calib.json -o firmware                      C99, float32, parameters, self-test, proofs
+  hallsym codegen new.json -o firmware --params-only          recalibrated: the parameters alone
+  hallsym codegen calib.json -o firmware --range z_um=-200:200   the box within which status is 0
+  hallsym codegen angle.json -o firmware --accuracy angle_mrad=1   an encoder: the least code that is as near
+then: make -C firmware check qemu count misra prove
+"""
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "codegen", run, "C for the controller",
+        "Write the decoupler of a calibration as a folder of C99: no heap, no libm, same bits everywhere,\n"
+        "with a parameter table that a recalibration replaces, a self-test and proofs.", EPILOG,
+    )  # fmt: skip
+    parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
+    parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder to write")
+    parser.add_argument(
+        "--params-only",
+        action="store_true",
+        help="replace the parameters of a generated folder, not its code",
+    )
+    parser.add_argument("--force", action="store_true", help="replace generated files that are there")
+    parser.add_argument(
+        "--range", action="append", default=[], metavar="COLUMN=LOW:HIGH",
+        help="box of a pose, state or reading column: --range z_um=-200:200 (repeat; default: as recorded)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--arithmetic", choices=("float", "q31"), default="float",
+        help="q31: 32-bit integers, for a controller without a floating-point unit",
+    )  # fmt: skip
+    parser.add_argument(
+        "--accuracy", metavar="COLUMN=ANGLE",
+        help="encoders: what the correction of the angle may leave besides rounding, as angle_mrad=1 "
+        "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table",
+    )  # fmt: skip
+    parser.add_argument(
+        "--correction", choices=KINDS,
+        help="encoders: a series of waves, or a table of 64 to 1024 entries (default: auto, fewer bytes)",
+    )  # fmt: skip
+    parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
+    parser.add_argument("--jacobian", action="store_true", help="with d pose / d reading, for Kalman filters")
+    parser.add_argument(
+        "--allow-undetermined", action="store_true", help="use values that the log does not determine"
+    )
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    fit = load_fit(options.calibration)
+    made = _made(fit, options)
+    made.write(options.output, force=options.force, params_only=options.params_only)
+    say(options, made.to_dict(), lambda: "\n".join([*_text(made, options), *noted(made.notes)]))
+    return NOT_DETERMINED if fit.undetermined_by_log else OK
+
+
+def _made(fit: Fit, options: Namespace) -> Generated | Integers:
+    digest = sha256(Path(options.calibration).read_bytes())
+    ranges, allow = _ranges(options.range, fit), options.allow_undetermined
+    before = options_of(Path(options.output)) if options.params_only else {}
+    accuracy, correction = _accuracy(options.accuracy, fit), options.correction
+    if accuracy is None:
+        accuracy = before.get("accuracy")
+    if correction is None:
+        correction = before.get("correction")
+    if options.arithmetic == "q31":
+        for name in ("double", "jacobian"):
+            if getattr(options, name):
+                raise InputError(f"--{name} belongs to --arithmetic float; leave it out, or the integers.")
+        return generate_q31(
+            fit,
+            ranges=ranges,
+            accuracy=accuracy,
+            correction=correction,
+            allow_undetermined=allow,
+            calibration_sha256=digest,
+        )
+    return generate(
+        fit,
+        ranges=ranges,
+        double=options.double,
+        jacobian=options.jacobian,
+        accuracy=accuracy,
+        correction=correction,
+        allow_undetermined=allow,
+        calibration_sha256=digest,
+    )
+
+
+def _text(made: Generated | Integers, options: Namespace) -> list[str]:
+    record = made.to_dict()
+    lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
+    for c, met in record["error_met"].items():
+        unit, bound = c.rpartition("_")[2], record.get("error_bound", {}).get(c)
+        most = "" if bound is None else f"error at most {1e9 * bound:.3g} n{unit} over the box, "
+        lines.append(f"  {c}: {most}{1e9 * met:.3g} n{unit} met over 100000 random inputs")
+    lines += [f"  {c}: {low:g} to {high:g}" for c, (low, high) in record["box"].items()]
+    wrote = sorted(made.params) if options.params_only else sorted(made.files)
+    lines += [f"wrote {Path(options.output) / name}" for name in wrote]
+    return lines
+
+
+def _accuracy(given: str | None, fit: Fit) -> float | None:
+    """`angle_mrad=1` in SI."""
+    if given is None:
+        return None
+    key, _, value = given.partition("=")
+    _, factor = column_value(key, fit.model.pose, "--accuracy")
+    try:
+        return float(value) * factor
+    except ValueError:
+        raise InputError(
+            f"--accuracy must be a column of the pose and a number, such as angle_mrad=1; got {given!r}."
+        ) from None
+
+
+def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
+    """`z_um=-200:200` as column -> least and greatest SI value."""
+    ranges: dict[str, tuple[float, float]] = {}
+    known = (*fit.model.pose, *fit.model.state, *fit.model.channels)
+    for text in given:
+        key, _, value = text.partition("=")
+        column, factor = column_value(key, known, "--range")
+        low, _, high = value.partition(":")
+        try:
+            ends = (float(low) * factor, float(high) * factor)
+        except ValueError:
+            ends = (np.nan, np.nan)
+        if not ends[0] < ends[1] or not np.isfinite(ends).all():
+            raise InputError(
+                f"--range must go from the lesser to the greater value, such as z_um=-200:200; got {text!r}."
+            )
+        ranges[column] = ends
+    return ranges

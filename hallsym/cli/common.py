@@ -1,0 +1,250 @@
+"""What the commands share: options, opening logs, progress, and how results are said."""
+
+import argparse
+import json
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hallsym.diagnosis.user import load_effects, makes
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.families import build, example, model_for
+from hallsym.families.machine_file import Machine
+from hallsym.families.published import values as published_values
+from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
+from hallsym.log.noise import check_noise_keys
+from hallsym.model import Model
+from hallsym.simulation import machine as twin
+from hallsym.simulation.campaign import Campaign, campaign_from, paper_campaign, read_campaign
+
+OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED = 0, 2, 3, 4
+
+
+def command(
+    sub: Any, name: str, run: Callable[[Namespace], int], help: str, description: str, epilog: str = ""
+) -> ArgumentParser:
+    """Add a sub-command that `run(options)` carries out; it has `--json`."""
+    parser = sub.add_parser(
+        name, help=help, description=description, epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.set_defaults(run=run)
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    return parser
+
+
+def seed(text: str) -> int:
+    """Type of a seed on the command line."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a seed is a whole number, 0 or more; instead received {text!r}")
+    return int(text)
+
+
+def log_options(parser: ArgumentParser) -> None:
+    """Options of every command that reads a log."""
+    group = parser.add_argument_group("reading the log")
+    group.add_argument(
+        "--column", action="append", default=[], metavar="OURS=THEIRS",
+        help="our name, ending with the unit their column is in: --column hall_a_um=HallA (repeat)",
+    )  # fmt: skip
+    group.add_argument(
+        "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
+    )
+    group.add_argument(
+        "--counts-per-turn", type=float, metavar="N",
+        help="of an angle in counts, as in --column angle_count=raw: 16384 for 14 bits",
+    )  # fmt: skip
+    group.add_argument("--format", help="parquet, csv, mat or hdf5, when the suffix does not tell")
+    group.add_argument("--delimiter", help="of a CSV file, when it is not a comma")
+    group.add_argument(
+        "--drop-bad", action="store_true", help="leave out bad samples and runs and go on; they are counted"
+    )
+    group.add_argument(
+        "--noise", action="append", default=[], metavar="COLUMN=SIGMA",
+        help="1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log where not given",
+    )  # fmt: skip
+
+
+def model_options(parser: ArgumentParser, default: str) -> None:
+    """Options of every command that builds a model."""
+    group = parser.add_argument_group("model")
+    group.add_argument(
+        "--model", help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})"
+    )
+    group.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="add an effect, such as exact_rotation or mains_hum:frequency_hz=50.02 (repeat)",
+    )
+    group.add_argument(
+        "--machine", metavar="TOML",
+        help="your machine: [[probes]] with channel, position_m, senses; [parameters.H1x] with nominal, "
+        "lower, upper, fixed",
+    )  # fmt: skip
+
+
+def own_option(parser: ArgumentParser) -> None:
+    """The file of the user's own effects, for every command that builds or reads a model."""
+    parser.add_argument("--effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
+
+
+def own_effects(options: Namespace) -> dict[str, Callable[[Model], Model]]:
+    """Return the user's own effects by name; none without a file."""
+    return makes(load_effects(options.effects)) if options.effects else {}
+
+
+def open_log(options: Namespace, machine: Machine | None = None) -> Log:
+    """Read `options.log`; a machine's probes stand in place of the log's own."""
+    columns = dict(parse_column_option(text) for text in options.column)
+    log = read_log(
+        options.log,
+        columns=columns,
+        column_file=options.column_file,
+        format=options.format,
+        delimiter=options.delimiter,
+        drop_bad=options.drop_bad,
+        noise=dict(assignment(text) for text in options.noise),
+        counts_per_turn=options.counts_per_turn,
+    )
+    return log if machine is None else replace(log, meta=machine.applied(log.meta))
+
+
+def assignment(text: str) -> tuple[str, float]:
+    """Read one `--noise COLUMN=SIGMA`."""
+    name, _, value = text.partition("=")
+    try:
+        sigma = float(value)
+    except ValueError:
+        sigma = -1.0
+    if not name or not 0 < sigma < float("inf"):
+        raise InputError(
+            f"--noise must be COLUMN=SIGMA with a positive number in SI, such as hall_m=5e-7; got {text!r}."
+        )
+    return name, sigma
+
+
+def run_numbers(text: str) -> list[int]:
+    """`2,7,12` or `40-45` as run numbers."""
+    runs: list[int] = []
+    try:
+        for part in filter(None, text.split(",")):
+            first, _, last = part.strip().partition("-")
+            span = range(int(first), int(last or first) + 1)
+            if not span:
+                raise ValueError(part)
+            runs += span
+    except ValueError:
+        raise InputError(
+            f"--holdout must be run numbers such as 2,7,12 or 40-45; instead received {text!r}."
+        ) from None
+    return runs
+
+
+def progress_of(options: Namespace) -> Callable[[str], None]:
+    """One line on a terminal's stderr, overwritten; silent elsewhere."""
+    if options.json or not sys.stderr.isatty():
+        return lambda _: None
+
+    def say(text: str) -> None:
+        print(f"\r\033[K{text} ...", end="", file=sys.stderr, flush=True)
+
+    return say
+
+
+def say(options: Namespace, record: Mapping[str, Any], text: Callable[[], str]) -> None:
+    """Print the JSON record, or the text."""
+    if not options.json and sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr, flush=True)
+    print(json.dumps(record, indent=1) if options.json else text())
+
+
+def save_fit_pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:
+    """Save the pictures of a fit, if a folder is given."""
+    if folder is None:
+        return []
+    from hallsym.report.figures import save_pictures
+
+    return save_pictures(log, result, Path(folder), keep=result.keep)
+
+
+def noted(notes: Sequence[str]) -> list[str]:
+    """Return the lines that say the notes."""
+    return [f"note: {note}" for note in notes]
+
+
+def campaign_of(options: Namespace) -> Campaign:
+    """Return the campaign of a file, else the paper's, else the example of the model's family."""
+    for name in ("step", "duration"):
+        value = getattr(options, name)
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"--{name} must be a positive number of seconds; instead received {value:g}.")
+    own = example(build(options.model)) if options.model and options.campaign is None else {}
+    if own:
+        if options.step or options.duration:
+            raise InputError("--step and --duration belong to the paper's campaign of the stage.")
+        return campaign_from(own["campaign"], f"example of {options.model}")
+    if options.campaign is None:
+        return paper_campaign(options.step or 2e-3, options.duration or 1.0)
+    if options.step or options.duration:
+        raise InputError(
+            "--step and --duration belong to the paper's campaign; a campaign file states its own."
+        )
+    return read_campaign(options.campaign)
+
+
+def truth_of(
+    options: Namespace, machine: Machine, campaign: Campaign | None = None
+) -> tuple[Model, dict[str, float]]:
+    """Model and values of the twin: a calibration's, else the published ones as far as the model has them.
+
+    Where no model is named, that of the axes which `campaign` moves.
+    """
+    if options.values:
+        known = load_fit(options.values)
+        if options.model and options.model != known.model.name:
+            raise InputError(f"--values holds a {known.model.name}; leave --model out or give that name.")
+        return known.model, dict(zip(known.model.names, known.values.tolist(), strict=True))
+    runs = campaign.runs if campaign else ()
+    moved = {axis for run in runs for axis in (*run.setting, *run.motion)}
+    model = build(
+        options.model or model_for(moved),
+        meta=machine.applied(Meta()),
+        added=tuple(options.effect),
+        parameters=machine.parameters,
+    )
+    own = example(model)
+    paper_values = published_values("table7_estimates") if machine.probes is None and not own else {}
+    paper_values = paper_values | own.get("values", {})
+    given = {name: entry["nominal"] for name, entry in machine.parameters.items() if "nominal" in entry}
+    return model, {n: v for n, v in (paper_values | given).items() if n in model.names}
+
+
+def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    """Noise by column: the campaign file's own, else Table 8's.
+
+    A file may state the noise of every form in which a family is read (two voltages, or an angle).
+    """
+    own = example(model).get("noise")
+    if not campaign.noise and own:
+        return {c: s for c, s in own.items() if c in (*model.channels, *model.references)}
+    if not campaign.noise:
+        return dict(twin.table8_noise(model, values).sigma)
+    columns = (*model.channels, *model.state, *model.references)
+    other = [c for c in campaign.noise if c in (own or {}) and c not in columns]
+    stated = {c: s for c, s in campaign.noise.items() if c not in other}
+    check_noise_keys(stated, columns, "the campaign's [noise]")
+    found = {c: s.value for c, s in Noise.given(stated, columns).sigmas.items()}
+    lacking = [c for c in model.channels if c not in found]
+    if other and lacking:
+        raise InputError(
+            f"The campaign's [noise] states {' and '.join(other)}, but this machine is read as "
+            f"{' and '.join(model.channels)}; state the noise of {' and '.join(lacking)} too: "
+            "one file may hold both."
+        )
+    return found

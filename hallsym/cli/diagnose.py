@@ -1,0 +1,159 @@
+"""`hallsym diagnose`: where the gap lies, which effect makes it, how far it shrinks."""
+
+import json
+import shlex
+from argparse import Namespace
+from typing import Any
+
+from hallsym.cli.common import (
+    OK,
+    command,
+    log_options,
+    model_options,
+    open_log,
+    own_option,
+    progress_of,
+    run_numbers,
+    say,
+)
+from hallsym.diagnosis import load_effects, makes
+from hallsym.diagnosis.choose import model_on
+from hallsym.diagnosis.compare import compare
+from hallsym.diagnosis.engine import Examined, examine
+from hallsym.diagnosis.errors import errors_of
+from hallsym.diagnosis.tangent import Base
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.estimation.decoding import columns_of
+from hallsym.families import default_model
+from hallsym.families.machine_file import read_machine
+from hallsym.files import atomic_write
+from hallsym.log.derived import extended
+from hallsym.model import Model
+from hallsym.report.page import Version, diagnosis_page, gather
+from hallsym.report.text.comparison import comparison_text
+from hallsym.report.text.diagnosis import diagnosis_text
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "diagnose", run, "where the gap lies, which effect makes it, how far it shrinks",
+        "Fit a model on a log, find what it leaves above the noise, which effect explains it, and how\n"
+        "far the gap shrinks once that effect is added, judged on held-out runs.",
+        "examples:\n"
+        "  hallsym diagnose LOG --model stage31\n"
+        "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
+        "  hallsym diagnose LOG --effects my_effects.py -o report.html\n"
+        "  hallsym diagnose --compare before.json after.json",
+    )  # fmt: skip
+    parser.add_argument("log", metavar="LOG", nargs="?", help="log, or a folder with log and meta.json")
+    parser.add_argument(
+        "--compare", nargs=2, metavar=("BEFORE", "AFTER"),
+        help="instead: what changed between two saved diagnoses (or calibrations) of one machine",
+    )  # fmt: skip
+    parser.add_argument(
+        "--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)"
+    )
+    own_option(parser)
+    parser.add_argument(
+        "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
+    )
+    parser.add_argument(
+        "-o", "--output", action="append", default=[], metavar="FILE",
+        help="save the diagnosis: .html for one page to read and print, anything else for JSON (repeat)",
+    )  # fmt: skip
+    model_options(parser, "the log's base_model, else by its columns")
+    log_options(parser)
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    if options.compare:
+        return _compare(options)
+    if options.log is None:
+        raise InputError("A log to diagnose must be given, or --compare with two saved diagnoses.")
+    machine = read_machine(options.machine)
+    log = open_log(options, machine)
+    name = options.model or default_model(log.meta)
+    holdout = None if options.holdout is None else run_numbers(options.holdout)
+    listed = load_effects(options.effects) if options.effects else ()
+    if str(name).endswith(".json"):
+        model: Model | Fit = load_fit(name, makes(listed))
+    else:
+        model = model_on(
+            log,
+            name,
+            options.effect,
+            parameters=machine.parameters,
+            own=makes(listed),
+            holdout=holdout,
+            drop_bad=options.drop_bad,
+        )
+    seen = examine(
+        log,
+        model,
+        holdout=holdout,
+        effects=listed,
+        threshold=options.threshold,
+        drop_bad=options.drop_bad,
+        on_progress=progress_of(options),
+    )
+    found = seen.diagnosis
+    for path in options.output:
+        if path.lower().endswith((".html", ".htm")):
+            atomic_write(path, _page(options, seen))
+        else:
+            _save(path, found.to_dict())
+    written = [f"wrote {path}" for path in options.output]
+    say(options, found.to_dict(), lambda: "\n".join([diagnosis_text(found, _reading(options)), *written]))
+    return OK
+
+
+def _reading(options: Namespace) -> list[str]:
+    """Words of this command that its next step needs too: how the log is read, and the machine."""
+    words = [word for column in options.column for word in ("--column", column)]
+    words += [word for noise in options.noise for word in ("--noise", noise)]
+    for option in ("counts_per_turn", "column_file", "format", "delimiter", "machine", "effects"):
+        value = getattr(options, option)
+        if value is not None:
+            words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
+    return [*words, *(["--drop-bad"] if options.drop_bad else [])]
+
+
+def _save(path: str, record: dict[str, Any]) -> None:
+    atomic_write(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+
+
+def _page(options: Namespace, seen: Examined) -> str:
+    """The page of a diagnosis, with maps and series of what the model leaves, before and after."""
+    first = seen.fit
+    after = None if seen.after is None else _version(seen.after)
+    shown = gather(seen.before.log, {"before": first}, keep=first.keep, after=after)
+    name = options.model or first.model.name
+    command = shlex.join(["hallsym", "diagnose", options.log, "--model", name])
+    return diagnosis_page(
+        seen.diagnosis.to_dict(),
+        maps=shown.maps,
+        after=shown.after,
+        series=shown.series,
+        fit=first,
+        command=command,
+    )
+
+
+def _version(base: Base) -> Version:
+    log = extended(base.log, base.model, base.sigma, base.values)
+    return Version("after", log, columns_of(base.model), errors_of(base), base.keep)
+
+
+def _compare(options: Namespace) -> int:
+    if options.log is not None:
+        raise InputError(
+            f"--compare reads saved diagnoses only; leave the log {options.log} out, or diagnose it first."
+        )
+    changed = compare(*options.compare)
+    for path in options.output:
+        _save(path, changed.to_dict())
+    say(options, changed.to_dict(), lambda: comparison_text(changed))
+    return OK

@@ -1,0 +1,110 @@
+"""`hallsym info`: what a file holds, or what hallsym knows."""
+
+from argparse import Namespace
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hallsym.cli.common import OK, command, log_options, noted, open_log, say
+from hallsym.estimation.calibration import load_fit
+from hallsym.estimation.fit import LOSSES, SOLVERS, noise_of
+from hallsym.families import effects, models
+from hallsym.log import Log, check_log, spans
+from hallsym.report.tables import fit_text, grid
+from hallsym.simulation.campaign import Campaign, read_campaign
+from hallsym.units import readable
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "info", run, "what a log, calibration or campaign file holds; or what hallsym knows",
+        "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a\n"
+        "campaign file. Without a file: the models, effects and solvers there are.",
+    )  # fmt: skip
+    parser.add_argument(
+        "file", metavar="FILE", nargs="?", help="log, calibration (.json) or campaign (.toml)"
+    )
+    log_options(parser)
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    if options.file is None:
+        record: dict[str, Any] = {
+            "models": {name: _first_line(make) for name, make in models().items()},
+            "effects": {name: _first_line(make) for name, make in effects().items()},
+            "solvers": list(SOLVERS),
+            "losses": list(LOSSES),
+        }
+        say(options, record, lambda: _listing(record))
+    elif options.file.endswith(".json"):
+        known = load_fit(options.file)
+        say(options, known.to_dict(), lambda: fit_text(known))
+    elif options.file.endswith(".toml"):
+        record = _about_campaign(read_campaign(options.file))
+        say(options, record, lambda: "\n".join(f"{k}: {v}" for k, v in record.items()))
+    else:
+        options.log = options.file
+        log = open_log(options)
+        record, text = _about_log(log, options)
+        say(options, record, lambda: text)
+    return OK
+
+
+def _first_line(function: Callable) -> str:
+    return (function.__doc__ or "").strip().split("\n")[0]
+
+
+def _listing(record: Mapping[str, Any]) -> str:
+    parts = []
+    for kind in ("models", "effects"):
+        parts.append(grid([[kind, ""], *([n, text] for n, text in record[kind].items())], left=2))
+    parts.append("solvers: " + ", ".join(record["solvers"]))
+    parts.append("losses: " + ", ".join(record["losses"]))
+    return "\n\n".join(parts)
+
+
+def _about_campaign(campaign: Campaign) -> dict[str, Any]:
+    return {
+        "runs": len(campaign.runs),
+        "samples": campaign.rows,
+        "clock [s]": campaign.step_s,
+        "seconds recorded": sum(run.duration_s for run in campaign.runs),
+        "noise": dict(campaign.noise or {}),
+    }
+
+
+def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
+    notes = list(log.notes) if options.drop_bad else check_log(log)
+    extent = spans(log)
+    columns = [c for c in log.columns if c != "run"]
+    noise = noise_of(log, None)
+    record: dict[str, Any] = {
+        "log": log.name,
+        "rows": log.rows,
+        "runs": list(log.runs),
+        "holdout": list(log.meta.holdout),
+        "base_model": log.meta.base_model,
+        "columns": {
+            c: {
+                "min": extent.overall[c].min,
+                "max": extent.overall[c].max,
+                "std": extent.overall[c].std,
+                "noise": noise[c].value if c in noise else None,
+                "noise_source": noise[c].source if c in noise else None,
+            }
+            for c in columns
+        },
+        "notes": notes,
+    }
+    rows = [["column", "min", "max", "std", "noise (1 sigma)", "unit", "noise is"]]
+    for c in columns:
+        factor, unit, _ = readable(c) if c != "t_s" else (1.0, "s", "t")
+        entry = record["columns"][c]
+        numbers = [f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
+        sigma = "" if entry["noise"] is None else f"{entry['noise'] * factor:.3g}"
+        rows.append([c, *numbers, sigma, unit, entry["noise_source"] or ""])
+    head = f"{log.name}: {log.rows} samples in {len(log.runs)} runs"
+    if log.meta.holdout:
+        head += f"; held out by its meta.json: {', '.join(map(str, log.meta.holdout))}"
+    return record, "\n".join([head, "", grid(rows), *noted(notes)])

@@ -1,0 +1,75 @@
+"""The paper's calibration, step by step, on the bundled campaign: Table 2, Table 4, Table 8."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.fit import fit
+from hallsym.families import published
+from hallsym.log import Log
+from hallsym.report.tables import error_rows
+from hallsym.simulation.paper import bundled_campaign
+
+HEIGHT = 250e-6
+POSE = ("x_m", "y_m", "rz_rad")
+
+
+def reproduce(on_progress: Callable[[str], None] | None = None) -> tuple[Log, Fit, list[dict[str, Any]]]:
+    """Calibrate the bundled campaign as Section 5 of the paper does.
+
+    Returns the log, the fit of Model (31), and one record per step: `step`, `paper` and `here`, each with
+    rmse and peak by pose coordinate.
+    """
+    log = bundled_campaign()
+    heights = _heights(log)
+    both = [run for run, z in heights.items() if abs(abs(z) - HEIGHT) < 20e-6]
+    full = fit(log, "stage31", on_progress=on_progress)
+    assert full.errors is not None
+    steps = [_step("designed values, Model (15), Z = +-250 um", 2, 15, full.errors.designed.over(both))]
+    steps.append(_step("Model (30), both heights in one fit", 4, 30, _fitted(log, both)))
+    each = [_fitted(log, [r for r in both if heights[r] * sign > 0]) for sign in (-1, 1)]
+    steps.append(_step("Model (30), each height by itself", 4, 30, _joined(each)))
+    rows = full.errors.rows()
+    steps.append(_step("Model (31), fitted runs", 8, 31, rows["fitted"]))
+    steps.append(_step("Model (31), held-out runs", 8, 31, rows["holdout"]))
+    return log, full, steps
+
+
+def text(steps: list[dict[str, Any]]) -> str:
+    """Return the steps beside the paper's numbers."""
+    # the paper's row is printed once for the steps that share a table
+    shown = {}
+    for k, step in enumerate(steps):
+        shown[step["step"]] = step["here"]
+        if k + 1 == len(steps) or steps[k + 1]["table"] != step["table"]:
+            shown[f"  paper, Table {step['table']}"] = step["paper"]
+    return error_rows(POSE, shown, None)
+
+
+def _heights(log: Log) -> dict[int, float]:
+    return {block.run: float(np.mean(block.data["z_m"])) for block in log.blocks(("z_m",))}
+
+
+def _fitted(log: Log, runs: list[int]) -> dict[str, dict[str, float]]:
+    result = fit(log, "stage30", solver="direct", holdout=[run for run in log.runs if run not in runs])
+    assert result.errors is not None
+    errors = result.errors.fitted.over(runs)
+    assert errors is not None
+    return errors
+
+
+def _joined(parts: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
+    """Errors over equally long parts together."""
+    return {
+        "rmse": {c: float(np.sqrt(np.mean([p["rmse"][c] ** 2 for p in parts]))) for c in POSE},
+        "peak": {c: max(p["peak"][c] for p in parts) for c in POSE},
+    }
+
+
+def _step(step: str, table: int, model: int, here: Any) -> dict[str, Any]:
+    columns = published.table(f"table{table}_errors_model{model}")
+    quantity = columns["quantity"]
+    theirs = {what: {c: columns[c][quantity.index(what)] for c in POSE} for what in ("rmse", "peak")}
+    return {"step": step, "table": table, "paper": theirs, "here": here}

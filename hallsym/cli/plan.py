@@ -1,0 +1,164 @@
+"""`hallsym plan`: what to record next."""
+
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from hallsym.cli.common import (
+    OK,
+    command,
+    log_options,
+    model_options,
+    noted,
+    open_log,
+    progress_of,
+    say,
+    seed,
+    truth_of,
+)
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import load_fit
+from hallsym.estimation.fit import fit, noise_of
+from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
+from hallsym.families.machine_file import Machine, read_machine
+from hallsym.families.stage import paper_layout
+from hallsym.log import Log
+from hallsym.model import Model
+from hallsym.report.text.plan import plan_text
+from hallsym.simulation import machine as twin
+from hallsym.simulation.campaign import Campaign, paper_campaign, read_campaign, write_campaign
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "plan", run, "choose what to record next, within your ranges and your time",
+        "Choose vertical settings and trajectories that tell most about the parameters, from the ranges,\n"
+        "frequencies and time that you state, and write them as a campaign file that a lab can follow and\n"
+        "'hallsym simulate' runs. Compares the plan with the 57 runs of the paper's Table 6.",
+        "examples:\n"
+        "  hallsym plan ranges.toml -o next.toml --runs 20\n"
+        "  hallsym plan ranges.toml -o next.toml --minutes 30 --criterion max-u --values calib.json\n"
+        "  hallsym plan ranges.toml -o next.toml --runs 10 --after log.parquet --plots pictures\n"
+        "  hallsym plan --like-paper -o next.toml",
+    )  # fmt: skip
+    parser.add_argument("ranges", metavar="TOML", nargs="?", help="ranges file (docs/plan.md)")
+    parser.add_argument(
+        "--like-paper", action="store_true",
+        help="the ranges of the paper's campaign instead of a file: 57 runs of 1 s, 1, 2 and 3 Hz",
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", metavar="TOML", help="campaign file to write")
+    parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
+    parser.add_argument(
+        "--criterion", default="D", metavar="NAME",
+        help=f"{', '.join(CRITERIA)}: volume of the uncertainty ellipsoid, mean variance, worst-determined "
+        "combination, worst position uncertainty over the ranges (default D)",
+    )  # fmt: skip
+    parser.add_argument("--runs", type=int, metavar="N", help="at most so many runs")
+    parser.add_argument("--minutes", type=float, metavar="M", help="at most so long, with resets")
+    parser.add_argument(
+        "--after", metavar="LOG", help="a log that is recorded already: the plan adds what it lacks"
+    )
+    parser.add_argument(
+        "--values", metavar="JSON",
+        help="calibration to plan for (default: fitted to the log of --after, else Table 7)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--compare", metavar="TOML", help="campaign to compare with (default: Table 6, for its own layout)"
+    )
+    parser.add_argument("--seed", type=seed, default=0, help="of the order of exchanges (default 0)")
+    model_options(parser, "stage31")
+    log_options(parser)
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    ranges, machine, show = _ranges(options), read_machine(options.machine), progress_of(options)
+    ranges.allowed(options.runs, options.minutes)  # before a log is read and fitted
+    log = None
+    if options.after:
+        options.log = options.after
+        log = open_log(options, machine)
+    show("finding values")
+    model, values, told = _truth(options, machine, log)
+    noise, source = _noise(options, ranges, model, values, log)
+    against, name = _against(options, ranges, model)
+    show("choosing runs")
+    found = plan(
+        ranges, model, values, noise,
+        criterion=options.criterion, runs=options.runs, minutes=options.minutes, after=log,
+        against=against, against_name=name, seed=options.seed,
+    )  # fmt: skip
+    notes = [told, source, *_advice(found)]
+    written = [options.output] if options.output else []
+    if options.output:
+        write_campaign(found.campaign, options.output, comment=_comment(found))
+    if options.plots:
+        from hallsym.report.figures.plan import save_plan_pictures
+
+        written += save_plan_pictures(found, options.plots, log or against, "recorded" if log else name)
+    say(
+        options, found.to_dict() | {"notes": notes},
+        lambda: "\n".join([plan_text(found), "", *noted(notes), *(f"wrote {path}" for path in written)]),
+    )  # fmt: skip
+    return OK
+
+
+def _ranges(options: Namespace) -> Ranges:
+    if options.like_paper == (options.ranges is not None):
+        raise InputError(
+            "Give either a ranges file or --like-paper; nothing is assumed for what may be recorded."
+        )
+    return paper_ranges() if options.like_paper else read_ranges(options.ranges)
+
+
+def _truth(options: Namespace, machine: Machine, log: Log | None) -> tuple[Model, dict[str, float], str]:
+    """Model, values that the plan is made for, and the sentence that says where they come from."""
+    if log is None or options.values:
+        model, values = truth_of(options, machine)
+        where = options.values or ("Table 7" if machine.probes is None else "the machine file")
+        return model, values, f"planned for the values of {where}; other values make other plans."
+    fitted = fit(log, options.model, solver="direct", parameters=machine.parameters, effects=options.effect)
+    values = dict(zip(fitted.model.names, fitted.values.tolist(), strict=True))
+    return fitted.model, values, f"planned for values fitted to {log.name}."
+
+
+def _noise(
+    options: Namespace, ranges: Ranges, model: Model, values: dict[str, float], log: Log | None
+) -> tuple[dict[str, float] | None, str]:
+    """Noise by column: the file's own, else the log's, the calibration's, Table 8's; and where it is from."""
+    if ranges.noise:
+        return None, "noise as the ranges file states it."
+    if log is not None:
+        return {c: s.value for c, s in noise_of(log, model).sigmas.items()}, f"noise as in {log.name}."
+    if options.values:
+        known = load_fit(options.values).noise
+        return {c: s.value for c, s in known.sigmas.items()}, f"noise as in {options.values}."
+    if model.layout == paper_layout():
+        return dict(twin.table8_noise(model, values).sigma), "noise that reproduces Table 8."
+    return None, ""
+
+
+def _against(options: Namespace, ranges: Ranges, model: Model) -> tuple[Campaign | None, str]:
+    if options.compare:
+        return read_campaign(options.compare), Path(options.compare).name
+    if model.layout == paper_layout():
+        return paper_campaign(ranges.step_s, ranges.seconds_per_run), "Table 6"
+    return None, ""
+
+
+def _advice(found: Plan) -> list[str]:
+    """What no plan for one model can know."""
+    settings = {setting for _, setting, _ in found.groups()}
+    told = (
+        f"the settings ({len(settings)}) are best for {found.study.model.name} as it is: record a few runs "
+        "elsewhere too, and hold them out of the fit, to see whether the model is right between them."
+    )
+    return [told]
+
+
+def _comment(found: Plan) -> str:
+    study = found.study
+    groups = [f"{n} x {setting}; {trajectory}" for n, setting, trajectory in found.groups()]
+    head = f"{len(found.campaign.runs)} runs for {study.model.name}, criterion {study.criterion.name}"
+    return "\n".join([f"Planned by hallsym: {head}.", *groups])

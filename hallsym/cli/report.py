@@ -1,0 +1,61 @@
+"""`hallsym report`: one self-contained HTML page of a fit."""
+
+import shlex
+from argparse import Namespace
+from dataclasses import replace
+from typing import Any
+
+from hallsym.cli.common import OK, command, log_options, open_log, own_effects, own_option, say
+from hallsym.estimation.calibration import load_fit
+from hallsym.estimation.channel_assignment import as_read
+from hallsym.estimation.decoding import logged_columns
+from hallsym.files import atomic_write
+from hallsym.log import check_log
+from hallsym.report.page import fit_page
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "report", run, "one HTML page of a saved calibration",
+        "Write one self-contained HTML page of a calibration and a log: verdict, errors against the noise\n"
+        "floor, maps of the error, series to zoom, parameters. It opens from disk without a network.\n"
+        "The log is the one that was fitted, or another one of the same machine.",
+        "example:\n  hallsym report calib.json campaign.parquet -o report.html",
+    )  # fmt: skip
+    parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
+    parser.add_argument("log", metavar="LOG", help="the log that was fitted, or another one")
+    own_option(parser)
+    parser.add_argument("-o", "--output", default="report.html", metavar="HTML", help="default: report.html")
+    log_options(parser)
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    known = load_fit(options.calibration, own_effects(options))
+    log = open_log(options)
+    if not options.drop_bad:
+        columns, wired = logged_columns(known.model), as_read(log, known.model, known.wiring)
+        log = replace(log, notes=tuple(check_log(wired, columns)))
+    page = fit_page(log, known, command=_typed(options)).encode()
+    atomic_write(options.output, page)
+    record = {
+        "report": str(options.output),
+        "bytes": len(page),
+        "calibration": str(options.calibration),
+        "log": str(options.log),
+        "model": known.model.name,
+    }
+    say(options, record, lambda: f"wrote {options.output}")
+    return OK
+
+
+def _typed(options: Namespace) -> str:
+    """Return the command without the name of the page, so that the name does not change the page."""
+    words = ["hallsym", "report", options.calibration, options.log]
+    words += [word for column in options.column for word in ("--column", column)]
+    words += [word for noise in options.noise for word in ("--noise", noise)]
+    for option in ("effects", "column_file", "format", "delimiter"):
+        if getattr(options, option) is not None:
+            words += [f"--{option.replace('_', '-')}", getattr(options, option)]
+    return shlex.join([*words, *(["--drop-bad"] if options.drop_bad else [])])

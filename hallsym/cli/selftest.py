@@ -1,0 +1,102 @@
+"""`hallsym selftest`: which effects a diagnosis of this log would find, and from which size on."""
+
+import json
+from argparse import ArgumentTypeError, Namespace
+from typing import Any
+
+from hallsym.cli.common import (
+    NOT_CONVERGED,
+    OK,
+    command,
+    log_options,
+    model_options,
+    open_log,
+    progress_of,
+    run_numbers,
+    say,
+    seed,
+)
+from hallsym.diagnosis import load_effects
+from hallsym.diagnosis.selftest import RATIOS, ROWS, selftest
+from hallsym.estimation.calibration import load_fit
+from hallsym.families import build, default_model
+from hallsym.families.machine_file import read_machine
+from hallsym.files import atomic_write
+from hallsym.report.text.selftest import selftest_text
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "selftest", run, "what 'no gap' on this log is worth: effects injected, diagnosed blind",
+        "Fit a model, take it and the recorded motion as the truth, inject each effect of the catalogue at\n"
+        "several sizes with noise like the log's own, diagnose blind, and say which would be found, from\n"
+        "which size on, and which would be taken for another. Takes minutes; Ctrl-C keeps what was done.",
+        "examples:\n"
+        "  hallsym selftest LOG --model stage31\n"
+        "  hallsym selftest LOG --effects hysteresis,time_skew --sizes 1.1,1.2 --repeats 3\n"
+        "  hallsym selftest LOG --user-effects my_effects.py --effects speed_gain",
+    )  # fmt: skip
+    parser.add_argument("log", metavar="LOG", help="log, or a folder with log and meta.json")
+    parser.add_argument("--effects", metavar="NAMES", help="try only these, such as hysteresis,time_skew")
+    parser.add_argument("--user-effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
+    parser.add_argument(
+        "--sizes", type=numbers, default=RATIOS, metavar="RATIOS",
+        help="gap over noise floor, such as 1.07,1.3,2 (the default)",
+    )  # fmt: skip
+    parser.add_argument("--repeats", type=int, default=1, help="trials of each size (default 1)")
+    parser.add_argument("--seed", type=seed, default=0, help="of signs, instants and noise (default 0)")
+    parser.add_argument(
+        "--rows", type=int, default=ROWS, metavar="N",
+        help=f"thin the log to about N samples where motion and mains stay resolved (default {ROWS})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)"
+    )
+    parser.add_argument(
+        "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
+    )
+    parser.add_argument("-o", "--output", metavar="JSON", help="save the result")
+    model_options(parser, "the log's base_model, else by its columns")
+    log_options(parser)
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """Type of a list of numbers on the command line."""
+    try:
+        return tuple(float(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise ArgumentTypeError(
+            f"numbers such as 1.07,1.3,2 are expected; instead received {text!r}"
+        ) from None
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    machine = read_machine(options.machine)
+    log = open_log(options, machine)
+    name = options.model or default_model(log.meta)
+    if str(name).endswith(".json"):
+        model: Any = load_fit(name)
+    else:
+        model = build(name, meta=log.meta, added=tuple(options.effect), parameters=machine.parameters)
+    found = selftest(
+        log,
+        model,
+        names=None
+        if options.effects is None
+        else [n.strip() for n in options.effects.split(",") if n.strip()],
+        holdout=None if options.holdout is None else run_numbers(options.holdout),
+        effects=load_effects(options.user_effects) if options.user_effects else (),
+        threshold=options.threshold,
+        ratios=options.sizes,
+        repeats=options.repeats,
+        seed=options.seed,
+        rows=options.rows,
+        drop_bad=options.drop_bad,
+        on_progress=progress_of(options),
+    )
+    if options.output:
+        atomic_write(options.output, json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
+    say(options, found.to_dict(), lambda: selftest_text(found))
+    return OK if found.complete else NOT_CONVERGED

@@ -1,0 +1,177 @@
+"""`hallsym sensitivity`: what a log, or a plan, determines of each parameter."""
+
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from hallsym.cli.common import (
+    NOT_DETERMINED,
+    OK,
+    command,
+    levels,
+    log_options,
+    model_options,
+    open_log,
+    own_effects,
+    own_option,
+    progress_of,
+    say,
+    seed,
+    truth_of,
+)
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import load_fit
+from hallsym.estimation.fit import fit
+from hallsym.families import build, example
+from hallsym.families.machine_file import read_machine
+from hallsym.files import atomic_write
+from hallsym.inference import Identifiability, identify
+from hallsym.inference.comparison import beside_text, compared
+from hallsym.report.text.identifiability import report_text
+from hallsym.simulation.campaign import campaign_from, paper_campaign, read_campaign
+
+PAPER = "the paper's campaign"
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "sensitivity", run, "what a log, or a plan, determines of each parameter",
+        "Say per parameter what the data determine: value, standard uncertainty, 95 % interval, strongest\n"
+        "correlations, what it does to the decoded pose, and a verdict: determined, weak, at bound, not\n"
+        "determined (and what is instead), no effect. Null directions are named, those that no recording\n"
+        "determines apart from those that this one leaves. With --plan: the same before any recording.",
+        "examples:\n"
+        "  hallsym sensitivity calib.json LOG --plots pictures\n"
+        "  hallsym sensitivity calib.json LOG --beside stage31_tied    the same log with a tied coupling\n"
+        "  hallsym sensitivity --model stage31 --plan                  the paper's campaign, before data\n"
+        "  hallsym sensitivity calib.json --plan next.toml             what a plan would tell of the machine",
+    )  # fmt: skip
+    parser.add_argument("calibration", metavar="CALIB", nargs="?", help="saved by 'hallsym fit -o'")
+    parser.add_argument("log", metavar="LOG", nargs="?", help="the log it was fitted to, or another one")
+    parser.add_argument(
+        "--plan",
+        metavar="TOML",
+        nargs="?",
+        const="",
+        help="a campaign file instead of a log (no file: Table 6)",
+    )
+    own_option(parser)
+    parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
+    parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
+    parser.add_argument("--zeros", action="store_true", help="list the zero deviation of every run")
+    parser.add_argument(
+        "--beside", action="append", default=[], metavar="MODEL",
+        help="fit this model to the same log and set what it determines beside (repeat)",
+    )  # fmt: skip
+    group = parser.add_argument_group("intervals")
+    group.add_argument(
+        "--profiles",
+        default="auto",
+        choices=("auto", "all", "none"),
+        help="profile likelihood where a normal interval is not good enough (default), of all, or of none",
+    )
+    group.add_argument(
+        "--bootstrap", type=int, metavar="N",
+        help="resample runs N times; by default 1000 if white noise does not explain the scatter, else 0",
+    )  # fmt: skip
+    group.add_argument("--seed", type=seed, default=0, help="of the bootstrap (default 0)")
+    parser.add_argument(
+        "--values", metavar="JSON", help="calibration whose values a plan is judged at (default: Table 7)"
+    )
+    model_options(parser, "the calibration's, or stage31")
+    log_options(parser)
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    report = _planned(options) if options.plan is not None else _recorded(options)
+    others = [_other(options, report, name) for name in options.beside]
+    record = report.to_dict() | ({"beside": compared(report, others)} if others else {})
+    written = _written(options, report, record)
+
+    def text() -> str:
+        parts = [report_text(report, zeros=options.zeros)]
+        parts += ["", beside_text(report, others)] if others else []
+        return "\n".join([*parts, *(f"wrote {path}" for path in written)])
+
+    say(options, record, text)
+    return _exit_code(report)
+
+
+def _recorded(options: Namespace) -> Identifiability:
+    if options.calibration is None or options.log is None:
+        raise InputError(
+            "hallsym sensitivity needs a calibration and its log, or --plan with a campaign file; see --help."
+        )
+    if options.model or options.effect or options.machine or options.values:
+        raise InputError(
+            "--model, --effect, --machine and --values belong to --plan; a calibration has its own."
+        )
+    return identify(
+        load_fit(options.calibration, own_effects(options)),
+        open_log(options),
+        profiles=options.profiles,
+        bootstrap=options.bootstrap,
+        seed=options.seed,
+        on_progress=progress_of(options),
+    )
+
+
+def _planned(options: Namespace) -> Identifiability:
+    if options.log is not None:
+        raise InputError("Give a log or --plan, not both: a plan is what is not recorded yet.")
+    if options.beside:
+        raise InputError("--beside compares models on a log; a plan has none.")
+    own = example(build(options.model)) if options.model and not options.plan else {}
+    campaign = read_campaign(options.plan) if options.plan else paper_campaign()
+    name = Path(options.plan).name if options.plan else PAPER
+    if own:
+        name = f"the example of {options.model}"
+        campaign = campaign_from(own["campaign"], name)
+    if options.calibration is not None:
+        known = load_fit(options.calibration, own_effects(options))
+        noise = levels(campaign, known.model, {}) if campaign.noise else None
+        return identify(known, campaign, noise=noise, name=name)
+    model, values = truth_of(options, read_machine(options.machine))
+    return identify(model, campaign, values=values, noise=levels(campaign, model, values), name=name)
+
+
+def _other(options: Namespace, report: Identifiability, name: str) -> Identifiability:
+    """The report of another model on the same log and the same runs."""
+    log = open_log(options)
+    known = load_fit(options.calibration, own_effects(options))
+    model = build(name, meta=log.meta)
+    if model.layout != report.model.layout:
+        raise InputError(f"--beside {name} does not have the probes of the calibration; fit it by itself.")
+    result = fit(log, model, solver="direct", holdout=known.log["holdout"])
+    return identify(result, profiles="none", bootstrap=options.bootstrap, seed=options.seed)
+
+
+def _written(options: Namespace, report: Identifiability, record: dict[str, Any]) -> list[Path]:
+    import json
+
+    written = []
+    if options.output:
+        atomic_write(options.output, json.dumps(record, indent=1, allow_nan=False) + "\n")
+        written.append(Path(options.output))
+    if options.plots:
+        from hallsym.report.figures.sensitivity import save_sensitivity_pictures
+
+        written += save_sensitivity_pictures(report, options.plots)
+    return written
+
+
+def _exit_code(report: Identifiability) -> int:
+    """0, or 3 with one sentence when this recording leaves something undetermined or a result is missing."""
+    lost = report.evidence.undetermined_by_log
+    if lost:
+        print(
+            f"hallsym: {report.evidence.recorded} does not determine {', '.join(lost)} of "
+            f"{report.model.name}; record runs that move what they belong to ('hallsym plan' chooses them).",
+            file=sys.stderr,
+        )
+    for sentence in report.partial:
+        print(f"hallsym: {sentence}", file=sys.stderr)
+    return NOT_DETERMINED if lost or report.partial else OK

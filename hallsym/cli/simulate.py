@@ -1,0 +1,100 @@
+"""`hallsym simulate`: the log a known machine would record."""
+
+from argparse import Namespace
+from typing import Any
+
+from hallsym.cli.common import (
+    OK,
+    campaign_of,
+    command,
+    levels,
+    model_options,
+    progress_of,
+    say,
+    seed,
+    truth_of,
+)
+from hallsym.families.machine_file import read_machine
+from hallsym.log import LogWriter
+from hallsym.simulation import machine as twin
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "simulate", run, "write the log a known machine would record",
+        "Simulate a campaign of a machine with known parameters: the paper's by default (Table 6 settings,\n"
+        "sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from TOML.",
+    )  # fmt: skip
+    parser.add_argument(
+        "campaign",
+        metavar="TOML",
+        nargs="?",
+        help="campaign file (default: the paper's campaign, or the example of the model's family)",
+    )
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="LOG", help="log to write: .parquet, .csv, .h5 or .mat"
+    )
+    parser.add_argument("--seed", type=seed, required=True, help="of noise and random zero deviations")
+    parser.add_argument(
+        "--values", metavar="JSON", help="calibration whose values are the truth (default: Table 7)"
+    )
+    parser.add_argument(
+        "--noise-scale", type=float, default=1.0, help="factor on every noise level; 0 for a noise-free log"
+    )
+    parser.add_argument(
+        "--correlation", type=float, default=0.0, metavar="S", help="correlation time of the noise [s]"
+    )
+    parser.add_argument(
+        "--outliers",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="share of samples that are off by up to 1 mm or 1 mrad",
+    )
+    parser.add_argument(
+        "--adc-step", type=float, default=0.0, metavar="STEP", help="round readings to this step [SI]"
+    )
+    parser.add_argument(
+        "--cordic-steps", type=int, default=0, metavar="N", help="decode an angle with N steps of CORDIC"
+    )
+    parser.add_argument(
+        "--step", type=float, metavar="S", help="clock of the paper's campaign [s] (default 0.002)"
+    )
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="S",
+        help="length of each run of the paper's campaign [s] (default 1)",
+    )
+    model_options(parser, "that of the axes moved, else stage31")
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    machine = read_machine(options.machine)
+    campaign = campaign_of(options)
+    model, values = truth_of(options, machine, campaign)
+    noise = twin.NoiseModel(
+        {c: s * options.noise_scale for c, s in levels(campaign, model, values).items()},
+        correlation_s=options.correlation,
+        outlier_share=options.outliers,
+        adc_step_m=options.adc_step,
+        cordic_steps=options.cordic_steps,
+    )
+    show, done = progress_of(options), 0
+    with LogWriter(options.output) as writer:
+        for block in twin.simulate_blocks(model, values, campaign, noise, seed=options.seed):
+            writer.append(block)
+            done += len(block["run"])
+            show(f"{100 * done / campaign.rows:.0f} % of {campaign.rows} samples")
+    record = {
+        "log": str(options.output), "rows": campaign.rows, "runs": len(campaign.runs), "model": model.name,
+        "values": dict(values), "noise": dict(noise.sigma), "seed": options.seed,
+    }  # fmt: skip
+    say(
+        options,
+        record,
+        lambda: f"wrote {options.output}: {campaign.rows} samples in {len(campaign.runs)} runs",
+    )
+    return OK

@@ -1,0 +1,1 @@
+"""Finding the parameters: run statistics, likelihood, starts, optimum, outliers, the saved calibration."""

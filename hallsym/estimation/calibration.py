@@ -1,0 +1,259 @@
+"""A fit: parameter values with honest uncertainties, what is determined instead, errors before and after."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation.identifiable import Determination
+from hallsym.estimation.likelihood import Cost
+from hallsym.families import build, known_effect
+from hallsym.files import atomic_write
+from hallsym.log import Log, Meta, Noise, Sigma
+from hallsym.log.batches import Weigh
+from hallsym.model import Model
+
+FORMAT = "hallsym calibration 1"
+
+
+@dataclass(frozen=True)
+class CombinationEstimate:
+    """A combination that the data determine although its parameters are not: value and 1 sigma in `unit`."""
+
+    expression: str
+    value: float
+    std: float
+    unit: str
+    factors: Mapping[str, float] | None = None
+    """Of a linear combination: factor by parameter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Error tables of the decoded pose: nominal parameters without zero deviations, and the fit."""
+
+    designed: ErrorTable
+    fitted: ErrorTable
+    holdout: tuple[int, ...]
+
+    def rows(self) -> dict[str, dict[str, dict[str, float]] | None]:
+        """Return rmse and peak: `designed` over all runs, `fitted` and `holdout` over theirs."""
+        used = [run for run in self.fitted.runs if run not in self.holdout]
+        return {
+            "designed": self.designed.over(),
+            "fitted": self.fitted.over(used),
+            "holdout": self.fitted.over(self.holdout),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What `fit` returns and `calib.json` holds.
+
+    `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do not
+    determine the parameter. `covariance`: (n, n), zero rows for held parameters. `held` stayed at nominal,
+    `at_bound` ended at a bound. `zeros`: run -> zero deviations delta [m] in reading space.
+    `noise_floor`: RMSE that the stated noise alone would leave, by pose coordinate.
+    """
+
+    model: Model
+    values: np.ndarray
+    std: np.ndarray
+    determined: np.ndarray
+    covariance: np.ndarray
+    covariance_method: str
+    covariance_reason: str
+    held: tuple[str, ...]
+    structural: tuple[str, ...]
+    at_bound: tuple[str, ...]
+    combinations: tuple[CombinationEstimate, ...]
+    zeros: Mapping[int, np.ndarray]
+    noise: Noise
+    noise_floor: Mapping[str, float]
+    status: str
+    message: str
+    solver: Mapping[str, Any]
+    log: Mapping[str, Any]
+    seconds: float
+    notes: tuple[str, ...] = ()
+    errors: Errors | None = None
+    keep: Weigh | None = None
+    """Weights that took outliers out of the fit; not saved."""
+    source: Log | None = None
+    """The log itself; not saved, its hash is."""
+    likelihood: Cost | None = None
+    """The cost of the fitted runs: what profiles and refits need; not saved."""
+    determination: Determination | None = None
+    """What those runs determine; not saved."""
+    undetermined_by_log: tuple[str, ...] = ()
+    wiring: tuple[tuple[str, int], ...] | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)
+    error_rows: Mapping[str, Any] = field(default_factory=dict)
+
+    def value(self, name: str) -> float:
+        """Return one parameter's value in SI."""
+        if name not in self.model.names:
+            raise InputError(f"Model {self.model.name} has no parameter {name!r}.")
+        return float(self.values[self.model.names.index(name)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the readable record that `save` writes and `hallsym fit --json` prints."""
+        model = self.model
+        lower, upper = model.bounds
+        parameters = {
+            name: {
+                "value": float(self.values[k]),
+                "unit": model.parameters[k].unit,
+                "std": _number(self.std[k]),
+                "determined": bool(self.determined[k]),
+                "held": name in self.held,
+                "at_bound": name in self.at_bound,
+                "nominal": model.parameters[k].nominal,
+                "lower": _number(lower[k]),
+                "upper": _number(upper[k]),
+            }
+            for k, name in enumerate(model.names)
+        }
+        return {
+            "format": FORMAT,
+            "model": model.name,
+            "effects": list(model.effects),
+            "added": list(added_effects(model)),
+            "own_effects": [e for e in added_effects(model) if not known_effect(e)],
+            "parameters": parameters,
+            "combinations": [vars(c) for c in self.combinations],
+            "errors": dict(self.error_rows),
+            "noise": {c: {"value": s.value, "source": s.source} for c, s in self.noise.sigmas.items()},
+            "noise_floor": dict(self.noise_floor),
+            "status": self.status,
+            "message": self.message,
+            "seconds": self.seconds,
+            "notes": list(self.notes),
+            "undetermined_by_log": list(self.undetermined_by_log),
+            "structural": list(self.structural),
+            "solver": dict(self.solver),
+            "covariance": {
+                "parameters": list(model.names),
+                "method": self.covariance_method,
+                "reason": self.covariance_reason,
+                "matrix": self.covariance.tolist(),
+            },
+            "zero_bounds": {z.name: [_number(z.lower), _number(z.upper)] for z in model.zeros},
+            "zero_deviations": {
+                str(run): dict(zip((z.name for z in model.zeros), np.asarray(d).tolist(), strict=True))
+                for run, d in self.zeros.items()
+            },
+            "wiring": None if self.wiring is None else [list(pair) for pair in self.wiring],
+            "layout": [dict(p.entry) for p in model.layout],
+            "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
+            "versions": dict(self.versions),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the calibration as JSON; a file that was there is replaced only by a complete new one."""
+        text = json.dumps(self.to_dict(), indent=1, allow_nan=False)
+        atomic_write(Path(path), (text + "\n").encode())
+
+
+def load_fit(path: str | Path, own: Mapping[str, Callable[[Model], Model]] | None = None) -> Fit:
+    """Read a calibration that `Fit.save` wrote. Raises `InputError` for a missing or foreign file.
+
+    `own`: the user's effects by name, if it was fitted with any.
+    """
+    path = Path(path)
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(
+            f"Calibration {path} does not exist; make one with 'hallsym fit LOG -o {path}'."
+        ) from None
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"Calibration {path} cannot be read as JSON: {' '.join(str(error).split())}."
+        ) from None
+    if not isinstance(raw, dict) or raw.get("format") != FORMAT:
+        found = raw.get("format") if isinstance(raw, dict) else None
+        raise InputError(
+            f"File {path} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
+        )
+    try:
+        return _from_dict(raw, own or {})
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"Calibration {path} is incomplete ({error!r}); fit the log again.") from None
+
+
+def _from_dict(raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model]]) -> Fit:
+    entries = raw["parameters"]
+    changes = {
+        n: {"nominal": e["nominal"], "lower": _bound(e["lower"], -1), "upper": _bound(e["upper"], 1)}
+        for n, e in entries.items()
+    }
+    changes |= {
+        n: {"lower": _bound(low, -1), "upper": _bound(high, 1)}
+        for n, (low, high) in raw["zero_bounds"].items()
+    }
+    probes = [dict(entry) for entry in raw["layout"]]
+    unknown = [name for name in raw.get("own_effects", ()) if name not in own]
+    if unknown:
+        raise InputError(
+            f"The calibration was fitted with {', '.join(unknown)}, an effect of your own; "
+            "give the file that defines it: --effects my_effects.py."
+        )
+    model = build(raw["model"], meta=Meta(probes=probes), added=tuple(raw["added"]), own=own)
+    model = model.with_parameters(changes)
+    names = model.names
+    column = {k: np.array([_float(entries[n][k]) for n in names]) for k in ("value", "std")}
+    return Fit(
+        model=model,
+        values=column["value"],
+        std=column["std"],
+        determined=np.array([entries[n]["determined"] for n in names]),
+        covariance=np.array(raw["covariance"]["matrix"], dtype=float),
+        covariance_method=raw["covariance"]["method"],
+        covariance_reason=raw["covariance"]["reason"],
+        held=tuple(n for n in names if entries[n]["held"]),
+        structural=tuple(raw["structural"]),
+        at_bound=tuple(n for n in names if entries[n]["at_bound"]),
+        combinations=tuple(CombinationEstimate(**c) for c in raw["combinations"]),
+        zeros={
+            int(run): np.array([d[z.name] for z in model.zeros]) for run, d in raw["zero_deviations"].items()
+        },
+        noise=Noise({c: Sigma(s["value"], s["source"]) for c, s in raw["noise"].items()}),
+        noise_floor=raw["noise_floor"],
+        status=raw["status"],
+        message=raw["message"],
+        solver=raw["solver"],
+        log=raw["log"],
+        seconds=raw["seconds"],
+        notes=tuple(raw["notes"]),
+        undetermined_by_log=tuple(raw["undetermined_by_log"]),
+        wiring=None if raw["wiring"] is None else tuple((c, s) for c, s in raw["wiring"]),
+        versions=raw["versions"],
+        error_rows=raw["errors"],
+    )
+
+
+def added_effects(model: Model) -> Sequence[str]:
+    """Return the effects that `model` has beyond those its name stands for, with their numbers."""
+    base = build(model.name, meta=Meta(probes=[dict(p.entry) for p in model.layout])).effects
+    new = [model.texts.get(effect, effect) for effect in model.effects[len(base) :]]
+    return list(dict.fromkeys(new))
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _bound(value: float | None, sign: int) -> float:
+    return sign * float("inf") if value is None else float(value)
+
+
+def _float(value: float | None) -> float:
+    return float("nan") if value is None else float(value)

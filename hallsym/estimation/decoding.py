@@ -1,0 +1,167 @@
+"""Decode the pose from readings over a log and tabulate its errors against the reference."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hallsym.log import Log
+from hallsym.log.batches import Weigh, batches
+from hallsym.log.derived import extended
+from hallsym.log.phase import near
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorTable:
+    """Errors of the decoded pose, run by run: reference subtracted, one column per pose coordinate.
+
+    `count`: (runs,) samples. `squares`: (runs, n_pose) sums of squares. `peak`: (runs, n_pose) largest
+    absolute error. Units are those of `pose` (m, rad). `span`: least and greatest value by column of
+    reference and state, over the samples that took part.
+    """
+
+    pose: tuple[str, ...]
+    runs: tuple[int, ...]
+    count: np.ndarray
+    squares: np.ndarray
+    peak: np.ndarray
+    span: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def over(self, runs: Sequence[int] | None = None) -> dict[str, dict[str, float]] | None:
+        """Return `{"rmse": {x_m: ..}, "peak": {..}}` over some runs (default: all); None without any."""
+        pick = [k for k, run in enumerate(self.runs) if runs is None or run in set(runs)]
+        if not pick or self.count[pick].sum() == 0:
+            return None
+        rmse = np.sqrt(self.squares[pick].sum(axis=0) / self.count[pick].sum())
+        peak = self.peak[pick].max(axis=0)
+        return {
+            "rmse": dict(zip(self.pose, rmse.tolist(), strict=True)),
+            "peak": dict(zip(self.pose, peak.tolist(), strict=True)),
+        }
+
+
+def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
+    """Return `decode(p, zeros, readings, states) -> (n_pose, samples)`, compiled once for arrays."""
+    run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
+    weight = 1.0 / np.asarray(reading_variance)
+
+    def decode(p: np.ndarray, zeros: np.ndarray, readings: list, states: list) -> np.ndarray:
+        return run(p, zeros, readings, states, weight)[0]
+
+    return decode
+
+
+def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return `(p, pose, state, weight) -> d pose / d reading` on arrays, (K * n_pose, samples).
+
+    A chip that gives the pose itself has 1: where its channels clip it loses the pose, not its unit. Readings
+    that are nearly linear in the pose have that of the zero pose: at a rail their own slope is nil.
+    """
+    if len(model.channels) == 1:
+        return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
+    if model.typical:
+        return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
+    still = model.remember("gain at rest, on arrays", lambda: on_arrays(model.noise_gain))
+    return lambda p, pose, state, weight: still(p, state, weight)
+
+
+Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
+
+
+def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
+    """Return `errors(p, zeros, data) -> (n_pose, samples)`: decoded pose minus reference.
+
+    A reading at its rail has lost its pose: with `saturation` the errors are those of the readings, mapped to
+    the pose to first order.
+    """
+    weight = 1.0 / np.asarray(reading_variance)
+    if "saturation" not in model.effects:
+        decode = decoder(model, reading_variance)
+
+        def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+            readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
+            reference = np.array([data[c] for c in model.references])
+            return near(model, decode(p, zeros, readings, states), reference) - reference
+
+        return decoded
+    read, spread = on_arrays(model.reading), decoding_gain(model)
+
+    def mapped(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
+        pose, states = ([data[c] for c in names] for names in (model.references, model.state))
+        residual = np.array([data[c] for c in model.channels]) - read(p, zeros, pose, states)[0]
+        (gain,) = spread(p, pose, states, weight)
+        return np.einsum("kis,ks->is", gain.reshape(len(residual), len(model.pose), -1), residual)
+
+    return mapped
+
+
+def error_tables(
+    log: Log,
+    model: Model,
+    versions: Sequence[tuple[np.ndarray, Mapping[int, np.ndarray]]],
+    reading_variance: np.ndarray,
+    keep: Weigh | None = None,
+    on_rows: Callable[[int], None] | None = None,
+    sigma: Mapping[str, float] | None = None,
+) -> list[ErrorTable]:
+    """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
+
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
+    column, for the columns that are computed; those of parameters are taken at the last version's.
+    """
+    errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
+    sums: list[dict[int, list]] = [{} for _ in versions]
+    span: dict[str, tuple[float, float]] = {}
+    wide = extended(log, model, sigma, model.named(versions[-1][0]))
+    for batch in batches(wide, columns_of(model), on_rows):
+        weights, lengths = batch.weights(keep), np.diff(batch.edges)
+        for column in (*model.references, *model.state):
+            used = batch.data[column] if weights is None else batch.data[column][weights > 0]
+            if used.size:
+                low, high = span.get(column, (np.inf, -np.inf))
+                span[column] = (min(low, float(used.min())), max(high, float(used.max())))
+        for (p, zeros), total in zip(versions, sums, strict=True):
+            own = np.array([zeros.get(block.run, none) for block in batch.blocks])
+            error = errors_of(p, np.repeat(own, lengths, axis=0).T, batch.data)
+            for block, at in batch.parts():
+                _add(total, block.run, error[:, at] if weights is None else error[:, at][:, weights[at] > 0])
+    return [_table(model, total, span) for total in sums]
+
+
+def columns_of(model: Model) -> tuple[str, ...]:
+    """Columns a model reads: references, state (computed ones too), channels."""
+    return (*model.references, *model.state, *model.channels)
+
+
+def logged_columns(model: Model) -> tuple[str, ...]:
+    """Return the columns that a log must hold: those a model reads, and what the computed ones need."""
+    made = {c.name for c in model.computed}
+    needed = [c for m in model.computed for c in m.needs] + (["t_s"] if made else [])
+    return tuple(dict.fromkeys(c for c in (*columns_of(model), *needed) if c not in made))
+
+
+def _add(total: dict[int, list], run: int, error: np.ndarray) -> None:
+    n = error.shape[1]
+    squares = np.einsum("ij,ij->i", error, error)
+    peak = np.maximum(error.max(axis=1), -error.min(axis=1)) if n else np.zeros(len(error))
+    if run in total:
+        entry = total[run]
+        entry[0] += n
+        entry[1] = entry[1] + squares
+        entry[2] = np.maximum(entry[2], peak)
+    else:
+        total[run] = [n, squares, peak]
+
+
+def _table(model: Model, total: dict[int, list], span: Mapping[str, tuple[float, float]]) -> ErrorTable:
+    rows = list(total.values())
+    return ErrorTable(
+        model.pose,
+        tuple(total),
+        np.array([r[0] for r in rows], dtype=float),
+        np.array([r[1] for r in rows]),
+        np.array([r[2] for r in rows]),
+        span,
+    )

@@ -1,0 +1,203 @@
+"""What the data determine: null directions, held parameters, determined combinations.
+
+Parameters are scaled by the width of their bounds, so "undetermined" has one meaning for all: the data move
+the standard uncertainty of a direction no further down than a quarter of that width.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg import qr
+
+from hallsym.estimation.likelihood import Coefficients, Cost
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+from hallsym.model.features import Features
+
+UNDETERMINED = 0.25
+"""Standard uncertainty over bound width above which a direction counts as not determined (flat: 0.29)."""
+
+ROUNDING = 1e-13
+"""Information below this part of the largest is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Determination:
+    """Which parameters the data determine.
+
+    `null`: (n, k) orthonormal basis of the undetermined directions, in parameters scaled by `scale`.
+    `structural`: names no recording can determine with this model. `held`: index of the k parameters that
+    stay at their nominal value so that the others can be estimated.
+    """
+
+    scale: np.ndarray
+    null: np.ndarray
+    structural: tuple[str, ...]
+    held: tuple[int, ...]
+    n_structural: int = 0
+    """How many of the first columns of `null` no recording can determine."""
+
+    def slack(self, gradient: np.ndarray) -> float:
+        """How far a quantity with this gradient can move along the null directions inside the bounds."""
+        return 0.5 * float(np.linalg.norm((np.asarray(gradient) * self.scale) @ self.null))
+
+
+def scales(model: Model) -> np.ndarray:
+    """Width of each parameter's bounds; 1 where they are infinite or closed."""
+    width = model.bounds[1] - model.bounds[0]
+    return np.where(np.isfinite(width) & (width > 0), width, 1.0)
+
+
+def determine(cost: Cost, p: np.ndarray) -> Determination:
+    """Find the undetermined directions of `cost` at `p` and choose what to hold.
+
+    A motion no larger than the noise of its reference does not count (`information(2)`).
+    """
+    model = cost.summary.model
+    scale, (lower, upper) = scales(model), model.bounds
+    open_ = lower < upper
+    always = structural_null(cost.coefficients, feature_scale(cost), p, open_)
+    rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
+    rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
+    information = np.tensordot(cost.weights, cost.at(p).information(2.0), axes=1) * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(rest.T @ information @ rest)
+    weak = values < max(UNDETERMINED**-2, ROUNDING * values.max(initial=0.0))
+    null = np.hstack([always, rest @ vectors[:, weak]])
+    inside = (lower <= model.nominal) & (model.nominal <= upper)
+    held = {*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}
+    moving = np.flatnonzero(np.linalg.norm(always, axis=1) > 1e-6)
+    return Determination(
+        scale, null, tuple(model.names[k] for k in moving), tuple(sorted(held)), always.shape[1]
+    )
+
+
+def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:
+    """The parameters whose values fix every null direction best: pivoted QR of the null basis.
+
+    Those whose nominal value lies outside their bounds come last: they would not be held at nominal.
+    """
+    if null.shape[1] == 0:
+        return []
+    preferred = null.T * np.where(inside, 1.0, 1e-3)
+    return [int(k) for k in qr(preferred, mode="r", pivoting=True)[1][: null.shape[1]]]
+
+
+def feature_scale(cost: Cost) -> np.ndarray:
+    """Size of each feature in this log, shape (n_features,): the norm of its column over all runs."""
+    size = np.sqrt(np.einsum("rjj->j", cost.grams))
+    return np.where(size > 0, size, 1.0)
+
+
+def structural_null(
+    coefficients: Coefficients,
+    feature_scale: np.ndarray,
+    p: np.ndarray | None = None,
+    open_: np.ndarray | None = None,
+    points: int = 3,
+    seed: int = 0,
+) -> np.ndarray:
+    """Directions that no recording can determine: the null space of d coefficients / d parameters at `p`.
+
+    Its dimension is decided at random points inside the bounds by `structural_rank`, the smallest counts; `p`
+    is the last of them by default. `open_` (n,) says which parameters are not fixed (default: all). Returns
+    an orthonormal basis (n, k) in scaled parameters.
+    """
+    model = coefficients.features.model
+    scale = scales(model)
+    open_ = np.ones(len(scale), dtype=bool) if open_ is None else open_
+    if not open_.any():
+        return np.zeros((len(scale), 0))
+    rank, _ = structural_rank(coefficients.features, tuple(open_.tolist()), points, seed)
+    at = _random_points(model, points, seed)[-1] if p is None else p
+    rows = coefficients.features.slope_rows(np.asarray(at, dtype=float))
+    if rows is None:
+        slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
+        rows = np.swapaxes(slope, 1, 2).reshape(-1, len(scale))
+    jacobian = (rows * scale)[:, open_]
+    null = np.zeros((len(scale), int(open_.sum()) - rank))
+    null[open_] = np.linalg.svd(jacobian)[2][rank:].T
+    return null
+
+
+def _random_points(model: Model, points: int, seed: int) -> np.ndarray:
+    rng, scale, (lower, upper) = np.random.default_rng(seed), scales(model), model.bounds
+    lower = np.where(np.isfinite(lower), lower, model.nominal - scale)
+    upper = np.where(np.isfinite(upper), upper, model.nominal + scale)
+    return rng.uniform(lower, upper, (points, len(scale)))
+
+
+@lru_cache(maxsize=64)
+def structural_rank(
+    features: Features, open_: tuple[bool, ...], points: int = 3, seed: int = 0
+) -> tuple[int, np.ndarray]:
+    """Rank of d coefficients / d parameters, the largest at random points, and the pivots that decided it.
+
+    Gaussian elimination with full pivoting in extended precision (where the machine has it), every row scaled
+    to 1: a pivot that is zero comes out as rounding, some 16 decades below those that are not.
+    """
+    model = features.model
+    at = _random_points(model, points, seed).astype(np.longdouble)
+    sampled = [rows for point in at if (rows := features.slope_rows(point)) is not None]
+    if sampled:
+        rows = np.array(sampled) * scales(model)
+    else:
+        slope = on_arrays(features.expansion[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
+        shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, points)
+        rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, points).T * scales(model)
+    tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]
+    floor = rows.shape[1] * 1e3 * float(np.finfo(np.longdouble).eps)
+    ranks = [int(np.sum(pivots > floor * pivots.max(initial=0.0))) for pivots in tried]
+    best = int(np.argmax(ranks))
+    return ranks[best], tried[best]
+
+
+def _pivots(matrix: np.ndarray) -> np.ndarray:
+    """Pivots of Gaussian elimination with full pivoting, rows scaled to 1 first."""
+    size = np.abs(matrix).max(axis=1, initial=0.0)
+    rest, found = matrix[size > 0] / size[size > 0, None], []
+    for _ in range(min(rest.shape)):
+        i, j = np.unravel_index(int(np.argmax(np.abs(rest))), rest.shape)
+        pivot = rest[i, j]
+        found.append(abs(pivot))
+        if pivot == 0:
+            break
+        rest = np.delete(rest - np.outer(rest[:, j] / pivot, rest[i]), i, axis=0)
+        rest = np.delete(rest, j, axis=1)
+    return np.array(found + [0.0] * (matrix.shape[1] - len(found)), dtype=float)
+
+
+def linear_combinations(
+    scale: np.ndarray, null: np.ndarray, known: np.ndarray, among: np.ndarray
+) -> list[np.ndarray]:
+    """Sparse linear combinations that are determined although their parameters are not.
+
+    Among the parameters with index in `among`: the complement of `null` (n, k) and of the gradients `known`
+    (n, m) of combinations already named, reduced to echelon form. One gradient (n,) each, with respect to
+    the unscaled parameters, its largest scaled entry 1.
+    """
+    if len(among) == 0:
+        return []
+    taken = np.hstack([null[among], (known * scale[:, None])[among]])
+    u, values, _ = np.linalg.svd(taken, full_matrices=True)
+    rank = int(np.sum(values > 1e-3 * max(values.max(initial=0.0), 1e-300)))
+    out = []
+    for row in echelon(u[:, rank:].T):
+        gradient = np.zeros(len(scale))
+        gradient[among] = row / scale[among]
+        lead = int(np.argmax(np.abs(gradient * scale)))
+        out.append(gradient / gradient[lead])
+    return out
+
+
+def echelon(rows: np.ndarray) -> np.ndarray:
+    """Return the reduced row echelon form, pivots chosen by size; entries below 1e-6 are zero."""
+    rows = rows.copy()
+    for i in range(len(rows)):
+        j = int(np.argmax(np.abs(rows[i])))
+        rows[i] /= rows[i, j]
+        for k in range(len(rows)):
+            if k != i:
+                rows[k] -= rows[k, j] * rows[i]
+    rows[np.abs(rows) < 1e-6] = 0.0
+    return rows

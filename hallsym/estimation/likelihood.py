@@ -1,0 +1,297 @@
+"""The maximum-likelihood cost of a model on run summaries, with exact derivatives.
+
+Reading and reference are both noisy, so a residual r (one entry per channel) has the covariance
+C = Sigma_reading + (dr/dcolumn) Sigma_column (dr/dcolumn)^T, which depends on the parameters. With the true
+pose eliminated the likelihood of independent Gaussian noise is
+
+    F(p, d) = sum over runs of tr(C_i(p)^-1 A_i^T A_i)
+    A_i = R_i [-X_i; 1],   X_i = c(p) + sum_l d_il E_l(p)
+
+with R_i the run's triangle, X_i the coefficients of its features and C_i the run's mean covariance (for which
+F is unbiased, docs/theory.md). F is quadratic in a run's zeros d_i: they are eliminated exactly, and
+gradient and Hessian below are those of the cost that is left.
+"""
+
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from hallsym.estimation.run_statistics import Summary
+from hallsym.model.arrays import on_arrays
+from hallsym.model.features import Features
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """c(p) and E_l(p) of a model with their derivatives, as one CasADi call each.
+
+    Arrays have the axes (1 + n_zeros, n_features, n_channels), c first, then one E_l per zero.
+    """
+
+    features: Features
+    centre: np.ndarray
+
+    @property
+    def n_zeros(self) -> int:
+        """Zeros of a run that these features carry: all of the model's, or none once projected out."""
+        return self.features.n_zeros
+
+    @cached_property
+    def population(self) -> Callable[[np.ndarray], np.ndarray]:
+        """`(m, n) parameter vectors -> (m, n_features, n_channels)` coefficients c at zero deviation."""
+        model = self.features.model
+        c = self.features.coefficients(model.symbols.parameters, ca.SX.zeros(len(model.zeros)), self.centre)
+        run = on_arrays(ca.Function("population", [model.symbols.parameters], [ca.densify(c)]))
+        shape = (len(model.channels), self.features.size)
+
+        def coefficients(points: np.ndarray) -> np.ndarray:
+            (flat,) = run(np.ascontiguousarray(points.T))
+            return np.transpose(flat.reshape(*shape, len(points)), (2, 1, 0))
+
+        return coefficients
+
+    def first(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the coefficients and their slopes, the latter (1 + n_zeros, n_features, n, n_channels)."""
+        model = self.features.model
+        shape = (1 + self.n_zeros, len(model.channels), self.features.size)
+        value, slope = (np.asarray(v) for v in self.features.expansion[0](p, self.centre))
+        return (
+            np.ascontiguousarray(np.swapaxes(value.T.reshape(shape), 1, 2)),
+            np.ascontiguousarray(np.transpose(slope.reshape(*shape, -1), (0, 2, 3, 1))),
+        )
+
+    def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
+        flat = np.swapaxes(weights, 1, 2).ravel()
+        return np.asarray(self.features.expansion[1](p, self.centre, flat))
+
+
+@dataclass(frozen=True, eq=False)
+class Cost:
+    """F(p) with the zeros of every run eliminated.
+
+    `reading_variance`: (n_channels,) variance of each channel. `column_variance`: (n_columns,) variance of
+    each pose and state column. `weights`: (runs,) weight of each run (1; other values re-weight runs in
+    bootstrap and cross-validation without touching a sample).
+    """
+
+    summary: Summary
+    coefficients: Coefficients
+    reading_variance: np.ndarray
+    column_variance: np.ndarray
+    weights: np.ndarray
+
+    anchor: "Point | None" = None
+    """A point whose run-by-run parts are shared by every re-weighting (`anchored`)."""
+    planned: bool = False
+    """The logged columns hold the motion itself, without noise: a campaign that is not recorded yet."""
+
+    @cached_property
+    def noise_in_features(self) -> np.ndarray:
+        """Q_i = sum over columns of variance * mean outer product of feature slopes, (runs, f, f)."""
+        return np.tensordot(self.summary.slopes, self.column_variance, axes=(1, 0))
+
+    @cached_property
+    def triangles(self) -> tuple[np.ndarray, np.ndarray]:
+        """The parts of each run's triangle that belong to features and to readings."""
+        n = self.summary.features.size
+        R = self.summary.triangles
+        return np.ascontiguousarray(R[:, :, :n]), np.ascontiguousarray(R[:, :, n:])
+
+    @cached_property
+    def grams(self) -> np.ndarray:
+        """R_f^T R_f of each run, (runs, f, f): enough digits for second derivatives, not for the cost."""
+        R_f = self.triangles[0]
+        return np.swapaxes(R_f, 1, 2) @ R_f
+
+    def weighted(self, weights: np.ndarray) -> "Cost":
+        """Return the same cost with other run weights; nothing that belongs to the runs is computed again."""
+        other = replace(self, weights=np.asarray(weights, dtype=float))
+        for name in ("noise_in_features", "triangles", "grams"):
+            other.__dict__[name] = getattr(self, name)
+        return other
+
+    def anchored(self, p: np.ndarray) -> "Cost":
+        """Return a cost whose re-weightings share what has been computed at `p`: for many refits from `p`."""
+        point = self.at(p)
+        point.derivatives()
+        return replace(self.weighted(self.weights), anchor=point).weighted(self.weights)
+
+    def population(self, points: np.ndarray) -> np.ndarray:
+        """Return F of whole populations, (m, n) -> (m,), for a merged summary (no zeros, one run)."""
+        (R_f,), (R_m,) = self.triangles
+        X = self.coefficients.population(points)
+        A = R_m - R_f @ X
+        C = np.diag(self.reading_variance) + np.swapaxes(X, 1, 2) @ (self.noise_in_features[0] @ X)
+        return np.einsum("mkk->m", np.linalg.solve(C, np.swapaxes(A, 1, 2) @ A))
+
+    def at(self, p: np.ndarray) -> "Point":
+        """Return everything the cost knows at one parameter vector."""
+        if self.anchor is not None and np.array_equal(p, self.anchor.p):
+            return self.anchor.reweighted(self)
+        return Point(self, np.asarray(p, dtype=float))
+
+
+class Point:
+    """The cost at one parameter vector: `value`, `zeros`, and derivatives on request.
+
+    Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z zeros, v = n + z.
+    `zeros`: (r, z), optimal for these parameters, as displacements [m]. `covariance`: (r, K, K).
+    """
+
+    def __init__(self, cost: Cost, p: np.ndarray) -> None:
+        self.cost, self.p = cost, p
+        self.c, self.dc = cost.coefficients.first(p)
+        self.R_f, R_m = cost.triangles
+        base = self.c[0]
+        # a zero's own features have no slope, so X may leave the zeros out in Q X
+        self.QX = cost.noise_in_features @ base  # (r, f, K)
+        self.covariance = np.diag(cost.reading_variance) + base.T @ self.QX
+        self.W = np.linalg.inv(self.covariance)
+        self.L = np.linalg.cholesky(self.W)
+        at_zero = R_m - self.R_f @ base
+        self.zeros = self._eliminate(at_zero)
+        self.A = at_zero - self.R_f @ np.tensordot(self.zeros, self.c[1:], axes=1)  # (r, m, K)
+        self.S = np.swapaxes(self.A, 1, 2) @ self.A
+        self.run_values = np.einsum("rkl,rlk->r", self.W, self.S)
+        self.value = float(cost.weights @ self.run_values)
+
+    def _eliminate(self, residual: np.ndarray) -> np.ndarray:
+        """Zeros that minimise F: linear least squares in each run."""
+        r, z, k = len(residual), len(self.c) - 1, self.cost.summary.features.n_zero
+        if z == 0:
+            return np.zeros((r, 0))
+        moved = (self.R_f[:, None, :, :k] @ self.c[1:, :k]) @ self.L[:, None]  # (r, z, m, K)
+        moved = moved.reshape(r, z, -1)
+        target = (residual @ self.L).reshape(r, -1, 1)
+        return np.linalg.solve(moved @ np.swapaxes(moved, 1, 2), moved @ target)[..., 0]
+
+    def reweighted(self, cost: Cost) -> "Point":
+        """Return this point for the same runs with other weights."""
+        other = copy(self)
+        other.cost, other.value = cost, float(cost.weights @ self.run_values)
+        return other
+
+    @cached_property
+    def _B(self) -> np.ndarray:
+        """dX / d(p, zeros), shape (r, K, f, v)."""
+        r, z, (f, n, K) = len(self.zeros), len(self.c) - 1, self.dc.shape[1:]
+        by_channel = np.ascontiguousarray(np.transpose(self.dc, (0, 3, 1, 2)))
+        B = np.empty((r, K, f, n + z))
+        B[..., :n] = by_channel[0] + np.tensordot(self.zeros, by_channel[1:], axes=1)
+        B[..., n:] = np.transpose(self.c[1:], (2, 1, 0))
+        return B
+
+    @cached_property
+    def _G(self) -> np.ndarray:
+        """dF / dX of each run, shape (r, f, K)."""
+        return -2.0 * (np.swapaxes(self.R_f, 1, 2) @ self.A @ self.W + self.QX @ self._WSW)
+
+    @cached_property
+    def _WSW(self) -> np.ndarray:
+        return self.W @ self.S @ self.W
+
+    def _quadratic(self, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, shape (r, v, v)."""
+        r, K, f, v = self._B.shape
+        middle = fit @ (self.cost.grams[:, None] @ self._B).reshape(r, K, f * v)
+        if np.any(self.cost.column_variance):
+            middle -= noise @ (self.cost.noise_in_features[:, None] @ self._B).reshape(r, K, f * v)
+        return np.swapaxes(self._B.reshape(r, K * f, v), 1, 2) @ middle.reshape(r, K * f, v)
+
+    @cached_property
+    def run_gradients(self) -> np.ndarray:
+        """Gradient of each run's own F, shape (r, n): what the run-block covariance is made of."""
+        r, K, f, v = self._B.shape
+        G = np.swapaxes(self._G, 1, 2).reshape(r, 1, K * f)
+        return (G @ self._B.reshape(r, K * f, v))[:, 0, : len(self.p)]
+
+    @cached_property
+    def _run_hessians(self) -> np.ndarray:
+        """Hessian of each run's F with its zeros eliminated, without the curvature of c, shape (r, n, n)."""
+        n, z = len(self.p), len(self.c) - 1
+        H = 2.0 * self._quadratic(self.W, self._WSW) + self._covariance_terms()
+        if z == 0:
+            return H
+        cross = np.tensordot(self._G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
+        H_pd = H[:, :n, n:] + np.swapaxes(cross, 1, 2)
+        return H[:, :n, :n] - H_pd @ np.linalg.solve(H[:, n:, n:], np.swapaxes(H_pd, 1, 2))
+
+    @cached_property
+    def run_hessians(self) -> np.ndarray:
+        """Exact Hessian of each run's own F with its zeros eliminated, shape (r, n, n)."""
+        loads = np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1)
+        bends = [
+            self.cost.coefficients.curvature(self.p, load[:, None, None] * G)
+            for load, G in zip(loads, self._G, strict=True)
+        ]
+        hessians = self._run_hessians + np.array(bends)
+        return 0.5 * (hessians + np.swapaxes(hessians, 1, 2))
+
+    def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return F, its gradient (n,) and its exact Hessian (n, n), the zeros eliminated."""
+        weights = self.cost.weights
+        hessian = np.einsum("r,rij->ij", weights, self._run_hessians)
+        loads = np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1) * weights[:, None]
+        bend = np.tensordot(loads, self._G, axes=(0, 0))
+        hessian = hessian + self.cost.coefficients.curvature(self.p, bend)
+        return self.value, weights @ self.run_gradients, 0.5 * (hessian + hessian.T)
+
+    def _covariance_terms(self) -> np.ndarray | float:
+        """Second-order terms of F through C(p) that hold dC, shape (r, v, v)."""
+        if not np.any(self.cost.column_variance):
+            return 0.0
+        r, K, _, v = self._B.shape
+        AR = np.swapaxes(self.A, 1, 2) @ self.R_f  # -A^T dA = AR B
+        both = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)[:, None] @ self._B
+        half, U = both[:, :, :K], both[:, :, K:]
+        dC = (half + np.swapaxes(half, 1, 2)).reshape(r, K * K, v)
+        inner = _kron(self._WSW, self.W) @ dC - 2.0 * (_kron(self.W, self.W) @ U.reshape(r, K * K, v))
+        terms = np.swapaxes(dC, 1, 2) @ inner
+        return terms + np.swapaxes(terms, 1, 2)
+
+    def information(self, noise_factor: float = 1.0) -> np.ndarray:
+        """Expected information of each run, shape (r, n, n), the zeros eliminated.
+
+        The reference's own noise moves the features too; `noise_factor` times its expected share is taken
+        out (1: what the true motion tells; 2: nothing for a motion no larger than its noise).
+        """
+        n, z = len(self.p), len(self.c) - 1
+        full = self._full_information(noise_factor)
+        if z == 0:
+            return full
+        return full[:, :n, :n] - full[:, :n, n:] @ np.linalg.solve(full[:, n:, n:], full[:, n:, :n])
+
+    def _full_information(self, noise_factor: float) -> np.ndarray:
+        counts = self.cost.summary.counts[:, None, None]
+        return self._quadratic(self.W, (noise_factor - self.cost.planned) * counts * self.W)
+
+    def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
+        """Covariance of each run's zero displacements [m^2], (r, z, z); `covariance`: of the parameters."""
+        n = len(self.p)
+        full = self._full_information(1.0)
+        own = np.linalg.inv(full[:, n:, n:])
+        slope = own @ full[:, n:, :n]
+        return own + slope @ covariance @ np.swapaxes(slope, 1, 2)
+
+
+def _kron(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Kronecker product of each pair of K x K matrices, shape (r, K^2, K^2)."""
+    r, K, _ = a.shape
+    return np.einsum("rij,rkl->rikjl", a, b).reshape(r, K * K, K * K)
+
+
+def cost_of(summary: Summary, noise: Mapping[str, float]) -> Cost:
+    """Return the likelihood of `summary` for standard deviations `noise` by column (absent: exact)."""
+    model = summary.model
+    return Cost(
+        summary,
+        Coefficients(summary.features, summary.centre),
+        np.array([noise[c] ** 2 for c in model.channels]),
+        np.array([noise.get(c, 0.0) ** 2 for c in (*model.references, *model.state)]),
+        np.ones(len(summary.runs)),
+    )

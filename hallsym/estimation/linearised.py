@@ -1,0 +1,172 @@
+"""Run summaries of models that have none of their own: the reading as a line around a point.
+
+A reading that is no polynomial of the columns, or not linear in the zeros of a run, or that reads columns
+made from the log (rates, memory), is replaced by its tangent at parameters p0 and zeros z0:
+
+    reading = [r(p0, z0) - J_z z0] + J_p (p - p0) + J_z z,      J_p = dr/dp, J_z = dr/dz
+
+J_p, J_z and the bracket are functions of the data: features, like those of `hallsym.model.features`, whose
+coefficients 1, p - p0 and z are linear. At p0 value and gradient of the cost are exact, so an optimum found
+by taking the tangent again at each step (Gauss-Newton, `gauss_newton`) is that of the exact cost.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.estimation.run_statistics import Summary, summarised
+from hallsym.log import Log
+from hallsym.log.batches import Batch, Weigh
+from hallsym.log.derived import extended
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+from hallsym.model.features import Features, find_features
+
+SAMPLES = 60
+"""Random poses and states at which it is asked what no recording can determine."""
+
+
+@lru_cache(maxsize=64)
+def exact(model: Model) -> bool:
+    """Return whether the model has run summaries of its own, exact for all parameters."""
+    if model.computed:
+        return False
+    s = model.symbols
+    if s.zeros.numel() and any(ca.which_depends(ca.vec(s.reading), s.zeros, 2, False)):
+        return False
+    try:
+        find_features(model)
+    except InputError:
+        return False
+    return True
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """The features of a model's tangents and their slopes as functions of (p, zeros, pose, state).
+
+    `entries`: (channel, parameter) of each entry of J_p that is not always 0; `zero_entries`: those of
+    J_z. The features are those of J_z, then of J_p, then the bracket of each channel.
+    """
+
+    entries: tuple[tuple[int, int], ...]
+    zero_entries: tuple[tuple[int, int], ...]
+    values: Callable[..., list[np.ndarray]]
+    slopes: Callable[..., list[np.ndarray]]
+    by_parameter: Callable[..., list[np.ndarray]]
+
+
+@lru_cache(maxsize=32)
+def program(model: Model) -> Program:
+    """Return the tangents of a model, by differentiation."""
+    s = model.symbols
+    reading = ca.densify(s.full(s.reading))
+    by_p, by_z = ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)
+    entries, zero_entries = _entries(by_p), _entries(by_z)
+    rest = reading - by_z @ s.zeros if s.zeros.numel() else reading
+    rows = ca.vertcat(*(by_z[k, j] for k, j in zero_entries), *(by_p[k, j] for k, j in entries), rest)
+    inputs = [s.parameters, s.zeros, s.pose, s.state]
+    slopes = ca.jacobian(rows, ca.vertcat(s.pose, s.state))
+    return Program(
+        entries,
+        zero_entries,
+        on_arrays(ca.Function("tangents", inputs, [ca.densify(rows)])),
+        on_arrays(ca.Function("tangent_slopes", inputs, [ca.densify(slopes)])),
+        on_arrays(ca.Function("by_parameter", inputs, [ca.densify(by_p)])),
+    )
+
+
+def _entries(jacobian: ca.SX) -> tuple[tuple[int, int], ...]:
+    rows, columns = jacobian.sparsity().get_triplet()
+    return tuple((int(k), int(j)) for k, j in zip(rows, columns, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class TangentFeatures(Features):
+    """Features of the tangent at the parameters `at`; a stand-in wherever `Features` serve a cost."""
+
+    at: np.ndarray
+
+    @cached_property
+    def values(self) -> Callable[..., list[np.ndarray]]:
+        """`(pose, state, zeros) -> [features]` on arrays of samples; `zeros`: (z, samples)."""
+        run = program(self.model).values
+        return lambda pose, state, zeros: run(self.at, zeros, pose, state)
+
+    @cached_property
+    def slopes(self) -> Callable[..., list[np.ndarray]]:
+        """`(pose, state, zeros) -> [d feature / d column]`, (n_columns * n_features, samples).
+
+        Taken at zeros of 0: the weight of a residual does not depend on the zeros.
+        """
+        run = program(self.model).slopes
+        return lambda pose, state, zeros: run(self.at, np.zeros_like(zeros), pose, state)
+
+    @cached_property
+    def expansion(self) -> Any:
+        """Coefficients with their derivatives as `Features.expansion` gives them: linear, so no curvature."""
+        parts, model = program(self.model), self.model
+        K, n, z, size = len(model.channels), len(model.names), self.n_zeros, self.size
+        skip = len(parts.zero_entries) - self.n_zero
+        value, slope = np.zeros((1 + z, K, size)), np.zeros((1 + z, K, size, n))
+        for row, (k, j) in enumerate(parts.zero_entries[skip:]):
+            value[1 + j, k, row] = 1.0
+        where = [(k, self.n_zero + row, j) for row, (k, j) in enumerate(parts.entries)]
+        for k, row, j in where:
+            slope[0, k, row, j] = 1.0
+        for k in range(K):
+            value[0, k, size - K + k] = 1.0
+
+        def first(p: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            now = value.copy()
+            for k, row, j in where:
+                now[0, k, row] = p[j] - self.at[j]
+            return now.reshape(1 + z, -1).T, slope.reshape(-1, n)
+
+        return first, lambda p, centre, weights: np.zeros((n, n))
+
+    def slope_rows(self, p: np.ndarray) -> np.ndarray:
+        """Return d reading / d parameters, (rows, n), at random poses and states of size 1."""
+        model, rng = self.model, np.random.default_rng(0)
+        pose, state = (rng.standard_normal((len(c), SAMPLES)) for c in (model.pose, model.state))
+        zeros = np.zeros((len(model.zeros), SAMPLES))
+        wide = [np.asarray(v).astype(p.dtype) for v in (p, zeros, pose, state)]
+        (rows,) = program(model).by_parameter(*wide)
+        return np.moveaxis(rows.reshape(len(model.names), -1), 0, 1)
+
+    def label(self, j: int) -> str:
+        """Readable name of feature j, such as `d hall_a_m / d eta_A`."""
+        parts, model = program(self.model), self.model
+        names = [f"d {model.channels[k]} / d {model.zeros[j].name}" for k, j in parts.zero_entries]
+        names += [f"d {model.channels[k]} / d {model.names[j]}" for k, j in parts.entries]
+        return [*names, *model.channels][j]
+
+
+def summarise_at(
+    log: Log,
+    model: Model,
+    p: np.ndarray,
+    zeros: Mapping[int, np.ndarray],
+    weigh: Weigh | None = None,
+    on_rows: Callable[[int], None] | None = None,
+    sigma: Mapping[str, float] | None = None,
+) -> Summary:
+    """Read a log once and return its run summaries for the tangent of `model` at `p` and `zeros` by run.
+
+    `weigh`, `on_rows` as for `summarise`; `sigma`: noise by column, for the columns that are computed.
+    """
+    parts = program(model)
+    size = len(parts.zero_entries) + len(parts.entries) + len(model.channels)
+    features = TangentFeatures(model, np.zeros((size, 1), dtype=int), len(parts.zero_entries), np.array(p))
+    none = np.zeros(len(model.zeros))
+
+    def place(batch: Batch) -> np.ndarray:
+        own = np.array([zeros.get(block.run, none) for block in batch.blocks])
+        return np.repeat(own, np.diff(batch.edges), axis=0).T
+
+    return summarised(extended(log, model, sigma, model.named(p)), features, place, weigh, on_rows)

@@ -1,0 +1,161 @@
+"""Find the optimum of a likelihood on run summaries: global stage, IPOPT, and quick refits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import solvers
+from hallsym.estimation.identifiable import Determination, scales
+from hallsym.estimation.likelihood import Cost
+from hallsym.model import Model
+from solvers.hybrid import EXPLORERS
+
+SOLVERS = ("hybrid", "direct", *EXPLORERS)
+"""hybrid is SHTLBO, closed form, IPOPT; direct leaves the global stage out; the others replace SHTLBO."""
+BUDGET, SIZE, KEEP = 4040, 40, 3
+"""Evaluations and class size of the global stage; how many of its points are refined."""
+WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
+"""IPOPT's barrier for a start that is close already: 4 evaluations instead of 9."""
+SCREENED, ELSEWHERE = 100, 2
+"""Latin-hypercube points that are looked at, and how many of the best that are apart are refined too."""
+POLISH = 10
+"""Steps of Newton's method after IPOPT, at most."""
+SAME = 1e-6
+"""Relative difference of cost within which two optima are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How an optimum was found: solver status, starts that were refined and the share that agree."""
+
+    p: np.ndarray
+    cost: float
+    status: str
+    message: str
+    evaluations: int
+    starts: int
+    share: float
+
+
+def search(
+    fitted: Cost, merged: Cost, first: np.ndarray, found: Determination, *, solver: str, seed: int
+) -> Search:
+    """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global stage.
+
+    The global stage and its local refinements run on `merged`, where the zeros are projected out and the
+    whole population is evaluated at once; IPOPT then refines the best of them on the exact cost.
+    """
+    free = np.array([k for k in range(len(first)) if k not in found.held], dtype=int)
+    if len(free) == 0:
+        return Search(first, fitted.at(first).value, "converged", "Nothing was left to fit.", 1, 1, 1.0)
+    scaled, explored = Scaled(fitted.summary.model, first, free, found.scale[free]), None
+    if solver != "direct":
+        options: dict[str, Any] = {} if solver == "screening" else {"size": SIZE}
+        problem, rng = scaled.problem(merged), np.random.default_rng(seed)
+        explored = solvers.hybrid(
+            problem,
+            seed=rng,
+            starts=np.vstack([scaled.to_unit(first), *_elsewhere(problem, rng)]),
+            keep=KEEP,
+            budget=BUDGET,
+            global_solver="shtlbo" if solver == "hybrid" else solver,
+            same=SAME,
+            **options,
+        )
+        first = scaled.from_unit(explored.x)
+    # restarted at an optimum IPOPT may look for it among rounding errors, thousands of evaluations long
+    local = solvers.newton(scaled.problem(fitted), scaled.to_unit(first), max_iterations=1)
+    if local.status != "converged":
+        local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first), **WARM)
+    # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
+    polished = solvers.newton(scaled.problem(fitted), local.x, max_iterations=POLISH)
+    interrupted = explored is not None and explored.status == "interrupted"
+    return Search(
+        p=scaled.from_unit(polished.x),
+        cost=polished.cost * scaled.samples(fitted),
+        status="interrupted" if interrupted else local.status,
+        message=explored.message if interrupted and explored else local.message,
+        evaluations=local.evaluations + polished.evaluations + (explored.evaluations if explored else 0),
+        starts=1 if explored is None else len(explored.local),
+        share=1.0 if explored is None else float(explored.share),
+    )
+
+
+def _elsewhere(problem: solvers.Problem, rng: np.random.Generator) -> np.ndarray:
+    """Points far from every other start: the evidence that the optimum does not depend on the start."""
+    return solvers.screened_starts(problem, SCREENED, ELSEWHERE, rng).x
+
+
+def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
+    """Return the optimum of a re-weighted cost near `p`: Newton's method on the summaries, no global stage.
+
+    For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
+    """
+    scaled = scaled_around(cost.summary.model, p, held)
+    return scaled.from_unit(solvers.newton(scaled.problem(cost), scaled.to_unit(scaled.base)).x)
+
+
+def scaled_around(model: Model, p: np.ndarray, held: Sequence[int]) -> "Scaled":
+    """Return the scaled parameters of `model` with those of index in `held` kept as in `p`."""
+    free = np.array([k for k in range(len(p)) if k not in held], dtype=int)
+    return Scaled(model, np.asarray(p, dtype=float), free, scales(model)[free])
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """The free parameters in units of their bound width, the others where they are held.
+
+    `base`: (n,) values of the others. `free`: index of the free ones. `scale`: their widths.
+    """
+
+    model: Model
+    base: np.ndarray
+    free: np.ndarray
+    scale: np.ndarray
+
+    def to_unit(self, p: np.ndarray) -> np.ndarray:
+        """Return the free ones of `p` (n,) in units of their width."""
+        return (p[self.free] - self._origin) / self.scale
+
+    def from_unit(self, x: np.ndarray) -> np.ndarray:
+        """Return all parameters for free ones in units of their width, one point or many rows."""
+        p = np.tile(self.base, (*np.shape(x)[:-1], 1)) if np.ndim(x) > 1 else self.base.copy()
+        p[..., self.free] = self._origin + x * self.scale
+        return p
+
+    @property
+    def _origin(self) -> np.ndarray:
+        lower = self.model.bounds[0][self.free]
+        return np.where(np.isfinite(lower), lower, self.base[self.free])
+
+    def samples(self, cost: Cost) -> float:
+        """Return how many samples count: costs are per sample in `problem`."""
+        return float(cost.weights @ cost.summary.counts)
+
+    def problem(self, cost: Cost) -> solvers.Problem:
+        """Cost per sample, whole populations at once where the cost is a merged one."""
+        n, free = self.samples(cost), self.free
+
+        def population(x: np.ndarray) -> np.ndarray:
+            points = self.from_unit(x)
+            if cost.summary.features.n_zero == 0 and len(cost.summary.runs) == 1:
+                return cost.population(points) / n
+            return np.array([cost.at(p).value for p in points]) / n
+
+        def derivatives(x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+            f, g, H = cost.at(self.from_unit(x)).derivatives()
+            return (
+                f / n,
+                g[free] * self.scale / n,
+                H[np.ix_(free, free)] * np.outer(self.scale, self.scale) / n,
+            )
+
+        lower, upper = self.model.bounds
+        return solvers.Problem(
+            population,
+            (lower[free] - self._origin) / self.scale,
+            (upper[free] - self._origin) / self.scale,
+            derivatives=derivatives,
+        )

@@ -1,0 +1,250 @@
+"""Gross outliers: samples that neither the motion nor the noise explains."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter, percentile_filter
+from scipy.special import gammaincinv
+
+from hallsym.log import Block
+from hallsym.log.batches import Weigh
+from hallsym.log.phase import wrapped
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+from hallsym.model.medians import median, medians
+
+WINDOW = 7
+SPIKE = 10.0
+"""Robust standard deviations off its neighbours that make a sample a gross outlier, unless others tell of
+smaller ones: at 7 the turning points of a raster would count."""
+ABOUND, ODDS = 0.02, 100.0
+"""Share of a block's samples that are spikes from which on they tell of smaller ones, and the odds that a
+smaller jump must have to be one. Where there are few, the smaller ones do no harm."""
+EXTRAPOLATED = 0.5
+"""Weight of what the two samples at either end are off: lines that end before a sample miss a curve by more
+than lines through it."""
+ROUNDS = 20
+AROUND = 41
+"""Samples around one whose own jumps say what is usual there: motion after rest, and ringing that lasts as
+long, are no spikes."""
+MOSTLY_SPIKY, SPIKY_STD = 30, 0.38532
+"""Percentile of jumps that is usual where spikes are still among them, and where unit normal noise has it:
+two thirds of them may be spikes or have one beside them, as where a tenth of all samples are spikes."""
+TUKEY = 4.685
+"""Tukey's biweight constant: 95 % efficient for Gaussian noise."""
+
+
+def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> Callable[[Block], np.ndarray]:
+    """Return `block -> (n_channels, samples)`: reading minus the model's at the reference pose, in m."""
+    read, none = on_arrays(model.reading), np.zeros(len(model.zeros))
+
+    def residual(block: Block) -> np.ndarray:
+        pose = [block.data[c] for c in model.references]
+        state = [block.data[c] for c in model.state]
+        (expected,) = read(p, zeros.get(block.run, none), pose, state)
+        left = np.array([block.data[c] for c in model.channels]) - expected
+        for k, channel in enumerate(model.channels):
+            if channel in model.period:
+                left[k] = wrapped(left[k], model.period[channel])
+        return left
+
+    return residual
+
+
+def column_spikes(columns: Sequence[str]) -> Weigh:
+    """Return weights 0 where any column leaves its own neighbourhood: a first guess without a model.
+
+    Each sample is compared with the median of six linear predictions from its four neighbours. The worst of
+    each neighbourhood is replaced by it and the comparison repeated, so that a spike neither hides the next
+    one nor accuses a good one.
+    """
+
+    def weigh(block: Block) -> np.ndarray:
+        values = np.array([block.data[name] for name in columns])
+        return (~_leaves_neighbourhood(values).any(axis=0)).astype(float)
+
+    return weigh
+
+
+def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
+    """Return which entries of columns (c, samples) do; each column is judged by itself."""
+    bad = np.zeros(values.shape, dtype=bool)
+    if values.shape[1] < WINDOW:
+        return bad
+    open_, x = np.arange(len(values)), values.copy()  # columns in which a spike may still be found
+    for _ in range(ROUNDS):
+        predicted = _predicted(x)
+        jump = np.abs(x - predicted)
+        jump[:, :2], jump[:, -2:] = EXTRAPOLATED * jump[:, :2], EXTRAPOLATED * jump[:, -2:]
+        far = jump > SPIKE * np.maximum(1.4826 * medians(jump), 1e-15)[:, None]
+        spiky = far.any(axis=1)
+        if spiky.any():
+            far[spiky] &= jump[spiky] > SPIKE * _usual(jump[spiky], MOSTLY_SPIKY) / SPIKY_STD
+        worst = far & (jump == maximum_filter1d(jump, 5))
+        going_on = worst.any(axis=1)
+        if not going_on.any():
+            break
+        x[worst] = predicted[worst]
+        bad[open_] |= worst
+        open_, x = open_[going_on], x[going_on]
+    return bad
+
+
+def _predicted(x: np.ndarray) -> np.ndarray:
+    """Predict every entry of columns (c, samples) by its neighbours."""
+    a2, a1, b1, b2 = x[:, :-4], x[:, 1:-3], x[:, 3:-1], x[:, 4:]
+    lines = [
+        a1 + b1,
+        a2 + b2,
+        4 * a1 - 2 * a2,
+        4 * b1 - 2 * b2,
+        (4 * a1 + 2 * b2) / 3,
+        (2 * a2 + 4 * b1) / 3,
+    ]
+    predicted = np.empty_like(x)
+    predicted[:, 2:-2] = np.sort(lines, axis=0)[2:4].sum(axis=0) / 4  # the median of six
+    ends = _from_inside(np.concatenate([x[:, :6], x[:, :-7:-1]]))
+    predicted[:, :2], predicted[:, -2:] = ends[: len(x)], ends[len(x) :, ::-1]
+    return predicted
+
+
+def _usual(jump: np.ndarray, percent: int) -> np.ndarray:
+    """Return what jumps (c, samples) are usual around each: before, about or after it, whichever is most.
+
+    Where a motion begins, only the neighbourhood after the sample is like it.
+    """
+    n, half = jump.shape[1], AROUND // 2
+    if n < AROUND:
+        return np.zeros_like(jump)
+    # one row after the other, each mirrored at its ends: one call, and filters are fastest along one row
+    wide = jump[:, np.r_[half:0:-1, :n, n - 2 : n - 2 - half : -1]]
+    filtered = percentile_filter(wide.ravel(), percent, size=AROUND, mode="nearest").reshape(wide.shape)
+    about = filtered[:, half:-half]
+    before = np.concatenate([np.repeat(about[:, :1], half, axis=1), about[:, :-half]], axis=1)
+    after = np.concatenate([about[:, half:], np.repeat(about[:, -1:], half, axis=1)], axis=1)
+    return np.maximum(np.maximum(before, about), after)
+
+
+_AHEAD = np.linalg.pinv(np.vander(np.arange(1, 7), 3, increasing=True))[0]
+"""What the next six samples weigh in the parabola through them; it misses a sample by 2.05 sigma of noise."""
+_PAIRS = np.triu_indices(5, 1)
+_OTHERS = np.array([[1, 2, 3, 4, 5], [0, 2, 3, 4, 5]])
+_RUN = _OTHERS[:, _PAIRS[1]] - _OTHERS[:, _PAIRS[0]]
+_REACH = np.array([[0], [1]]) - _OTHERS
+
+
+def _from_inside(x: np.ndarray) -> np.ndarray:
+    """Predict the first two of six samples (c, 6), which lack neighbours on one side.
+
+    By Theil-Sen lines of the five others.
+    """
+    near = x[:, _OTHERS]
+    slopes = np.sort((near[..., _PAIRS[1]] - near[..., _PAIRS[0]]) / _RUN, axis=2)
+    middle = slopes[..., 4:6].mean(axis=2, keepdims=True)  # of ten
+    return np.sort(near + middle * _REACH, axis=2)[..., 2]
+
+
+def reject_spikes(residual: Callable[[Block], np.ndarray], covariance: np.ndarray, suspects: Weigh) -> Weigh:
+    """Return weights 0 for isolated spikes of any channel's residual against a running median, else 1.
+
+    What the model cannot explain but changes smoothly is kept: it is a gap, not an outlier. `covariance`:
+    (n_channels, n_channels) of one sample's residual by the stated noise; the scale is the larger of it and
+    of what the block itself shows. `suspects`: samples of weight 0 take no part in median and scale (those of
+    `column_spikes`, which do not change from one fit to the next).
+    """
+    stated = np.sqrt(np.diag(covariance))[:, None]
+
+    def weigh(block: Block) -> np.ndarray:
+        r, good = residual(block), suspects(block) > 0
+        spike = np.zeros_like(r, dtype=bool)
+        for _ in range(ROUNDS):
+            before, (jump, scale, side) = spike, _jumps(r, good, stated)
+            least = _least(jump / scale, spike & _abound(side, spike))
+            spike = jump > least[:, None] * scale
+            for k in np.flatnonzero(spike.any(axis=1)):
+                at, here = np.arange(len(good)), np.flatnonzero(good)
+                usual = np.interp(at, here, _usual(jump[k : k + 1, good], 50)[0])
+                spike[k] &= jump[k] > least[k] * 1.4826 * usual
+            if np.array_equal(spike, before):
+                break
+            if _abound(side, spike):  # what turned out to be a spike speaks for nobody else
+                good = good & ~spike.any(axis=0)
+        return np.all(~spike, axis=0).astype(float)
+
+    return weigh
+
+
+def _abound(side: np.ndarray, spike: np.ndarray) -> bool:
+    """Whether there are many spikes (n_channels, samples), each by itself; `side`: of the median, +1 or -1.
+
+    Where those next to each other are on the same side more often than by chance (2 sigma), something moves
+    that the model does not know, such as a rail: that tells of no smaller spikes.
+    """
+    pairs = spike[:, 1:] & spike[:, :-1]
+    same = (side[:, 1:] * side[:, :-1] * pairs).sum()
+    return bool(spike.any(axis=0).mean() >= ABOUND and same <= 2 * np.sqrt(pairs.sum()))
+
+
+def _least(jump: np.ndarray, spike: np.ndarray) -> np.ndarray:
+    """Return the jump (n_channels,), in standard deviations, from which on a sample is a spike.
+
+    Share and size of the spikes found tell how many smaller ones hide below `SPIKE`: from here on a jump is
+    ODDS times likelier one of them, spread evenly up to twice the median, than normal noise.
+    """
+    least = np.full(len(jump), SPIKE)
+    for k in np.flatnonzero(spike.any(axis=1)):
+        density = spike[k].mean() / (4 * median(jump[k, spike[k]]))
+        least[k] = min(SPIKE, np.sqrt(-2 * np.log(density * np.sqrt(2 * np.pi) / ODDS)))
+    return least
+
+
+def _jumps(r: np.ndarray, good: np.ndarray, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how far residuals (n_channels, samples) are off neighbours, each channel's scale, the side."""
+    if good.sum() < WINDOW:
+        good = np.ones_like(good)
+    at = np.arange(len(good))
+    clean = np.array([np.interp(at, at[good], row[good]) for row in r])
+    middle = median_filter(r[:, good], size=(1, WINDOW), mode="mirror")
+    running = np.array([np.interp(at, at[good], row) for row in middle])
+    off = [np.abs(r - near) for near in _expected(clean, running, good)]
+    jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
+    scale = np.maximum(1.4826 * np.median(jump[:, good], axis=1, keepdims=True), stated)
+    return jump, scale, np.sign(r - running)
+
+
+def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What a residual may be without being a spike: running median, line from either side (a kink), cubic.
+
+    The two samples at either end, which have neighbours on one side only, may also go on as a parabola. Lines
+    and curves go through `good` samples only; elsewhere the median stands for them.
+    """
+    left, right, cubic = median.copy(), median.copy(), median.copy()
+    before, after = good[1:-1] & good[:-2], good[1:-1] & good[2:]
+    left[:, 2:] = np.where(before, 2 * r[:, 1:-1] - r[:, :-2], median[:, 2:])
+    right[:, :-2] = np.where(after, 2 * r[:, 1:-1] - r[:, 2:], median[:, :-2])
+    around = good[1:-3] & good[3:-1] & good[:-4] & good[4:]
+    bent = (4 * (r[:, 1:-3] + r[:, 3:-1]) - (r[:, :-4] + r[:, 4:])) / 6
+    cubic[:, 2:-2] = np.where(around, bent, median[:, 2:-2])
+    for at, step in ((0, 1), (1, 1), (-1, -1), (-2, -1)):
+        inside = at + step * np.arange(1, len(_AHEAD) + 1)
+        if len(good) > len(_AHEAD) + 1 and good[inside].all():
+            cubic[:, at] = r[:, inside] @ _AHEAD
+    return median, left, right, cubic
+
+
+def tukey(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> Weigh:
+    """Return Tukey's biweight of the residual's Mahalanobis distance, its scale robust over each block.
+
+    `covariance`: (n_channels, n_channels) of one sample's residual.
+    """
+    whiten = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    channels = len(covariance)
+    typical = float(np.sqrt(2 * gammaincinv(channels / 2, 0.5) / channels))  # median of Gaussian noise
+
+    def weigh(block: Block) -> np.ndarray:
+        distance = np.linalg.norm(whiten @ residual(block), axis=0) / np.sqrt(channels)
+        scale = max(float(np.median(distance)) / typical, 1.0)
+        u = np.minimum(distance / (TUKEY * scale), 1.0)
+        return (1 - u**2) ** 2
+
+    return weigh

@@ -1,0 +1,106 @@
+"""A solved fit as the `Fit` that is handed out: uncertainties, zero deviations, notes, what was done."""
+
+import platform
+from collections.abc import Sequence
+from functools import cache
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from hallsym.estimation import covariance as uncertainty
+from hallsym.estimation.calibration import Errors, Fit
+from hallsym.estimation.task import State, Task
+from hallsym.log.phase import home_notes
+from hallsym.model import Model
+
+
+def result_of(
+    task: Task,
+    state: State,
+    errors: Errors,
+    notes: tuple[str, ...],
+    wiring: Any,
+    loss: str,
+    seconds: float,
+) -> Fit:
+    """Return the fit that is handed out; `seconds` it took, `wiring` it found."""
+    model, found = task.model, state.found
+    estimate = uncertainty.estimate(state.fitted, state.p, found)
+    gain = np.array([model.zero_scale(state.p, s) for s in state.everything.summary.first_state])
+    zeros = state.everything.at(state.p).zeros
+    delta = zeros * gain if zeros.shape[1] else zeros
+    return Fit(
+        model=model,
+        values=state.p,
+        std=estimate.std,
+        determined=estimate.determined,
+        covariance=estimate.covariance,
+        covariance_method=estimate.method,
+        covariance_reason=estimate.reason,
+        held=tuple(model.names[k] for k in found.held),
+        structural=found.structural,
+        at_bound=estimate.at_bound,
+        combinations=estimate.combinations,
+        zeros=dict(zip(state.everything.summary.runs, delta, strict=True)),
+        noise=task.noise,
+        noise_floor=uncertainty.noise_floor(state.fitted, state.p),
+        status=state.search.status,
+        message=state.search.message,
+        solver={
+            "name": task.solver,
+            "loss": loss,
+            "cost": state.search.cost,
+            "cost_per_degree_of_freedom": estimate.cost_per_dof,
+            "evaluations": state.search.evaluations,
+            "starts": state.search.starts,
+            "share_at_optimum": state.search.share,
+            "seed": task.seed,
+        },
+        log={
+            "path": None if task.log.path is None else str(task.log.path),
+            "sha256": None,
+            "rows": task.log.rows,
+            "runs": len(state.everything.summary.runs),
+            "holdout": list(state.holdout),
+            "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
+        },
+        seconds=seconds,
+        notes=(
+            *notes,
+            *zero_notes(model, state.everything.summary.runs, delta),
+            *home_notes(task.log, dict(zip(state.everything.summary.runs, delta, strict=True))),
+        ),
+        errors=errors,
+        undetermined_by_log=estimate.undetermined_by_log,
+        wiring=wiring,
+        versions=dict(_versions()),
+        error_rows=errors.rows(),
+    )
+
+
+def zero_notes(model: Model, runs: Sequence[int], delta: np.ndarray) -> tuple[str, ...]:
+    """Zero deviations beyond their bounds are reported, not clipped: clipping would bend the parameters."""
+    out = []
+    for k, zero in enumerate(model.zeros):
+        beyond = [r for r, d in zip(runs, delta[:, k], strict=True) if not zero.lower <= d <= zero.upper]
+        if beyond:
+            factor, unit = (1e6, "um") if zero.unit == "m" else (float(np.degrees(1.0)), "deg")
+            low, high, worst = (factor * v for v in (zero.lower, zero.upper, np.abs(delta[:, k]).max()))
+            out.append(
+                f"Zero deviation {zero.name} is beyond {low:.3g} to {high:.3g} {unit} in {len(beyond)} runs "
+                f"(run {beyond[0]} first, {worst:.3g} {unit} at most): look at the reset."
+            )
+    return tuple(out)
+
+
+@cache
+def _versions() -> dict[str, str]:
+    packages = ("hallsym", "casadi", "numpy", "scipy")
+    found = {}
+    for name in packages:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "unknown"
+    return {"python": platform.python_version(), **found}

@@ -1,0 +1,149 @@
+"""Runs that could be recorded: vertical settings times trajectories, without what is excluded."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.experiment.ranges import PLANAR, VERTICAL, Box, Ranges, tidy
+from hallsym.simulation.campaign import Run, Signal, multi_sine, sine, triangle
+from hallsym.units import readable
+
+MOST = 20_000
+"""Candidates beyond this are refused: fewer levels say the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A run that could be recorded, and what a table calls its setting and its trajectory."""
+
+    run: Run
+    setting: str
+    trajectory: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Signals by axis, how far each axis goes from the middle, and the name of the trajectory."""
+
+    name: str
+    signals: Mapping[str, Signal]
+    reach: Mapping[str, float]
+
+
+def candidates(ranges: Ranges) -> tuple[Candidate, ...]:
+    """Return every run that the ranges allow; raises `InputError` when there is none."""
+    found: list[Candidate] = []
+    for motion in _motions(ranges):
+        rests = [axis for axis in VERTICAL if axis in ranges.box and axis not in motion.signals]
+        for setting in _settings(ranges, motion):
+            if not any(_touches(zone, setting, motion) for zone in ranges.excluded):
+                place = {axis: value for axis, value in setting.items() if value or axis in rests}
+                words = _words(place, motion)
+                run = Run(ranges.seconds_per_run, place, motion.signals, name=f"{words}; {motion.name}")
+                found.append(Candidate(run, words, motion.name))
+        if len(found) > MOST:
+            raise InputError(f"These ranges make more than {MOST} candidate runs; lower 'levels'.")
+    if not found and not ranges.excluded:
+        wanted = ", ".join(ranges.trajectories)
+        raise InputError(
+            f"Trajectories {wanted} cannot be made of {len(ranges.frequencies_hz)} frequencies; give one "
+            "frequency for every axis that moves, or allow 'one-axis'."
+        )
+    if not found:
+        raise InputError(
+            "No admissible setting is left: every candidate run touches an [[exclude]] zone; make the zones "
+            "smaller, the ranges wider or 'levels' more."
+        )
+    return tuple(found)
+
+
+def _motions(ranges: Ranges) -> Iterator[_Motion]:
+    moving = [axis for axis in PLANAR if ranges.place(axis)[1] > 0]
+    for motion in _planar(ranges, moving):
+        yield motion
+        if ranges.vertical_motion and motion.name[:6] not in ("multi-", "raster"):
+            yield from _lifted(ranges, motion)
+
+
+def _planar(ranges: Ranges, moving: Sequence[str]) -> Iterator[_Motion]:
+    f, wanted = ranges.frequencies_hz, ranges.trajectories
+    if "one-axis" in wanted:
+        for axis in moving:
+            yield _sines(ranges, (axis,), f)
+    if "combined" in wanted:
+        for n in range(2, len(moving) + 1):
+            for axes in combinations(moving, n) if n <= len(f) else ():
+                yield _sines(ranges, axes, f)
+    if "multi-sine" in wanted and len(f) >= 2 * len(moving):
+        reach = {axis: ranges.place(axis)[1] for axis in moving}
+        shared = {axis: list(f[k :: len(moving)]) for k, axis in enumerate(moving)}
+        signals = {axis: multi_sine(reach[axis], shared[axis]) for axis in moving}
+        yield _Motion("multi-sine " + ", ".join(map(_axis, moving)), signals, reach)
+    lines = round(f[-1] / f[0])
+    if "raster" in wanted and lines >= 2:
+        for fast, slow in ((a, b) for a, b in product(moving, moving) if a != b and "rz_rad" not in (a, b)):
+            reach = {axis: ranges.place(axis)[1] for axis in (fast, slow)}
+            signals = {fast: triangle(reach[fast], f[-1]), slow: triangle(reach[slow], f[-1] / lines)}
+            yield _Motion(f"raster, lines along {_axis(fast)} at {f[-1]:g} Hz", signals, reach)
+
+
+def _sines(ranges: Ranges, axes: Sequence[str], frequencies: Sequence[float]) -> _Motion:
+    pairs = list(zip(axes, frequencies, strict=False))
+    reach = {axis: ranges.place(axis)[1] for axis in axes}
+    name = ", ".join(f"{_axis(axis)} {f:g} Hz" for axis, f in pairs)
+    return _Motion(name, {axis: sine(reach[axis], f) for axis, f in pairs}, reach)
+
+
+def _lifted(ranges: Ranges, motion: _Motion) -> Iterator[_Motion]:
+    """The same motion while vertical axes move too: each alone and all of them."""
+    vertical = [axis for axis in VERTICAL if ranges.place(axis)[1] > 0]
+    left = ranges.frequencies_hz[len(motion.signals) :]
+    for n in sorted({1, len(vertical)} - {0}):
+        for axes in combinations(vertical, n) if n <= len(left) else ():
+            more = _sines(ranges, axes, left)
+            yield _Motion(
+                f"{motion.name}, {more.name}",
+                {**motion.signals, **more.signals},
+                {**motion.reach, **more.reach},
+            )
+
+
+def _settings(ranges: Ranges, motion: _Motion) -> Iterator[dict[str, float]]:
+    """Grid over the vertical axes that rest; every other axis at the middle of its range."""
+    middle = {axis: ranges.place(axis)[0] for axis in (*PLANAR, *VERTICAL)}
+    levels = []
+    for axis in VERTICAL:
+        centre, half = ranges.place(axis)
+        rests = axis in motion.signals or half == 0
+        levels.append(
+            [centre] if rests else [tidy(centre + half * s) for s in np.linspace(-1, 1, ranges.levels)]
+        )
+    for place in product(*levels):
+        yield middle | dict(zip(VERTICAL, place, strict=True))
+
+
+def _touches(zone: Box, setting: Mapping[str, float], motion: _Motion) -> bool:
+    """Whether the run comes into the zone on every axis that the zone names."""
+    return all(
+        setting[axis] - motion.reach.get(axis, 0.0) <= high
+        and setting[axis] + motion.reach.get(axis, 0.0) >= low
+        for axis, (low, high) in zone.items()
+    )
+
+
+def _words(place: Mapping[str, float], motion: _Motion) -> str:
+    parts = []
+    for axis, value in place.items():
+        factor, unit, _ = readable(axis)
+        about = "about " if axis in motion.signals else ""
+        if value:
+            parts.append(f"{_axis(axis)} {about}{factor * value:+.4g} {unit}")
+    return ", ".join(parts) or "level"
+
+
+def _axis(axis: str) -> str:
+    name = axis.rpartition("_")[0]
+    return name if name in ("x", "y") else name.capitalize()

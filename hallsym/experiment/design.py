@@ -1,0 +1,192 @@
+"""`plan`: choose what to record next, and say what it would determine."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError, nearest
+from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.fit import noise_of
+from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.run_statistics import summarise
+from hallsym.experiment.comparison import Comparison, compare
+from hallsym.experiment.criteria import CRITERIA
+from hallsym.experiment.information import Worst
+from hallsym.experiment.ranges import VERTICAL, Ranges
+from hallsym.experiment.study import Choice, Study, study
+from hallsym.families import build
+from hallsym.log import Log, Noise, check_log
+from hallsym.log.noise import check_noise_keys
+from hallsym.model import Model
+from hallsym.simulation.campaign import Campaign
+
+FORMAT = "hallsym plan 1"
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What to record next.
+
+    `campaign`: the chosen runs, setting by setting. `choice`: how often each candidate of `study` is run, and
+    the criterion with its bound. `before`, `after`: the worst-determined combination without and with these
+    runs (None where nothing was recorded before). `std`: (q,) standard uncertainty of each of `names`
+    afterwards, SI. `position`: (n_pose,) worst standard uncertainty that the parameters leave in the decoded
+    position over the ranges, SI. `comparison`: with another campaign. `recorded`: runs of the log that the
+    plan adds to.
+    """
+
+    study: Study
+    choice: Choice
+    campaign: Campaign
+    before: Worst | None
+    after: Worst
+    std: np.ndarray
+    position: np.ndarray
+    comparison: Comparison | None
+    recorded: int
+    seconds: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Determined parameters and combinations, in the order of `std`."""
+        return self.study.names
+
+    @property
+    def minutes(self) -> float:
+        """Time it takes, with the resets between runs (0 s where none is stated)."""
+        resets = (len(self.campaign.runs) - 1) * (self.study.ranges.reset_s or 0.0)
+        return (sum(run.duration_s for run in self.campaign.runs) + resets) / 60.0
+
+    def groups(self) -> list[tuple[int, str, str]]:
+        """Return `(how often, setting, trajectory)` of each run that is chosen, in the order of recording."""
+        found, counts = self.study.candidates, self.choice.counts
+        order = _order(self.study, self.choice)
+        return [(int(counts[k]), found[k].setting, found[k].trajectory) for k in order]
+
+    def curve(self, points: int = 9) -> tuple[np.ndarray, np.ndarray]:
+        """Return numbers of runs, from the least that determine the model, and the criterion of plans."""
+        most = max(len(self.campaign.runs), self.comparison.runs if self.comparison else 1)
+        least = min(self.study.least_runs(), most)
+        spaced = np.unique(np.geomspace(least, most, points).round().astype(int))
+        runs = np.unique([*spaced, len(self.campaign.runs), most])
+        return runs, np.array([self.study.choose(int(n)).value for n in runs])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the readable record that `hallsym plan --json` prints."""
+        model, ranges = self.study.model, self.study.ranges
+        return {
+            "format": FORMAT,
+            "model": model.name,
+            "criterion": self.study.criterion.name,
+            "runs": len(self.campaign.runs),
+            "minutes": self.minutes,
+            "candidates": len(self.study.candidates),
+            "chosen": [{"count": n, "setting": s, "trajectory": t} for n, s, t in self.groups()],
+            "value": self.choice.value,
+            "bound": self.choice.bound,
+            "efficiency": self.choice.efficiency,
+            "recorded_runs": self.recorded,
+            "worst_before": None if self.before is None else vars(self.before),
+            "worst": vars(self.after),
+            "std": dict(zip(self.names, self.std.tolist(), strict=True)),
+            "position_std": dict(zip(model.pose, self.position.tolist(), strict=True)),
+            "reference": {c: ranges.reference.get(c, 1e-6) for c in model.pose},
+            "comparison": self.comparison and self.comparison.to_dict(self.names, model.pose),
+            "values": {n: float(v) for n, v in self.study.values.items()},
+            "noise": dict(self.study.noise),
+            "seed": self.study.seed,
+            "seconds": self.seconds,
+        }
+
+
+def plan(
+    ranges: Ranges,
+    model: str | Model = "stage31",
+    values: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | None = None,
+    *,
+    criterion: str = "D",
+    runs: int | None = None,
+    minutes: float | None = None,
+    after: Log | None = None,
+    against: Campaign | None = None,
+    against_name: str = "the other campaign",
+    seed: int = 0,
+) -> Plan:
+    """Choose the runs within `ranges` that tell most about the parameters of `model`.
+
+    `values`: parameter values by name, SI, over the nominal ones: what a run tells depends on them (with gain
+    slopes of zero the tied model loses its x0, y0). `noise`: 1 sigma by column; the ranges' own where not
+    given. `criterion`: one of `CRITERIA`. `runs`, `minutes`: over those of the ranges. `after`: a log that is
+    recorded already, to which the plan adds. `against`: a campaign to compare with. `seed`: of the order
+    in which exchanges are tried.
+
+    Raises `InputError` where nothing is admissible, or where the model stays undetermined.
+    """
+    began = perf_counter()
+    if criterion not in CRITERIA:
+        raise InputError(
+            f"Criterion must be one of {', '.join(CRITERIA)}; instead received {criterion!r}"
+            f"{nearest(criterion, list(CRITERIA))}."
+        )
+    model = build(model) if isinstance(model, str) else model
+    allowed = ranges.allowed(runs, minutes)
+    sigma = _noise(model, ranges.noise if noise is None else noise)
+    recorded, n_recorded = (None, 0) if after is None else _recorded(after, model, model.vector(values or {}))
+    found = study(ranges, model, dict(values or {}), sigma, criterion, recorded, seed)
+    found.check(allowed)
+    choice = found.choose(allowed)
+    total = choice.information
+    return Plan(
+        study=found,
+        choice=choice,
+        campaign=_campaign(found, choice),
+        before=None if after is None else found.directions.worst(found.known),
+        after=found.directions.worst(total),
+        std=found.std(total),
+        position=found.position(total),
+        comparison=None if against is None else compare(found, against, against_name),
+        recorded=n_recorded,
+        seconds=perf_counter() - began,
+    )
+
+
+def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
+    columns = columns_of(model)
+    check_noise_keys(noise, columns, "the plan")
+    sigmas = {c: s.value for c, s in Noise.given(noise, columns).sigmas.items()}
+    missing = [c for c in (*model.channels, *model.references) if c not in sigmas]
+    if missing:
+        raise InputError(
+            f"Noise of {missing[0]} is not stated; give 1 sigma of every reading and reference in [noise], "
+            "such as hall_m = 5e-7."
+        )
+    return sigmas
+
+
+def _recorded(log: Log, model: Model, p: np.ndarray) -> tuple[np.ndarray, int]:
+    """Information (n, n) of a log that was recorded, held-out runs left out, and its runs."""
+    check_log(log, columns_of(model))
+    sigma = {c: s.value for c, s in noise_of(log, model, log.meta.holdout).sigmas.items()}
+    summary = summarise(log, model)
+    summary = summary.select([run for run in summary.runs if run not in log.meta.holdout])
+    return cost_of(summary, sigma).at(p).information(1.0).sum(axis=0), len(summary.runs)
+
+
+def _order(found: Study, choice: Choice) -> list[int]:
+    """Chosen candidates setting by setting: vertical axes move as seldom as they can."""
+    chosen = [int(k) for k in np.flatnonzero(choice.counts)]
+
+    def place(k: int) -> tuple:
+        run = found.candidates[k].run
+        return tuple(run.setting.get(axis, 0.0) for axis in VERTICAL)
+
+    return sorted(chosen, key=place)
+
+
+def _campaign(found: Study, choice: Choice) -> Campaign:
+    chosen = (found.candidates[k].run for k in _order(found, choice) for _ in range(choice.counts[k]))
+    return Campaign(found.ranges.step_s, tuple(chosen), noise=dict(found.noise))

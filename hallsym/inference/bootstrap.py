@@ -1,0 +1,203 @@
+"""Bootstrap with runs as blocks: what the fit would have been, had other runs of the same kind been recorded.
+
+Whatever correlates samples within a run (drift, hum, filtered noise, a model that does not quite fit) is
+carried along, because whole runs are drawn: Davison & Hinkley, Bootstrap Methods and their Application, 1997,
+doi:10.1017/CBO9780511802843, ch. 2 and 3.8. A draw is a vector of run weights, so no sample is read again,
+and all refits start together: one Newton step from the optimum for every draw, as one stack of linear
+systems. Draws are then refitted, those first whose step is least to be trusted, until that changes nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from hallsym.errors import InputError
+from hallsym.estimation.identifiable import ROUNDING, UNDETERMINED, scales
+from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.optimum import refit
+from hallsym.model.quantities import Quantity
+
+CHECKED = 10
+"""Draws that are refitted at a time, to see how far off their one Newton step was."""
+ENOUGH = 0.01
+"""Error of one Newton step that is accepted, in standard uncertainties."""
+CHORDS = 4
+"""Steps with the first Hessian, before Newton's method with exact ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bootstrap:
+    """Refits to runs drawn with replacement.
+
+    `p`: (n,) optimum of the log itself. `values`: (m, n) optimum of each draw that determines the
+    parameters; `singular` draws did not. `refitted`: how many were refitted; the others are one Newton step,
+    and `error` is how far off that was, at most, in the last draws refitted, in standard uncertainties.
+    `weights`: (m, runs) what was drawn, from how many `runs`.
+    """
+
+    p: np.ndarray
+    values: np.ndarray
+    weights: np.ndarray
+    replicates: int
+    singular: int
+    refitted: int
+    error: float
+    runs: int
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the draws, (n, n)."""
+        return np.atleast_2d(np.cov(self.values - self.p, rowvar=False))
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard uncertainty of each parameter, (n,), as `std_of` takes it."""
+        return _middle(self.values)
+
+    def std_of(self, quantity: Quantity) -> float:
+        """Return the standard uncertainty of a quantity: the width of the middle 95 % of the draws over 3.92.
+
+        Their standard deviation would be that of the few draws that hardly determine the quantity.
+        """
+        return float(_middle(quantity.values(self.values)))
+
+    def percentiles(self, quantity: Quantity, level: float = 0.95) -> tuple[float, float]:
+        """Return the interval that holds the middle of the draws; too short when runs are few."""
+        tails = [0.5 * (1 - level), 0.5 * (1 + level)]
+        low, high = np.quantile(quantity.values(self.values), tails)
+        return float(low), float(high)
+
+    def interval(self, quantity: Quantity, level: float = 0.95) -> tuple[float, float]:
+        """Return the interval to believe: the estimate +- its standard uncertainty times Student's t.
+
+        As many degrees of freedom as runs less one. Percentiles as they are and studentised draws cover less
+        when few runs tell most of a parameter, because a sample of few runs does not show their tails.
+        """
+        value, _ = quantity.first(self.p)
+        half = float(stdtrit(self.runs - 1, 0.5 * (1 + level))) * self.std_of(quantity)
+        return max(value - half, quantity.lower), min(value + half, quantity.upper)
+
+
+def _middle(values: np.ndarray) -> np.ndarray:
+    """Standard deviation of a normal distribution with the same middle 95 %, along the first axis."""
+    low, high = np.quantile(values, [0.025, 0.975], axis=0)
+    return np.asarray((high - low) / (2.0 * ndtri(0.975)))
+
+
+def bootstrap(
+    cost: Cost, p: np.ndarray, held: Sequence[int], *, replicates: int = 1000, seed: int | np.random.Generator
+) -> Bootstrap:
+    """Refit `cost` to `replicates` draws of its runs around its optimum `p` (n,).
+
+    `held`: index of the parameters that stay as in `p`. Raises `InputError` for a log of one run.
+    """
+    used = np.flatnonzero(cost.weights > 0)
+    if len(used) < 2:
+        raise InputError(
+            f"The bootstrap draws whole runs and needs two or more; this fit has {len(used)}: record more."
+        )
+    if replicates < 2:
+        raise InputError(f"Input replicates of bootstrap must be 2 or more; instead received {replicates}.")
+    rng = np.random.default_rng(seed)
+    weights = np.zeros((replicates, len(cost.weights)))
+    weights[:, used] = rng.multinomial(len(used), np.full(len(used), 1.0 / len(used)), size=replicates)
+    weights *= cost.weights
+    steps = _Steps(cost.anchored(np.asarray(p, dtype=float)), np.asarray(p, dtype=float), held)
+    weights = weights[steps.determines(weights)]
+    if len(weights) < 2:
+        raise InputError(
+            f"Only {len(weights)} of {replicates} draws of the {len(used)} runs determine the parameters, "
+            "too few for a bootstrap: record more runs of each kind."
+        )
+    values, refitted, error = steps.refits(weights)
+    return Bootstrap(
+        p=steps.p,
+        values=values,
+        weights=weights,
+        replicates=replicates,
+        singular=replicates - len(weights),
+        refitted=refitted,
+        error=error,
+        runs=len(used),
+    )
+
+
+class _Steps:
+    """Gradients and Hessians of every run at the optimum, in units of what the log determines."""
+
+    def __init__(self, cost: Cost, p: np.ndarray, held: Sequence[int]) -> None:
+        self.cost, self.p, self.held, point = cost, p, held, cost.at(p)
+        self.free = np.array([k for k in range(len(p)) if k not in held], dtype=int)
+        model = cost.summary.model
+        self.lower, self.upper = model.bounds
+        hessians = point.run_hessians[:, self.free][:, :, self.free]
+        curvature = np.abs(np.einsum("r,rii->i", cost.weights, hessians))
+        self.unit = 1.0 / np.sqrt(np.where(curvature > 0, curvature, 1.0))
+        self.gradients = point.run_gradients[:, self.free] * self.unit
+        self.hessians = hessians * np.outer(self.unit, self.unit)
+        width = scales(model)[self.free]
+        information = point.information(2.0)[:, self.free][:, :, self.free]
+        self.information = information * np.outer(width, width)
+
+    def determines(self, weights: np.ndarray) -> np.ndarray:
+        """Which draws determine all free parameters, as `determine` judges it; (m,) booleans."""
+        if len(self.free) == 0:
+            return np.ones(len(weights), dtype=bool)
+        values = np.linalg.eigvalsh(np.tensordot(weights, self.information, axes=1))
+        enough = np.maximum(UNDETERMINED**-2, ROUNDING * values[:, -1])
+        curved = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0] > 0
+        return np.asarray((values[:, 0] >= enough) & curved)
+
+    def newton(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return one Newton step from the optimum for every draw, (m, n), and which left the box, (m,).
+
+        Those are refitted.
+        """
+        hessians = np.tensordot(weights, self.hessians, axes=1)
+        steps = -np.linalg.solve(hessians, (weights @ self.gradients)[..., None])[..., 0]
+        values = np.tile(self.p, (len(weights), 1))
+        values[:, self.free] += steps * self.unit
+        outside = np.any(((values < self.lower) | (values > self.upper))[:, self.free], axis=1)
+        for k in np.flatnonzero(outside):
+            values[k] = self.refit(weights[k])
+        return values, np.asarray(outside)
+
+    def refit(self, weights: np.ndarray) -> np.ndarray:
+        """Return the optimum of one draw, converged."""
+        return refit(self.cost.weighted(weights), self.p, self.held)
+
+    def refits(self, weights: np.ndarray) -> tuple[np.ndarray, int, float]:
+        """Return the optimum of every draw (m, n), how many were refitted, and the error of the others."""
+        values, refitted = self.newton(weights)
+        moved = (values - self.p)[:, self.free]
+        if moved.size == 0:
+            return values, 0, 0.0
+        std = np.sqrt(np.mean(moved**2, axis=0))
+        size = np.where(std > 0, std, np.inf)
+        weakest = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0]
+        order = np.argsort(-(np.abs(moved / size).max(axis=1) ** 2) / weakest)
+        order, done = order[~refitted[order]], int(refitted.sum())
+        for first in range(0, len(order), CHECKED):
+            batch = order[first : first + CHECKED]
+            best = np.array([self.improved(values[k], weights[k], size) for k in batch])
+            error = float(np.max(np.abs((best - values[batch])[:, self.free] / size)))
+            values[batch] = best
+            if error <= 0.5 * ENOUGH:
+                return values, done + min(first + CHECKED, len(order)), error
+        return values, len(weights), 0.0
+
+    def improved(self, value: np.ndarray, weights: np.ndarray, size: np.ndarray) -> np.ndarray:
+        """Go on to the optimum of one draw: the gradient where it is, the Hessian of where it came from."""
+        hessian, value = np.tensordot(weights, self.hessians, axes=1), value.copy()
+        for _ in range(CHORDS):
+            gradient = weights @ self.cost.at(value).run_gradients[:, self.free]
+            step = -np.linalg.solve(hessian, gradient * self.unit) * self.unit
+            value[self.free] += step
+            if ((value < self.lower) | (value > self.upper))[self.free].any():
+                break
+            if np.max(np.abs(step / size)) <= ENOUGH:
+                return value
+        return self.refit(weights)

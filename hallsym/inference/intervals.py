@@ -1,0 +1,213 @@
+"""95 % intervals: normal where that is good enough, else by profile likelihood or from resampled runs."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.estimation.covariance import inverse
+from hallsym.estimation.likelihood import Cost
+from hallsym.inference.bootstrap import Bootstrap
+from hallsym.inference.bootstrap import bootstrap as resample
+from hallsym.inference.evidence import Evidence
+from hallsym.inference.profile_tangent import skewness
+from hallsym.inference.profiles import Profile, profile
+from hallsym.inference.verdict import INTERVAL
+from hallsym.model.quantities import Quantity, combination, linear, parameter
+
+CHOICES = ("auto", "all", "none")
+REPLICATES = 1000
+"""Bootstrap refits when white noise does not explain the scatter between runs."""
+POINTS = 6
+"""Further points per side of a profile, for its picture."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A 95 % interval, in the unit of its quantity.
+
+    `how`: "normal", "profile" or "block bootstrap". `ends`: "reached", or for a profile "at bound" (the
+    bounds end it), "open" (the data never object inside the bounds) or "failed", one per side.
+    """
+
+    low: float
+    high: float
+    how: str
+    ends: tuple[str, str] = ("reached", "reached")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record; an end that is not finite is None."""
+        low, high = (float(v) if np.isfinite(v) else None for v in (self.low, self.high))
+        return {"low": low, "high": high, "how": self.how, "ends": list(self.ends)}
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """`std` and interval (`of`) by name of parameter or combination; profiles, and what failed, in sentences.
+
+    `method`, `reason`: where standard uncertainties come from, and why from there.
+    """
+
+    std: Mapping[str, float]
+    of: Mapping[str, Interval]
+    method: str
+    reason: str
+    profiles: tuple[Profile, ...] = ()
+    replicates: Bootstrap | None = None
+    failures: tuple[str, ...] = ()
+
+
+def intervals_of(
+    evidence: Evidence, *, profiles: str, bootstrap: int | None, seed: int, say: Callable[[str], None]
+) -> Intervals:
+    """Return the intervals of every determined parameter and combination.
+
+    `profiles`: "auto", "all" or "none". `bootstrap`: replicates; None for as many as the scatter needs.
+    """
+    if profiles not in CHOICES:
+        raise InputError(
+            f"Input profiles must be one of {', '.join(CHOICES)}; instead received {profiles!r}."
+        )
+    if bootstrap is not None and not (bootstrap == 0 or 50 <= bootstrap <= 1_000_000):
+        raise InputError(f"Input bootstrap must be 0, or 50 to 1000000 refits; instead received {bootstrap}.")
+    quantities, std = _quantities(evidence), _std(evidence)
+    intervals = {
+        name: Interval(value - INTERVAL * std[name], value + INTERVAL * std[name], "normal")
+        for name, value in ((q.name, q.first(evidence.p)[0]) for q in quantities)
+        if name in std
+    }
+    found = Intervals(std, intervals, evidence.method, evidence.reason)
+    if evidence.cost.planned or not quantities:
+        return found
+    cost = evidence.cost.anchored(evidence.p)
+    if bootstrap is None:
+        bootstrap = REPLICATES if evidence.method == "runs as blocks" else 0
+    if bootstrap:
+        say(f"refitting {bootstrap} resampled campaigns")
+        found = _resampled(found, evidence, cost, quantities, bootstrap, seed)
+    if profiles != "none":
+        found = _profiled(found, evidence, cost, quantities, profiles == "all", say)
+    return found
+
+
+def profile_record(profile: Profile) -> dict[str, Any]:
+    """Return a profile as a record: its curve (values, rises of -2 log likelihood) and how its ends came."""
+    return {
+        "of": profile.quantity.name,
+        "unit": profile.quantity.unit,
+        "value": profile.value,
+        "threshold": profile.threshold,
+        "values": profile.values.tolist(),
+        "rises": profile.rises.tolist(),
+        "ends": [
+            {
+                "value": side.value if np.isfinite(side.value) else None,
+                "status": side.status,
+                "why": side.reason,
+            }
+            for side in (profile.lower, profile.upper)
+        ],
+    }
+
+
+def _quantities(evidence: Evidence) -> list[Quantity]:
+    """Determined parameters and those at a bound, then determined combinations."""
+    model = evidence.model
+    names = [n for k, n in enumerate(model.names) if evidence.determined[k] or n in evidence.at_bound]
+    known = {c.expression: c for c in model.combinations}
+    out = [parameter(model, name) for name in names]
+    for c in evidence.combinations:
+        if c.expression in known:
+            out.append(combination(model, known[c.expression]))
+        elif c.factors is not None:
+            gradient = [c.factors.get(name, 0.0) for name in model.names]
+            out.append(linear(model, gradient, c.unit, c.expression))
+    return out
+
+
+def _std(evidence: Evidence) -> dict[str, float]:
+    names = evidence.model.names
+    std = {n: float(evidence.std[k]) for k, n in enumerate(names) if evidence.determined[k]}
+    return std | {c.expression: c.std for c in evidence.combinations}
+
+
+def _profiled(
+    found: Intervals,
+    evidence: Evidence,
+    cost: Cost,
+    quantities: list[Quantity],
+    every: bool,
+    say: Callable[[str], None],
+) -> Intervals:
+    """Replace normal intervals by profiles where they are wanted; where one fails the normal one is kept."""
+    held, naive = evidence.found.held, _likelihood_std(evidence, quantities)
+    intervals, profiles, failures = dict(found.of), [], []
+    for k, quantity in enumerate(quantities):
+        std = found.std.get(quantity.name)
+        scale = 1.0 if not std or not naive[k] else (std / naive[k]) ** 2
+        if not every and std:
+            check = skewness(cost, evidence.p, quantity, held=held, std=std, scale=scale)
+            if check.normal:
+                continue
+        say(f"profile of {quantity.name}")
+        result = profile(cost, evidence.p, quantity, held=held, std=std, scale=scale, points=POINTS)
+        profiles.append(result)
+        ends = (result.lower.status, result.upper.status)
+        if result.ok or "open" in ends:
+            low, high = result.interval
+            intervals[quantity.name] = Interval(low, high, "profile", ends)
+        for side in (result.lower, result.upper):
+            if side.status == "failed":
+                failures.append(f"The profile of {quantity.name} failed: {side.reason}.")
+        if result.better is not None:
+            failures.append(
+                f"The profile of {quantity.name} met a better optimum (cost lower by {result.drop:.3g}): "
+                "fit again with --solver hybrid."
+            )
+    return Intervals(
+        found.std,
+        intervals,
+        found.method,
+        found.reason,
+        tuple(profiles),
+        found.replicates,
+        (*found.failures, *failures),
+    )
+
+
+def _likelihood_std(evidence: Evidence, quantities: list[Quantity]) -> np.ndarray:
+    """Standard uncertainties that the likelihood alone gives, 0 where it gives none."""
+    free = np.flatnonzero(np.diag(evidence.covariance) > 0)
+    information = np.tensordot(evidence.cost.weights, evidence.cost.at(evidence.p).information(1.0), axes=1)
+    if not len(free):
+        return np.zeros(len(quantities))
+    naive = inverse(information[np.ix_(free, free)])
+    gradients = np.array([q.first(evidence.p)[1][free] for q in quantities])
+    return np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", gradients, naive, gradients), 0.0))
+
+
+def _resampled(
+    found: Intervals,
+    evidence: Evidence,
+    cost: Cost,
+    quantities: list[Quantity],
+    replicates: int,
+    seed: int,
+) -> Intervals:
+    """Replace standard uncertainties and intervals by those of resampled runs."""
+    names = evidence.model.names
+    held = tuple(sorted({*evidence.found.held, *(names.index(n) for n in evidence.at_bound)}))
+    drawn = resample(cost, evidence.p, held, replicates=replicates, seed=seed)
+    std, intervals, failures = dict(found.std), dict(found.of), []
+    for quantity in (q for q in quantities if q.name in std):
+        std[quantity.name] = drawn.std_of(quantity)
+        intervals[quantity.name] = Interval(*drawn.interval(quantity), "block bootstrap")
+    if drawn.singular:
+        failures.append(
+            f"{drawn.singular} of {drawn.replicates} resampled campaigns do not determine the parameters and "
+            "were left out: the intervals are too short; record more runs."
+        )
+    method = f"block bootstrap, {drawn.replicates} refits, runs as blocks"
+    return Intervals(std, intervals, method, evidence.reason, replicates=drawn, failures=tuple(failures))

@@ -1,0 +1,142 @@
+"""A log with derived columns: served beside the logged ones, run by run.
+
+They are computed from blocks that overlap at their edges, so memory does not grow with the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from hallsym.log import Block, Log
+from hallsym.model import Model
+from hallsym.model.derived import HALVES, Computed, Stretch
+
+HALO = 4 * HALVES[-1]
+"""Samples of context on either side of a block."""
+ROOM = 100_000_000
+"""Bytes of computed columns that are kept for the next pass over the same log."""
+WINDOWED = 20_000
+"""Runs whose smoothing windows are kept for the next pass over the same log."""
+_KEPT: WeakKeyDictionary[Log, dict[tuple, np.ndarray]] = WeakKeyDictionary()
+_HALVES: WeakKeyDictionary[Log, dict[tuple, dict[str, int]]] = WeakKeyDictionary()
+
+
+class ExtendedLog:
+    """A log that also serves computed columns; everything else is the log's own."""
+
+    def __init__(self, log: Log, computed: Sequence[Computed], sigma: Mapping[str, float]) -> None:
+        """Serve `computed` beside the columns of `log`; `sigma`: noise by column."""
+        self.log, self.sigma = log, dict(sigma)
+        self.computed = {c.name: c for c in computed}
+        self._origin: float | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        """Everything that is not about columns comes from the log itself."""
+        return getattr(self.log, name)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Logged and computed columns."""
+        return (*self.log.columns, *self.computed)
+
+    def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
+        """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all)."""
+        wanted = self.columns if columns is None else tuple(columns)
+        made = [self.computed[c] for c in wanted if c in self.computed]
+        if not made:
+            yield from self.log.blocks(wanted, size)
+            return
+        raw = dict.fromkeys(c for c in wanted if c not in self.computed)
+        raw |= dict.fromkeys(c for m in made for c in m.needs) | {"t_s": None}
+        kept = _KEPT.setdefault(self.log, {})
+        for stretch, inner in self._stretches(tuple(raw), size):
+            data = {c: stretch.data[c][inner] for c in wanted if c not in self.computed}
+            at = (stretch.run, float(stretch.data["t_s"][inner.start]), inner.stop - inner.start)
+            yield Block(stretch.run, data | {m.name: _column(kept, m, stretch, inner, at) for m in made})
+
+    def _stretches(self, columns: tuple[str, ...], size: int) -> Iterator[tuple[Stretch, slice]]:
+        """Yield blocks with up to HALO samples of context on either side, and where the block itself lies."""
+        held: _Held | None = None
+        windows = _HALVES.setdefault(self.log, {})
+        sigma = tuple(sorted(self.sigma.items()))
+        for block in self.log.blocks(columns, size):
+            if self._origin is None:
+                self._origin = float(block.data["t_s"][0])
+            if held is not None and held.run != block.run:
+                yield from held.pieces(size, last=True)
+                held = None
+            if held is None:
+                held = _Held(block.run, block.data, self._origin, self.sigma)
+                if len(windows) < WINDOWED:  # chosen once, on the same stretch: the first of this size
+                    held.halves = windows.setdefault((block.run, held.first, size, sigma), held.halves)
+            else:
+                held.add(block.data)
+            yield from held.pieces(size, last=False)
+        if held is not None:
+            yield from held.pieces(size, last=True)
+
+
+def _column(
+    kept: dict[tuple, np.ndarray], made: Computed, stretch: Stretch, inner: slice, at: tuple
+) -> np.ndarray:
+    """Return a computed column of the block `at` run, time and length, kept while there is room."""
+    key = (made.name, made.key, *at)
+    if key not in kept:
+        values = _finite(made.rule(stretch))[inner]
+        if len(kept) * values.nbytes > ROOM:
+            return values
+        kept[key] = values.copy()
+    return kept[key]
+
+
+class _Held:
+    """Samples of one run that wait for their context."""
+
+    def __init__(self, run: int, data: dict[str, np.ndarray], origin: float, sigma: Mapping[str, float]):
+        self.run, self.data, self.origin, self.sigma = run, data, origin, sigma
+        self.first, self.done = float(data["t_s"][0]), 0
+        self.halves: dict[str, int] = {}
+
+    def add(self, data: dict[str, np.ndarray]) -> None:
+        self.data = {c: np.concatenate([v, data[c]]) for c, v in self.data.items()}
+
+    def pieces(self, size: int, last: bool) -> Iterator[tuple[Stretch, slice]]:
+        while True:
+            total = len(self.data["t_s"])
+            ready = total - self.done - (0 if last else HALO)
+            if ready <= 0 or (ready < size and not last):
+                return
+            stop = self.done + min(ready, size)
+            end = min(total, stop + HALO)
+            data = {c: v[:end] for c, v in self.data.items()}
+            stretch = Stretch(self.run, data, self.first, self.origin, self.sigma, self.halves)
+            yield stretch, slice(self.done, stop)
+            cut = max(0, stop - HALO)
+            self.data = {c: v[cut:] for c, v in self.data.items()}
+            self.done = stop - cut
+
+
+def extended(
+    log: Log,
+    model: Model,
+    sigma: Mapping[str, float] | None = None,
+    values: Mapping[str, float] | None = None,
+) -> Any:
+    """Return the log with the computed columns of `model`; the log itself if there are none.
+
+    `sigma`: noise by column, the log's own where not given. `values`: parameters by name, for columns that
+    depend on some (nominal where not given).
+    """
+    if not model.computed:
+        return log
+    known = {c: s.value for c, s in log.noise.sigmas.items()} | dict(sigma or {})
+    return ExtendedLog(log, [c.at(values) if c.at and values else c for c in model.computed], known)
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    values = np.asarray(values, dtype=float)
+    return values if np.isfinite(values).all() else np.nan_to_num(values, posinf=0.0, neginf=0.0)

@@ -1,0 +1,14 @@
+"""What a sensor is: the chain of links from pose to reading, its parameters, and what follows from them."""
+
+from hallsym.model.model import (
+    LINKS,
+    Combination,
+    Inspection,
+    Model,
+    Parameter,
+    Signals,
+    Step,
+    Symbols,
+)
+
+__all__ = ["LINKS", "Combination", "Inspection", "Model", "Parameter", "Signals", "Step", "Symbols"]

@@ -1,0 +1,150 @@
+"""Derived columns: what no log holds but an effect needs, such as rates, time and memory of the motion.
+
+A model names them among its `state` and carries how to compute them; `hallsym.log.derived` serves them beside
+the logged columns. Rates come from local polynomials whose window is as wide as the motion allows: wide
+windows average the noise of the reference, and a window is too wide once what it leaves is more than that
+noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from hallsym.model.medians import median
+
+ORDER = 5
+"""Degree of the local polynomials."""
+HALVES = (3, 4, 5, 6, 8, 10, 12, 16, 20, 26, 34, 44, 58, 76, 100)
+"""Half widths [samples] that are tried."""
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Computed:
+    """A column made from others: `rule(stretch) -> (samples,)`; `needs` are the logged columns it reads.
+
+    `name` says all that the rule depends on: two columns of one name are one column.
+    """
+
+    name: str
+    needs: tuple[str, ...]
+    rule: Callable[[Stretch], np.ndarray]
+    at: Callable[[Mapping[str, float]], Computed] | None = None
+    """Of a column that depends on parameters (the width of a loop): the column at their values."""
+    key: str = ""
+    """Says what `name` does not, once it is taken at values."""
+
+
+@dataclass(eq=False)
+class Stretch:
+    """Consecutive samples of one run with context: `data[column]`, and what holds for the whole run.
+
+    `first_s`: time of the first sample of the run and `origin_s` of the log. `sigma`: noise by column.
+    `halves`: smoothing windows chosen at the beginning of the run.
+    """
+
+    run: int
+    data: dict[str, np.ndarray]
+    first_s: float
+    origin_s: float
+    sigma: Mapping[str, float]
+    halves: dict[str, int]
+    _known: dict[Hashable, Any] = field(default_factory=dict)
+
+    def once(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what `make` returns, computed once per stretch under `key`."""
+        if key not in self._known:
+            self._known[key] = make()
+        return self._known[key]
+
+    def rate(self, column: str, order: int = 1) -> np.ndarray:
+        """Return the time derivative of a column (order 0: the column smoothed), unit per second^order."""
+        return self.once((column, order), lambda: self._derivative(column, order))
+
+    def _derivative(self, column: str, order: int) -> np.ndarray:
+        values, t = self.data[column], self.data["t_s"]
+        if len(values) < 2 * HALVES[0] + 1:
+            return np.zeros(len(values)) if order else values
+        step, even, grid = self.once("grid", lambda: _grid(t))
+        x = values if even else np.interp(grid, t, values)
+        if column not in self.halves:
+            self.halves[column] = widest_half(x, self.sigma.get(column, 0.0))
+        half = min(self.halves[column], (len(x) - 1) // 2)
+        if 2 * half + 1 <= ORDER:
+            return np.zeros(len(values)) if order else values
+        smooth = _local(x, half, order) / step**order
+        return smooth if even else np.interp(t, grid, smooth)
+
+
+def _grid(t: np.ndarray) -> tuple[float, bool, np.ndarray]:
+    """Step of the times, whether they have one, and times that do."""
+    steps = np.diff(t)
+    step = median(steps)
+    even = bool(np.abs(steps - step).max() < 0.25 * step)
+    return step, even, t if even else np.arange(t[0], t[-1] + 0.5 * step, step)
+
+
+@lru_cache(maxsize=256)
+def _windows(half: int, order: int) -> np.ndarray:
+    """Weights of a window for derivative `order` at each of its places, (2 half + 1, 2 half + 1).
+
+    Row j is the value at place j of the polynomial of degree ORDER that fits the window best.
+    """
+    x = np.arange(-half, half + 1) / half
+    basis, _ = np.linalg.qr(legendre.legvander(x, ORDER))
+    slopes = np.linalg.lstsq(legendre.legvander(x, ORDER), basis, rcond=None)[0]
+    derived = legendre.legder(slopes, order, axis=0) if order else slopes
+    return legendre.legval(x, derived).T @ basis.T / half**order
+
+
+def _local(x: np.ndarray, half: int, order: int) -> np.ndarray:
+    """Derivative per sample^order by local polynomials; near the ends by that of the last window."""
+    weights = _windows(half, order)
+    out = np.empty(len(x))
+    out[half:-half] = np.convolve(x, weights[half][::-1], mode="valid")
+    out[:half] = weights[:half] @ x[: 2 * half + 1]
+    out[-half:] = weights[-half:] @ x[-2 * half - 1 :]
+    return out
+
+
+def widest_half(x: np.ndarray, sigma: float) -> int:
+    """Return the half width of the widest window that leaves no more than noise of deviation sigma."""
+    best, level = HALVES[0], sigma**2
+    for half in HALVES:
+        if 2 * half + 1 > len(x):
+            break
+        keep = 1.0 - float(_windows(half, 0)[half, half])
+        left = x - _local(x, half, 0)
+        inside = left[half:-half] if len(x) > 4 * half else left
+        power = float(np.mean(inside**2)) / keep
+        if half == HALVES[0]:
+            level = max(level, power)
+        if power > level * (1.0 + 3.0 * np.sqrt(2.0 / len(inside))):
+            break
+        best = half
+    return best
+
+
+# -- columns that several effects share --------------------------------------------------------------------
+
+
+def rate(column: str, order: int = 1) -> Computed:
+    """Return d^order column / dt^order; named `d1_x_ref_m`, for example."""
+    return Computed(f"d{order}_{column}", (column,), lambda s: s.rate(column, order))
+
+
+def campaign_time() -> Computed:
+    """Return seconds since the first sample of the log."""
+    return Computed("campaign_s", (), lambda s: s.data["t_s"] - s.origin_s)
+
+
+def run_time(power: int = 1) -> Computed:
+    """Return seconds since the first sample of the run, to a power."""
+    name = "run_s" if power == 1 else f"run_s{power}"
+    return Computed(name, (), lambda s: (s.data["t_s"] - s.first_s) ** power)

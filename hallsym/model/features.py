@@ -1,0 +1,228 @@
+"""Write a model's reading as a sum of data-only features with parameter-only coefficients.
+
+A reading that is polynomial in the logged columns (and in derived ones such as 1 - cos Rz) is linear in
+their monomials: reading = sum_j f_j(data) c_j(parameters, zeros). Found by differentiation, not declared by
+the family, so an effect that adds a term adds its features by itself.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from math import comb, factorial, prod
+
+import casadi as ca
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+
+MAX_FEATURES = 120
+MAX_DEGREE = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Monomials of a model's reading, those that carry the zeros of a run first.
+
+    `exponents`: shape (n_features, n_variables), over pose, state and derived variables.
+    `n_zero`: how many of the first features have a coefficient that depends on a run's zeros.
+    """
+
+    model: Model
+    exponents: np.ndarray
+    n_zero: int
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return len(self.exponents)
+
+    @cached_property
+    def _variables(self) -> tuple[ca.SX, ca.SX]:
+        s = self.model.symbols
+        centre = ca.SX.sym("centre", s.pose.numel() + s.state.numel() + s.derived.numel())
+        return ca.vertcat(s.pose, s.state, s.derived), centre
+
+    @cached_property
+    def _monomials(self) -> ca.SX:
+        variables, centre = self._variables
+        shifted = variables - centre
+        rows = [
+            prod((shifted[v] for v, power in enumerate(row) for _ in range(power)), start=ca.SX(1))
+            for row in self.exponents
+        ]
+        return self.model.symbols.full(ca.vertcat(*rows))
+
+    @cached_property
+    def values(self) -> Callable[..., list[np.ndarray]]:
+        """`(pose, state, centre) -> [features]` on arrays of samples; (n_features, samples)."""
+        s, centre = self.model.symbols, self._variables[1]
+        return on_arrays(ca.Function("features", [s.pose, s.state, centre], [ca.densify(self._monomials)]))
+
+    @cached_property
+    def slopes(self) -> Callable[..., list[np.ndarray]]:
+        """`(pose, state, centre) -> [d feature / d column]`, (n_columns * n_features, samples)."""
+        s, centre = self.model.symbols, self._variables[1]
+        jacobian = ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state))
+        return on_arrays(ca.Function("slopes", [s.pose, s.state, centre], [ca.densify(jacobian)]))
+
+    @cached_property
+    def variables(self) -> ca.Function:
+        """`(pose, state) -> pose, state and derived` variables, of which the features are monomials."""
+        s = self.model.symbols
+        return ca.Function("variables", [s.pose, s.state], [s.full(self._variables[0])])
+
+    @cached_property
+    def coefficients(self) -> ca.Function:
+        """`(parameters, zeros, centre) -> c`, shape (n_features, n_channels): Taylor terms at the centre."""
+        s, (variables, centre) = self.model.symbols, self._variables
+        rows = []
+        for row in self.exponents:
+            term = _derivative(s.reading, variables, row) / prod(factorial(int(k)) for k in row)
+            rows.append(ca.substitute(term, variables, centre).T)
+        return ca.Function("coefficients", [s.parameters, s.zeros, centre], [ca.densify(ca.vertcat(*rows))])
+
+    @property
+    def n_zeros(self) -> int:
+        """Zeros of a run that these features carry: all of the model's, or none once projected out."""
+        return len(self.model.zeros) if self.n_zero else 0
+
+    @cached_property
+    def without_zeros(self) -> "Features":
+        """The features that are left once those that carry zeros are projected out."""
+        return replace(self, exponents=self.exponents[self.n_zero :], n_zero=0)
+
+    @cached_property
+    def expansion(self) -> tuple[ca.Function, ca.Function]:
+        """Coefficients with their derivatives, the zeros split off: reading = f . (c + sum_l d_l E_l).
+
+        `(parameters, centre) -> [c, E_1, ...], d / d parameters`, each column flattened by channel, and
+        `(parameters, centre, weights) -> Hessian` of the weighted sum of those columns.
+        """
+        p, centre = self.model.symbols.parameters, self._variables[1]
+        zeros = ca.SX.sym("zeros", len(self.model.zeros))
+        c = self.coefficients(p, zeros, centre)
+        parts = [ca.vec(ca.substitute(c, zeros, ca.SX.zeros(zeros.numel())))]
+        slopes = ca.jacobian(ca.vec(c), zeros)
+        parts += [slopes[:, k] for k in range(self.n_zeros)]
+        stacked = ca.densify(ca.horzcat(*parts))  # (n_features * n_channels, 1 + n_zeros)
+        flat = ca.vec(stacked)
+        weights = ca.SX.sym("weights", flat.numel())
+        hessian, _ = ca.hessian(ca.dot(weights, flat), p)
+        first = ca.Function("coefficients", [p, centre], [stacked, ca.densify(ca.jacobian(flat, p))])
+        return first, ca.Function("curvature", [p, centre, weights], [ca.densify(hessian)])
+
+    def slope_rows(self, p: np.ndarray) -> np.ndarray | None:
+        """Return rows (m, n) that show what no recording determines at `p`; None: the coefficients do."""
+        return None
+
+    def label(self, j: int) -> str:
+        """Readable name of feature j, such as `x_m*z_m`; `1` for the constant."""
+        s = self.model
+        names = [*s.pose, *s.state, *(str(d) for d in ca.vertsplit(s.symbols.derived))]
+        return "*".join(names[v] for v, power in enumerate(self.exponents[j]) for _ in range(power)) or "1"
+
+    def shift(self, offset: np.ndarray) -> np.ndarray:
+        """Matrix T with c(centre) = T c(centre - offset): the binomial theorem on every monomial."""
+        n = self.size
+        matrix = np.zeros((n, n))
+        for i, low in enumerate(self.exponents):
+            for j, high in enumerate(self.exponents):
+                if np.all(high >= low):
+                    matrix[i, j] = prod(
+                        comb(int(h), int(k)) * float(o) ** int(h - k)
+                        for h, k, o in zip(high, low, offset, strict=True)
+                    )
+        return matrix
+
+
+@lru_cache(maxsize=64)
+def find_features(model: Model) -> Features:
+    """Return the monomials of the model's reading.
+
+    Raises `InputError` when the reading is no polynomial of degree <= 6 in the logged and derived columns.
+    """
+    s = model.symbols
+    variables = ca.vertcat(s.pose, s.state, s.derived)
+    if not _of_low_degree(model, variables):
+        raise _not_polynomial(model)
+    zero = (0,) * variables.numel()
+    found, level = {zero: s.reading}, {zero: s.reading}
+    while level:
+        level = {
+            higher: derivative
+            for row, expression in level.items()
+            for higher, derivative in _higher(row, expression, variables)
+        }
+        found |= level
+        if any(sum(row) > MAX_DEGREE for row in level) or len(found) > MAX_FEATURES:
+            raise _not_polynomial(model)
+    carries_zero = {row: _depends(expression, s.zeros) for row, expression in found.items()}
+    order = sorted(found, key=lambda row: (not carries_zero[row], sum(row), [-k for k in row]))
+    features = Features(model, np.array(order, dtype=int), sum(carries_zero.values()))
+    if not _reproduces(features):
+        raise _not_polynomial(model)
+    return features
+
+
+def _of_low_degree(model: Model, variables: ca.SX) -> bool:
+    """Return whether the reading may be a polynomial: cheap, since no derivative is taken.
+
+    Along a line of one variable the difference of order MAX_DEGREE + 1 of a polynomial vanishes.
+    """
+    s, rng, order = model.symbols, np.random.default_rng(0), MAX_DEGREE + 1
+    read = ca.Function("along", [s.parameters, s.zeros, variables], [s.reading])
+    weights = np.array([(-1.0) ** k * comb(order, k) for k in range(order + 1)])
+    p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
+    zeros, at = (rng.standard_normal(n) for n in (len(model.zeros), variables.numel()))
+    for v in range(variables.numel()):
+        line = np.repeat(at[:, None], order + 1, axis=1)
+        line[v] += np.linspace(-1.0, 1.0, order + 1)
+        terms = np.asarray(read(p, zeros, line)) * weights
+        if not np.all(np.abs(terms.sum(axis=1)) <= 1e-9 * np.abs(terms).sum(axis=1)):
+            return False
+    return True
+
+
+def _reproduces(features: Features) -> bool:
+    """Check the expansion far from its centre: |u| or a step has derivatives, and is no polynomial."""
+    model, rng = features.model, np.random.default_rng(0)
+    for _ in range(3):
+        p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
+        zeros, pose, state = (rng.standard_normal(len(n)) for n in (model.zeros, model.pose, model.state))
+        centre = np.asarray(features.variables(*(rng.standard_normal(len(n)) for n in (pose, state)))).ravel()
+        expected = np.asarray(model.reading(p, zeros, pose, state)).ravel()
+        f = features.values(pose, state, centre)[0]
+        terms = np.asarray(features.coefficients(p, zeros, centre)) * f[:, None]
+        if not np.all(np.abs(terms.sum(axis=0) - expected) <= 1e-9 * np.abs(terms).sum(axis=0)):
+            return False
+    return True
+
+
+def _not_polynomial(model: Model) -> InputError:
+    return InputError(
+        f"Model {model.name} with effects {', '.join(model.effects) or 'none'} has readings that are not a "
+        "polynomial of the logged columns, so its runs have no summary; derive the non-polynomial quantity "
+        "with Signals.derive."
+    )
+
+
+def _higher(
+    row: tuple[int, ...], expression: ca.SX, variables: ca.SX
+) -> Iterator[tuple[tuple[int, ...], ca.SX]]:
+    jacobian = ca.jacobian(expression, variables)
+    for v in range(variables.numel()):
+        if jacobian[:, v].nnz() and not ca.SX(jacobian[:, v]).is_zero():
+            yield tuple(k + (i == v) for i, k in enumerate(row)), jacobian[:, v]
+
+
+def _depends(expression: ca.SX, symbols: ca.SX) -> bool:
+    return symbols.numel() > 0 and bool(ca.depends_on(expression, symbols))
+
+
+def _derivative(expression: ca.SX, variables: ca.SX, row: np.ndarray) -> ca.SX:
+    for v, power in enumerate(row):
+        for _ in range(power):
+            expression = ca.jacobian(expression, variables[v])
+    return expression

@@ -1,0 +1,64 @@
+"""How the decoded pose follows everything it is computed from: parameters, readings, state and zeros.
+
+The reading determines the pose implicitly, m = f(p, zeros, pose, state), so by the implicit function theorem
+d pose / d m = D = (J^T W J)^-1 J^T W with J = df/dpose, and d pose / d u = -D df/du for every other input u.
+J and df/du are CasADi's exact Jacobians of the model's reading.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+
+Columns = Sequence | np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Influence:
+    """Slopes of the decoded pose at s samples, in SI per SI.
+
+    `parameters`: (s, n_pose, n). `readings`: (s, n_pose, n_channels). `state`: (s, n_pose, n_state).
+    `zeros`: (s, n_pose, n_zeros), per displacement as `Point.zeros` has them.
+    """
+
+    parameters: np.ndarray
+    readings: np.ndarray
+    state: np.ndarray
+    zeros: np.ndarray
+
+
+def influence(
+    model: Model,
+    p: np.ndarray,
+    zeros: Columns,
+    pose: Columns,
+    state: Columns,
+    weight: np.ndarray | None = None,
+) -> Influence:
+    """Return the slopes of the decoded pose at given poses and states.
+
+    `p`: (n,). `zeros`, `pose`, `state`: one scalar or (s,) array per zero, pose coordinate and state column.
+    `weight`: 1/variance per channel, which matters only with more channels than coordinates (default 1).
+    """
+    weight = np.ones(len(model.channels)) if weight is None else np.asarray(weight)
+    flat = _slopes(model)(p, zeros, pose, state)[0]
+    sizes = (len(model.names), len(model.zeros), len(model.pose), len(model.state))
+    slopes = np.moveaxis(flat.reshape(sum(sizes), len(model.channels), -1), (0, 1), (2, 1))
+    by_p, by_zero, J, by_state = np.split(slopes, np.cumsum(sizes)[:-1], axis=2)
+    JW = np.swapaxes(J, 1, 2) * weight
+    D = np.linalg.solve(JW @ J, JW)
+    return Influence(parameters=-D @ by_p, readings=D, state=-D @ by_state, zeros=-D @ by_zero)
+
+
+@lru_cache(maxsize=64)
+def _slopes(model: Model) -> Callable[..., list[np.ndarray]]:
+    """`(p, zeros, pose, state) -> d reading / d (p, zeros, pose, state)`, flattened column by column."""
+    s = model.symbols
+    inputs = [s.parameters, s.zeros, s.pose, s.state]
+    jacobian = ca.jacobian(s.full(s.reading), ca.vertcat(*inputs))
+    return on_arrays(ca.Function("slopes", inputs, [ca.densify(jacobian)]))

@@ -1,0 +1,374 @@
+"""A model: the chain of named links from pose to reading, as CasADi expressions, and its parameters.
+
+    pose -> clock -> mechanics -> reference -> field -> transducer -> electronics -> reading
+
+A family builds the chain, an effect is a function `Model -> Model` that adds a step to one link. Everything
+else (readings, decoded pose, derivatives, generated code) is derived from the expressions that the steps
+leave behind, so there is one copy of the mathematics.
+"""
+
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hallsym.errors import InputError, nearest
+from hallsym.model.derived import Computed
+
+LINKS = ("clock", "mechanics", "reference", "field", "transducer", "electronics")
+"""Links in the order in which a signal meets them. `reference` stands after `mechanics` because the zero of
+the reference is seen by each probe as a displacement."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One scalar of the device: name, nominal value and bounds in SI, unit, and what it means."""
+
+    name: str
+    nominal: float
+    lower: float
+    upper: float
+    unit: str
+    meaning: str = ""
+
+    @property
+    def width(self) -> float:
+        """Width of the bounds; 0 for a fixed parameter, inf for a free one."""
+        return self.upper - self.lower
+
+
+class Signals(dict):
+    """What flows along the chain: `name -> SX`. A step reads what it needs and replaces what it changes.
+
+    Keys set before the first step: the columns of pose and state. `derive` adds a data-only quantity (such
+    as 1 - cos Rz) that is not polynomial in the columns, so that readings stay polynomial in data.
+    """
+
+    def __init__(self, columns: Iterable[str]) -> None:
+        super().__init__({name: ca.SX.sym(name) for name in columns})
+        self.derived: dict[str, tuple[ca.SX, ca.SX]] = {}
+
+    def derive(self, name: str, expression: ca.SX) -> ca.SX:
+        """Return the symbol that stands for `expression` of the columns; made at the first call."""
+        if name not in self.derived:
+            self.derived[name] = (ca.SX.sym(name), expression)
+        return self.derived[name][0]
+
+
+Step = Callable[[Signals, Mapping[str, ca.SX]], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """A readable function of the parameters, such as a lever arm: may be determined when they are not."""
+
+    expression: str
+    unit: str
+    parameters: tuple[str, ...]
+    value: Callable[[Mapping[str, ca.SX]], ca.SX]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What a family finds in a log before a fit: notes, and for each channel its source and sign.
+
+    `wiring` None: the channels are as the model takes them.
+    """
+
+    notes: tuple[str, ...] = ()
+    wiring: tuple[tuple[str, int], ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A chain with its parameters; immutable, extended by `with_step`.
+
+    `pose` are the columns the sensor shall give (x, y, Rz), `references` the logged columns beside them,
+    `state` the measured columns the gain may depend on, `channels` the readings. `zeros` are the nuisance
+    parameters that each run has of its own (the zero deviations of Eq. (30)); a reading is linear in them.
+    """
+
+    name: str
+    family: str
+    pose: tuple[str, ...]
+    references: tuple[str, ...]
+    state: tuple[str, ...]
+    channels: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    steps: tuple[tuple[str, Step], ...]
+    zeros: tuple[Parameter, ...] = ()
+    combinations: tuple[Combination, ...] = ()
+    effects: tuple[str, ...] = ()
+    layout: tuple = ()
+    closed_form: "Callable[[Model, Mapping[str, np.ndarray]], np.ndarray] | None" = None
+    """Start from unconstrained feature coefficients, if the family has one; nominal values otherwise."""
+    computed: tuple[Computed, ...] = ()
+    """How to make the columns among `state` that are not logged; `hallsym.log.derived` serves them."""
+    texts: Mapping[str, str] = field(default_factory=dict)
+    """What an effect is saved as where its name does not say all: `hysteresis:half_width_m=6e-05`."""
+    period: Mapping[str, float] = field(default_factory=dict)
+    """Pose coordinates, channels, references and parameters that repeat, with their period (2 pi)."""
+    begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
+    """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
+    typical: tuple[tuple[float, ...], ...] = ()
+    """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
+    inspect: "Callable[..., Inspection] | None" = None
+    """`(model, log, fitted=True)`: what the family says of a log before it is fitted, or judged. Raises
+    `InputError`."""
+
+    def with_step(
+        self,
+        link: str,
+        step: Step | None,
+        *,
+        effect: str,
+        parameters: tuple[Parameter, ...] = (),
+        zeros: tuple[Parameter, ...] = (),
+        combinations: tuple[Combination, ...] = (),
+    ) -> "Model":
+        """Return a model whose `link` ends with `step`; this is how an effect is added."""
+        if link not in LINKS:
+            raise InputError(f"Link {link!r} of effect {effect} must be one of {', '.join(LINKS)}.")
+        taken = {p.name for p in self.parameters} & {p.name for p in parameters}
+        if effect in self.effects or taken:
+            raise InputError(f"Effect {effect} is already part of model {self.name}; add it once.")
+        where = LINKS.index(link)
+        split = sum(LINKS.index(name) <= where for name, _ in self.steps)
+        added = () if step is None else ((link, step),)
+        return replace(
+            self,
+            steps=self.steps[:split] + added + self.steps[split:],
+            parameters=self.parameters + parameters,
+            zeros=self.zeros + zeros,
+            combinations=self.combinations + combinations,
+            effects=(*self.effects, effect),
+        )
+
+    def with_columns(self, *columns: "str | Computed") -> "Model":
+        """Return a model whose steps may read further columns, logged ones by name or computed ones."""
+        state, computed = list(self.state), list(self.computed)
+        for column in columns:
+            name = column if isinstance(column, str) else column.name
+            if name not in state:
+                state.append(name)
+                computed += [] if isinstance(column, str) else [column]
+        return replace(self, state=tuple(state), computed=tuple(computed))
+
+    def with_parameters(self, changes: Mapping[str, Mapping[str, Any]]) -> "Model":
+        """Return a model with other nominal values or bounds: `{"H1x": {"nominal": .2, "lower": .1}}`."""
+        if not changes:
+            return self
+        known = [p.name for p in (*self.parameters, *self.zeros)]
+        for name in changes:
+            if name not in known:
+                raise InputError(f"Model {self.name} has no parameter {name!r}{nearest(name, known)}.")
+
+        def changed(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+            return tuple(replace(p, **dict(changes.get(p.name, {}))) for p in parameters)
+
+        model = replace(self, parameters=changed(self.parameters), zeros=changed(self.zeros))
+        for p in (*model.parameters, *model.zeros):
+            if not p.lower <= p.upper:
+                raise InputError(
+                    f"Bounds of {p.name} must have lower <= upper; instead received {p.lower:g}, {p.upper:g}."
+                )
+        return model
+
+    @cached_property
+    def _remembered(self) -> dict[Hashable, Any]:
+        return {}
+
+    def remember(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Return `make()`, made once for this model: `key` says all else that it depends on.
+
+        A model extended in the same way is then the same model, and its expressions are built once.
+        """
+        if key not in self._remembered:
+            self._remembered[key] = make()
+        return self._remembered[key]
+
+    # -- names and numbers -------------------------------------------------------------------------------
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of every parameter vector."""
+        return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def nominal(self) -> np.ndarray:
+        """Nominal values, shape (n_parameters,)."""
+        return np.array([p.nominal for p in self.parameters], dtype=float)
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds, each of shape (n_parameters,)."""
+        return (
+            np.array([p.lower for p in self.parameters], dtype=float),
+            np.array([p.upper for p in self.parameters], dtype=float),
+        )
+
+    def vector(self, values: Mapping[str, float]) -> np.ndarray:
+        """Return the parameter vector with `values` over the nominal ones; unknown names are an error."""
+        for name in values:
+            if name not in self.names:
+                raise InputError(
+                    f"Model {self.name} has no parameter {name!r}{nearest(name, list(self.names))}."
+                )
+        return np.array([values.get(p.name, p.nominal) for p in self.parameters], dtype=float)
+
+    def named(self, values: np.ndarray) -> dict[str, float]:
+        """Return a parameter vector (n,) as values by name."""
+        return dict(zip(self.names, np.asarray(values, dtype=float).tolist(), strict=True))
+
+    # -- expressions -------------------------------------------------------------------------------------
+
+    @cached_property
+    def _chain(self) -> tuple[Signals, dict[str, ca.SX], dict[str, ca.SX]]:
+        signals = Signals((*self.pose, *self.state))
+        p = {name: ca.SX.sym(name) for name in self.names}
+        zeros = {z.name: ca.SX.sym(z.name) for z in self.zeros}
+        for _, step in self.steps:
+            step(signals, {**p, **zeros})
+        return signals, p, zeros
+
+    @cached_property
+    def symbols(self) -> "Symbols":
+        """The symbols and the reading of the chain, with derived quantities still symbols of their own."""
+        signals, p, zeros = self._chain
+        return Symbols(
+            parameters=ca.vertcat(*p.values()),
+            zeros=ca.vertcat(*zeros.values()) if zeros else ca.SX(0, 1),
+            pose=ca.vertcat(*(signals[c] for c in self.pose)),
+            state=ca.vertcat(*(signals[c] for c in self.state)) if self.state else ca.SX(0, 1),
+            derived=ca.vertcat(*(s for s, _ in signals.derived.values())) if signals.derived else ca.SX(0, 1),
+            derived_as=ca.vertcat(*(e for _, e in signals.derived.values()))
+            if signals.derived
+            else ca.SX(0, 1),
+            reading=signals["reading"],
+            gain=signals["gain"],
+            displacement=signals["displacement"] if "displacement" in signals else ca.SX(0, 1),
+        )
+
+    @cached_property
+    def reading(self) -> ca.Function:
+        """Forward form `(parameters, zeros, pose, state) -> reading`, columns of SI values."""
+        s = self.symbols
+        return ca.Function(
+            "reading",
+            [s.parameters, s.zeros, s.pose, s.state],
+            [s.full(s.reading)],
+            ["parameters", "zeros", "pose", "state"],
+            ["reading"],
+        )
+
+    @cached_property
+    def gain(self) -> ca.Function:
+        """Gain phi `(parameters, state) -> phi` of each channel."""
+        s = self.symbols
+        return ca.Function("gain", [s.parameters, s.state], [ca.densify(s.full(s.gain))])
+
+    def zero_scale(self, p: np.ndarray, first_state: np.ndarray) -> np.ndarray:
+        """Return what a run's zeros (z,) are multiplied by to be read: phi(0) of Eq. (31), 1 for angles."""
+        if self.period:
+            return np.ones(len(self.zeros))
+        return np.asarray(self.gain(p, first_state)).ravel()
+
+    @cached_property
+    def decoded(self) -> ca.Function:
+        """Decoupled form `(parameters, zeros, reading, state, weight) -> pose`.
+
+        Newton's method on the forward form from `begin` or the zero pose: one step where a reading is linear
+        in the pose (the small-angle stage: then this *is* Eq. (31)), three more where it is not. With more
+        channels than coordinates each step is the weighted least-squares one; `weight` is 1/variance per
+        channel.
+        """
+        s = self.symbols
+        reading = s.full(s.reading)
+        jacobian = ca.jacobian(reading, s.pose)
+        linear = not any(ca.which_depends(ca.vec(jacobian), s.pose, 1, False))
+        measured = ca.SX.sym("reading", len(self.channels))
+        weight = ca.SX.sym("weight", len(self.channels))
+        pose: ca.SX = ca.SX.zeros(len(self.pose))
+        if self.begin is not None:
+            pose = self.begin(measured, dict(zip(self.names, ca.vertsplit(s.parameters), strict=True)))
+        for _ in range(1 if linear else 4):
+            residual, slope = ca.substitute([measured - reading, jacobian], [s.pose], [pose])
+            pose = pose + _solve(slope, residual, weight)
+        return ca.Function(
+            "decoded",
+            [s.parameters, s.zeros, measured, s.state, weight],
+            [ca.densify(pose)],
+            ["parameters", "zeros", "reading", "state", "weight"],
+            ["pose"],
+        )
+
+    @cached_property
+    def noise_gain(self) -> ca.Function:
+        """d pose / d reading at rest, `(parameters, state, weight) -> (n_pose, n_channels)`."""
+        s, weight = self.symbols, ca.SX.sym("weight", len(self.channels))
+        slope = self.noise_gain_at(s.parameters, ca.SX.zeros(len(self.pose)), s.state, weight)
+        return ca.Function("noise_gain", [s.parameters, s.state, weight], [ca.densify(slope)])
+
+    @cached_property
+    def noise_gain_at(self) -> ca.Function:
+        """d pose / d reading, `(parameters, pose, state, weight) -> (n_pose, n_channels)`, zeros at zero."""
+        s, weight = self.symbols, ca.SX.sym("weight", len(self.channels))
+        reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(len(self.zeros)))
+        slope = _solve(ca.jacobian(reading, s.pose), ca.SX.eye(len(self.channels)), weight)
+        inputs = [s.parameters, s.pose, s.state, weight]
+        return ca.Function("noise_gain_at", inputs, [ca.densify(slope)])
+
+    @cached_property
+    def combined(self) -> ca.Function:
+        """Values of the readable combinations, `(parameters) -> (n_combinations,)`."""
+        _, p, _ = self._chain
+        values = [c.value(p) for c in self.combinations]
+        return ca.Function(
+            "combined",
+            [ca.vertcat(*p.values())],
+            [ca.densify(ca.vertcat(*values)) if values else ca.DM(0, 1)],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Symbols:
+    """The symbolic chain of a model: its inputs as SX columns, and what comes out."""
+
+    parameters: ca.SX
+    zeros: ca.SX
+    pose: ca.SX
+    state: ca.SX
+    derived: ca.SX
+    derived_as: ca.SX
+    reading: ca.SX
+    gain: ca.SX
+    displacement: ca.SX
+
+    def full(self, expression: ca.SX) -> ca.SX:
+        """Return `expression` with derived quantities replaced by what they stand for."""
+        if self.derived.numel() == 0:
+            return expression
+        return ca.substitute(expression, self.derived, self.derived_as)
+
+
+def _solve(slope: ca.SX, residual: ca.SX, weight: ca.SX) -> ca.SX:
+    """Solve `slope q = residual`: Cramer's rule for 3 x 3, weighted normal equations when overdetermined."""
+    if slope.size1() > slope.size2():
+        scaled = slope * ca.repmat(weight, 1, slope.size2())
+        slope, residual = scaled.T @ slope, scaled.T @ residual
+    if slope.size1() == 1:
+        return residual / slope
+    if slope.size1() != 3:
+        return ca.solve(slope, residual)
+    if residual.size2() > 1:
+        return ca.horzcat(*(_solve(slope, column, weight) for column in ca.horzsplit(residual)))
+    a, b, c = slope[:, 0], slope[:, 1], slope[:, 2]
+    bc = ca.cross(b, c)
+    determinant = ca.dot(a, bc)
+    return (
+        ca.vertcat(ca.dot(residual, bc), ca.dot(residual, ca.cross(c, a)), ca.dot(residual, ca.cross(a, b)))
+        / determinant
+    )

@@ -1,0 +1,80 @@
+"""Pictures of a fit for print: what was measured, errors before and after, where they are, the parameters.
+
+They follow Figures 9 to 12 of Chen et al., Sensors 2016, 16, 872, doi:10.3390/s16060872. A log of any length
+is read in blocks and reduced to its least and greatest value per picture column, so a peak never gets lost.
+Data stay in SI; axes say um, urad or mV. Colours differ in lightness and every series has its own line style
+or marker, so that a greyscale print can be read. matplotlib is imported only to draw.
+
+`trace` and `survey` reduce the log; `runs`, `errors`, `by_setting` and `estimates` draw one picture each with
+the help of `names` and `style`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.channel_assignment import as_read
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.log import Log
+from hallsym.log.batches import Weigh
+from hallsym.report.figures.by_setting import errors_by_setting, settings
+from hallsym.report.figures.errors import errors_before_after
+from hallsym.report.figures.estimates import COVERAGE, parameters
+from hallsym.report.figures.runs import measured, representative
+from hallsym.report.figures.saving import SUFFIXES, save_figures
+from hallsym.report.figures.style import DPI, STYLE, WIDTH
+from hallsym.report.figures.survey import Survey, look_over
+from hallsym.report.figures.trace import COLUMNS, Trace
+
+__all__ = [
+    "COLUMNS",
+    "COVERAGE",
+    "DPI",
+    "STYLE",
+    "SUFFIXES",
+    "WIDTH",
+    "Survey",
+    "Trace",
+    "errors_before_after",
+    "errors_by_setting",
+    "look_over",
+    "measured",
+    "parameters",
+    "representative",
+    "save_pictures",
+    "settings",
+]
+
+
+def save_pictures(
+    log: Log,
+    fit: Fit,
+    folder: str | Path,
+    *,
+    keep: Weigh | None = None,
+    steps: Mapping[str, ErrorTable] | None = None,
+    suffixes: Sequence[str] = ("png",),
+) -> list[Path]:
+    """Draw the pictures of `fit` on `log` into `folder` (made if missing) and return the files written.
+
+    `measured`, `errors_before_after`, `errors_by_setting` and `parameters`. `steps`: error tables of models
+    between the designed and the fitted one, by name; they are shown by setting.
+    `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part and are marked.
+    `suffixes`: any of png, pdf, svg. The log is read twice, in blocks.
+    """
+    steps = dict(steps or {})
+    log = as_read(log, fit.model, fit.wiring)
+    survey = cache(lambda: look_over(log, fit, keep))  # once, and only when the folder is there
+    return save_figures(
+        {
+            "measured": lambda: measured(log, fit, survey(), keep),
+            "errors_before_after": lambda: errors_before_after(fit, survey()),
+            "errors_by_setting": lambda: errors_by_setting(fit, survey(), steps),
+            "parameters": lambda: parameters(fit),
+        },
+        folder,
+        suffixes,
+    )

@@ -1,0 +1,159 @@
+"""Picture `errors_by_setting`: rmse at each vertical setting, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.report.figures.names import LEVEL, largest, name, scale, setting, thinned, unit
+from hallsym.report.figures.style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    DASHED,
+    FAINT,
+    LINE,
+    MARKERS,
+    SERIES,
+    SHADE,
+    label_x,
+    label_y,
+    legend,
+    log_axis,
+    panels,
+    text_width,
+)
+from hallsym.report.figures.survey import Survey, held_out
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_SETTINGS = 60
+PER_ROW = 6
+"""Series side by side in the legend."""
+
+Group = tuple[str, list[int]]
+
+
+def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] | None = None) -> Figure:
+    """Draw rmse by vertical setting (by run where there are no settings) before, after and for `steps`."""
+    groups, title = settings(fit, survey)
+    series = _series(fit, survey, steps or {}, groups)
+    ticks, below = _tick_words(groups)
+    n, lines = len(fit.model.pose), -(-(len(series) + 1) // PER_ROW)
+    figure, axes = panels(n, 1, 1.35, top=LINE * lines + 0.12, bottom=below + 0.24, sharex=True)
+    for k, (ax, coordinate) in enumerate(zip(axes[:, 0], fit.model.pose, strict=True)):
+        values = np.array([[_rmse(table, runs, k) for runs in sets] for _, table, sets, _, _ in series])
+        floor = float(fit.noise_floor.get(coordinate, 0.0))
+        factor, shown = scale(coordinate, largest(values))
+        for (label, _, _, look, aside), y in zip(series, factor * values, strict=True):
+            ax.plot(np.arange(len(y)) + aside, y, ls="none", label=label, zorder=3, **look)
+        if len(groups) <= MOST_SETTINGS:
+            reach = np.fmin.reduce(factor * values), np.fmax.reduce(factor * values)
+            ax.vlines(np.arange(len(groups)), *reach, color=FAINT, lw=0.6, zorder=1)
+        if floor > 0:
+            ax.axhline(factor * floor, color=BLACK, lw=0.8, ls=DASHED, label="noise floor", zorder=2)
+        log_axis(ax, "y", factor * np.array([*values.ravel(), floor]))
+        ax.grid(axis="y", which="major", color=SHADE, lw=0.5, zorder=0)
+        label_y(ax, f"rmse {name(coordinate)} [{shown}]")
+    _number(axes[-1, 0], groups, ticks)
+    label_x(axes[-1, 0], title, below + 0.03)
+    handles = axes[0, 0].get_legend_handles_labels()[0]
+    columns = -(-len(handles) // -(-len(handles) // PER_ROW))
+    legend(figure, handles, "upper center", ncols=columns, handlelength=1.8, columnspacing=1.4)
+    return figure
+
+
+def _series(
+    fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable], groups: Sequence[Group]
+) -> list[tuple[str, ErrorTable, list[list[int]], dict[str, Any], Any]]:
+    """Label, error table, runs of each group, look and shift to the right of every series."""
+    held, every = held_out(fit), [runs for _, runs in groups]
+    used = [[r for r in runs if r not in held] for runs in every]
+    apart = [[r for r in runs if r in held] for runs in every]
+    size = {"ms": 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0}
+    looks: list[dict[str, Any]] = [{"marker": "s", "mfc": "white", "color": BEFORE}]
+    found: list[tuple[str, ErrorTable, list[list[int]], dict[str, Any], Any]] = [
+        ("designed", survey.designed, every, looks[0] | size, 0.0)
+    ]
+    for k, (label, table) in enumerate(steps.items()):
+        look = {"marker": MARKERS[k % len(MARKERS)], "mfc": "white", "color": SERIES[(k + 2) % len(SERIES)]}
+        found.append((label, table, every, look | size, 0.0))
+    look = {"marker": "o", "mfc": AFTER, "color": AFTER}
+    found.append(("fitted", survey.fitted, used, look | size, 0.0))
+    if any(apart):
+        look = {"marker": "D", "mfc": "white", "color": AFTER}
+        aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, apart, strict=True)])
+        found.append(("fitted, held-out runs", survey.fitted, apart, look | size, aside))
+    return found
+
+
+def _rmse(table: ErrorTable, runs: Sequence[int], k: int) -> float:
+    pick = [table.runs.index(run) for run in runs if run in table.runs]
+    count = float(table.count[pick].sum()) if pick else 0.0
+    return float(np.sqrt(table.squares[pick, k].sum() / count)) if count else float("nan")
+
+
+def _tick_words(groups: Sequence[Group]) -> tuple[Sequence[int], float]:
+    """Which groups get a label, and how many inches the labels take below the axis."""
+    ticks = range(len(groups)) if len(groups) <= MOST_SETTINGS else thinned(len(groups), 12)
+    longest = max((groups[k][0] for k in ticks), key=len)
+    return ticks, 0.12 + (text_width(longest) if _turned(groups, ticks) else LINE)
+
+
+def _turned(groups: Sequence[Group], ticks: Sequence[int]) -> bool:
+    return len(ticks) > 30 or any(not label.lstrip("-").isdigit() for label, _ in groups)
+
+
+def _number(ax: Axes, groups: Sequence[Group], ticks: Sequence[int]) -> None:
+    rotation = 90 if _turned(groups, ticks) else 0
+    ax.set_xticks(list(ticks), [groups[k][0] for k in ticks], rotation=rotation)
+    if len(ticks) > 30:
+        ax.tick_params("x", labelsize=7)
+    ax.set_xlim(-0.7, len(groups) - 0.3)
+
+
+def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
+    """Return `[(label, runs)]` by vertical setting and the axis title; one entry per run without settings.
+
+    Runs belong to one setting when their mean vertical states agree within 2 % of what the campaign covers.
+    A state that moves within runs, or never changes, makes no settings.
+    """
+    made = {c.name for c in fit.model.computed}
+    axes = [k for k, c in enumerate(fit.model.state) if c.endswith(("_m", "_rad")) and c not in made]
+    state, drift = survey.state[:, axes], survey.drift[:, axes]
+    by_run = [(str(run), [run]) for run in survey.runs]
+    if not axes or len(survey.runs) < 2:
+        return by_run, "run"
+    spread = np.ptp(state, axis=0)
+    near = np.maximum(0.02 * spread, LEVEL)
+    if np.all(spread < LEVEL) or np.any(np.median(drift, axis=0) > np.maximum(0.1 * spread, 2 * LEVEL)):
+        return by_run, "run"
+    centres: list[np.ndarray] = []
+    members: list[list[int]] = []
+    for run, point in zip(survey.runs, state, strict=True):
+        match = [k for k, c in enumerate(centres) if np.all(np.abs(point - c) <= near)]
+        if match:
+            members[match[0]].append(run)
+        else:
+            centres.append(point)
+            members.append([run])
+        if len(centres) > MOST_SETTINGS:
+            return by_run, "run"
+    columns = tuple(fit.model.state[k] for k in axes)
+
+    def place(k: int) -> tuple:
+        moved = np.abs(centres[k]) > near
+        return (int(moved.sum()), tuple(~moved), tuple(np.where(moved, centres[k], 0.0)))
+
+    shown = "; ".join(
+        f"{', '.join(name(c) for c in columns if unit(c) == u)} in {u}"
+        for u in dict.fromkeys(map(unit, columns))
+    )
+    order = sorted(range(len(centres)), key=place)
+    return [(setting(columns, centres[k], near), members[k]) for k in order], f"vertical setting ({shown})"

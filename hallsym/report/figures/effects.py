@@ -1,0 +1,110 @@
+"""Picture `effects`: what a change of each parameter does to the decoded pose."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hallsym.report.figures.names import largest, name, scale
+from hallsym.report.figures.style import (
+    AFTER,
+    BLACK,
+    DASHED,
+    GREY,
+    STRIPE,
+    WIDTH,
+    bands,
+    label_x,
+    legend,
+    log_axis,
+    panels,
+    text_width,
+)
+from hallsym.report.figures.verdicts import LOOKS, present, shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from hallsym.inference import Identifiability, ParameterReport
+
+ROW, BAR = 0.2, 0.38  # inches; rows
+BESIDE = 0.24  # inches: a marker
+LEAST = 1e-3
+"""Changes below this part of the noise of one reading are not drawn to length."""
+
+
+def effects(report: Identifiability) -> Figure:
+    """Draw the largest change of each pose coordinate over the workspace, one panel each.
+
+    Upper bar of a row: one standard uncertainty of the parameter, in the look of its verdict. Lower bar: 1 %
+    of its value. Everything else is held.
+    """
+    entries, pose = shown(report), report.model.pose
+    words = [entry.verdict.word for entry in entries]
+    figure, axes = panels(
+        1, len(pose), ROW * len(entries), left=0.1 + max(text_width(entry.name) for entry in entries),
+        right=BESIDE + 0.06 + max(map(text_width, words)), top=0.45, bottom=0.42, gaps=(0.3, 0), sharey=True,
+    )  # fmt: skip
+    for ax, column in zip(axes[0], pose, strict=True):
+        _panel(ax, entries, column, report)
+    _verdicts(axes[0, -1], words)
+    axes[0, 0].set_yticks(range(len(entries)), [entry.name for entry in entries])
+    axes[0, 0].set_ylim(len(entries) - 0.5, -0.5)
+    _legend(figure, entries)
+    return figure
+
+
+def _panel(ax: Axes, entries: list[ParameterReport], column: str, report: Identifiability) -> None:
+    """Draw the bars of one coordinate."""
+    sigma = np.array([np.nan if e.sigma is None else e.sigma.worst[column] for e in entries])
+    percent = np.array([e.percent.worst[column] for e in entries])
+    floor, together = (report.outputs[column][key] for key in ("noise_floor", "parameters_worst"))
+    every = np.array([*sigma, *percent, floor, together])
+    factor, unit = scale(column, largest(every))
+    bands(ax, [(row - 0.5, row + 0.5) for row in range(0, len(entries), 2)], STRIPE, upright=False)
+    least = LEAST * floor if floor > 0 else 0.0
+    lined = every[np.isfinite(every) & (every > least)]
+    log_axis(ax, "x", factor * np.array([*lined, least]))
+    edge = ax.get_xlim()[0]
+    for row, entry in enumerate(entries):
+        look = LOOKS[entry.verdict.word].bar()
+        for aside, value, options in (
+            (-0.5 * BAR, sigma[row], look),
+            (0.5 * BAR, percent[row], {"facecolor": "white", "edgecolor": GREY, "linewidth": 0.7}),
+        ):
+            if value > least:
+                ax.barh(row + aside, factor * value - edge, BAR, left=edge, zorder=2, **options)
+            elif value > 0:
+                ax.plot(edge, row + aside, marker="<", ms=2.6, color=GREY, clip_on=False, zorder=3)
+    for value, dashes, color in ((floor, DASHED, BLACK), (together, ":", AFTER)):
+        if value > 0:
+            ax.axvline(factor * value, color=color, lw=0.9, ls=dashes, zorder=4)
+    ax.tick_params("y", length=0)
+    label_x(ax, f"largest change of {name(column)} [{unit}]")
+
+
+def _verdicts(ax: Axes, words: list[str]) -> None:
+    """Write the verdicts to the right of the rows, each behind its marker."""
+    at, inches = ax.get_yaxis_transform(), ax.get_position().width * WIDTH
+    for row, word in enumerate(words):
+        ax.plot(1 + 0.12 / inches, row, transform=at, clip_on=False, **LOOKS[word].point())
+        ax.text(1 + BESIDE / inches, row, word, transform=at, va="center_baseline")
+
+
+def _legend(figure: Figure, entries: list[ParameterReport]) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    drawn = present([entry for entry in entries if entry.sigma is not None])
+    handles: list[Any] = [Patch(**LOOKS[word].bar(), label=f"1 sigma, {word}") for word in drawn]
+    handles += [
+        Patch(facecolor="white", edgecolor=GREY, linewidth=0.7, label="1 % of the value"),
+        Line2D([], [], color=BLACK, lw=0.9, ls=DASHED, label="noise of one reading"),
+        Line2D([], [], color=AFTER, lw=0.9, ls=":", label="all parameters together, 1 sigma"),
+        Line2D(
+            [], [], color=GREY, ls="none", marker="<", ms=2.6, label=f"below 1/{1 / LEAST:.0f} of the noise"
+        ),
+    ]
+    legend(figure, handles, "upper left", ncols=3, columnspacing=1.4)

@@ -1,0 +1,171 @@
+"""Picture `errors_before_after`: errors of the decoded pose along the campaign."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.report.figures.names import largest, name, scale, short, thinned, three
+from hallsym.report.figures.style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    DASHED,
+    FAINT,
+    GREY,
+    LEFT,
+    SHADE,
+    bands,
+    label_x,
+    label_y,
+    legend,
+    panels,
+)
+from hallsym.report.figures.survey import Survey, held_out
+from hallsym.report.figures.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BAND = 3.0
+"""Half-width of the noise band in noise floors: 99.7 % of Gaussian errors lie inside."""
+PIXELS = 420
+"""Picture columns of one panel."""
+CROWD = 40
+"""Samples per picture column from which on errors may be a solid block."""
+SOLID = 2.5
+"""Errors are a solid block when picture columns typically extend over this many rms (a sine's whole: 2.8)."""
+
+
+def errors_before_after(fit: Fit, survey: Survey) -> Figure:
+    """Draw the errors of the decoded pose over the whole campaign: designed parameters left, fitted right.
+
+    Every sample counts: of each picture column the least and the greatest error are drawn, and where that
+    makes a solid block the local rms too. The two sides have scales of their own, and the right one says by
+    how much it is finer.
+    """
+    model = fit.model
+    n = len(model.pose)
+    figure, axes = panels(n, 2, 1.17, top=0.45, bottom=0.62, gaps=(LEFT + 0.06, 0.28), sharex=True)
+    tables, highest = (survey.designed, survey.fitted), np.zeros((n, 2))
+    solid = False
+    for column, (trace, table) in enumerate(zip(survey.errors, tables, strict=True)):
+        for k, coordinate in enumerate(model.pose):
+            floor = float(fit.noise_floor.get(coordinate, 0.0))
+            peak = max(float(table.peak[:, k].max()), largest(trace.low[k]), largest(trace.high[k]))
+            highest[k, column] = max(peak, 1.15 * BAND * floor) or 1e-12
+            factor, unit = scale(coordinate, highest[k, column])
+            ax = axes[k, column]
+            _campaign_axis(ax, fit, survey)
+            x, y = trace.line(k, _campaign_x(survey, trace), survey.edges[1:-1])
+            ax.plot(x, factor * y, color=(BEFORE, AFTER)[column], lw=(0.8, 0.5)[column], zorder=2)
+            solid |= _rms_line(ax, survey, trace, k, factor)
+            band = (-BAND * factor * floor, BAND * factor * floor)
+            ax.hlines(
+                band, 0, 1, transform=ax.get_yaxis_transform(), color=BLACK, lw=0.7, ls=DASHED, zorder=3
+            )
+            limit = 1.08 * factor * highest[k, column]
+            ax.ticklabel_format(axis="y", style="plain", useOffset=False)
+            ax.set_ylim(-limit * (1.1 if survey.n_rejected else 1.0), limit)
+            label_y(ax, f"error in {name(coordinate)} [{unit}]")
+            ax.set_title(_error_words(table, k, coordinate, fit if column else None), loc="left")
+    ratios = highest[:, 0] / highest[:, 1]
+    finer = ", ".join(">10000" if ratio > 1e4 else short(float(f"{ratio:.2g}")) for ratio in ratios)
+    for ax in axes[-1]:
+        label_x(ax, _campaign_label(survey))
+    for ax, title in zip(axes[0], (_designed_words(fit), f"Fitted; scales {finer} × finer"), strict=True):
+        ax.set_title(f"{title}\n{ax.get_title('left')}", loc="left", linespacing=1.6)
+    _campaign_legend(figure, fit, survey, solid)
+    return figure
+
+
+def _designed_words(fit: Fit) -> str:
+    return "Designed parameters" + (", no zero deviations" if fit.model.zeros else "")
+
+
+def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> bool:
+    """Lay the local rms over errors that are a solid block, and say whether they are."""
+    if trace.count < CROWD * PIXELS:
+        return False
+    per_cell, extent, rms = trace.cells(min(PIXELS, max(PIXELS // 4, 8 * len(survey.runs))))
+    samples = per_cell * trace.width
+    if not np.isfinite(rms[k]).any():
+        return False
+    if np.sqrt(np.nanmean(extent[k] ** 2)) < SOLID * np.sqrt(np.nanmean(rms[k] ** 2)):
+        return False
+    middle = (np.arange(rms.shape[1]) + 0.5) * samples
+    x = np.interp(middle, trace.samples + 0.5, _campaign_x(survey, trace))
+    y = factor * rms[k]
+    if 4 * len(survey.runs) < len(y):
+        y[survey.edges[1:-1] // samples] = np.nan  # what lies in two runs belongs to neither
+    for color, width in (("white", 2.0), (BLACK, 0.9)):
+        ax.plot(x, y, color=color, lw=width, zorder=2.5)
+    return True
+
+
+def _error_words(table: ErrorTable, k: int, coordinate: str, fit: Fit | None) -> str:
+    """RMSE and peak of one coordinate; with `fit` apart for the fitted and the held-out runs."""
+    held = held_out(fit) if fit else ()
+    used, apart = table.over([r for r in table.runs if r not in held]), table.over(held)
+    factor, unit = scale(coordinate, float(table.peak[:, k].max()))
+    texts = [
+        f"{label} {three(factor * row['rmse'][coordinate])}, {word}{three(factor * row['peak'][coordinate])}"
+        for label, word, row in (
+            ("rmse", "peak ", used),
+            ("held out" if used else "held out: rmse", "", apart),
+        )
+        if row
+    ]
+    return f"{'; '.join(texts)} {unit}" if texts else "no samples"
+
+
+def _campaign_x(survey: Survey, trace: Trace) -> np.ndarray:
+    if len(survey.runs) == 1 and survey.time is not None:
+        return survey.time.low[0] - survey.time.low[0][0]
+    return trace.samples
+
+
+def _campaign_label(survey: Survey) -> str:
+    if len(survey.runs) == 1:
+        return "time [s]" if survey.time is not None else "sample"
+    return "run (as wide as its number of samples)"
+
+
+def _campaign_axis(ax: Axes, fit: Fit, survey: Survey) -> None:
+    """Shade held-out runs, separate runs, number them, and mark rejected samples at the bottom."""
+    edges, held = survey.edges - 0.5, held_out(fit)
+    x = _campaign_x(survey, survey.rejected)
+    hit = np.flatnonzero(np.isfinite(survey.rejected.high[0]))
+    if len(hit):
+        ax.plot(x[hit], np.full(len(hit), 0.02), transform=ax.get_xaxis_transform(), ls="none", marker="|",
+                ms=4, mew=0.6, color=GREY, zorder=4)  # fmt: skip
+    if len(survey.runs) == 1:
+        ax.set_xlim(x[0], x[-1] if x[-1] > x[0] else x[0] + 1)
+        return
+    shaded = [(edges[k], edges[k + 1]) for k, run in enumerate(survey.runs) if run in held]
+    bands(ax, shaded, SHADE, upright=True)
+    if len(survey.runs) <= 80:
+        ax.vlines(edges[1:-1], 0, 1, transform=ax.get_xaxis_transform(), color=FAINT, lw=0.3, zorder=1)
+    pick = thinned(len(survey.runs), 8)
+    ax.set_xticks([float(edges[k : k + 2].mean()) for k in pick], [str(survey.runs[k]) for k in pick])
+    ax.set_xlim(edges[0], edges[-1])
+
+
+def _campaign_legend(figure: Figure, fit: Fit, survey: Survey, solid: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    label = f"±{BAND:g} × noise floor (99.7 % of pure noise)"
+    handles: list[Any] = [Line2D([], [], color=BLACK, lw=0.7, ls=DASHED, label=label)]
+    if solid:
+        handles.append(Line2D([], [], color=BLACK, lw=0.9, label="local rms"))
+    if set(held_out(fit)) & set(survey.runs) and len(survey.runs) > 1:
+        handles.append(Patch(facecolor=SHADE, label="held-out run"))
+    if survey.n_rejected:
+        label = f"rejected sample ({survey.n_rejected})"
+        handles.append(Line2D([], [], color=GREY, ls="none", marker="|", ms=6, label=label))
+    legend(figure, handles, "lower center", ncols=len(handles), columnspacing=1.4, handlelength=2.0)

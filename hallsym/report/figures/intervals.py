@@ -1,0 +1,150 @@
+"""Picture `intervals`: each 95 % interval within the bounds, and how narrow it is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hallsym.inference.verdict import WEAK
+from hallsym.report.figures.captions import broken, caption, height, number, readable_unit
+from hallsym.report.figures.estimates import ROW, beside, typeset
+from hallsym.report.figures.style import (
+    BLACK,
+    DASHED,
+    GREY,
+    LINE,
+    STRIPE,
+    bands,
+    label_x,
+    legend,
+    log_axis,
+    panels,
+    text_width,
+)
+from hallsym.report.figures.verdicts import LOOKS, present, shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    from hallsym.inference import CombinationReport, Identifiability, ParameterReport
+    from hallsym.inference.intervals import Interval
+
+ACROSS = 5
+"""Entries of the legend in a row."""
+HOW = {"normal": "", "profile": "profile", "block bootstrap": "bootstrap"}
+END = {
+    "at bound": ("at lower bound", "at upper bound"),
+    "open": ("open below", "open above"),
+    "failed": ("failed below", "failed above"),
+}
+
+
+def intervals(report: Identifiability) -> Figure:
+    """Draw where each 95 % interval lies within the bounds (left) and its width as a share of them (middle).
+
+    The numbers stand on the right, with how the interval was found unless it is a normal one; combinations
+    that are determined instead of parameters stand below.
+    """
+    entries = shown(report)
+    words, header = [in_words(entry) for entry in entries], "95 % interval"
+    lines, handles = _instead(report), _handles(entries)
+    figure, axes = panels(
+        1, 2, ROW * len(entries), left=0.1 + max(text_width(entry.name) for entry in entries),
+        right=0.16 + max(map(text_width, (*words, header))),
+        top=0.4 + LINE * ((len(handles) - 1) // ACROSS), bottom=0.52 + height(lines),
+        gaps=(0.2, 0), sharey=True, gridspec_kw={"width_ratios": (2, 3)},
+    )  # fmt: skip
+    place, share = axes[0]
+    for ax in (place, share):
+        bands(ax, [(row - 0.5, row + 0.5) for row in range(0, len(entries), 2)], STRIPE, upright=False)
+        ax.tick_params("y", length=0)
+    _places(place, entries, report)
+    _shares(share, entries)
+    for row, text in enumerate(words):
+        beside(share, row, text)
+    beside(share, -1.1, header)
+    place.set_yticks(range(len(entries)), [entry.name for entry in entries])
+    place.set_ylim(len(entries) - 0.5, -0.5)
+    caption(figure, lines)
+    legend(figure, handles, "upper left", ncols=min(len(handles), ACROSS), columnspacing=1.4)
+    return figure
+
+
+def in_words(entry: ParameterReport | CombinationReport) -> str:
+    """Return the interval in the unit people read, or the verdict where there is none."""
+    if entry.interval is None:
+        return entry.verdict.word if hasattr(entry, "verdict") else ""
+    factor, unit = readable_unit(entry.unit)
+    low, high = factor * entry.interval.low, factor * entry.interval.high
+    half, unit = 0.5 * (high - low), f" {unit}" if unit else ""
+    if half == 0:
+        return f"{number(low, 0.0)}{unit}{_how(entry.interval)}"
+    if not np.isfinite(half):
+        half = factor * (entry.std or 0.0)
+    return f"{number(low, half)} to {number(high, half)}{unit}{_how(entry.interval)}"
+
+
+def _how(interval: Interval) -> str:
+    """How an interval was found, unless it is a normal one, and its ends that are none of the data's."""
+    words = [HOW[interval.how]]
+    words += [END[end][side] for side, end in enumerate(interval.ends) if end in END]
+    told = ", ".join(word for word in words if word)
+    return f" ({told})" if told else ""
+
+
+def _places(ax: Axes, entries: list[ParameterReport], report: Identifiability) -> None:
+    """Draw estimate and interval of every parameter, 0 at the lower and 1 at the upper bound."""
+    known = dict(zip(report.model.names, report.model.parameters, strict=True))
+    for row, entry in enumerate(entries):
+        p, look = known[entry.name], LOOKS[entry.verdict.word]
+        if not np.isfinite(p.width):
+            ax.text(0.5, row, "no bounds", ha="center", va="center_baseline", color=GREY)
+            continue
+        ax.plot((entry.value - p.lower) / p.width, row, zorder=3, **look.point())
+        if entry.interval is None:
+            continue
+        low, high = ((v - p.lower) / p.width for v in (entry.interval.low, entry.interval.high))
+        ends = np.clip((low, high), 0.0, 1.0)
+        ax.hlines(row, *ends, color=look.color, lw=1.6, zorder=2, capstyle="butt")
+        for beyond, at, marker in ((low < -1e-9, 0.0, "<"), (high > 1 + 1e-9, 1.0, ">")):
+            if beyond:
+                ax.plot(at, row, marker=marker, ms=4, color=look.color, zorder=3, clip_on=False)
+    ax.set_xlim(-0.04, 1.04)
+    ax.set_xticks((0, 0.25, 0.5, 0.75, 1), ("lower", "", "middle", "", "upper"))
+    label_x(ax, "place within the bounds")
+
+
+def _shares(ax: Axes, entries: list[ParameterReport]) -> None:
+    """Draw the width of the intervals over that of the bounds [%]; more than the bounds ends in an arrow."""
+    shares = np.array([np.nan if entry.share is None else 100 * entry.share for entry in entries])
+    log_axis(ax, "x", np.array([*np.minimum(shares[shares > 0], 100.0), 100.0, 10.0]))
+    left, _ = ax.get_xlim()
+    ax.set_xlim(left, 130.0)
+    for row, (entry, share) in enumerate(zip(entries, shares, strict=True)):
+        if share > 0:
+            top = min(share, 100.0)
+            ax.barh(row, top - left, 0.62, left=left, zorder=2, **LOOKS[entry.verdict.word].bar())
+        if share > 100:
+            ax.plot(100.0, row, marker=">", ms=4, color=BLACK, zorder=4)
+    ax.axvline(100 * WEAK, color=BLACK, lw=0.8, ls=DASHED, zorder=1)
+    label_x(ax, "width of the 95 % interval\n[% of the bounds' width]")
+
+
+def _instead(report: Identifiability) -> list[str]:
+    if not report.combinations:
+        return []
+    lines = ["Determined instead"]
+    for c in report.combinations:
+        lines += ["  " + line for line in broken(f"{typeset(c.expression)}: {in_words(c)}", 6.7)]
+    return lines
+
+
+def _handles(entries: list[ParameterReport]) -> list[Line2D]:
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], **LOOKS[word].point(), label=word) for word in present(entries)]
+    weak = f"weak: 1/{1 / WEAK:.0f} of the bounds"
+    return [*handles, Line2D([], [], color=BLACK, lw=0.8, ls=DASHED, label=weak)]

@@ -1,0 +1,149 @@
+"""How pictures look: colours, fonts, margins in inches, axes.
+
+Margins are stated, not searched for: a layout engine draws every picture twice more to find them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hallsym.report.figures.names import short
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DPI = 150
+FONT = 8.0  # points
+WIDTH = 7.1  # inches: two columns of a journal page
+LEFT = 0.64  # inches: an upright label and six digits
+LINE = 0.165  # inches: a line of text
+BLACK, GREY, FAINT, SHADE, STRIPE = "#000000", "#777777", "#bbbbbb", "#e6e6e6", "#f4f4f4"
+BEFORE, AFTER, LIGHT, GREEN = "#d55e00", "#0072b2", "#f0b070", "#009e73"  # Okabe and Ito's palette
+SERIES = (AFTER, BEFORE, GREEN, "#cc79a7", BLACK, "#e69f00", "#56b4e9")
+DASHED = (0, (4, 2))
+DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
+MARKERS = ("^", "v", "D", "P", "X", "<", ">")
+STYLE = {
+    "font.size": FONT,
+    "axes.titlesize": FONT,
+    "axes.titley": 1.0,
+    "axes.labelsize": FONT,
+    "xtick.labelsize": FONT,
+    "ytick.labelsize": FONT,
+    "legend.fontsize": FONT,
+    "legend.frameon": False,
+    "legend.handlelength": 2.6,
+    "legend.borderaxespad": 0.1,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 0.9,
+    "path.simplify": False,
+    "hatch.linewidth": 0.5,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "hallsym",  # names inside an svg are random without one
+    "pdf.fonttype": 42,
+}
+
+
+def panels(
+    rows: int,
+    columns: int,
+    height: float,
+    *,
+    top: float,
+    bottom: float,
+    left: float = LEFT,
+    right: float = 0.08,
+    gaps: tuple[float, float] = (0.12, 0.12),
+    **options: Any,
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure of `rows` x `columns` axes, each `height` high; margins and gaps in inches."""
+    from matplotlib.figure import Figure
+
+    across, down = gaps
+    total = top + bottom + rows * height + (rows - 1) * down
+    width = (WIDTH - left - right - (columns - 1) * across) / columns
+    place = {
+        "left": left / WIDTH,
+        "right": 1 - right / WIDTH,
+        "top": 1 - top / total,
+        "bottom": bottom / total,
+        "wspace": across / width,
+        "hspace": down / height,
+    }
+    figure = Figure(figsize=(WIDTH, total))
+    return figure, figure.subplots(
+        rows, columns, squeeze=False, gridspec_kw=place | options.pop("gridspec_kw", {}), **options
+    )
+
+
+def label_y(ax: Axes, text: str, margin: float = LEFT) -> None:
+    """Label the y axis at the outer edge of a left margin [inches]."""
+    ax.set_ylabel(text, va="top")
+    ax.yaxis.set_label_coords(-(margin - 0.03) / _inches(ax)[0], 0.5)
+
+
+def label_x(ax: Axes, text: str, below: float = 0.24) -> None:
+    """Label the x axis `below` [inches] its line."""
+    ax.set_xlabel(text)
+    ax.xaxis.set_label_coords(0.5, -below / _inches(ax)[1])
+
+
+def _inches(ax: Axes) -> tuple[float, float]:
+    """Width and height of axes."""
+    box, inch = ax.get_position(), ax.figure.dpi_scale_trans.inverted()
+    (width, height) = inch.transform(ax.figure.bbox.size)
+    return float(box.width * width), float(box.height * height)
+
+
+def legend(figure: Figure, handles: Sequence[Any], where: str, **options: Any) -> None:
+    """Draw a legend at the upper or lower edge of the figure."""
+    edge = 0.03 / figure.get_size_inches()[1]
+    x, y = {"left": 0.0, "center": 0.5}[where.split()[1]], 1 - edge if where.startswith("upper") else edge
+    options |= {"loc": where, "bbox_to_anchor": (x, y)}
+    figure.legend(handles=handles, **options)
+
+
+def text_width(text: str) -> float:
+    """Width of text [inches]."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=FONT)
+    return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0]) / 72
+
+
+def bands(ax: Axes, spans: Sequence[tuple[float, float]], color: str, *, upright: bool) -> None:
+    """Shade stretches of x over the full height (`upright`), or stretches of y over the full width."""
+    from matplotlib.collections import PolyCollection
+
+    corners = [np.array([(a, 0.0), (b, 0.0), (b, 1.0), (a, 1.0)]) for a, b in spans]
+    if not upright:
+        corners = [points[:, ::-1] for points in corners]
+    place = ax.get_xaxis_transform() if upright else ax.get_yaxis_transform()
+    shade = PolyCollection(corners, facecolors=color, linewidths=0, zorder=0, transform=place)
+    ax.add_collection(shade, autolim=False)
+
+
+def log_axis(ax: Axes, which: str, values: np.ndarray) -> None:
+    """Logarithmic x or y axis around the positive values, with plain numbers at 1, 2, 5 of each decade."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    values = values[np.isfinite(values) & (values > 0)]
+    if not len(values):
+        return
+    low, top = float(values.min()), float(values.max())
+    decades = float(np.log10(top / low))
+    margin = 1.5 * 10 ** (0.04 * decades)
+    ax.set(**{f"{which}scale": "log", f"{which}lim": (low / margin, top * margin)})
+    axis = getattr(ax, f"{which}axis")
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,)))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: short(v)))
+    axis.set_minor_formatter(NullFormatter())

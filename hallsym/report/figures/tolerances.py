@@ -1,0 +1,88 @@
+"""Picture `tolerances`: first and total Sobol indices of the error of each coordinate, one row each."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hallsym.report.figures.names import name
+from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.style import (
+    AFTER,
+    BLACK,
+    LIGHT,
+    STRIPE,
+    bands,
+    label_x,
+    legend,
+    panels,
+    text_width,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hallsym.uncertainty.tolerances import Tolerances
+
+QUANTITIES = {"error": "Error", "rms": "Rms of one machine", "peak": "Peak of one machine"}
+ROW, BAR = 0.155, 0.36
+
+
+def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
+    """Draw first and total indices of a quantity ("error", "rms", "peak"), one panel per coordinate.
+
+    Rows are in the order of the ranking; whiskers are 95 % intervals.
+    """
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    order, pose = [found.active.index(n) for n in found.ranking], found.model.pose
+    left, rows = 0.1 + max(map(text_width, found.ranking)), np.arange(len(order))
+    figure, axes = panels(
+        1,
+        len(pose),
+        ROW * len(order),
+        left=left,
+        right=0.1,
+        top=0.42,
+        bottom=0.42,
+        gaps=(0.16, 0),
+        sharey=True,
+    )
+    for ax, column in zip(axes[0], pose, strict=True):
+        indices = found.indices[quantity][column]
+        bands(ax, [(row - 0.5, row + 0.5) for row in range(0, len(order), 2)], STRIPE, upright=False)
+        for side, color, values, half in (
+            (-0.5, AFTER, indices.first, indices.first_half),
+            (0.5, LIGHT, indices.total, indices.total_half),
+        ):
+            ax.barh(rows + side * BAR, 100 * values[order], BAR, color=color, zorder=2)
+            ax.errorbar(
+                100 * values[order], rows + side * BAR, xerr=100 * half[order],
+                fmt="none", ecolor=BLACK, elinewidth=0.6, zorder=3,
+            )  # fmt: skip
+        ax.set_title(name(column), pad=3)
+        ax.set_xlim(min(0.0, ax.get_xlim()[0]), ax.get_xlim()[1])
+        ax.tick_params("y", length=0)
+        label_x(ax, "share of the variance [%]")
+    axes[0, 0].set_yticks(rows, found.ranking)
+    axes[0, 0].set_ylim(len(order) - 0.5, -0.5)
+    legend(
+        figure,
+        [
+            Patch(color=AFTER, label=f"{QUANTITIES[quantity]}: first index"),
+            Patch(color=LIGHT, label="total index"),
+            Line2D([], [], color=BLACK, lw=0.6, label="95 %"),
+        ],
+        "upper left",
+        ncols=3,
+    )
+    return figure
+
+
+def save_tolerances(found: Tolerances, folder: Path) -> list[Path]:
+    """Save one picture per quantity into `folder` (made if missing) and return the files written."""
+    return save_figures({f"tolerances_{q}": partial(tolerances, found, q) for q in QUANTITIES}, folder)

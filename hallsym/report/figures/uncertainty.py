@@ -1,0 +1,175 @@
+"""Pictures of a budget: U over the workspace, and what it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hallsym.report.figures.names import MINUS, name, scale, setting, short, three
+from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.style import AFTER, FAINT, LINE, WIDTH, label_x, label_y, panels, text_width
+from hallsym.report.text.budget import unit_for
+from hallsym.uncertainty.gum import Budget
+from hallsym.uncertainty.position import UncertaintyMap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_BARS = 12
+"""Sources shown one by one; the others are one bar."""
+COLOURS = "viridis"
+BAR = 0.17  # inches
+
+
+def save_budget_pictures(
+    folder: str | Path,
+    budgets: Mapping[str, Budget],
+    grid: UncertaintyMap | None = None,
+    *,
+    worst: bool = False,
+) -> list[Path]:
+    """Draw `budget.png`, and `uncertainty_map.png` if there is a map; returns the files written.
+
+    `worst`: the budgets are those of the worst position of each coordinate, which the picture then says.
+    """
+    draw: dict[str, Callable[[], Figure]] = {"budget": lambda: budget_bars(budgets, worst=worst)}
+    if grid is not None:
+        draw["uncertainty_map"] = lambda: uncertainty_picture(grid)
+    return save_figures(draw, folder)
+
+
+def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure:
+    """Draw the share of every source in u_c squared: one row per source, one column per quantity."""
+    labels, shares = _bars(list(budgets.values()))
+    margin = 0.12 + max(map(text_width, labels))
+    figure, axes = panels(
+        1, len(budgets), BAR * len(labels) + 0.1, top=2.6 * LINE, bottom=0.46, left=margin, right=0.1,
+        gaps=(0.16, 0.12), sharey=True,
+    )  # fmt: skip
+    place = np.arange(len(labels))
+    colours = [FAINT if label.startswith("other ") else AFTER for label in labels]
+    for ax, percent, budget in zip(axes[0], 100 * shares, budgets.values(), strict=True):
+        ax.barh(place, percent, height=0.72, color=colours)
+        for y, value in zip(place, percent, strict=True):
+            words = three(value) if abs(value) >= 0.1 else "0" if abs(value) < 1e-9 else "<0.1"
+            ax.annotate(words, (max(value, 0), y), (2, 0), textcoords="offset points", va="center")
+        ax.set_yticks(place, labels)
+        ax.tick_params(axis="y", length=0)
+        ax.set(ylim=(len(labels) - 0.4, -0.6), xlim=(min(0.0, percent.min()), 1.3 * max(percent.max(), 1.0)))
+        ax.set_title(_budget_title(budget, worst), loc="left", linespacing=1.4)
+        label_x(ax, "share of $u_c^2$ [%]", 0.26)
+    return figure
+
+
+def _bars(budgets: Sequence[Budget]) -> tuple[list[str], np.ndarray]:
+    """Sources by their largest share in any budget, the small ones as one, and shares (budgets, sources)."""
+    names = list(dict.fromkeys(source.name for budget in budgets for source in budget.sources))
+    shares = np.zeros((len(budgets), len(names)))
+    for row, budget in zip(shares, budgets, strict=True):
+        for source, share in zip(budget.sources, budget.shares, strict=True):
+            row[names.index(source.name)] = share
+    order = np.argsort(-np.abs(shares).max(axis=0), kind="stable")
+    names, shares = [names[k] for k in order], shares[:, order]
+    if len(names) <= MOST_BARS:
+        return names, shares
+    rest = shares[:, MOST_BARS - 1 :].sum(axis=1, keepdims=True)
+    kept = MOST_BARS - 1
+    return [*names[:kept], f"other {len(names) - kept} sources"], np.hstack([shares[:, :kept], rest])
+
+
+def _budget_title(budget: Budget, worst: bool) -> str:
+    factor, unit = unit_for(budget.unit, budget.expanded)
+    what = name(budget.quantity) if budget.value is not None else budget.quantity
+    unit = unit.replace("um", "µm").replace("urad", "µrad")
+    words = f"{what}{', worst position' if worst else ''}"
+    return f"{words}\nU = {three(budget.expanded * factor)} {unit} (k = {budget.factor:.3g})"
+
+
+def uncertainty_picture(grid: UncertaintyMap) -> Figure:
+    """Draw U over the first two axes of `grid`: a row per coordinate, a column per value of the third."""
+    columns = list(grid.axes)
+    across, up = columns[:2]
+    third = columns[2] if len(columns) > 2 else None
+    slices = grid.axes[third] if third else np.zeros(1)
+    values = grid.expanded.reshape(len(grid.pose), *grid.expanded.shape[1:3], -1)
+    bar, gap = 0.75, 0.1
+    width = (WIDTH - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
+    spread = [float(np.ptp(grid.axes[c])) for c in (across, up)]
+    height = float(np.clip(width * spread[1] / spread[0] if spread[0] else width, 0.8, 1.8))
+    figure, axes = panels(
+        len(grid.pose), len(slices), height, top=2.3 * LINE, bottom=0.44, right=bar, gaps=(gap, 0.16),
+        sharex=True, sharey=True,
+    )  # fmt: skip
+    for i in range(len(grid.pose)):
+        _row(figure, axes[i], grid, i, values[i], (across, up))
+        label_y(axes[i, 0], f"{name(up)} [{scale(up, float(np.abs(grid.axes[up]).max()))[1]}]")
+    for j, (ax, value) in enumerate(zip(axes[0], slices, strict=True)):
+        ax.set_title(_slice_words(third, value, float(np.abs(slices).max())), loc="left")
+        label_x(
+            axes[-1, j], f"{name(across)} [{scale(across, float(np.abs(grid.axes[across]).max()))[1]}]", 0.3
+        )
+    fixed = setting(list(grid.fixed), np.array(list(grid.fixed.values())), 0.0, units=True)
+    coverage = (
+        f"k = {grid.settings.coverage:g}"
+        if grid.settings.level is None
+        else f"{100 * grid.settings.level:g} %"
+    )
+    figure.text(
+        0.03 / WIDTH, 1 - 0.05 / figure.get_size_inches()[1],
+        f"Expanded uncertainty U ({coverage}) of the decoded position"
+        + (f" at {fixed}" if fixed != "level" else ""),
+        va="top",
+    )  # fmt: skip
+    return figure
+
+
+def _row(
+    figure: Figure, axes: np.ndarray, grid: UncertaintyMap, i: int, values: np.ndarray, plane: tuple[str, str]
+) -> None:
+    """One pose coordinate: the same colours in every slice, contour lines that can be read without colour."""
+    coordinate = grid.pose[i]
+    factor, unit = scale(coordinate, float(values.max()))
+    shown, (x, y) = factor * values, _plane(grid, plane)
+    low, high = float(shown.min()), float(shown.max())
+    if high - low < 1e-3 * high:  # flat: no colours made of rounding
+        low, high = 0.98 * low, 1.02 * high
+    picture: Any = None
+    for j, ax in enumerate(axes):
+        picture = ax.pcolormesh(
+            x, y, shown[:, :, j].T, shading="gouraud", cmap=COLOURS, vmin=low, vmax=high, rasterized=True
+        )
+        levels = np.linspace(low, high, 7)[1:-1]
+        if np.any((levels > shown[:, :, j].min()) & (levels < shown[:, :, j].max())):
+            ax.contour(x, y, shown[:, :, j].T, levels=levels, colors="white", linewidths=0.5)
+        _inward(ax)
+    box = axes[-1].get_position()
+    beside = figure.add_axes((box.x1 + 0.08 / WIDTH, box.y0, 0.1 / WIDTH, box.height))
+    colours = figure.colorbar(picture, cax=beside)
+    colours.set_label(f"U {name(coordinate)} [{unit}]", labelpad=2)
+    colours.ax.yaxis.set_major_formatter(lambda v, _: short(v))
+    colours.outline.set_linewidth(0.6)
+
+
+def _plane(grid: UncertaintyMap, plane: tuple[str, str]) -> tuple[np.ndarray, np.ndarray]:
+    x, y = (grid.axes[c] * scale(c, float(np.abs(grid.axes[c]).max()))[0] for c in plane)
+    return x, y
+
+
+def _inward(ax: Axes) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    ax.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
+    ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
+
+
+def _slice_words(column: str | None, value: float, largest: float) -> str:
+    """`Z = 125 µm`, to a thousandth of the largest height."""
+    if column is None:
+        return ""
+    factor, unit = scale(column, largest or 1e-4)
+    step = 10.0 ** np.floor(np.log10(factor * (largest or 1e-4)) - 2)
+    return f"{name(column)} = {short(round(factor * value / step) * step)} {unit}".replace("-", MINUS)

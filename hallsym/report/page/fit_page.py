@@ -1,0 +1,211 @@
+"""The page of a fit: `hallsym report calib.json LOG -o report.html`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from hallsym.errors import counted
+from hallsym.estimation.calibration import Fit, added_effects
+from hallsym.estimation.channel_assignment import as_read
+from hallsym.estimation.gauss_newton import cost_near
+from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals
+from hallsym.log import Log
+from hallsym.log.batches import Weigh
+from hallsym.report.figures.names import name
+from hallsym.report.figures.survey import Decode
+from hallsym.report.page import figures, parts
+from hallsym.report.page.gather import Gathered, gather
+from hallsym.report.page.html import Markup, facts, items, join, tag
+from hallsym.report.page.page import Section, document
+from hallsym.report.page.series import all_series
+from hallsym.report.tables import evidence
+
+NEAR = 1.1
+"""An rmse up to this many noise floors is called at the floor."""
+LOOKS = {"designed": "before", "fitted": "after", "held out": "apart", "this log": "after"}
+
+Gap = Mapping[str, Mapping[str, float]]
+
+
+def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
+    """Return the page of a fit as HTML: verdict, errors against the noise floor, maps, series, parameters.
+
+    `log`: the one that was fitted, or another one of the same machine: then each run's zero deviations are
+    estimated from that run and the page says so. It is read in blocks. `command`: what was typed.
+    Raises `InputError` for a log that lacks the model's columns.
+    """
+    same = log.sha256 == fit.to_dict()["log"]["sha256"]
+    log = as_read(log, fit.model, fit.wiring)
+    fit = fit if same else _elsewhere(log, fit)
+    found = gather(log, {"decoded": fit})
+    if same and _above_recorded(found, fit):
+        found = gather(log, {"decoded": fit}, keep=_spikes(log, fit))
+    rows = _rows(fit, found) if same else {"this log": found.survey.fitted.over()}
+    shown = {k: v for k, v in rows.items() if v is not None}
+    notes = _notes(log, fit, found, same)
+    sections = [
+        Section("asked", "What was asked", _asked(log, fit, found, same)),
+        Section("errors", "Errors against the noise floor", _errors(shown, fit, same)),
+        Section("maps", "Where the error is", parts.maps_section(found.maps, fit.noise_floor)),
+        Section("series", "Decoded minus reference over time", all_series(found.series)),
+        Section("parameters", "Parameters", join([parts.parameter_table(fit), parts.combinations(fit)])),
+        Section("notes", "Evidence and notes", items([*evidence(fit), *notes])),
+        Section(
+            "origin",
+            "Origin",
+            parts.provenance(
+                {"path": log.path and str(log.path), "sha256": log.sha256}, fit.versions, command
+            ),
+        ),
+    ]
+    title = f"Calibration of {fit.model.name}: {parts.called(log.path)}"
+    return document(title, [verdict(fit, shown)], sections, f"hallsym {fit.versions.get('hallsym', '')}")
+
+
+def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
+    """Return in one or two sentences what the fit leaves and what it does not determine."""
+    where, gap = _judged(rows)
+    on = {"held out": "on runs that were held out", "fitted": "on the runs that were fitted"}
+    floor = {c: v for c, v in fit.noise_floor.items() if v}
+    ratio = {c: gap["rmse"][c] / floor[c] for c in gap["rmse"] if floor.get(c)}
+    worst = max(ratio, key=lambda c: ratio[c], default=None)
+    text = f"{fit.model.name} leaves an rmse of {parts.each(gap['rmse'])} {on.get(where, 'on this log')}"
+    if worst is None:
+        text += "."
+    elif ratio[worst] <= NEAR:
+        text += ", no more than the noise floor explains."
+    else:
+        text += (
+            f"; the noise floor is {parts.each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
+            "so there is more in the machine than in this model, or more noise than stated."
+        )
+    return " ".join(filter(None, (_unfinished(fit), text, _determined(fit))))
+
+
+def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
+    """Return the rows to judge by: held-out runs where there are any."""
+    key = next(k for k in ("held out", "this log", "fitted", "designed") if k in rows)
+    return key, rows[key]
+
+
+def _unfinished(fit: Fit) -> str:
+    if fit.status == "converged":
+        return ""
+    return f"The solver did not finish ({fit.status}); these are the best values so far."
+
+
+def _determined(fit: Fit) -> str:
+    free = [n for n, p in zip(fit.model.names, fit.model.parameters, strict=True) if p.width > 0]
+    missing = [n for n, d in zip(fit.model.names, fit.determined, strict=True) if not d and n in free]
+    never, here = ([n for n in missing if (n in fit.structural) == own] for own in (True, False))
+    said = [] if missing else [f"All {len(free)} free parameters are determined."]
+    if here:
+        said.append(f"This log does not determine {', '.join(here)}.")
+    if never:
+        said.append(f"No recording determines {', '.join(never)} of this model by themselves.")
+    if fit.at_bound:
+        said.append(f"At a bound: {', '.join(fit.at_bound)}.")
+    return " ".join(said)
+
+
+def _rows(fit: Fit, found: Gathered) -> dict[str, Gap | None]:
+    """Errors as the fit recorded them: without the outliers that it left out."""
+    rows = fit.error_rows or {"designed": found.survey.designed.over(), "fitted": found.survey.fitted.over()}
+    return {"designed": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
+
+
+def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
+    runs, apart = found.survey.runs, [r for r in fit.log["holdout"] if same]
+    fitted = [r for r in runs if r not in apart]
+    count = int(np.diff(found.survey.edges).sum())
+    used = (
+        f"{len(fitted)} ({parts.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
+    )
+    added = list(added_effects(fit.model))
+    return facts(
+        [
+            ("log", tag("code", str(log.path) if log.path else "a log in memory")),
+            ("samples", f"{count} in {counted(len(runs), 'run')}"),
+            ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
+            ("runs fitted", used),
+            (
+                "runs held out",
+                (f"{len(apart)} ({parts.numbers(apart)})" if apart else "none") if same else None,
+            ),
+            ("calibrated on", None if same else tag("code", fit.log["path"] or "a log in memory")),
+            (
+                "noise floor",
+                f"{parts.each(fit.noise_floor)}: what the noise of readings and reference alone leaves",
+            ),
+        ]
+    )
+
+
+def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> Markup:
+    drawn = {label: (LOOKS[label], gap) for label, gap in rows.items()}
+    note = "Dashed line: noise floor. "
+    none = ", no zero deviations" if fit.model.zeros else ""
+    note += f"Designed: nominal parameters{none}. " if same else ""
+    note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
+    return join(
+        [
+            tag("p", note, class_="note"),
+            tag("figure", figures.against_floor(drawn, fit.noise_floor)),
+            parts.gap_table(rows, fit.noise_floor),
+        ]
+    )
+
+
+def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:
+    notes = list(fit.notes)
+    if not same:
+        notes.append(
+            "This log is not the one that was fitted: the zero deviations of each run were estimated from "
+            "that run, and the noise floor is that of the fitted log."
+        )
+    gone = found.survey.n_rejected
+    if gone:
+        notes.append(f"Maps and series leave {gone} isolated spikes out, as the fit did.")
+    if same and _above_recorded(found, fit):
+        notes.append("Maps and series show samples that the fit gave little or no weight, as outliers.")
+    return notes + [note for note in log.notes if note not in notes]
+
+
+def _above_recorded(found: Gathered, fit: Fit) -> bool:
+    """Whether peaks are larger than the fit recorded: it left outliers out, but its record names none."""
+    known = [row["peak"] for k, row in fit.error_rows.items() if k != "designed" and row]
+    peak = found.survey.fitted.over()
+    if not known or peak is None:
+        return False
+    return any(v > 1.001 * max(row[c] for row in known) for c, v in peak["peak"].items())
+
+
+def _spikes(log: Log, fit: Fit) -> Weigh:
+    """Return what leaves out isolated spikes by the rule of the fit."""
+    model, cost = fit.model, _cost(log, fit)
+    place = Decode(fit)
+    zeros = {
+        run: place.zeros(run, state)
+        for run, state in zip(cost.summary.runs, cost.summary.first_state, strict=True)
+    }
+    suspects = column_spikes((*model.references, *model.channels))
+    covariance = cost.at(fit.values).covariance.mean(axis=0)
+    return reject_spikes(residuals(model, fit.values, zeros), covariance, suspects)
+
+
+def _cost(log: Log, fit: Fit) -> Cost:
+    return cost_near(log, fit.model, fit.values, {c: s.value for c, s in fit.noise.sigmas.items()})
+
+
+def _elsewhere(log: Log, fit: Fit) -> Fit:
+    """Return the fit with the zero deviations of another log's runs; none of them is held out."""
+    cost = _cost(log, fit)
+    zeros = cost.at(fit.values).zeros
+    if zeros.shape[1]:
+        zeros = zeros * np.array([fit.model.zero_scale(fit.values, s) for s in cost.summary.first_state])
+    own = dict(zip(cost.summary.runs, zeros, strict=True))
+    return replace(fit, zeros=own, errors=None, log={**fit.log, "holdout": []}, source=None)

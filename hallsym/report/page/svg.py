@@ -1,0 +1,142 @@
+"""What charts are made of: scales, ticks, axes, paths; coordinates in px with two decimals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.report.figures.names import MINUS
+from hallsym.report.page.html import Markup, tag
+
+WIDE, NARROW = 740.0, 240.0
+RIM = 14.0
+"""Width of pictures, and what half a number at the right end of an axis needs [px]."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Values `low` to `high` drawn at px `start` to `end`; values beyond stay at the end."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+    log: bool = False
+
+    def __call__(self, value: float) -> float:
+        """Return the px of a value."""
+        if self.log:
+            value = max(value, self.low)
+            part = math.log(value / self.low) / math.log(self.high / self.low)
+        else:
+            part = (value - self.low) / (self.high - self.low)
+        return self.start + min(max(part, 0.0), 1.0) * (self.end - self.start)
+
+    def ticks(self, most: int = 4) -> list[float]:
+        """Return round values inside, about `most` of them."""
+        return decades(self.low, self.high, most) if self.log else ticks(self.low, self.high, most)
+
+
+def ticks(low: float, high: float, most: int = 4) -> list[float]:
+    """Return multiples of 1, 2 or 5 times a power of ten from `low` to `high`, at most `most` + 1."""
+    if not high > low:
+        return [low]
+    unit = 10.0 ** math.floor(math.log10((high - low) / most))
+    for step in (s * unit for s in (0.5, 1, 2, 5, 10)):
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        if last - first <= most:
+            break
+    return [k * step for k in range(first, last + 1)]
+
+
+def decades(low: float, high: float, most: int) -> list[float]:
+    """Return 1, 2, 5 times powers of ten from `low` to `high`, fewer over many decades."""
+    spans = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for factors in ((1, 2, 5), (1, 3), (1,)):
+        found = [f * 10.0**e for e in spans for f in factors if low * 0.999 <= f * 10.0**e <= high * 1.001]
+        if len(found) <= most + 1:
+            break
+    return found[:: -(-len(found) // (most + 1))] if found else [low]
+
+
+def label(value: float) -> str:
+    """Return a tick's text: up to four digits, a true minus sign."""
+    text = f"{value:.4g}"
+    if "e" in text and 1e-4 < abs(value) < 1e6:
+        text = np.format_float_positional(float(text), trim="-")
+    return ("0" if float(text) == 0 else text).replace("-", MINUS)
+
+
+def px(value: float) -> str:
+    """Return a coordinate with at most two decimals."""
+    text = f"{value:.2f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def chart(width: float, height: float, says: str, *parts: object, **attributes: object) -> Markup:
+    """Return a picture; `says` is read out in its place."""
+    box = f"0 0 {px(width)} {px(height)}"
+    return tag("svg", *parts, viewBox=box, role="img", aria_label=says, **attributes)
+
+
+def text(x: float, y: float, words: object, anchor: str = "start", look: str | None = None) -> Markup:
+    """Return words whose baseline starts, ends or is centred (`middle`) at (x, y)."""
+    anchor_ = None if anchor == "start" else anchor
+    return tag("text", words, x=px(x), y=px(y), text_anchor=anchor_, class_=look)
+
+
+def line(x1: float, y1: float, x2: float, y2: float, look: str) -> Markup:
+    """Return a straight line."""
+    return tag("path", d=f"M{px(x1)} {px(y1)}L{px(x2)} {px(y2)}", class_=look)
+
+
+def rect(x: float, y: float, width: float, height: float, look: str, title: str = "") -> Markup:
+    """Return a rectangle; `title` shows when pointed at."""
+    said = tag("title", title) if title else None
+    return tag("rect", said, x=px(x), y=px(y), width=px(max(width, 0.0)), height=px(height), class_=look)
+
+
+def dot(x: float, y: float, radius: float, look: str, title: str = "") -> Markup:
+    """Return a disc; `title` shows when pointed at."""
+    return tag(
+        "circle", tag("title", title) if title else None, cx=px(x), cy=px(y), r=px(radius), class_=look
+    )
+
+
+def polyline(points: Sequence[tuple[float, float]], look: str) -> Markup:
+    """Return a line through points, interrupted where a coordinate is nan."""
+    parts, pen = [], "M"
+    for x, y in points:
+        if math.isnan(x) or math.isnan(y):
+            pen = "M"
+            continue
+        parts.append(f"{pen}{px(x)} {px(y)}")
+        pen = "L"
+    return tag("path", d="".join(parts), class_=look)
+
+
+def below(scale: Scale, y: float, title: str = "", most: int = 4, top: float | None = None) -> list[Markup]:
+    """Return the x axis at `y`: line, ticks, numbers, title, and grid lines up to `top`."""
+    parts = [line(scale.start, y, scale.end, y, "axis")]
+    for value in scale.ticks(most):
+        at = scale(value)
+        if top is not None:
+            parts.append(line(at, y, at, top, "gridline"))
+        parts += [line(at, y, at, y + 4, "tick"), text(at, y + 15, label(value), "middle")]
+    if title:
+        parts.append(text((scale.start + scale.end) / 2, y + 29, title, "middle", "soft"))
+    return parts
+
+
+def beside(scale: Scale, x: float, right: float, most: int = 6) -> list[Markup]:
+    """Return the y axis at `x`: line, ticks, numbers, and grid lines up to `right`."""
+    parts = [line(x, scale.start, x, scale.end, "axis")]
+    for value in scale.ticks(most):
+        at = scale(value)
+        look = "zero" if value == 0 else "gridline"
+        parts += [line(x, at, right, at, look), line(x - 4, at, x, at, "tick")]
+        parts.append(text(x - 6, at + 4, label(value), "end"))
+    return parts

@@ -1,0 +1,62 @@
+"""A comparison as a person reads it in a terminal."""
+
+from hallsym.diagnosis.compare import LEVEL, Comparison, EffectChange, ParameterChange, PlaceChange
+from hallsym.diagnosis.words import gap_unit
+from hallsym.report.tables import concise, grid
+from hallsym.units import readable
+
+
+def comparison_text(c: Comparison) -> str:
+    """Return what `hallsym diagnose --compare` prints: gap, effects, parameters, where."""
+    parts = [c.sentence]
+    if c.kind == "diagnoses":
+        parts += ["", _gaps(c)]
+        if c.effects:
+            parts += ["", _effects(c.effects)]
+    rows = [row for e in c.effects for row in _rows(e)]
+    if rows:
+        head = ["parameter", "before", "after", "unit", "p of no change", "significant"]
+        parts += ["", grid([head, *rows], left=1)]
+        parts.append(f"significant: at {100 * LEVEL:g} % over all {len(rows)} parameters together")
+    if c.where:
+        parts += ["", "where the gap lies (share of the excess, before and after):", *map(_place, c.where)]
+    return "\n".join([*parts, *(f"note: {note}" for note in c.notes)])
+
+
+def _gaps(c: Comparison) -> str:
+    rows = [["", "before", "after"], ["verdict", *c.verdict]]
+    size, name = gap_unit(c.rmse)
+    for what, pair in (("gap", c.gap), ("with the effects found", c.rest), ("noise floor", c.floor)):
+        rows.append([f"{what} [{name}]", *(f"{size * v:.4g}" for v in pair)])
+    for column, pair in c.rmse.items():
+        factor, unit, name = readable(column)
+        rows.append([f"rmse {name} [{unit}]", *(f"{factor * v:.4g}" for v in pair)])
+    return grid(rows)
+
+
+def _effects(effects: tuple[EffectChange, ...]) -> str:
+    rows = [["effect", "", "share before", "share after", "form", ""]]
+    for e in effects:
+        form = e.form[0] if e.form[0] == e.form[1] else " -> ".join(f or "none" for f in e.form)
+        rows.append([e.name, e.state, *map(_share, e.share), form, e.remark])
+    return grid(rows, left=2)
+
+
+def _share(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.0f} %"
+
+
+def _rows(effect: EffectChange) -> list[list[str]]:
+    def said(p: ParameterChange) -> str:
+        return "unknown" if p.significant is None else "yes" if p.significant else "no"
+
+    return [
+        [p.name, concise(p.before, p.before_std), concise(p.after, p.after_std), p.unit,
+         "" if p.p_value is None else f"{p.p_value:.1g}", said(p)]
+        for p in effect.parameters
+    ]  # fmt: skip
+
+
+def _place(place: PlaceChange) -> str:
+    before, after = (_share(s) or "none" for s in place.share)
+    return f"  {place.by}{' ' + place.at if place.at else ''}: {before} -> {after}"

@@ -1,0 +1,168 @@
+"""The report of `identify` as tables for a terminal."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hallsym.inference.null import NullDirection, NullSpace
+from hallsym.inference.report import CombinationReport, Identifiability, ParameterReport
+from hallsym.inference.workspace import Change
+from hallsym.report.tables import concise, grid
+from hallsym.units import readable
+
+
+def report_text(report: Identifiability, *, zeros: bool = False) -> str:
+    """Return the report; `zeros`: list the zero deviation of every run too."""
+    cost = report.evidence.cost
+    what = "will determine" if cost.planned else "determine"
+    runs = len(cost.summary.runs)
+    parts = [
+        f"{report.model.name}: what {runs} runs of {report.evidence.recorded} {what}",
+        "",
+        parameters_text(report.parameters),
+    ]
+    if report.combinations:
+        parts += ["", combinations_text(report.combinations)]
+    parts += ["", *null_text(report.structural, report.practical)]
+    parts += ["", effects_text(report)]
+    parts += ["", outputs_text(report), "", *nuisance_text(report, zeros)]
+    parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
+    parts += [f"not computed: {sentence}" for sentence in report.partial]
+    parts += [f"note: {note}" for note in report.evidence.notes]
+    return "\n".join(parts)
+
+
+def _shown(unit: str) -> tuple[float, str]:
+    return (180 / np.pi, "deg") if unit == "rad" else (1.0, unit)
+
+
+def parameters_text(parameters: Sequence[ParameterReport]) -> str:
+    """Return value, interval, strongest correlation and verdict of every parameter."""
+    rows = [["parameter", "value", "unit", "95 % interval", "of bounds", "correlated with", "verdict"]]
+    for entry in parameters:
+        factor, unit = _shown(entry.unit)
+        value = f"({entry.value * factor:.4g})"
+        if entry.std is not None:
+            value = concise(entry.value * factor, entry.std * factor)
+        rows.append([entry.name, value, unit, _interval(entry, factor), _share(entry), _other(entry)])
+        because = entry.verdict.because
+        rows[-1].append(entry.verdict.word + (f": {because}" if because else ""))
+    body = grid([row[:-1] for row in rows]).split("\n")
+    width, words = len(body[1]), [rows[0][-1], "", *(row[-1] for row in rows[1:])]
+    return "\n".join(f"{line:{width}}  {word}".rstrip() for line, word in zip(body, words, strict=True))
+
+
+def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
+    if entry.interval is None or entry.std is None:
+        return ""
+    digits = max(1, 2 - int(np.floor(np.log10(max(entry.std * factor, 1e-300)))))
+    ends = (f"{v * factor:.{min(digits, 9)}f}" for v in (entry.interval.low, entry.interval.high))
+    mark = {"normal": "", "profile": " p", "block bootstrap": " b"}[entry.interval.how]
+    return " .. ".join(ends) + mark
+
+
+def _share(entry: ParameterReport) -> str:
+    return "" if entry.share is None else f"{100 * entry.share:.2g} %"
+
+
+def _other(entry: ParameterReport) -> str:
+    if not entry.correlated_with or entry.std is None:
+        return ""
+    name, r = entry.correlated_with[0]
+    return f"{name} {r:+.2f}"
+
+
+def combinations_text(combinations: Sequence[CombinationReport]) -> str:
+    """Return what is determined instead of parameters that are not."""
+    rows = [["determined instead", "value", "unit", "95 % interval"]]
+    rows += [[c.expression, concise(c.value, c.std), c.unit, _interval(c, 1.0)] for c in combinations]
+    return grid(rows)
+
+
+def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
+    """Return the sentences on null directions."""
+    some = "what no recording can determine" if structural.null else "some recording determines everything"
+    less = "what this recording leaves" if practical.null else "this recording loses nothing more"
+    return [
+        f"structural rank {structural.rank} of {structural.of}: {some}",
+        *map(_direction, structural.null),
+        f"practical rank {practical.rank} of {practical.of}: {less}",
+        *map(_direction, practical.null),
+    ]
+
+
+def _direction(direction: NullDirection) -> str:
+    named = ", ".join(direction.parameters)
+    if direction.determined is None:
+        return f"  {named}: nothing of it is determined"
+    value = f"{concise(direction.value or 0.0, direction.std)} {direction.unit}"
+    return f"  {named}: only {' and '.join((f'{direction.determined} = {value}', *direction.also))}"
+
+
+def effects_text(report: Identifiability) -> str:
+    """Return what 1 sigma and 1 % of each parameter do to the decoded pose."""
+    shown = [readable(c) for c in report.model.pose]
+    rows = [
+        [
+            "largest effect",
+            *(f"1 sigma {name} [{unit}]" for _, unit, name in shown),
+            *(f"1 % {name} [{unit}]" for _, unit, name in shown),
+        ]
+    ]
+    for entry in report.parameters:
+        if entry.verdict.word == "fixed":
+            continue
+        sigma = [""] * len(shown) if entry.sigma is None else _numbers(entry.sigma, report.model.pose)
+        rows.append([entry.name, *sigma, *_numbers(entry.percent, report.model.pose)])
+    return grid(rows)
+
+
+def _numbers(change: Change, pose: Sequence[str]) -> list[str]:
+    return [f"{change.worst[c] * readable(c)[0]:.3g}" for c in pose]
+
+
+def outputs_text(report: Identifiability) -> str:
+    """Return what the uncertainty of all parameters together does to the decoded pose."""
+    rows = [["decoded pose (1 sigma)", *(f"{n} [{u}]" for _, u, n in map(readable, report.model.pose))]]
+    labels = {
+        "parameters_rms": "all parameters, rms",
+        "parameters_worst": "all parameters, worst",
+        "noise_floor": "noise of one reading",
+    }
+    for key, label in labels.items():
+        rows.append([label, *(f"{report.outputs[c][key] * readable(c)[0]:.3g}" for c in report.model.pose)])
+    return grid(rows)
+
+
+def nuisance_text(report: Identifiability, listed: bool) -> list[str]:
+    """Return the zero deviations: summarised, and listed if asked for."""
+    nuisance = report.nuisance
+    if not nuisance["count"]:
+        return []
+    zeros = nuisance["zeros"]
+    factor, unit = _read(zeros)
+    sizes = [
+        f"{n} {factor * z['rms']:.3g} {unit} rms, {factor * z['worst']:.3g} {unit} at most"
+        for n, z in zeros.items()
+    ]
+    std = factor * max(z["std"] for z in zeros.values())
+    lines = [
+        f"{nuisance['count']} zero deviations, profiled out: {'; '.join(sizes)}; each +-{std:.2g} {unit}"
+    ]
+    if listed:
+        lines += ["", _zero_table(nuisance["runs"], factor, unit)]
+    return lines
+
+
+def _read(zeros: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
+    """Factor and unit in which zeros are read."""
+    return (1e6, "um") if next(iter(zeros.values()))["unit"] == "m" else (float(np.degrees(1.0)), "deg")
+
+
+def _zero_table(runs: Mapping[str, Mapping[str, Mapping[str, float]]], factor: float, unit: str) -> str:
+    names = list(next(iter(runs.values())))
+    rows = [["run", *(f"{n} [{unit}]" for n in names)]]
+    for run, row in runs.items():
+        rows.append([run, *(concise(row[n]["value"] * factor, row[n]["std"] * factor) for n in names)])
+    return grid(rows)

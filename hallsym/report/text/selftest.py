@@ -1,0 +1,85 @@
+"""The self-test as a person reads it in a terminal."""
+
+from collections.abc import Sequence
+
+from hallsym.diagnosis.selftest import Findable, SelfTest, Trial
+from hallsym.diagnosis.words import gap_text, gap_unit
+from hallsym.report.tables import grid
+
+SHORT = {"found": "yes", "group": "group", "listed": "second", "other": "wrong", "refused": "refused"}
+READ = {"m": (1e6, "um"), "s": (1e3, "ms"), "rad": (1e6, "urad"), "V": (1e3, "mV")}
+
+
+def selftest_text(s: SelfTest) -> str:
+    """Return what `hallsym selftest` prints: one line per effect, false alarms, what cannot be seen, why."""
+    quiet, unit = len(s.quiet_trials), gap_unit(s.outputs)
+    parts = [
+        f"self-test of a diagnosis with {s.model}: {s.rows} samples"
+        + (f" ({s.thinning})" if s.thinning else "")
+        + f", noise floor {gap_text(s.floor_m, unit)}, threshold {100 * s.threshold:g} %, seed {s.seed}; "
+        f"{s.seconds:.0f} s" + ("" if s.complete else "; INTERRUPTED, what was done:"),
+        f"noise: {s.noise['text']}",
+        f"false alarms: {s.false_alarms} of {quiet} logs without an effect",
+    ]
+    tested = [e for e in s.effects if e.trials]
+    if tested:
+        parts += ["", _table(s, tested)]
+        parts += ["", _legend(s)]
+    hidden = [e for e in s.effects if e.status == "not testable"]
+    if hidden:
+        parts += ["", *(f"not testable: {e.name}: {e.reason}" for e in hidden)]
+    undone = [e.name for e in s.effects if e.status == "not run"]
+    if undone:
+        parts += ["", "not run: " + ", ".join(undone)]
+    return "\n".join([*parts, *(f"note: {note}" for note in s.notes)])
+
+
+def _table(s: SelfTest, tested: Sequence[Findable]) -> str:
+    head = ["effect", *(f"{r:g} x" for r in s.ratios), "found from", "that is", "taken for"]
+    rows = [head]
+    for e in tested:
+        cells = [_cell([t for t in e.trials if t.ratio == r]) for r in s.ratios]
+        if e.trials[0].ratio is None:
+            cells = [_cell(e.trials), *[""] * (len(cells) - 1)]
+        rows.append([e.name, *cells, _from(e, gap_unit(s.outputs)), size_text(e), ", ".join(e.confused_with)])
+    return grid(rows, left=len(head))
+
+
+def _cell(trials: Sequence[Trial]) -> str:
+    if not trials:
+        return "-"
+    said = [SHORT.get(t.outcome, t.outcome) for t in trials]
+    if len(set(said)) == 1:
+        return said[0]
+    return f"{sum(word in ('yes', 'group') for word in said)}/{len(said)}"
+
+
+def _from(e: Findable, unit: tuple[float, str]) -> str:
+    if e.status != "found" or e.gap_m is None:
+        return "not found"
+    return "found" if e.ratio is None else gap_text(e.gap_m, unit)
+
+
+def size_text(e: Findable) -> str:
+    """Return the largest parameter of each unit at the size from which on the effect is found."""
+    largest: dict[str, tuple[str, float]] = {}
+    for name, (value, unit) in e.size.items():
+        if unit not in largest or abs(value) > abs(largest[unit][1]):
+            largest[unit] = (name, value)
+    said = []
+    for unit, (name, value) in largest.items():
+        factor, shown = READ.get(unit, (1.0, unit))
+        said.append(f"{name} {factor * value:.3g}" + (f" {shown}" if shown != "1" else ""))
+    return ", ".join(said)
+
+
+def _legend(s: SelfTest) -> str:
+    lines = [
+        f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; yes: named first; "
+        "group: in one group with the first; second: named beside another;",
+        "wrong: another name was given; unexplained: a gap without a name; no gap: not noticed; -: cannot be "
+        "made that large here",
+        "found from: gap above the floor from which on it is found, and the largest parameters that make it",
+    ]
+    bounded = [e for e in s.effects if e.trials and e.reason]
+    return "\n".join([*lines, *(f"{e.name}: {e.reason}" for e in bounded)])

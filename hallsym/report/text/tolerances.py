@@ -1,0 +1,216 @@
+"""What a person reads of a study of tolerances, and its JSON record."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from hallsym.report.tables import grid
+from hallsym.uncertainty.tolerances.ranges import Tolerance
+from hallsym.uncertainty.tolerances.sobol import Indices
+from hallsym.uncertainty.tolerances.study import ENOUGH, MOST, QUANTITIES, Tolerances
+from hallsym.units import readable
+
+_SIZE = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg")}
+
+
+def tolerances_text(found: Tolerances) -> str:
+    """Return what `hallsym tolerances` prints: errors, ranking, Sobol indices, what calibration leaves."""
+    machines = 2 * found.samples
+    return "\n".join(
+        [
+            f"{found.model.name}: {len(found.active)} tolerances, {found.points} points of the workspace, "
+            f"{found.samples} base samples, seed {found.seed}; {found.seconds:.1f} s",
+            "",
+            f"errors of the designed decoder without calibration, {machines} machines drawn",
+            error_table(found),
+            "",
+            "what a tolerance is worth: fall of the rms error in % if it alone is exact | halved",
+            worth_table(found),
+            "",
+            "Sobol indices in %: first total, of the error over the workspace",
+            index_table(found),
+            "",
+            *_sentences(found),
+            *(f"note: {note}" for note in found.notes),
+        ]
+    )
+
+
+def _heads(found: Tolerances) -> list[str]:
+    return [readable(c)[2] for c in found.model.pose]
+
+
+def error_table(found: Tolerances) -> str:
+    """Return the errors of the machines drawn, in um and urad."""
+    shown = [readable(c) for c in found.model.pose]
+    e = found.errors
+    rows = [
+        ("rms, all machines", e.rms),
+        ("of which common to all", e.mean),
+        ("rms of one machine, 95 % below", e.rms_95),
+        ("peak of one machine, 95 % below", e.peak_95),
+    ]
+    body = [
+        [label, *(f"{v * f:.3g}" for v, (f, _, _) in zip(values, shown, strict=True))]
+        for label, values in rows
+    ]
+    return grid([["", *(f"{name} [{unit}]" for _, unit, name in shown)], *body])
+
+
+def _order(found: Tolerances) -> list[int]:
+    return [found.active.index(name) for name in found.ranking]
+
+
+def worth_table(found: Tolerances) -> str:
+    """Return the ranking: fall of the rms of each coordinate if one tolerance is made exact or halved."""
+    ranges = {t.name: t for t in found.tolerances}
+    rows = [["tolerance", "range", *_heads(found), "+-"]]
+    for j in _order(found):
+        cells = [
+            f"{_percent(a)} | {_percent(b)}"
+            for a, b in zip(found.worth.exact[j], found.worth.halved[j], strict=True)
+        ]
+        rows.append(
+            [
+                found.active[j],
+                size(ranges[found.active[j]]),
+                *cells,
+                _percent(found.worth.exact_half[j].max()),
+            ]
+        )
+    return grid(rows, left=2)
+
+
+def index_table(found: Tolerances) -> str:
+    """Return first and total indices of the error, one line per tolerance, with the widest interval."""
+    indices = [found.indices["error"][c] for c in found.model.pose]
+    rows = [["tolerance", *_heads(found)]]
+    for j in _order(found):
+        rows.append(
+            [found.active[j], *(f"{_percent(i.first[j])} {_percent(i.total[j]):>5}" for i in indices)]
+        )
+    rows.append(["sum", *(f"{_percent(i.first.sum())} {_percent(i.total.sum()):>5}" for i in indices)])
+    rows.append(["widest +-", *(_percent(i.widest) for i in indices)])
+    return grid(rows)
+
+
+def size(t: Tolerance) -> str:
+    """Return a range for reading: `+-50000 um`, `0.1 deg (normal)`."""
+    factor, unit = _SIZE.get(t.unit, (1.0, "" if t.unit == "1" else t.unit))
+    sign = "" if t.distribution == "normal" else "+-"
+    about = f" about {t.centre * factor:.4g}" if abs(t.centre - t.designed) > 1e-12 * abs(t.designed) else ""
+    kind = {"rectangular": "", "normal": " (1 sigma)"}.get(t.distribution, f" ({t.distribution})")
+    return f"{sign}{t.width * factor:.6g} {unit}".rstrip() + about + kind
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value + 0.0:.1f}".replace("-0.0", "0.0")
+
+
+def _sentences(found: Tolerances) -> Iterator[str]:
+    yield _sharpness(found)
+    yield (
+        "several at once: shares of the error add where first and total index agree; the rms falls to "
+        "sqrt(1 - sum)"
+    )
+    exact = [t.name for t in found.tolerances if t.width == 0]
+    if exact:
+        yield f"exact: {', '.join(exact)}"
+    yield from _calibration(found)
+
+
+def _sharpness(found: Tolerances) -> str:
+    text = f"intervals: indices of the error are within +-{_percent(found.widest)} points (95 %)"
+    if found.widest <= ENOUGH:
+        return f"{text}, sharp enough to rank what differs by more"
+    wanted = found.samples * 2 ** int(np.ceil(2 * np.log2(found.widest / ENOUGH)))
+    if wanted > MOST:
+        return f"{text}, too wide to rank by; {MOST} samples are the most there can be"
+    return (
+        f"{text}, too wide to rank by: about --samples {wanted} brings them below {100 * ENOUGH:.0f} "
+        "(four times the samples and the time, half the width)"
+    )
+
+
+def _calibration(found: Tolerances) -> Iterator[str]:
+    r = found.remainder
+    shown = [readable(c) for c in found.model.pose]
+
+    def errors(values: np.ndarray) -> str:
+        return ", ".join(f"{n} {v * f:.2g} {u}" for v, (f, u, n) in zip(values, shown, strict=True))
+
+    determined = [n for n in found.active if n not in r.undetermined]
+    yield (
+        f"calibration: {r.machines} of these machines calibrated without noise over this workspace, "
+        f"rms before: {errors(r.before)}; after: {errors(r.after)}"
+    )
+    if determined:
+        yield f"  removes the error of {', '.join(determined)}: each can be determined by itself"
+    if r.undetermined:
+        yield (
+            f"  no recording tells {', '.join(r.undetermined)} apart "
+            f"({r.freedom} directions change no reading): they stay wrong by up to "
+            f"{r.apart:.2g} of their tolerance, and that is harmless"
+        )
+        if r.combinations:
+            yield f"  determined instead, and removed: {'; '.join(r.combinations)}"
+
+
+# -- JSON ------------------------------------------------------------------------------------------------
+
+
+def record(found: Tolerances) -> dict[str, Any]:
+    """Return everything as plain numbers, SI."""
+    pose, r, e = found.model.pose, found.remainder, found.errors
+
+    def by_pose(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(pose, np.asarray(values, dtype=float).tolist(), strict=True))
+
+    return {
+        "model": found.model.name,
+        "seed": found.seed,
+        "samples": found.samples,
+        "points": found.points,
+        "tolerances": {
+            t.name: {
+                "unit": t.unit, "designed": float(t.designed), "centre": float(t.centre),
+                "width": float(t.width), "distribution": t.distribution, "std": float(t.std),
+                "source": t.source,
+            }
+            for t in found.tolerances
+        },
+        "errors": {
+            name: by_pose(getattr(e, name)) for name in ("rms", "mean", "rms_spread", "rms_95", "peak_95")
+        },
+        "ranking": list(found.ranking),
+        "worth": {
+            name: {
+                what: by_pose(getattr(found.worth, what)[j])
+                for what in ("exact", "halved", "exact_half", "spread")
+            }
+            for j, name in enumerate(found.active)
+        },
+        "indices": {q: _indices(found, found.indices[q]) for q in QUANTITIES},
+        "sharp": found.widest <= ENOUGH,
+        "calibration": {
+            "machines": r.machines, "before": by_pose(r.before), "after": by_pose(r.after),
+            "undetermined": list(r.undetermined), "determined_instead": list(r.combinations),
+            "freedom": r.freedom, "apart": r.apart,
+        },
+        "notes": list(found.notes),
+        "seconds": found.seconds,
+    }  # fmt: skip
+
+
+def _indices(found: Tolerances, by_pose: Mapping[str, Indices]) -> dict[str, dict[str, dict[str, float]]]:
+    return {
+        c: {
+            name: {
+                "first": float(i.first[j]), "first_half": float(i.first_half[j]),
+                "total": float(i.total[j]), "total_half": float(i.total_half[j]),
+            }
+            for j, name in enumerate(found.active)
+        }
+        for c, i in by_pose.items()
+    }  # fmt: skip

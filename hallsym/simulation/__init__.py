@@ -1,0 +1,1 @@
+"""Logs of machines that are known: campaigns, trajectories, noise, and the simulated machine."""

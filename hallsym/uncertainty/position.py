@@ -1,0 +1,323 @@
+"""Uncertainty of a decoded position: a budget for any pose, maps, and rms and worst over a recording.
+
+First-order propagation, JCGM 100 (10) and (13), with the exact slopes of `hallsym.model.influence`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from hallsym.errors import InputError, nearest
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.covariance import FEW_RUNS
+from hallsym.log import Log
+from hallsym.log.batches import batches
+from hallsym.model import Model
+from hallsym.uncertainty.gum import Budget, Source
+from hallsym.uncertainty.inputs import Slopes, check_fit, inputs, slopes
+from hallsym.uncertainty.settings import Settings
+
+__all__ = ["Recorded", "UncertaintyMap", "notes", "over_log", "place", "position_budget", "uncertainty_map"]
+
+POINTS, SLICES = 41, 5
+"""Points along each planar axis of a map, and how many heights it shows, where only a span is given."""
+
+
+# -- a budget --------------------------------------------------------------------------------------------
+
+
+def position_budget(
+    fit: Fit,
+    at: Mapping[str, float] | None = None,
+    settings: Settings | None = None,
+    *,
+    split: bool = False,
+) -> dict[str, Budget]:
+    """Return one budget per pose coordinate for the position decoded at a pose and vertical state.
+
+    `at`: pose or state column -> value in SI, 0 where not given. The fit covariance is one source, "fit";
+    with `split` every determined parameter is one, correlated with the others. Raises `InputError` where a
+    gain crosses zero and for a calibration without covariance.
+    """
+    settings = settings or Settings()
+    check_fit(fit)
+    pose, state = place(fit.model, at or {})
+    found = slopes(fit, pose[:, None], state[:, None], settings)
+    listed = inputs(fit, settings)
+    by_input = [found.of(entry)[0] for entry in listed]  # (n_pose,) each
+    budgets = {}
+    for i, column in enumerate(fit.model.pose):
+        rest = [replace(e.source, sensitivity=float(c[i])) for e, c in zip(listed, by_input, strict=True)]
+        first, correlation = _fit_sources(fit, column, found.parameters[0, i], split)
+        budgets[column] = Budget(
+            quantity=column,
+            unit=column.rpartition("_")[2],
+            sources=(*first, *rest),
+            coverage=settings.coverage,
+            level=settings.level,
+            correlation=None if correlation is None else _padded(correlation, len(rest)),
+            value=float(pose[i]),
+        )
+    return budgets
+
+
+def _fit_sources(
+    fit: Fit, column: str, slope: np.ndarray, split: bool
+) -> tuple[list[Source], np.ndarray | None]:
+    """The fit covariance as one source, or parameter by parameter with their correlation."""
+    dof, unit = fit_degrees_of_freedom(fit), column.rpartition("_")[2]
+    if not split:
+        whole = float(np.sqrt(max(slope @ fit.covariance @ slope, 0.0)))
+        return [Source.normal("fit", whole, unit, degrees_of_freedom=dof)], None
+    std: np.ndarray = np.sqrt(np.diag(fit.covariance))
+    free = np.flatnonzero(std > 0)
+    parameters = [fit.model.parameters[k] for k in free]
+    sources = [
+        Source(f"fit: {p.name}", float(u), p.unit, sensitivity=float(c), degrees_of_freedom=dof)
+        for p, u, c in zip(parameters, std[free], slope[free], strict=True)
+    ]
+    return sources, fit.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
+
+
+def _padded(correlation: np.ndarray, more: int) -> np.ndarray:
+    n = len(correlation)
+    padded = np.eye(n + more)
+    padded[:n, :n] = correlation
+    np.fill_diagonal(padded, 1.0)
+    return padded
+
+
+def fit_degrees_of_freedom(fit: Fit) -> float:
+    """Degrees of freedom of the fit covariance: the runs less one where it comes from their scatter."""
+    if fit.covariance_method == "likelihood":
+        return inf
+    runs = int(fit.log.get("runs", FEW_RUNS)) - len(fit.log.get("holdout", ()))
+    return float(max(runs - 1, 1))
+
+
+def place(model: Model, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return pose (n_pose,) and state (n_state,) of `at`, 0 where not given; unknown columns are an error."""
+    columns = [*model.pose, *model.state]
+    for column, value in at.items():
+        if column not in columns:
+            raise InputError(
+                f"Position must be given in columns of {model.name} ({', '.join(columns)}); "
+                f"instead received {column!r}{nearest(column, columns)}."
+            )
+        if not np.isfinite(value):
+            raise InputError(f"Position {column} must be a finite number; instead received {value!r}.")
+    pose, state = (np.array([float(at.get(c, 0.0)) for c in names]) for names in (model.pose, model.state))
+    return pose, state
+
+
+def notes(fit: Fit, settings: Settings) -> list[str]:
+    """Return what a reader of a budget has to know: what it does not hold, and what was assumed."""
+    said = []
+    if fit.undetermined_by_log:
+        said.append(
+            f"the log of this calibration does not determine {', '.join(fit.undetermined_by_log)}; "
+            "what they would add is not in the budget."
+        )
+    if fit.at_bound:
+        said.append(
+            f"{', '.join(fit.at_bound)} ended at a bound and count as known; the budget is too small by "
+            "what they would add."
+        )
+    excess = float(fit.solver.get("cost_per_degree_of_freedom", 1.0))
+    if excess > 1.5:
+        said.append(
+            f"the residuals of the fit are {np.sqrt(excess):.2g} x what the noise explains; the gap between "
+            "model and machine is in no source, so the true uncertainty is larger."
+        )
+    if fit.model.zeros and settings.zero_averaged == 1:
+        said.append(
+            "the zeroing is taken from 1 reading; [zeroing] averaged = N in the settings states how many."
+        )
+    return said
+
+
+# -- many positions --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Spread:
+    """Variances of decoded positions, (s, n_pose) each: all sources, and the fit alone."""
+
+    total: np.ndarray
+    fit: np.ndarray
+
+    def expanded(self, settings: Settings, dof: float) -> np.ndarray:
+        """U, shape (s, n_pose)."""
+        return _factor(self, settings, dof) * np.sqrt(self.total)
+
+
+def _factor(spread: _Spread, settings: Settings, dof: float) -> np.ndarray | float:
+    """Coverage factor, where a level asks for it from the effective degrees of freedom of each position."""
+    if settings.level is None:
+        return settings.coverage
+    half = 0.5 + 0.5 * settings.level
+    if not np.isfinite(dof):
+        return float(ndtri(half))
+    with np.errstate(divide="ignore"):
+        effective = dof * np.square(spread.total / spread.fit)
+    k = stdtrit(np.maximum(np.floor(np.minimum(effective, 1e9)), 1.0), half)
+    return np.where(np.isfinite(effective), k, ndtri(half))
+
+
+def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -> _Spread:
+    found: Slopes = slopes(fit, pose, state, settings)
+    from_fit = np.einsum("spj,spj->sp", found.parameters @ fit.covariance, found.parameters)
+    total = from_fit.copy()
+    for entry in inputs(fit, settings):
+        total += (entry.source.std * found.of(entry)) ** 2
+    return _Spread(total, from_fit)
+
+
+@dataclass(frozen=True, eq=False)
+class UncertaintyMap:
+    """U of every pose coordinate on a grid.
+
+    `axes`: column -> values along it [SI], in the order of the grid's axes. `fixed`: where the other columns
+    stay. `expanded`: (n_pose, *grid), in the units of `pose`.
+    """
+
+    pose: tuple[str, ...]
+    axes: Mapping[str, np.ndarray]
+    fixed: Mapping[str, float]
+    expanded: np.ndarray
+    settings: Settings
+
+    def worst(self, coordinate: str) -> tuple[dict[str, float], float]:
+        """Return where a coordinate is known worst, and its U there."""
+        grid = self.expanded[self.pose.index(coordinate)]
+        spot = np.unravel_index(int(np.argmax(grid)), grid.shape)
+        where = {c: float(v[k]) for (c, v), k in zip(self.axes.items(), spot, strict=True)}
+        return {**self.fixed, **where}, float(grid[spot])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the map as plain numbers in SI: one nested list per pose coordinate."""
+        return {
+            "axes": {c: v.tolist() for c, v in self.axes.items()},
+            "fixed": dict(self.fixed),
+            "expanded_uncertainty": dict(zip(self.pose, self.expanded.tolist(), strict=True)),
+            "worst": {c: dict(zip(("at", "expanded_uncertainty"), self.worst(c), strict=True))
+                      for c in self.pose},
+        }  # fmt: skip
+
+
+def map_axes(model: Model) -> tuple[str, ...]:
+    """Columns of a map: two pose coordinates and, where the model has one, the first state column."""
+    return (*model.pose[:2], *model.state[:1])
+
+
+def uncertainty_map(
+    fit: Fit,
+    axes: Mapping[str, Sequence[float]],
+    settings: Settings | None = None,
+    *,
+    fixed: Mapping[str, float] | None = None,
+) -> UncertaintyMap:
+    """Return U on the grid of `axes`: column -> values. Other columns are `fixed`, or 0.
+
+    Two values are least and greatest: 41 points along a pose coordinate, 5 along a state column.
+    """
+    settings, model = settings or Settings(), fit.model
+    check_fit(fit)
+    lines = {c: _line(model, c, np.asarray(v, dtype=float)) for c, v in axes.items()}
+    place(model, dict.fromkeys(lines, 0.0) | dict(fixed or {}))
+    mesh = np.meshgrid(*lines.values(), indexing="ij")
+    size = mesh[0].size
+    at = {c: np.full(size, v) for c, v in (fixed or {}).items()}
+    at |= {c: grid.ravel() for c, grid in zip(lines, mesh, strict=True)}
+    pose, state = (
+        np.array([at.get(c, np.zeros(size)) for c in names]).reshape(len(names), size)
+        for names in (model.pose, model.state)
+    )
+    flat = _spread(fit, pose, state, settings).expanded(settings, fit_degrees_of_freedom(fit))
+    others = {c: float((fixed or {}).get(c, 0.0)) for c in (*model.pose, *model.state) if c not in lines}
+    return UncertaintyMap(model.pose, lines, others, flat.T.reshape(-1, *mesh[0].shape), settings)
+
+
+def _line(model: Model, column: str, values: np.ndarray) -> np.ndarray:
+    if values.ndim != 1 or not len(values) or not np.all(np.isfinite(values)) or np.any(np.diff(values) <= 0):
+        raise InputError(
+            f"Axis {column} of a map must be one or more finite numbers that grow; "
+            f"instead received {values.tolist()}."
+        )
+    if len(values) != 2:
+        return values
+    return np.linspace(values[0], values[1], POINTS if column in model.pose else SLICES)
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """U over a recorded workspace, one entry per pose coordinate.
+
+    `span`: column -> least and greatest value of pose and state. `rms`: root mean square of U, `worst`: its
+    largest value, `where`: the pose and state of that.
+    """
+
+    span: Mapping[str, tuple[float, float]]
+    rms: Mapping[str, float]
+    worst: Mapping[str, float]
+    where: Mapping[str, Mapping[str, float]]
+    samples: int
+
+    def outside(self, at: Mapping[str, float]) -> list[str]:
+        """Columns of `at` that lie beyond what was recorded by more than a hundredth of its span."""
+        out = []
+        for column, value in at.items():
+            low, high = self.span[column]
+            slack = 0.01 * (high - low)
+            if not low - slack <= value <= high + slack:
+                out.append(column)
+        return out
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers in SI for JSON."""
+        return {
+            "samples": self.samples,
+            "span": {c: list(v) for c, v in self.span.items()},
+            "rms": dict(self.rms),
+            "worst": {
+                c: {"at": dict(self.where[c]), "expanded_uncertainty": u} for c, u in self.worst.items()
+            },
+        }
+
+
+def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
+    """Return U over every recorded pose and state of `log`, read in batches."""
+    settings, model = settings or Settings(), fit.model
+    check_fit(fit)
+    columns, names = (*model.references, *model.state), (*model.pose, *model.state)
+    low, high = np.full(len(columns), np.inf), np.full(len(columns), -np.inf)
+    squares, worst = np.zeros(len(model.pose)), np.zeros(len(model.pose))
+    where, count, dof = np.zeros((len(model.pose), len(columns))), 0, fit_degrees_of_freedom(fit)
+    for batch in batches(log, columns):
+        data = np.array(batch.columns(columns))
+        good = np.all(np.isfinite(data), axis=0)
+        data = data[:, good]
+        if not data.shape[1]:
+            continue
+        pose, state = data[: len(model.pose)], data[len(model.pose) :]
+        U = _spread(fit, pose, state, settings).expanded(settings, dof)
+        low, high = np.minimum(low, data.min(axis=1)), np.maximum(high, data.max(axis=1))
+        squares, count = squares + np.einsum("sp,sp->p", U, U), count + len(U)
+        peak = np.argmax(U, axis=0)
+        for i, k in enumerate(peak):
+            if U[k, i] > worst[i]:
+                worst[i], where[i] = U[k, i], data[:, k]
+    if not count:
+        raise InputError(f"{log.name} holds no sample with a reference and a state; give another log.")
+    rms = np.sqrt(squares / count)
+    return Recorded(
+        span=dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True)),
+        rms=dict(zip(model.pose, rms.tolist(), strict=True)),
+        worst=dict(zip(model.pose, worst.tolist(), strict=True)),
+        where={c: dict(zip(names, where[i].tolist(), strict=True)) for i, c in enumerate(model.pose)},
+        samples=count,
+    )

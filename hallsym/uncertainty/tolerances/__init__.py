@@ -1,0 +1,27 @@
+"""Global sensitivity before data: Sobol indices of the designed decoder's errors to a machine's tolerances.
+
+`ranges` says what a tolerance is, `workspace` where errors count, `sobol` estimates the indices, `calibrated`
+what a calibration takes away, `study` puts them together, `text` says them.
+"""
+
+from hallsym.uncertainty.tolerances.ranges import (
+    Tolerance,
+    default_tolerances,
+    given_tolerances,
+    read_tolerances,
+)
+from hallsym.uncertainty.tolerances.sobol import Indices
+from hallsym.uncertainty.tolerances.study import Tolerances, tolerances
+from hallsym.uncertainty.tolerances.workspace import Workspace, workspace_of
+
+__all__ = [
+    "Indices",
+    "Tolerance",
+    "Tolerances",
+    "Workspace",
+    "default_tolerances",
+    "given_tolerances",
+    "read_tolerances",
+    "tolerances",
+    "workspace_of",
+]

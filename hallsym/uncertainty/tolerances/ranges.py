@@ -1,0 +1,228 @@
+"""Tolerances: how far each parameter may be from its designed value, and with what distribution."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError, nearest
+from hallsym.model import Model, Parameter
+from hallsym.toml import known, number, positive, read_toml
+from hallsym.uncertainty.gum import DIVISORS
+from hallsym.units import UNITS
+
+EXACT = "exact"
+OTHERS = ("bounds", EXACT)
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Range of one parameter, in its SI unit.
+
+    `width`: half width (rectangular, triangular, arcsine) or 1 sigma (normal); 0 for an exact parameter.
+    `centre` is the designed value unless the range was given by its limits. `source`: "bounds" of the model,
+    or "given".
+    """
+
+    name: str
+    unit: str
+    designed: float
+    centre: float
+    width: float
+    distribution: str = "rectangular"
+    source: str = "given"
+
+    @property
+    def std(self) -> float:
+        """Standard uncertainty of the parameter."""
+        return self.width / DIVISORS.get(self.distribution, 1.0)
+
+    def at(self, u: np.ndarray) -> np.ndarray:
+        """Return the values at probabilities `u` in [0, 1): the inverse of the distribution function."""
+        return self.centre + self.width * _QUANTILES[self.distribution](u)
+
+    def halved(self) -> "Tolerance":
+        """Return the same range, half as wide."""
+        return replace(self, width=self.width / 2)
+
+    def made_exact(self) -> "Tolerance":
+        """Return the designed value without a range."""
+        return replace(self, centre=self.designed, width=0.0)
+
+
+def _triangle(u: np.ndarray) -> np.ndarray:
+    return np.where(u < 0.5, np.sqrt(2 * u) - 1, 1 - np.sqrt(2 * (1 - u)))
+
+
+def _normal(u: np.ndarray) -> np.ndarray:
+    from scipy.special import ndtri
+
+    return ndtri(np.clip(u, 1e-12, 1 - 1e-12))
+
+
+_QUANTILES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "rectangular": lambda u: 2 * u - 1,
+    "triangular": _triangle,
+    "arcsine": lambda u: -np.cos(np.pi * u),
+    "normal": _normal,
+}
+
+
+def default_tolerances(model: Model) -> tuple[Tolerance, ...]:
+    """Return the ranges of the model: designed value +- half the width of its bounds, rectangular.
+
+    Table 3's intervals for H and theta lie about Table 1's values; those for eta do not (1 is outside), but
+    a tolerance is a deviation from the design: its width is Table 3's, its centre the designed value.
+    A fixed parameter is exact. Raises `InputError` for infinite bounds.
+    """
+    for p in model.parameters:
+        if not np.isfinite(p.width):
+            raise InputError(
+                f"Parameter {p.name} of {model.name} has no finite bounds to take a tolerance from; give one."
+            )
+    return tuple(
+        Tolerance(p.name, p.unit, p.nominal, p.nominal, p.width / 2, source="bounds")
+        for p in model.parameters
+    )
+
+
+def given_tolerances(
+    model: Model, ranges: Mapping[str, Any], others: str = "bounds", where: str = "'ranges'"
+) -> tuple[Tolerance, ...]:
+    """Return one tolerance per parameter from `{"H1x_um": 20, "theta_A_deg": {"std": 0.1}}`.
+
+    A number is a rectangular half width; `{"half_width": h, "distribution": "triangular"}` another one
+    (as in a budget: rectangular, triangular, arcsine), `{"std": s}` normal; `[low, high]` are limits, "exact"
+    is no tolerance. The key ends with the unit: a unit of the parameter, `percent` of its designed value,
+    `per_m` for 1/m. `others`: what holds for parameters that are not named, their "bounds" or "exact".
+    """
+    if others not in OTHERS:
+        raise InputError(f'\'others\' in {where} must be "bounds" or "exact"; instead received {others!r}.')
+    found: dict[str, Tolerance] = {}
+    for key, value in ranges.items():
+        tolerance = _tolerance(model, key, value, where)
+        if tolerance.name in found:
+            raise InputError(f"Parameter {tolerance.name} has two tolerances in {where}; keep one.")
+        found[tolerance.name] = tolerance
+    rest = model if others == "bounds" else _all_fixed(model)
+    rest = rest.with_parameters(
+        {n: {"lower": 0.0, "upper": 0.0} for n in found}
+    )  # their bounds do not matter
+    return tuple(found.get(t.name, t) for t in default_tolerances(rest))
+
+
+def read_tolerances(path: str | Path, model: Model) -> tuple[Tolerance, ...]:
+    """Read `[tolerance]` with one line per parameter and, optionally, `others` from TOML.
+
+    Raises `InputError` for a missing or invalid file and for whatever would be ignored.
+    """
+    path = Path(path)
+    raw, where = read_toml(path, "Tolerance file"), f"tolerance file {path.name}"
+    known(raw, ("tolerance", "others"), where)
+    ranges = raw.get("tolerance")
+    if not isinstance(ranges, dict):
+        raise InputError(
+            f"Tolerance file {path} must hold a table [tolerance] with lines such as H1x_um = 20."
+        )
+    return given_tolerances(model, ranges, raw.get("others", "bounds"), where)
+
+
+def _all_fixed(model: Model) -> Model:
+    return model.with_parameters({n: {"lower": 0.0, "upper": 0.0} for n in model.names})
+
+
+def _tolerance(model: Model, key: str, value: Any, where: str) -> Tolerance:
+    parameter, suffix = _split(model, key, where)
+    at = parameter.nominal
+    whole = Tolerance(parameter.name, parameter.unit, at, at, 0.0)
+    if value == EXACT:
+        return whole
+    factor = _factor(parameter, suffix, key, where)
+    if isinstance(value, list):
+        low, high = _limits(value, key, where)
+        return replace(whole, centre=(low + high) * factor / 2, width=(high - low) * factor / 2)
+    if isinstance(value, Mapping):
+        size, distribution = _table(value, key, where)
+    else:
+        size, distribution = value, "rectangular"
+    return replace(whole, width=_positive(size, key, where) * factor, distribution=distribution)
+
+
+def _table(value: Mapping[str, Any], key: str, where: str) -> tuple[Any, str]:
+    """Size and distribution of `{ half_width = 20, distribution = "triangular" }` or `{ std = 10 }`."""
+    known(value, ("half_width", "std", "distribution"), f"tolerance {key} of {where}")
+    sizes = [name for name in ("half_width", "std") if name in value]
+    if len(sizes) != 1:
+        raise InputError(f"Tolerance {key} in {where} must have half_width or std, one of them.")
+    allowed = ("normal",) if sizes[0] == "std" else tuple(DIVISORS)
+    distribution = value.get("distribution", allowed[0])
+    if distribution not in allowed:
+        raise InputError(
+            f"'distribution' of tolerance {key} in {where} must be {' or '.join(allowed)} with {sizes[0]}; "
+            f"instead received {distribution!r}."
+        )
+    return value[sizes[0]], distribution
+
+
+def _split(model: Model, key: str, where: str) -> tuple[Parameter, str]:
+    """The parameter that a key names, and what follows its name."""
+    hits = [p for p in model.parameters if key == p.name or key.startswith(f"{p.name}_")]
+    if not hits:
+        guess = nearest(key, [_example(p) for p in model.parameters])
+        raise InputError(
+            f"Tolerance {key!r} in {where} names no parameter of {model.name}{guess}; known are "
+            f"{', '.join(model.names)}, each followed by its unit."
+        )
+    parameter = max(hits, key=lambda p: len(p.name))
+    return parameter, key[len(parameter.name) + 1 :]
+
+
+def units_of(parameter: Parameter) -> dict[str, float]:
+    """Return the unit suffixes that a key of this parameter may have, with their factors to SI."""
+    unit, inverse = parameter.unit, parameter.unit.startswith("1/")
+    base = unit.removeprefix("1/")
+    known = {name: u.factor for name, u in UNITS.items() if u.si == base and u.offset == 0}
+    suffixes = {f"per_{name}": 1 / factor for name, factor in known.items()} if inverse else known
+    if unit == "1":
+        suffixes = {"": 1.0}
+    if parameter.nominal != 0:
+        suffixes = {**suffixes, "percent": abs(parameter.nominal) / 100}
+    return suffixes
+
+
+def _example(parameter: Parameter) -> str:
+    """A key as most people would write it."""
+    return f"{parameter.name}_" + {"m": "um", "rad": "deg", "1": "percent", "1/m": "per_m"}.get(
+        parameter.unit, next(iter(units_of(parameter)))
+    )
+
+
+def _factor(parameter: Parameter, suffix: str, key: str, where: str) -> float:
+    known = units_of(parameter)
+    if suffix not in known:
+        listed = ", ".join(f"{parameter.name}_{s}" if s else parameter.name for s in known)
+        raise InputError(
+            f"Tolerance {key!r} in {where} must end with a unit of {parameter.name}: one of {listed}."
+        )
+    return known[suffix]
+
+
+def _limits(value: list, key: str, where: str) -> tuple[float, float]:
+    if len(value) != 2:
+        raise InputError(
+            f"Limits of {key} in {where} must be two numbers [low, high]; instead received {value!r}."
+        )
+    low, high = (number(v, key, where) for v in value)
+    if not low < high:
+        raise InputError(f"Limits of {key} in {where} must be [low, high], low < high; received {value!r}.")
+    return low, high
+
+
+def _positive(value: Any, key: str, where: str) -> float:
+    if value == 0 and not isinstance(value, bool):
+        raise InputError(
+            f'Tolerance {key} in {where} must be positive, not 0; write "exact" for no tolerance.'
+        )
+    return positive(value, key, where)

@@ -1,0 +1,263 @@
+"""`hallsym budget` end to end: a budget file, a calibration, a log; one sentence for what cannot be."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from twins import record, with_noise
+
+from hallsym.cli.main import main
+from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.estimation.fit import fit
+from hallsym.report.figures.uncertainty import budget_bars, uncertainty_picture
+from hallsym.uncertainty import Budget, Settings, Source, over_log, position_budget, uncertainty_map
+
+ROOT = Path(__file__).resolve().parents[2]
+PUBLISHED = str(ROOT / "data" / "micromachines2019" / "table2_budget.toml")
+SETTINGS = "[zeroing]\naveraged = 100\nx_nm = 20\n[reading]\nadc_step_nm = 50\n"
+ZERO = ["--seed", "1"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with calib.json, log.csv, settings.toml."""
+    where = tmp_path_factory.mktemp("budget")
+    columns = record(seed=1)
+    fit(with_noise(columns), "stage31", solver="direct", loss="none").save(where / "calib.json")
+    with open(where / "log.csv", "w") as file:
+        file.write(",".join(columns) + "\n")
+        np.savetxt(file, np.column_stack(list(columns.values())), delimiter=",", fmt="%.12g")
+    (where / "settings.toml").write_text(SETTINGS)
+    return where
+
+
+@pytest.fixture
+def here(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Fit:
+    monkeypatch.chdir(folder)
+    return load_fit("calib.json")
+
+
+def ran(capsys, *words: str) -> str:
+    assert main(["budget", *words]) == 0
+    return capsys.readouterr().out
+
+
+def refused(capsys, *words: str) -> str:
+    assert main(["budget", *words]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert said.err.startswith("hallsym: ")
+    return said.err
+
+
+# -- a budget file ---------------------------------------------------------------------------------------
+
+
+def test_the_published_budget(capsys):
+    said = ran(capsys, PUBLISHED)
+    assert "U = 500.9 nm (k = 2)" in said
+    assert "u = 250.5 nm" in said
+    made = json.loads(ran(capsys, PUBLISHED, "--json"))["budget"]
+    assert made["expanded_uncertainty"] == pytest.approx(500.9e-9, abs=0.05e-9)
+    assert made["unit"] == "m"
+    page = (ROOT / "docs" / "budget.md").read_text(encoding="utf-8")
+    for line in said.splitlines()[1:]:
+        assert line in page.splitlines()
+
+
+def test_monte_carlo_says_that_the_published_interval_is_wide(capsys):
+    """Two thirds of the variance is one rectangle, which has no tails."""
+    said = ran(capsys, PUBLISHED, "--monte-carlo", "100000")
+    assert "too wide, which is on the safe side" in said
+    made = json.loads(ran(capsys, PUBLISHED, "--monte-carlo", "100000", "--json"))["monte_carlo"]
+    assert made["trials"] == 100_000
+    assert made["verdict"] == "not confirmed"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["log.csv"],
+        ["--noise", "hall_m=1e-7"],
+        ["--drop-bad"],
+        ["--at", "x_um=1"],
+        ["--map"],
+        ["--range", "x_um=0:1"],
+    ],
+    ids=str,
+)
+def test_what_belongs_to_a_calibration(capsys, words):
+    assert "belongs to a calibration" in refused(capsys, PUBLISHED, *words)
+
+
+# -- a calibration ---------------------------------------------------------------------------------------
+
+
+def test_a_position(capsys, here):
+    said = ran(capsys, "calib.json", "--at", "x_um=100", "--at", "z_m=2e-4")
+    assert "position at x 100 um, z 200 um; fit covariance: likelihood" in said
+    assert "from 1 reading" in said
+    made = json.loads(ran(capsys, "calib.json", "--at", "x_um=100", "--at", "z_m=2e-4", "--json"))
+    expected = position_budget(here, {"x_m": 1e-4, "z_m": 2e-4})
+    for column, budget in expected.items():
+        assert made["budgets"][column]["expanded_uncertainty"] == pytest.approx(budget.expanded, rel=1e-9)
+    assert made["at"]["x_m"] == pytest.approx(1e-4)
+    assert made["map"] is made["recorded"] is made["monte_carlo"] is None
+
+
+def test_settings_and_split(capsys, here):
+    made = json.loads(ran(capsys, "calib.json", "--settings", "settings.toml", "--split", "--json"))
+    names = [s["name"] for s in made["budgets"]["x_m"]["sources"]]
+    assert "fit: eta_A" in names
+    assert "hall_a ADC step" in names
+    assert made["notes"] == []
+    pose = next(s for s in made["budgets"]["x_m"]["sources"] if s["name"] == "zeroing: pose x")
+    assert pose["standard_uncertainty"] == pytest.approx(20e-9)
+
+
+def test_a_log_gives_rms_and_worst(capsys, here):
+    words = ["calib.json", "log.csv", "--settings", "settings.toml", "--noise", "hall_m=5e-7"]
+    said = ran(capsys, *words, "--at", "z_um=900")
+    assert "note: z_m of the budget is outside the recorded workspace" in said
+    assert "recorded workspace" in said
+    made = json.loads(ran(capsys, *words, "--map", "--json"))
+    settings = Settings(zero_averaged=100, zero_pose_std={"x_m": 20e-9}, adc_step=50e-9)
+    expected = over_log(here, with_noise(record(seed=1)), settings)
+    for column in here.model.pose:
+        assert made["recorded"]["rms"][column] == pytest.approx(expected.rms[column], rel=1e-6)
+        spot = made["recorded"]["worst"][column]
+        budget = position_budget(here, spot["at"], settings)[column]
+        assert spot["expanded_uncertainty"] == pytest.approx(budget.expanded, rel=1e-6)
+    assert np.shape(made["map"]["expanded_uncertainty"]["x_m"]) == (41, 41, 5)
+
+
+def test_noise_in_use_stands_in_place_of_that_of_the_calibration(capsys, here):
+    made = json.loads(
+        ran(capsys, "calib.json", "--noise", "hall_m=7e-8", "--noise", "hall_a_um=0.05", "--json")
+    )
+    part = {s["name"]: s["standard_uncertainty"] for s in made["budgets"]["x_m"]["sources"]}
+    assert part["hall_a noise"] == pytest.approx(5e-8)
+    assert part["hall_b noise"] == pytest.approx(7e-8)
+    assert part["z noise"] == pytest.approx(here.noise["z_m"].value)
+
+
+def test_a_log_at_one_height_has_a_map_of_one_height(capsys, here, tmp_path):
+    lines = Path("log.csv").read_text().splitlines()
+    k = lines[0].split(",").index("z_m")
+    rows = [
+        ",".join([*row[:k], "0.0001", *row[k + 1 :]]) for row in (text.split(",") for text in lines[1:200])
+    ]
+    (tmp_path / "level.csv").write_text("\n".join([lines[0], *rows]) + "\n")
+    made = json.loads(ran(capsys, "calib.json", str(tmp_path / "level.csv"), "--map", "--json"))
+    assert made["map"]["axes"]["z_m"] == [1e-4]
+
+
+def test_a_map_without_a_log(capsys, here):
+    ranges = ["--range", "x_um=-100:100", "--range", "y_um=-50:50", "--range", "z_um=0:200"]
+    said = ran(capsys, "calib.json", *ranges)
+    assert "U (k = 2), map" in said
+    made = json.loads(ran(capsys, "calib.json", *ranges, "--json"))["map"]
+    axes = {"x_m": (-1e-4, 1e-4), "y_m": (-5e-5, 5e-5), "z_m": (0.0, 2e-4)}
+    assert made["expanded_uncertainty"]["y_m"][0][0][0] == pytest.approx(
+        uncertainty_map(here, axes).expanded[1, 0, 0, 0], rel=1e-9
+    )
+
+
+def test_monte_carlo_of_a_position(capsys, here):
+    words = ["calib.json", "--settings", "settings.toml", "--monte-carlo", "20000", *ZERO, "--json"]
+    made, again = (json.loads(ran(capsys, *words))["monte_carlo"] for _ in range(2))
+    assert made == again
+    for column in here.model.pose:
+        assert made[column]["verdict"] in ("confirmed", "undecided")
+        assert made[column]["trials"] == 20_000
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["none.json"], "does not exist"),
+        (["log.csv"], "cannot be read as JSON"),
+        (["calib.json", "--at", "x_um"], "such as x_um=100"),
+        (["calib.json", "--at", "x_um=far"], "such as x_um=100"),
+        (["calib.json", "--at", "x=1"], "must end with a unit of 'x'"),
+        (["calib.json", "--at", "q_um=1"], "known are x_m, y_m, rz_rad, z_m"),
+        (["calib.json", "--at", "x_um=1", "--at", "x_m=1"], "twice"),
+        (["calib.json", "--at", "z_mm=6"], "crosses zero"),
+        (["calib.json", "--map"], "needs to know what it shall cover"),
+        (["calib.json", "--range", "x_um=0:1"], "--range y_m=LOW:HIGH"),
+        (["calib.json", "--range", "x_um=1:0"], "from the lesser to the greater"),
+        (["calib.json", "--range", "x_um=1"], "such as x_um=-300:300"),
+        (["calib.json", "--range", "rx_um=0:1"], "known are x_m, y_m, z_m"),
+        (["calib.json", "--noise", "z_ref_m=1e-7"], "belongs to no column"),
+        (["calib.json", "--drop-bad"], "about reading a LOG"),
+        (["calib.json", "--settings", "none.toml"], "does not exist"),
+        (["calib.json", "--monte-carlo", "10"], "10000 or more"),
+        (["calib.json", "--plots", "settings.toml"], "Cannot make the folder"),
+    ],
+    ids=lambda v: " ".join(v) if isinstance(v, list) else "",
+)
+def test_bad_input(capsys, here, words, said):
+    assert said in refused(capsys, *words)
+
+
+def test_a_calibration_without_covariance(capsys, here, tmp_path):
+    raw = json.loads(Path("calib.json").read_text())
+    raw["covariance"]["matrix"] = np.zeros((21, 21)).tolist()
+    (tmp_path / "empty.json").write_text(json.dumps(raw))
+    assert "no determined parameter" in refused(capsys, str(tmp_path / "empty.json"))
+
+
+def test_a_log_that_leaves_parameters_open_exits_with_3(capsys, here, tmp_path):
+    raw = json.loads(Path("calib.json").read_text())
+    raw["undetermined_by_log"] = ["a_A"]
+    (tmp_path / "open.json").write_text(json.dumps(raw))
+    assert main(["budget", str(tmp_path / "open.json")]) == 3
+    assert "does not determine a_A" in capsys.readouterr().out
+
+
+# -- pictures --------------------------------------------------------------------------------------------
+
+
+def test_pictures_are_written(capsys, here, tmp_path):
+    said = ran(capsys, "calib.json", "log.csv", "--plots", str(tmp_path / "new"))
+    for name in ("budget.png", "uncertainty_map.png"):
+        assert f"wrote {tmp_path / 'new' / name}" in said
+        assert (tmp_path / "new" / name).stat().st_size > 10_000
+
+
+def test_bars_are_the_shares(here):
+    budgets = position_budget(here, {"x_m": 1e-4, "z_m": 2e-4}, Settings(adc_step=1e-7, zero_averaged=9))
+    figure = budget_bars(budgets)
+    assert len(figure.axes) == 3
+    for ax, budget in zip(figure.axes, budgets.values(), strict=True):
+        widths = [bar.get_width() for bar in ax.patches]
+        assert sum(widths) == pytest.approx(100.0)
+        labels = [t.get_text() for t in figure.axes[0].get_yticklabels()]
+        assert widths[labels.index("hall_a noise")] == pytest.approx(
+            100 * {s.name: v for s, v in budget.ranked()}["hall_a noise"]
+        )
+
+
+def test_a_single_bar():
+    figure = budget_bars({"y": Budget("y", "m", (Source("only", 1e-9, "m"),))})
+    assert [bar.get_width() for bar in figure.axes[0].patches] == [pytest.approx(100.0)]
+
+
+def test_the_map_shows_its_values_and_says_units(here):
+    grid = uncertainty_map(here, {"x_m": (-1e-4, 1e-4), "y_m": (-2e-4, 2e-4), "z_m": [-1e-4, 1e-4]})
+    figure = uncertainty_picture(grid)
+    shown = [ax for ax in figure.axes if ax.collections and ax.get_label() != "<colorbar>"]
+    maps = [ax for ax in shown if ax.get_xlim() == pytest.approx((-100.0, 100.0))]
+    assert len(maps) == 3 * 5
+    drawn = np.asarray(maps[0].collections[0].get_array()).reshape(41, 41)
+    assert drawn == pytest.approx(1e6 * grid.expanded[0, :, :, 0].T)
+    assert maps[0].get_title("left") == "Z = \N{MINUS SIGN}100 µm"
+    labels = {ax.get_ylabel() for ax in figure.axes}
+    assert {"U x [µm]", "U y [µm]", "U Rz [µrad]", "y [µm]"} <= labels
+
+
+def test_a_flat_map_can_be_drawn(here):
+    grid = uncertainty_map(here, {"x_m": [0.0, 1e-9], "y_m": [0.0, 1e-9], "z_m": [0.0]})
+    assert uncertainty_picture(grid).axes

@@ -1,0 +1,462 @@
+"""The command line: bad input gets one sentence and an exit code, good input tables and JSON."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hallsym import bundled_campaign, load_fit, write_log
+from hallsym.cli.main import main
+
+CASES = Path(__file__).parents[3] / "shared" / "cases"
+
+
+@pytest.fixture(scope="module")
+def columns() -> dict[str, np.ndarray]:
+    log = bundled_campaign()
+    return {name: log.array(name) for name in log.columns}
+
+
+@pytest.fixture
+def written(columns, tmp_path):
+    """Write the bundled campaign, changed by a function, and return its path."""
+
+    def write(change=None, name="log.parquet") -> Path:
+        changed = {name: values.copy() for name, values in columns.items()}
+        changed = (change(changed) if change else None) or changed
+        write_log(changed, tmp_path / name)
+        return tmp_path / name
+
+    return write
+
+
+def run(capsys, *arguments) -> tuple[int, str, str]:
+    code = main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def refused(capsys, *arguments) -> str:
+    """Run a command that must refuse: exit code 2, one line on stderr, nothing on stdout."""
+    code, out, err = run(capsys, *arguments)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("hallsym: ")
+    assert err.endswith(".\n") or err.endswith(").\n")
+    assert err.count("\n") == 1
+    return err
+
+
+# -- logs that cannot be used ----------------------------------------------------------------------------
+
+
+def test_a_missing_file_names_its_neighbour(capsys, written):
+    path = written()
+    assert "did you mean 'log.parquet'?" in refused(capsys, "fit", path.with_name("log.parket"))
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.parquet"])
+def test_an_empty_file(capsys, tmp_path, name):
+    (tmp_path / name).touch()
+    assert "empty" in refused(capsys, "fit", tmp_path / name)
+
+
+def test_a_truncated_parquet(capsys, written):
+    path = written()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert "cut short" in refused(capsys, "fit", path)
+
+
+def test_a_wrong_delimiter_and_the_option_that_helps(capsys, written, tmp_path):
+    path = written(name="log.csv")
+    path.write_text(path.read_text().replace(",", ";"))
+    assert "';'" in refused(capsys, "fit", path)
+    assert run(capsys, "fit", path, "--delimiter", ";", "--solver", "direct")[0] == 0
+
+
+def renamed(d):
+    d["halla_m"] = d.pop("hall_a_m")
+
+
+def in_um(d):
+    for name in ("hall_a_m", "hall_b_m", "hall_c_m"):
+        d[name] *= 1e6
+
+
+def with_nan(d):
+    d["hall_b_m"][[100, 200]] = np.nan
+    d["y_ref_m"][300] = np.inf
+
+
+def backwards(d):
+    d["t_s"][150] = d["t_s"][140]
+
+
+def repeated(d):
+    d["t_s"][150] = d["t_s"][149]
+
+
+def dropped(d):
+    keep = np.random.default_rng(0).random(len(d["t_s"])) > 0.1
+    return {name: values[keep] for name, values in d.items()}
+
+
+def dead(d):
+    d["hall_b_m"][:] = 1.2e-4
+
+
+def saturated(d):
+    np.clip(d["hall_a_m"], -2e-4, 2e-4, out=d["hall_a_m"])
+
+
+def swapped(d):
+    d["hall_a_m"], d["hall_b_m"] = d["hall_b_m"], d["hall_a_m"]
+
+
+def flipped(d):
+    d["hall_b_m"] *= -1
+
+
+def short(d):
+    keep = (d["run"] != 5) | (np.arange(len(d["run"])) < 504)
+    return {name: values[keep] for name, values in d.items()}
+
+
+def foreign(d):
+    for name in ("x_ref_m", "y_ref_m", "rz_ref_rad"):
+        d[name] = np.roll(d[name], 2777)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (renamed, ["hall_a_m", "halla_m", "--column"]),
+        (in_um, ["hall_a_m", "um", "--column hall_a_um=hall_a_m"]),
+        (with_nan, ["NaN", "row", "--drop-bad"]),
+        (backwards, ["t_s", "backwards"]),
+        (repeated, ["t_s", "repeats"]),
+        (dropped, ["ticks", "--drop-bad"]),
+        (dead, ["hall_b_m", "never changes"]),
+        (saturated, ["hall_a_m", "saturated", "--drop-bad"]),
+        (swapped, ["hall_a_m and hall_b_m", "swapped"]),
+        (flipped, ["hall_b_m", "inverted"]),
+        (short, ["run 5", "8 samples"]),
+        (foreign, ["reference", "does not belong"]),
+    ],
+)
+def test_what_goes_wrong_in_a_lab(capsys, written, tmp_path, change, words):
+    output = tmp_path / "calib.json"
+    output.write_text("what the user had")
+    said = refused(capsys, "fit", written(change), "-o", output)
+    for word in words:
+        assert word in said
+    assert output.read_text() == "what the user had"
+
+
+@pytest.mark.parametrize("change", [with_nan, repeated, dropped, saturated, short])
+def test_drop_bad_goes_on_and_says_what_it_left_out(capsys, written, change):
+    code, out, _ = run(capsys, "fit", written(change), "--drop-bad", "--solver", "direct")
+    assert code == 0
+    assert "note:" in out
+
+
+@pytest.mark.parametrize("change", [swapped, flipped])
+def test_wiring_can_be_resolved(capsys, written, change):
+    code, out, _ = run(capsys, "fit", written(change), "--resolve-wiring", "--solver", "direct", "--json")
+    found, expected = json.loads(out), {"eta_A": 0.8671, "eta_B": 0.7049, "eta_C": 0.8632}
+    assert code == 0
+    for name, value in expected.items():
+        entry = found["parameters"][name]
+        assert abs(entry["value"] - value) < 5 * entry["std"]
+    assert found["wiring"] is not None
+
+
+# -- logs that leave something open ----------------------------------------------------------------------
+
+
+def test_a_vertical_state_that_never_moves(capsys, written):
+    def flat(d):
+        keep = np.max(np.abs([d["z_m"], d["rx_rad"], d["ry_rad"]]), axis=0) < 1e-6
+        return {name: values[keep] for name, values in d.items()}
+
+    code, out, err = run(capsys, "fit", written(flat), "--solver", "direct", "--json")
+    assert code == 3
+    assert "a_A" in err
+    parameters = json.loads(out)["parameters"]
+    assert not any(parameters[f"{q}_{k}"]["determined"] for q in "abc" for k in "ABC")
+    assert all(parameters[f"eta_{k}"]["determined"] for k in "ABC")
+
+
+def test_an_axis_that_never_moves(capsys, written):
+    code, _, err = run(
+        capsys,
+        "fit",
+        written(lambda d: {n: v[d["run"] % 3 != 2] for n, v in d.items()}),
+        "--solver",
+        "direct",
+    )
+    assert code == 3
+    assert "H1x*cos(theta_A)" in err
+
+
+# -- options ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--model", "stage32"], "did you mean 'stage31'"),
+        (["--solver", "shtlb"], "did you mean 'shtlbo'"),
+        (["--loss", "huber"], "must be one of"),
+        (["--effect", "exact_rotatoin"], "exact_rotation"),
+        (["--holdout", "99"], "99"),
+        (["--holdout", "0-56"], "leave at least one"),
+        (["--holdout", "two"], "2,7,12"),
+        (["--noise", "hall_m"], "hall_m=5e-7"),
+        (["--noise", "hull_m=1e-6"], "hull_m"),
+        (["--column", "hall_a=HallA"], "unit"),
+        (["--column", "hall_a_um=HallA"], "HallA"),
+        (["-o", "no/such/folder/calib.json"], "folder"),
+    ],
+)
+def test_an_option_that_cannot_be(capsys, written, options, words):
+    assert words in refused(capsys, "fit", written(), "--solver", "direct", *options)
+
+
+@pytest.mark.parametrize(
+    ("toml", "words"),
+    [
+        ("[parameters.H1x]\nlower = 0.21\nupper = 0.3", "exclude its start"),
+        ("[parameters.H1q]\nlower = 0.1", "H1q"),
+        ("[parameters.H1x]\nlowre = 0.1", "lowre"),
+        ("[parameters]\nH1x = 3", "[parameters.H1x]"),
+        ("[parameter.H1x]\nlower = 0.1", "parameters"),
+        ("probes = 3", "[[probes]]"),
+        ("[[probes]]\nchannel = 'hall_a_m'", "position_m"),
+        ("not toml", "TOML"),
+    ],
+)
+def test_a_machine_file_that_cannot_be(capsys, written, tmp_path, toml, words):
+    machine = tmp_path / "machine.toml"
+    machine.write_text(toml)
+    assert words in refused(capsys, "fit", written(), "--machine", machine)
+
+
+def test_a_machine_file_sets_bounds_and_fixes(capsys, written, tmp_path):
+    machine = tmp_path / "machine.toml"
+    machine.write_text("[parameters.theta_A]\nfixed = true\n[parameters.H1y]\nnominal = 0.35\n")
+    code, out, _ = run(capsys, "fit", written(), "--machine", machine, "--solver", "direct", "--json")
+    parameters = json.loads(out)["parameters"]
+    assert code == 0
+    assert parameters["theta_A"]["value"] == 0
+    assert parameters["H1y"]["value"] == 0.35
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
+def test_a_device_is_no_place_for_a_result(capsys, written):
+    assert "device" in refused(capsys, "fit", written(), "--solver", "direct", "-o", "/dev/full")
+
+
+def test_a_full_disk_leaves_the_old_calibration(capsys, written, tmp_path, monkeypatch):
+    output = tmp_path / "calib.json"
+    output.write_text("what the user had")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    path = written()
+    monkeypatch.setattr("os.fsync", full)
+    assert "disk is full" in refused(capsys, "fit", path, "--solver", "direct", "-o", output)
+    assert output.read_text() == "what the user had"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["calib.json", "log.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "does not exist"),
+        ("{", "JSON"),
+        ("[]", "format"),
+        ('{"format": "hallsym calibration 1"}', "incomplete"),
+    ],
+)
+def test_a_calibration_that_cannot_be_read(capsys, written, tmp_path, content, words):
+    path = tmp_path / "calib.json"
+    if content is not None:
+        path.write_text(content)
+    assert words in refused(capsys, "evaluate", path, written())
+
+
+# -- what good input gives -------------------------------------------------------------------------------
+
+
+def test_json_has_every_field_and_agrees_with_the_saved_file(capsys, written, tmp_path):
+    path = tmp_path / "calib.json"
+    code, out, _ = run(capsys, "fit", written(), "--holdout", "2,7,12", "-o", path, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found == json.loads(path.read_text())
+    assert found["model"] == "stage31"
+    assert set(found["parameters"]["eta_A"]) >= {"value", "unit", "std", "determined"}
+    assert [set(c) >= {"expression", "value", "std"} for c in found["combinations"]] == [True] * 3
+    assert found["parameters"]["H1x"]["determined"] is False
+    assert found["parameters"]["H1x"]["std"] is None
+    for stage in ("designed", "fitted", "holdout"):
+        assert set(found["errors"][stage]) == {"rmse", "peak"}
+        assert set(found["errors"][stage]["rmse"]) == {"x_m", "y_m", "rz_rad"}
+    assert found["noise"]["hall_a_m"]["source"] == "estimated"
+    assert found["status"] == "converged"
+    assert found["seconds"] > 0
+    assert load_fit(path).to_dict() == found
+
+
+def test_evaluate_reproduces_the_fit_on_its_own_log(capsys, written, tmp_path):
+    log, path = written(), tmp_path / "calib.json"
+    _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--json")
+    fitted = json.loads(out)["errors"]["fitted"]
+    code, out, _ = run(capsys, "evaluate", path, log, "--json")
+    found = json.loads(out)["errors"]
+    assert code == 0
+    for what in ("rmse", "peak"):
+        for name, value in fitted[what].items():
+            assert found[what][name] == pytest.approx(value, rel=1e-9)
+
+
+def test_evaluate_reads_the_channels_that_the_fit_resolved(capsys, written, tmp_path):
+    log, path = written(swapped), tmp_path / "calib.json"
+    _, out, _ = run(capsys, "fit", log, "-o", path, "--solver", "direct", "--resolve-wiring", "--json")
+    fitted = json.loads(out)["errors"]["fitted"]["rmse"]
+    _, out, _ = run(capsys, "evaluate", path, log, "--json")
+    assert json.loads(out)["errors"]["rmse"] == pytest.approx(fitted, rel=1e-9)
+
+
+def test_evaluate_by_run_lists_every_run(capsys, written, tmp_path):
+    log, path = written(), tmp_path / "calib.json"
+    run(capsys, "fit", log, "-o", path, "--solver", "direct")
+    _, out, _ = run(capsys, "evaluate", path, log, "--by-run")
+    assert sum(line.startswith("run ") for line in out.splitlines()) == 57
+
+
+def test_simulate_then_fit_recovers_the_truth(capsys, tmp_path):
+    log = tmp_path / "log.csv"
+    assert run(capsys, "simulate", "-o", log, "--seed", 3, "--step", 0.02)[0] == 0
+    code, out, _ = run(capsys, "fit", log, "--solver", "direct", "--json")
+    entry = json.loads(out)["parameters"]["eta_A"]
+    assert code == 0
+    assert abs(entry["value"] - 0.8671) < 5 * entry["std"]
+
+
+def test_info_on_everything(capsys, written, tmp_path):
+    log, path, campaign = written(), tmp_path / "calib.json", tmp_path / "campaign.toml"
+    run(capsys, "fit", log, "-o", path, "--solver", "direct")
+    campaign.write_text(
+        '[[trajectory]]\nduration_s = 1.0\nx_m = {kind = "sine", amplitude = 1e-4, frequency_hz = 1}\n'
+    )
+    for file, word in ((log, "hall_a_m"), (path, "eta_A"), (campaign, "samples"), (None, "stage31")):
+        arguments = ["info"] + ([] if file is None else [file])
+        code, out, _ = run(capsys, *arguments)
+        assert code == 0
+        assert word in out
+        json.loads(run(capsys, *arguments, "--json")[1])
+
+
+def test_demo_prints_the_papers_steps(capsys, tmp_path):
+    code, out, _ = run(capsys, "demo", "-o", tmp_path / "demo", "--json")
+    steps = {s["step"]: s for s in json.loads(out)["steps"]}
+    assert code == 0
+    designed = steps["designed values, Model (15), Z = +-250 um"]["here"]["rmse"]
+    final = steps["Model (31), held-out runs"]
+    # the paper's step: Table 2 to Table 8
+    assert designed["y_m"] == pytest.approx(44e-6, rel=0.03)
+    assert designed["rz_rad"] == pytest.approx(88e-6, rel=0.03)
+    for name, value in final["here"]["rmse"].items():
+        assert value == pytest.approx(final["paper"]["rmse"][name], rel=0.06)
+    each = steps["Model (30), each height by itself"]["here"]["rmse"]
+    assert all(each[name] < designed[name] / 10 for name in designed)
+    assert {p.name for p in (tmp_path / "demo").iterdir()} >= {"calib.json"}
+    assert len(list((tmp_path / "demo").glob("*.png"))) >= 3
+
+
+def test_help_of_every_command(capsys):
+    for command in ([], ["demo"], ["fit"], ["evaluate"], ["info"], ["simulate"]):
+        with pytest.raises(SystemExit) as ended:
+            main([*command, "--help"])
+        assert ended.value.code == 0
+        assert "hallsym" in capsys.readouterr().out
+
+
+def test_the_installed_command_exits_with_the_code(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "hallsym", "fit", str(tmp_path / "nothing.csv")],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+
+
+def test_ctrl_c_in_the_global_stage_keeps_the_best_so_far(capsys, written, tmp_path, monkeypatch):
+    from hallsym.estimation.likelihood import Cost
+
+    whole, calls = Cost.population, []
+
+    def interrupted(self, points):
+        calls.append(len(points))
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        return whole(self, points)
+
+    monkeypatch.setattr(Cost, "population", interrupted)
+    path = tmp_path / "calib.json"
+    code, _, err = run(capsys, "fit", written(), "-o", path)
+    assert code == 4
+    assert "interrupted" in err
+    assert load_fit(path).status == "interrupted"
+
+
+# -- logs of machines that nobody here fitted to ---------------------------------------------------------
+
+
+@pytest.mark.skipif(not CASES.exists(), reason="the independent cases are not beside this checkout")
+@pytest.mark.parametrize("case", [f"dev_{k:03d}" for k in range(1, 16)])
+def test_independent_campaigns(capsys, case):
+    """Errors on held-out runs are those of the base model's best fit, computed independently."""
+    label = json.loads((CASES / "labels.json").read_text())[case]
+    code, out, _ = run(capsys, "fit", CASES / "dev" / case, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found["notes"] == []
+    for name, value in label["noisy"]["before"]["output_rmse"].items():
+        assert found["errors"]["holdout"]["rmse"][name] == pytest.approx(value, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fit", "LOG", "--holdout", "5-3"], "2,7,12"),
+        (["simulate", "-o", "x.csv", "--seed", "1", "--step", "-1"], "--step"),
+    ],
+)
+def test_numbers_that_cannot_be(capsys, written, arguments, words):
+    assert words in refused(capsys, *[written() if a == "LOG" else a for a in arguments])
+
+
+def test_a_negative_seed_is_a_usage_error(capsys, tmp_path):
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", "-o", str(tmp_path / "x.csv"), "--seed", "-1"])
+    assert ended.value.code == 2
+    assert "whole number" in capsys.readouterr().err
+
+
+def test_noise_of_no_column_in_a_campaign_is_refused(capsys, tmp_path):
+    campaign = tmp_path / "campaign.toml"
+    campaign.write_text(
+        "[noise]\nhal_m = 5e-7\n[[trajectory]]\nduration_s = 1.0\n"
+        'x_m = {kind = "sine", amplitude = 1e-4, frequency_hz = 1}\n'
+    )
+    said = refused(capsys, "simulate", campaign, "-o", tmp_path / "x.csv", "--seed", "1")
+    assert "hal_m" in said

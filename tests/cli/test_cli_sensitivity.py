@@ -1,0 +1,138 @@
+"""`hallsym sensitivity`: tables, JSON, exit codes, bad input."""
+
+import json
+
+import pytest
+
+from hallsym import bundled_campaign, fit, write_log
+from hallsym.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A log, its calibration, and a campaign at one height."""
+    folder = tmp_path_factory.mktemp("sensitivity")
+    log = bundled_campaign()
+    write_log({c: log.array(c) for c in log.columns}, folder / "log.csv")
+    from hallsym import read_log
+
+    fit(read_log(folder / "log.csv"), "stage31", solver="direct", holdout=[2, 7]).save(folder / "calib.json")
+    (folder / "level.toml").write_text(
+        "step_s = 0.01\n[[trajectory]]\nduration_s = 2.0\n"
+        'x_m = { kind = "sine", amplitude = 300e-6, frequency_hz = 1.0 }\n'
+        'y_m = { kind = "sine", amplitude = 500e-6, frequency_hz = 1.5 }\n'
+        'rz_rad = { kind = "sine", amplitude = 300e-6, frequency_hz = 2.5 }\n'
+    )
+    return folder
+
+
+def run(capsys, *arguments) -> tuple[int, str, str]:
+    code = main(["sensitivity", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_report_names_verdicts_null_directions_and_method(folder, capsys):
+    code, out, err = run(capsys, folder / "calib.json", folder / "log.csv")
+    assert (code, err) == (0, "")
+    assert "what 55 runs" in out  # the calibration's two held-out runs stay out
+    assert "structural rank 18 of 21" in out
+    assert "H1x, H1y: only H1x*cos(theta_A) + H1y*sin(theta_A) = 0.19" in out
+    assert out.count("not determined: whatever is recorded; only") == 6
+    assert "uncertainty: likelihood (scores of the 55 runs" in out
+    assert "165 zero deviations, profiled out" in out
+
+
+def test_json_is_what_the_output_file_holds(folder, capsys, tmp_path):
+    code, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--json", "-o", tmp_path / "r.json")
+    record = json.loads(out)
+    assert code == 0
+    assert record == json.loads((tmp_path / "r.json").read_text())
+    assert record["model"] == "stage31"
+    assert record["planned"] is False
+
+
+def test_values_are_those_of_the_calibration(folder, capsys):
+    _, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--json", "--profiles", "none")
+    said, known = json.loads(out)["parameters"], json.loads((folder / "calib.json").read_text())["parameters"]
+    for name, entry in known.items():
+        assert said[name]["value"] == pytest.approx(entry["value"], rel=1e-6, abs=1e-9)
+        if entry["std"] is not None:
+            assert said[name]["std"] == pytest.approx(entry["std"], rel=1e-6)
+
+
+def test_zeros_are_listed_when_asked_for(folder, capsys):
+    _, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--zeros")
+    table = out.partition("run  delta_A [um]")[2].splitlines()
+    assert len([line for line in table[2:] if line[:3].strip().isdigit()]) == 55
+
+
+def test_another_model_stands_beside(folder, capsys):
+    code, out, _ = run(
+        capsys,
+        folder / "calib.json",
+        folder / "log.csv",
+        "--beside",
+        "stage31_tied",
+        "--bootstrap",
+        0,
+        "--json",
+    )
+    assert code == 0
+    (other,) = json.loads(out)["beside"]
+    assert (other["rank"], other["of"]) == (17, 17)
+    assert other["parameters"]["H1y"]["verdict_here"] == "not determined"
+    assert other["parameters"]["H1y"]["std_here"] is None
+    assert other["parameters"]["H1y"]["std"] < 0.03
+
+
+def test_profiles_of_all_are_in_the_record(folder, capsys):
+    _, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--profiles", "all", "--json")
+    record = json.loads(out)
+    assert len(record["profiles"]) == 18
+    for entry in record["profiles"]:
+        assert [end["status"] for end in entry["ends"]] == ["reached", "reached"]
+    interval, std = record["parameters"]["a_A"]["interval"], record["parameters"]["a_A"]["std"]
+    assert interval["how"] == "profile"
+    assert interval["high"] - interval["low"] == pytest.approx(2 * 1.96 * std, rel=0.1)
+
+
+def test_a_plan_by_model_and_by_calibration(folder, capsys):
+    code, out, _ = run(capsys, "--model", "stage31", "--plan")
+    assert code == 0
+    assert "57 runs of the paper's campaign will determine" in out
+    code, out, err = run(capsys, folder / "calib.json", "--plan", folder / "level.toml")
+    assert code == 3
+    assert "does not determine a_A" in err
+    assert "practical rank 9 of 21" in out
+
+
+def test_pictures_are_written(folder, capsys, tmp_path):
+    code, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--plots", tmp_path / "p")
+    assert code == 0
+    written = sorted(p.name for p in (tmp_path / "p").iterdir())
+    assert "correlation.png" in written
+    assert all(f"{tmp_path / 'p' / name}" in out for name in written)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "needs a calibration and its log"),
+        (["calib.json"], "needs a calibration and its log"),
+        (["calib.json", "log.csv", "--plan"], "a log or --plan, not both"),
+        (["calib.json", "log.csv", "--model", "stage30"], "belong to --plan"),
+        (["--plan", "none.toml"], "does not exist"),
+        (["--plan", "--beside", "stage30"], "a plan has none"),
+        (["calib.json", "log.csv", "--beside", "stage99"], "Model must be one of"),
+        (["calib.json", "log.csv", "--bootstrap", "7"], "bootstrap must be 0, or 50 to"),
+        (["level.toml", "log.csv"], "cannot be read as JSON"),
+        (["calib.json", "level.toml"], "format"),
+    ],
+)
+def test_bad_input_gets_one_sentence(folder, capsys, monkeypatch, arguments, sentence):
+    monkeypatch.chdir(folder)
+    code, out, err = run(capsys, *arguments)
+    assert code == 2
+    assert sentence in err
+    assert (out, err.count("\n")) == ("", 1)

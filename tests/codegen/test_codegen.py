@@ -1,0 +1,410 @@
+"""What C is generated from: the printed expressions against the model, rounding, bounds, refusals, folders.
+
+Independent facts: the model's own decoded pose in double; weighted least squares by numpy; zlib's CRC-32;
+IEEE 754 by numpy's float32; interval bounds against random points.
+"""
+
+import hashlib
+import json
+import shutil
+import struct
+import zlib
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from firmware import CASES, GOLDEN, calibration, four_probes, made, with_effect
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hallsym.cli.main import main
+from hallsym.codegen import decouple, generate
+from hallsym.codegen.bounds import bounds
+from hallsym.codegen.box import box_of
+from hallsym.codegen.families import decoupler
+from hallsym.codegen.intervals import Enclosure, enclose
+from hallsym.codegen.printer import DOUBLE, FLOAT
+from hallsym.codegen.vectors import Emulator, mix, worst
+from hallsym.errors import InputError
+from hallsym.families import effects, stage_effects
+from hallsym.model.arrays import on_arrays
+
+
+def inputs_of(d, count=2000, seed=0, dtype=float):
+    low, high = np.array([d.ends(c) for c in d.inputs]).T[:, :, None]
+    return (low + (high - low) * np.random.default_rng(seed).random((len(low), count))).astype(dtype)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_printed_expressions_are_the_model(case):
+    fit = CASES[case]()
+    d = decoupler(fit, box_of(fit))
+    inputs = inputs_of(d)
+    folded = on_arrays(d.function)(list(inputs), d.constants)[0]
+    linear = np.abs(folded - d.exact(inputs)).max(axis=1)
+    assert linear.max() <= d.slack + 1e-16
+
+
+def test_float_errors_over_a_million_inputs():
+    d = decoupler(calibration(), box_of(calibration()))
+    met = worst(d, FLOAT, 1_000_000)
+    assert max(met["x_m"], met["y_m"]) <= 0.6e-9
+    assert met["rz_rad"] <= 3e-9
+
+
+QUICK = [pytest.param(c, marks=pytest.mark.slow if c == "cubic" else ()) for c in CASES]
+
+
+@pytest.mark.parametrize("case", QUICK)
+def test_no_error_exceeds_its_proved_bound(case):
+    code = made(case)
+    met = worst(code.source.d, FLOAT, 20_000, seed=5)
+    for column, error in met.items():
+        assert error <= code.bounds.error[column] + code.source.d.slack
+    pose, _ = Emulator(code.source.d, FLOAT).step(inputs_of(code.source.d, 20_000, 1, np.float32))
+    for row, column in zip(pose, code.source.d.pose, strict=True):
+        assert code.bounds.low[column] <= row.min() + 1e-9
+        assert row.max() <= code.bounds.high[column] + 1e-9
+
+
+def test_a_users_effect_follows_into_table_and_code():
+    plain, bent = made("stage31"), made("user's height_quadratic")
+    names = {e.name for e in bent.source.d.table} - {e.name for e in plain.source.d.table}
+    assert names == {"gain_hall_a_z_z", "gain_hall_b_z_z", "gain_hall_c_z_z"}
+    assert "p->gain_hall_a_z_z * z_z" in str(bent.files["src/decoupler.c"])
+    assert bent.source.table.layout != plain.source.table.layout
+    entry = next(e for e in bent.source.d.table if e.name == "gain_hall_a_z_z")
+    rest = next(e for e in bent.source.d.table if e.name == "gain_hall_a")
+    assert entry.value / rest.value == pytest.approx(3e5 / calibration().value("eta_A"), rel=1e-12)
+    assert entry.unit == "1/m2"
+
+
+def test_more_probes_than_coordinates_are_weighted_least_squares():
+    fit = four_probes()
+    d = decoupler(fit, box_of(fit))
+    p = dict(zip(fit.model.names, fit.values, strict=True))
+    rng = np.random.default_rng(3)
+    state = rng.uniform(-2e-4, 2e-4, 3)
+    readings = rng.uniform(-3e-4, 3e-4, 4)
+    rows, seen, weights = [], [], []
+    for k, probe in enumerate(fit.model.layout):
+        phi = p[f"eta_{probe.label}"] + state @ [p[f"{q}_{probe.label}"] for q in "abc"]
+        turn = p[f"theta_{probe.label}"]
+        nx, ny = probe.senses
+        nx, ny = nx * np.cos(turn) - ny * np.sin(turn), ny * np.cos(turn) + nx * np.sin(turn)
+        x, y = probe.position
+        rows.append([nx, ny, x * ny - y * nx])
+        seen.append(readings[k] / phi)
+        weights.append(p[f"eta_{probe.label}"] / fit.noise.sigmas[probe.channel].value)
+    w = np.array(weights)
+    expected = np.linalg.lstsq(np.array(rows) * w[:, None], np.array(seen) * w, rcond=None)[0]
+    found = on_arrays(d.function)(list(np.concatenate([readings, state])[:, None]), d.constants)[0].ravel()
+    assert np.abs(found - expected).max() < 1e-15
+
+
+def test_the_casadi_route_is_the_same_pose():
+    f = decouple(calibration())
+    d = decoupler(calibration(), box_of(calibration()))
+    inputs = inputs_of(d, 5)
+    for column, expected in zip(inputs.T, d.exact(inputs).T, strict=True):
+        assert np.abs(np.asarray(f(column[:3], column[3:])).ravel() - expected).max() < 1e-17
+
+
+# -- rounding and bits -----------------------------------------------------------------------------------
+
+
+@given(st.lists(st.floats(-2, 2, width=32), min_size=3, max_size=3), st.floats(0.5, 3, width=32))
+def test_enclosures_hold_what_float32_computes(values, y):
+    x = ca.SX.sym("x", 4)
+    f = ca.Function("f", ca.vertsplit(x), [(x[0] * x[1] - x[2]) / (x[3] + x[0] ** 2) + ca.fmax(x[1], -x[1])])
+    wide = [Enclosure(v - 0.25, v + 0.25) for v in values] + [Enclosure(y, y + 0.5)]
+    (found,) = enclose(f, wide)
+    a, b, c, y32 = (np.float32(v) for v in (*values, y))
+    single = (a * b - c) / (y32 + a * a) + max(b, -b)
+    exact = float(f(*values, y))
+    assert found.low <= exact <= found.high
+    assert abs(float(single) - exact) <= found.error
+
+
+def test_a_gain_through_zero_has_no_bound():
+    x = ca.SX.sym("x", 2)
+    f = ca.Function("f", ca.vertsplit(x), [x[0] / x[1]])
+    (found,) = enclose(f, [Enclosure(1, 2), Enclosure(-1, 1)])
+    assert found.error == np.inf
+
+
+WILD = st.integers(0, 2**32 - 1)
+
+
+@given(st.lists(WILD, min_size=6, max_size=6))
+def test_whatever_the_bits_the_pose_is_finite_and_the_status_says_which(bits):
+    code = MADE
+    inputs = np.array(bits, dtype=np.uint32).view(np.float32)[:, None]
+    pose, status = Emulator(code.source.d, FLOAT).step(inputs)
+    assert np.isfinite(pose).all()
+    for k, column in enumerate(code.source.d.inputs):
+        low, high = np.float32(code.source.d.ends(column))
+        assert bool(status[0] >> k & 1) == (not low <= inputs[k, 0] <= high)
+    for row, column in zip(pose, code.source.d.pose, strict=True):
+        assert code.bounds.low[column] - 1e-9 <= row[0] <= code.bounds.high[column] + 1e-9
+
+
+MADE = made("stage31")
+
+
+def test_mixing_is_one_to_one_and_even():
+    # the function is its known constants: value by hand in exact integers
+    def by_hand(x):
+        x ^= x >> 16
+        x = x * 0x7FEB352D & 0xFFFFFFFF
+        x ^= x >> 15
+        x = x * 0x846CA68B & 0xFFFFFFFF
+        return x ^ x >> 16
+
+    numbers = np.arange(1 << 16, dtype=np.uint32)
+    mixed = mix(numbers)
+    assert [int(v) for v in mixed[:50]] == [by_hand(k) for k in range(50)]
+    assert len(np.unique(mixed)) == len(numbers)
+    assert abs(mixed.mean() / 2**32 - 0.5) < 0.01
+
+
+# -- the table -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_binary_and_json_are_the_same_table(double):
+    code = made("stage31", double=double)
+    binary = code.files["params/decoupler_params.bin"]
+    record = json.loads(code.files["params/decoupler_params.json"])
+    version, layout, crc = struct.unpack_from("<III", binary)
+    head, kind = (16, "d") if double else (12, "f")
+    values = struct.unpack_from(f"<{len(record['parameters'])}{kind}", binary, head)
+    assert [e["value"] for e in record["parameters"]] == list(values)
+    assert (version, f"0x{layout:08x}", f"0x{crc:08x}") == (1, record["layout"], record["crc32"])
+    covered = len(record["parameters"]) - 3  # not the zeros
+    assert crc == zlib.crc32(binary[head : head + covered * (8 if double else 4)])
+    assert len(binary) == head + len(values) * (8 if double else 4)
+    assert double or len(binary) == 120
+    assert set(values[covered:]) == {0.0}
+
+
+def test_the_table_names_its_calibration(tmp_path, capsys):
+    assert main(["codegen", str(GOLDEN / "calib.json"), "-o", str(tmp_path / "fw"), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    digest = hashlib.sha256((GOLDEN / "calib.json").read_bytes()).hexdigest()
+    assert record["calibration_sha256"] == digest
+    for name in ("decoupler_params.c", "decoupler_params.h", "decoupler_params.json"):
+        assert digest in (tmp_path / "fw/params" / name).read_text()
+    assert record["files"] == sorted(tree(tmp_path / "fw"))
+
+
+# -- the box ---------------------------------------------------------------------------------------------
+
+
+def test_the_box_is_what_the_log_recorded():
+    d = MADE.source.d
+    span = calibration().log["span"]
+    for column in ("z_m", "rx_rad", "ry_rad"):
+        assert d.ends(column)[0] == pytest.approx(span[column][0], rel=1e-2)
+        assert d.ends(column)[1] == pytest.approx(span[column][1], rel=1e-2)
+    # readings of every pose in the box, by the model itself
+    rng = np.random.default_rng(1)
+    fit = calibration()
+    for _ in range(200):
+        pose, state = (
+            [rng.choice(span[c]) for c in columns] for columns in (fit.model.references, fit.model.state)
+        )
+        for reading, channel in zip(
+            np.asarray(fit.model.reading(fit.values, [0, 0, 0], pose, state)).ravel(), d.inputs, strict=False
+        ):
+            assert d.ends(channel)[0] <= reading <= d.ends(channel)[1]
+
+
+def test_one_sided_ranges_keep_both_ends():
+    code = generate(calibration(), ranges={"z_m": (-1e-4, 2.5e-4)})
+    names = [e.name for e in code.source.d.limits]
+    assert "low_z" in names and "high_z" in names and "limit_rx" in names  # noqa: PT018
+    assert "limited(in->z_m, p->low_z, p->high_z" in str(code.files["src/decoupler.c"])
+
+
+# -- refusals --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda f: replace(f, status="interrupted"), "did not converge"),
+        (lambda f: replace(f, undetermined_by_log=("a_A",)), "does not determine a_A"),
+        (lambda f: replace(f, log={k: v for k, v in f.log.items() if k != "span"}), "--range x_m"),
+        (
+            lambda f: replace(f, values=np.where(np.arange(len(f.values)) == 0, np.nan, f.values)),
+            "not finite",
+        ),
+        (
+            lambda f: with_effect(stage_effects.gain_drift("warm", *stage_effects.settling(9.0))),
+            "computed from a whole log",
+        ),
+    ],
+)
+def test_a_calibration_that_a_controller_cannot_trust_is_refused(change, says):
+    with pytest.raises(InputError, match=says) as error:
+        generate(change(calibration()))
+    assert str(error.value).count(". ") <= 1
+
+
+@pytest.mark.parametrize(
+    ("name", "effect"),
+    [
+        ("time_skew", stage_effects.delayed("time_skew", True)),
+        ("first_order_lag", stage_effects.delayed("first_order_lag", False)),
+        ("hysteresis", stage_effects.hysteresis(1e-5)),
+        ("mains_hum", stage_effects.mains_hum(50.0)),
+        ("creep", stage_effects.offset_drift("creep", *stage_effects.powers_of_time(60.0, 2))),
+    ],
+)
+def test_effects_with_a_history_are_refused_by_name(name, effect):
+    with pytest.raises(InputError, match=rf"with .*{name} needs \w.* from a whole log") as error:
+        generate(with_effect(effect, 1e-3))
+    assert str(error.value).count(". ") == 0
+
+
+@pytest.mark.parametrize(
+    ("effect", "says"),
+    [
+        (stage_effects.clipping([-4e-4] * 3, [4e-4] * 3), "no polynomial of pose and state"),
+        (stage_effects.cross_axis_sensitivity(list(stage_effects.CROSS)), "spread too far"),
+    ],
+)
+def test_effects_that_have_no_bounded_c_are_refused(effect, says):
+    with pytest.raises(InputError, match=says):
+        generate(with_effect(effect, 0.01))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["height_quadratic", "cross_axis_sensitivity", "second_order_rotation", "vertical_offset_coupling",
+     "reference_abbe_error"],
+)  # fmt: skip
+def test_every_effect_without_a_history_has_its_c(name):
+    fit = with_effect(effects()[name], 1e-3)
+    d = decoupler(fit, box_of(fit))
+    inputs = inputs_of(d)
+    found = on_arrays(d.function)(list(inputs), d.constants)[0]
+    assert np.abs(found - d.exact(inputs)).max() <= d.slack + 1e-16
+    assert np.isfinite(list(bounds(d).error.values())).all()
+
+
+def test_a_logged_temperature_is_one_more_input():
+    fit = with_effect(stage_effects.gain_drift("warm", *stage_effects.temperature(20.0)), 1e-3)
+    code = generate(fit, ranges={"temperature_degc": (15.0, 30.0)})
+    assert "DECOUPLER_TEMPERATURE" in str(code.files["include/decoupler.h"])
+    assert any(e.name == "gain_hall_a_temperature" and e.unit == "1/degC" for e in code.source.d.table)
+
+
+def test_a_gain_that_crosses_zero_in_the_box_is_refused():
+    with pytest.raises(InputError, match="gain of hall_a_m falls to"):
+        generate(calibration(), ranges={"z_m": (-5e-3, 5e-3)})
+
+
+def test_undetermined_parameters_are_used_only_when_told_to():
+    fit = replace(calibration(), undetermined_by_log=("a_A", "b_A"))
+    code = generate(fit, allow_undetermined=True)
+    assert any("a_A, b_A" in note for note in code.notes)
+    assert any("H1x, H1y" in note and "combinations" in note for note in code.notes)
+
+
+def test_readings_that_are_no_polynomial_are_refused():
+    def bump(model):
+        def step(s, p):
+            s["gain"] = s["gain"] * ca.exp(100 * s["z_m"])
+
+        return model.with_step("transducer", step, effect="bump")
+
+    with pytest.raises(InputError, match="polynomials"):
+        generate(with_effect(bump))
+
+
+# -- folders ---------------------------------------------------------------------------------------------
+
+
+def run(capsys, *arguments):
+    code = main([str(a) for a in arguments])
+    return code, *capsys.readouterr()
+
+
+def tree(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_folders_are_written_whole_or_not_at_all(tmp_path, capsys):
+    calib, out = tmp_path / "calib.json", tmp_path / "out"
+    shutil.copy(GOLDEN / "calib.json", calib)
+    assert run(capsys, "codegen", calib, "-o", out)[0] == 0
+    first = tree(out)
+    assert "src/decoupler.c" in first
+    code, _, err = run(capsys, "codegen", calib, "-o", out)
+    assert code == 2
+    assert "already holds generated code" in err
+    assert tree(out) == first
+    assert run(capsys, "codegen", calib, "-o", out, "--force")[0] == 0
+    assert tree(out) == first
+    (out / "src/decoupler.c").write_text("int mine;\n")
+    code, _, err = run(capsys, "codegen", calib, "-o", out, "--force")
+    assert code == 2
+    assert "was not generated" in err
+    assert (out / "src/decoupler.c").read_text() == "int mine;\n"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["calib.json", "out"]
+
+
+def test_a_folder_of_others_is_not_touched(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    code, _, err = run(capsys, "codegen", GOLDEN / "calib.json", "-o", tmp_path)
+    assert code == 2
+    assert "notes.txt" in err
+    assert tree(tmp_path) == {"notes.txt": b"mine"}
+    code, _, err = run(capsys, "codegen", GOLDEN / "calib.json", "-o", tmp_path / "notes.txt")
+    assert code == 2
+    assert "must be a folder" in err
+
+
+def test_a_recalibration_replaces_the_parameters_alone(tmp_path, capsys):
+    calib, out = tmp_path / "calib.json", tmp_path / "out"
+    record = json.loads((GOLDEN / "calib.json").read_text())
+    assert run(capsys, "codegen", GOLDEN / "calib.json", "-o", out)[0] == 0
+    before = tree(out)
+    record["parameters"]["eta_A"]["value"] *= 1.001
+    calib.write_text(json.dumps(record))
+    assert run(capsys, "codegen", calib, "-o", out, "--params-only")[0] == 0
+    after = tree(out)
+    changed = {name for name in after if after[name] != before[name]}
+    assert {"params/decoupler_params.c", "params/decoupler_params.bin", "test/selftest_vectors.h"} <= changed
+    assert not any(name.startswith(("src/", "include/")) for name in changed)
+    code, _, err = run(capsys, "codegen", calib, "-o", out, "--params-only", "--range", "z_um=-100:250")
+    assert code == 2
+    assert "another table" in err
+    assert tree(out) == after
+    code, _, err = run(capsys, "codegen", calib, "-o", tmp_path / "none", "--params-only")
+    assert code == 2
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("z_um=5:-5", "lesser to the greater"),
+        ("zz_um=1:2", "Unknown key"),
+        ("z_um=a:b", "such as z_um"),
+        ("z=1:2", "unit"),
+    ],
+)
+def test_ranges_that_cannot_be(tmp_path, capsys, text, says):
+    code, _, err = run(capsys, "codegen", GOLDEN / "calib.json", "-o", tmp_path / "o", "--range", text)
+    assert code == 2
+    assert says in err
+    assert not (tmp_path / "o").exists()
+
+
+def test_double_has_the_digits_of_the_model():
+    d = decoupler(calibration(), box_of(calibration()))
+    assert max(worst(d, DOUBLE, 20_000).values()) < 1e-17

@@ -1,0 +1,357 @@
+"""The generated C itself: golden copy, compilers, this machine and a Cortex-M in QEMU, proofs, MISRA.
+
+What is missing is skipped with its name; in continuous integration everything must be there.
+"""
+
+import ctypes
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from firmware import CASES, GOLDEN, STRICT, Library, calibration, made, need, ran
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hallsym.cli.main import main
+from hallsym.codegen import Generated
+from hallsym.codegen.cost import cost
+from hallsym.codegen.vectors import Emulator
+
+TESTED = (
+    "src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c", "test/main.c",
+)  # fmt: skip
+PATHS = ("-Iinclude", "-Iparams", "-Itest")
+CORTEX_M0 = ("MACHINE=microbit", "CPU=-mcpu=cortex-m0 -mthumb")
+
+
+@pytest.fixture(scope="module")
+def golden(tmp_path_factory) -> Path:
+    """The golden folder, generated again."""
+    folder = tmp_path_factory.mktemp("golden") / "decoupler"
+    assert main(["codegen", str(GOLDEN / "calib.json"), "-o", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def compiled(golden) -> tuple[Library, Generated]:
+    need("gcc")
+    code = made("stage31")
+    return Library(golden, code.source.d, code.source.real.dtype), code
+
+
+def written(code: Generated, folder: Path) -> Path:
+    code.write(folder)
+    return folder
+
+
+def test_the_golden_copy_is_what_is_generated(tmp_path):
+    folder = tmp_path / "decoupler"
+    assert main(["codegen", str(GOLDEN / "calib.json"), "-o", str(folder)]) == 0
+    kept = GOLDEN / "decoupler"
+    names = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+    assert names == {str(p.relative_to(kept)) for p in kept.rglob("*") if p.is_file()}
+    for name in sorted(names):
+        assert (folder / name).read_bytes() == (kept / name).read_bytes(), (
+            f"{name} differs from tests/golden/decoupler: review it, then generate it again with "
+            "hallsym codegen tests/golden/calib.json -o tests/golden/decoupler --force"
+        )
+
+
+LEVELS = [("gcc", "-O0"), ("clang", "-O3")]
+LEVELS_LATER = [pytest.param(*each, marks=pytest.mark.slow) for each in (("gcc", "-O3"), ("clang", "-O0"))]
+
+
+@pytest.mark.parametrize(("compiler", "level"), [*LEVELS, *LEVELS_LATER])
+def test_compilers_warn_of_nothing_and_give_the_stated_bits(golden, tmp_path, compiler, level):
+    need(compiler)
+    out = str(tmp_path / "selftest")
+    ran(golden, compiler, *STRICT, "-pedantic", level, *PATHS, *TESTED, "-o", out)
+    said = ran(golden, out)
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+    assert "zero works" in said
+
+
+VARIANTS = {"float": {}, "double": {"double": True}, "jacobian": {"jacobian": True}}
+QUICK = {
+    ("four probes", "float"),
+    ("stage31_tied", "float"),
+    ("exact_rotation", "jacobian"),
+}
+
+
+@pytest.mark.parametrize(
+    ("case", "variant"),
+    [pytest.param(c, v, marks=() if (c, v) in QUICK else pytest.mark.slow) for c in CASES for v in VARIANTS],
+)
+def test_every_model_compiles_and_passes_its_self_test(tmp_path, case, variant):
+    need("gcc", "make")
+    folder = written(made(case, **VARIANTS[variant]), tmp_path / "fw")
+    assert "0 of" in ran(folder, "make", "check")
+
+
+# -- behaviour, through the compiled library ---------------------------------------------------------------
+
+BITS = st.lists(st.integers(0, 2**32 - 1), min_size=6, max_size=6)
+
+
+@given(BITS)
+def test_whatever_the_bits_c_and_its_emulation_agree(compiled, bits):
+    library, code = compiled
+    inputs = np.array(bits, dtype=np.uint32).view(np.float32)
+    pose, status = library.step(inputs)
+    expected, flags = Emulator(code.source.d, code.source.real).step(inputs[:, None])
+    assert status == flags[0]
+    assert pose.tobytes() == expected[:, 0].tobytes()
+    assert np.isfinite(pose).all()
+
+
+def test_each_bit_is_its_own_input(compiled):
+    library, code = compiled
+    header = str(code.files["include/decoupler.h"])
+    for k, column in enumerate(code.source.d.inputs):
+        bit = re.search(rf"#define DECOUPLER_{column.rpartition('_')[0].upper()} (0x\w+)UL", header)
+        for value in (np.nan, np.inf, -np.inf, code.source.d.ends(column)[1] * 1.01):
+            inputs = np.zeros(6, np.float32)
+            inputs[k] = value
+            assert library.step(inputs)[1] == int(bit[1], 16) == 1 << k
+    for end in (0, 1):  # the ends themselves are inside
+        ends = np.array([code.source.d.ends(c)[end] for c in code.source.d.inputs], np.float32)
+        assert library.step(ends)[1] == 0
+
+
+def test_the_zero_belongs_to_a_reset(compiled):
+    library, _ = compiled
+    before = library.table.copy()
+    fit, rng = calibration(), np.random.default_rng(2)
+    delta, state = rng.uniform(-8e-6, 8e-6, 3), rng.uniform(-2e-4, 2e-4, 3)
+    known = np.array([1e-4, -5e-5, 2e-4])
+
+    def reading(pose, state):
+        return np.asarray(fit.model.reading(fit.values, delta, pose, state)).ravel()
+
+    try:
+        assert library.zero(np.concatenate([reading(known, state), state]), known) == 0
+        for _ in range(20):
+            pose, state = rng.uniform(-2e-4, 2e-4, 3), rng.uniform(-2e-4, 2e-4, 3)
+            found, status = library.step(np.concatenate([reading(pose, state), state]))
+            assert status == 0
+            assert np.abs(found - pose).max() < 2e-9
+        assert library.check() == 0  # the CRC does not cover the zeros
+        zeroed = library.table.copy()
+        assert library.zero(np.full(6, np.nan), known) == 0b111111
+        assert library.zero(np.zeros(6), np.array([np.nan, 0, 0])) == 1 << 31
+        assert library.zero(np.zeros(6), np.array([0, 2.0, 0])) == 1 << 31
+        assert (library.table == zeroed).all()
+    finally:
+        library.table[:] = before
+
+
+@pytest.mark.parametrize("case", ["exact_rotation", pytest.param("cubic", marks=pytest.mark.slow)])
+def test_the_zero_of_a_non_linear_model(tmp_path, case):
+    need("gcc")
+    fit, code = CASES[case](), made(case)
+    library = Library(written(code, tmp_path / "fw"), code.source.d, code.source.real.dtype)
+    rng = np.random.default_rng(2)
+    delta, state, known = (
+        rng.uniform(-8e-6, 8e-6, 3),
+        rng.uniform(-2e-4, 2e-4, 3),
+        np.array([1e-4, -5e-5, 2e-4]),
+    )
+    # delta is seen by the non-linear field like a displacement: a zero is exact at the pose it was taken at
+    inputs = np.concatenate([np.asarray(fit.model.reading(fit.values, delta, known, state)).ravel(), state])
+    assert library.zero(inputs, known) == 0
+    found, status = library.step(inputs)
+    assert status == 0
+    assert np.abs(found - known).max() < 2e-9
+
+
+def test_a_damaged_table_is_found(compiled):
+    library, code = compiled
+    before = library.table.copy()
+    floats = library.table.view(np.float32)
+    first = 3
+    finds = {"version": 0x01, "layout": 0x02, "crc": 0x04, "number": 0x08, "limits": 0x10, "gain": 0x20}
+    names = [e.name for e in code.source.d.entries]
+    try:
+        assert library.check() == 0
+        for byte in range(12, 108):  # every bit that the CRC covers
+            for bit in range(8):
+                library.table[byte] ^= 1 << bit
+                assert library.check() & finds["crc"]
+                library.table[byte] ^= 1 << bit
+        for at, what in ((0, "version"), (4, "layout")):
+            library.table[at] ^= 1
+            assert library.check() == finds[what]
+            library.table[at] ^= 1
+        for name, value, what in (
+            ("zero_x", np.nan, "number"),
+            ("gain_hall_a", np.inf, "number"),
+            ("limit_z", -1e-4, "limits"),
+            ("gain_hall_b_z", 1e4, "gain"),
+        ):
+            floats[first + names.index(name)] = value
+            assert library.check() & finds[what], name
+            library.table[:] = before
+    finally:
+        library.table[:] = before
+
+
+def test_the_jacobian_is_the_slope_of_the_pose(tmp_path):
+    need("gcc")
+    code = made("stage31", double=True, jacobian=True)
+    d = code.source.d
+    library = Library(written(code, tmp_path / "fw"), d, code.source.real.dtype)
+    inputs = np.array([d.ends(c)[1] * 0.4 for c in d.inputs])
+    slopes = np.zeros((3, 3))
+    call = library.library.decoupler_jacobian
+    call.restype = ctypes.c_uint32
+    assert call(*(a.ctypes.data_as(ctypes.c_void_p) for a in (library.table, inputs, slopes))) == 0
+    for k in range(3):
+        step = np.zeros(6)
+        step[k] = 1e-7
+        difference = (library.step(inputs + step)[0] - library.step(inputs - step)[0]) / 2e-7
+        assert slopes[:, k] == pytest.approx(difference, rel=1e-7)
+
+
+# -- Cortex-M ------------------------------------------------------------------------------------------------
+
+
+def test_same_bits_on_a_cortex_m4f(golden):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    said = ran(golden, "make", "qemu")
+    assert "0 of" in said
+    assert said.count("as stated") == 2
+
+
+M3 = ("MACHINE=mps2-an385", "CPU=-mcpu=cortex-m3 -mthumb")
+M7 = ("MACHINE=mps2-an500", "CPU=-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-sp-d16")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", [CORTEX_M0, M3, M7], ids=["M0", "M3", "M7"])
+def test_same_bits_on_other_cores(golden, machine):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    ran(golden, "make", "clean")
+    assert ran(golden, "make", "qemu", *machine).count("as stated") == 2
+    ran(golden, "make", "clean")
+
+
+def test_instructions_bytes_and_stack_on_a_cortex_m4f(golden):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    said = ran(golden, "make", "count")
+    bare = re.search(r"decoupler_bare, \d+ bytes, instructions per call: (\d+)", said)
+    step = re.search(r"decoupler_step, (\d+) bytes, instructions per call: (.*)", said)
+    typical, *others = map(int, step[2].split())
+    assert int(bare[1]) <= 70
+    assert typical <= 125
+    assert max(others) <= 136
+    assert int(step[1]) <= 560
+    assert "decoupler_step=0" in said
+
+
+def test_nothing_static_nothing_from_libraries(golden):
+    need("arm-none-eabi-gcc", "make")
+    ran(golden, "make", "size")
+    symbols = ran(golden, "arm-none-eabi-nm", "build/decoupler.o")
+    assert {line.split()[-2] for line in symbols.splitlines()} == {"T"}  # no data, no bss, nothing undefined
+
+
+# -- proofs and MISRA ----------------------------------------------------------------------------------------
+
+
+def test_cppcheck_finds_no_misra_violation_that_is_not_listed(golden):
+    need("cppcheck", "make")
+    ran(golden, "make", "misra")
+
+
+LATER = [pytest.param(c, marks=pytest.mark.slow) for c in CASES if c not in ("stage31", "exact_rotation")]
+
+
+@pytest.mark.parametrize("case", ["stage31", *LATER])
+def test_eva_raises_no_alarm(tmp_path, case):
+    need("frama-c")
+    folder = written(made(case, jacobian=True), tmp_path / "fw")
+    said = ran(
+        folder, "frama-c", "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64", "-warn-special-float",
+        "non-finite", "-cpp-extra-args=-Iinclude -Iparams", "proof/eva.c", "src/decoupler.c",
+        "params/decoupler_params.c",
+    )  # fmt: skip
+    assert "  0 alarms generated" in said
+    assert "100% of the logical properties" in said
+
+
+@pytest.mark.parametrize("case", ["stage31", *(c for c in LATER if c.values != ("cubic",))])
+def test_gappa_confirms_the_rounding_bound(tmp_path, case):
+    need("gappa")
+    ran(written(made(case), tmp_path / "fw"), "gappa", "proof/rounding.g")
+
+
+def test_a_proof_that_was_not_run_is_said_to_be_not_run(golden):
+    script = (golden / "proof/prove.sh").read_text()
+    for tool in ("range test", "Frama-C EVA", "CBMC", "Gappa"):
+        assert re.search(rf'echo "{tool}.*: not run \(', script)
+        assert re.search(rf'echo "{tool}.*: FAILED', script)
+
+
+@pytest.mark.slow
+def test_every_bit_pattern_passes_the_range_test(golden):
+    need("gcc")
+    ran(
+        golden,
+        "gcc",
+        "-std=c99",
+        "-O3",
+        *PATHS,
+        "proof/exhaustive.c",
+        "params/decoupler_params.c",
+        "-o",
+        "exhaustive",
+    )
+    assert "exhaustive: 0 of" in ran(golden, "./exhaustive")
+
+
+def test_the_header_is_also_cpp(golden, tmp_path):
+    need("g++")
+    user = tmp_path / "user.cpp"
+    user.write_text(
+        '#include "decoupler.h"\n#include "decoupler_params.h"\n'
+        "int main() { decoupler_out_t q; decoupler_in_t in = {}; const auto *p = &decoupler_params; "
+        "return static_cast<int>(decoupler_step(p, &in, &q) + decoupler_check(p)); }\n"
+    )
+    c, cpp = ("gcc", "-std=c99"), ("g++", "-std=c++11", "-Wall", "-Wextra", "-pedantic", "-Werror")
+    for source in ("src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c"):
+        ran(golden, *c, *PATHS, "-c", source, "-o", str(tmp_path / f"{Path(source).stem}.o"))
+    objects = [str(p) for p in sorted(tmp_path.glob("*.o"))]
+    ran(golden, *cpp, *PATHS, str(user), *objects, "-o", str(tmp_path / "user"))
+    ran(golden, str(tmp_path / "user"))  # links by extern "C"; status 0: zero is in the box
+
+
+def test_the_self_test_runs_every_line_that_runs_at_every_sample(golden, tmp_path):
+    need("gcc", "gcov")
+    out = str(tmp_path / "selftest")
+    sources = [str(golden / name) for name in TESTED]
+    include = [f"-I{golden / name}" for name in ("include", "params", "test")]
+    ran(tmp_path, "gcc", "-std=c99", "-O0", "--coverage", *include, *sources, "-o", out)
+    ran(tmp_path, out)
+    said = ran(tmp_path, "gcov", "-b", "-n", *map(str, tmp_path.glob("*-decoupler.gcda")))
+    own = said[said.index("decoupler.c'") :]
+    assert "Lines executed:100.00%" in own
+    assert "Branches executed:100.00%" in own
+
+
+def test_the_estimate_without_a_compiler_is_near(golden):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    counted = re.search(r"decoupler_bare, .* call: (\d+)", ran(golden, "make", "count"))
+    estimated = cost(made("stage31").source.d)
+    assert abs(estimated.instructions / int(counted[1]) - 1) < 0.1
+    assert estimated.table == len(made("stage31").source.table.binary)
+    assert "make count, arm-none-eabi-gcc" in (golden / "doc/instructions.txt").read_text()
+
+
+def test_cmake_builds_it(golden, tmp_path):
+    need("cmake", "gcc")
+    ran(golden, "cmake", "-S", ".", "-B", str(tmp_path), "-DDECOUPLER_SELFTEST=ON")
+    ran(golden, "cmake", "--build", str(tmp_path))
+    assert "0 of" in ran(tmp_path, "./decoupler_selftest")

@@ -1,0 +1,250 @@
+"""The corrected angle in integers: CORDIC, tables of binary angles, wraps, and the same bits on a Cortex-M0.
+
+Independent facts: numpy's arctangent; straight lines by numpy's interpolation; the model's own readings at a
+known angle; a binary angle wraps by itself; shifted counts are angles.
+"""
+
+import ctypes
+from functools import cache
+from math import pi
+
+import numpy as np
+import pytest
+from firmware import need, ran
+from hypothesis import given
+from hypothesis import strategies as st
+from test_codegen_correction import fit_of
+from test_codegen_rotary import ELLIPSE, turned
+
+from hallsym.cli.main import main
+from hallsym.codegen import generate_q31, turns
+from hallsym.codegen.q31_selftest import emulate, errors
+from hallsym.errors import InputError
+from hallsym.model.arrays import on_arrays
+
+CASES = [("meng angle", None), ("meng volts", None), ("ellipse volts", None), ("clipped", 5e-3)]
+MOST = {"meng angle": 40, "meng volts": 500, "ellipse volts": 480, "clipped": 400}
+"""Instructions of decoupler_step() on a Cortex-M0, whatever the inputs."""
+BUILT = [CASES[0], *(pytest.param(*case, marks=pytest.mark.slow) for case in CASES[1:])]
+
+
+@cache
+def made(case, accuracy=None):
+    return generate_q31(fit_of(case), accuracy=accuracy)
+
+
+# -- binary angles -------------------------------------------------------------------------------------------
+
+LONG = 2**27
+
+
+@given(st.floats(0.5, 2.0), st.floats(-pi, pi), st.integers(8, turns.STEPS))
+def test_cordic_is_an_arctangent_within_its_bound(radius, angle, steps):
+    x, y = (np.array([round(LONG * radius * f(angle))]) for f in (np.cos, np.sin))
+    found = turns.angle_of(x, y, steps) * turns.UNIT
+    assert turned(found - np.arctan2(y, x)) <= turns.angle_error(0.5 * LONG - 1, steps)
+
+
+def test_the_bound_of_cordic_is_that_of_a_bit_more_or_less():
+    rng = np.random.default_rng(0)
+    angle = rng.uniform(-pi, pi, 200_000)
+    x, y = (np.round(LONG / 2 * f(angle)).astype(np.int64) for f in (np.cos, np.sin))
+    off = turned(turns.angle_of(x, y) * turns.UNIT - np.arctan2(y, x)).max()
+    assert 0.15 * turns.angle_error(LONG / 2 - 1) < off < 5e-7
+    assert turns.angle_error(2.0**40) < turns.angle_error(2.0**27) < turns.angle_error(2.0**26)
+
+
+@pytest.mark.parametrize(("bits", "shift"), [(16, 0), (16, 9), (16, 15), (32, 0)])
+@given(st.integers(0, 2**32 - 1), st.integers(0, 2**31))
+def test_a_table_is_straight_lines_between_its_entries(bits, shift, phase, seed):
+    rng = np.random.default_rng(seed)
+    values = np.cumsum(rng.integers(-90, 90, 64))
+    values = (values - values.mean().astype(int)) * (1 if bits == 16 else 20_000)
+    table = turns.Array("t", values, shift, bits)
+    found = table.at(np.array([phase]))
+    wanted = np.interp(phase, np.arange(65) * 2.0**26, np.append(values, values[0])) * 2.0**shift
+    assert abs(found - wanted) * turns.UNIT <= table.error
+
+
+def test_a_table_that_does_not_fit_is_refused():
+    with pytest.raises(InputError, match="does not fit into 32 bits"):
+        turns.Array("t", np.array([0, 2**15, 0, -(2**15)]), 16, 16)
+
+
+# -- the angle -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("case", "accuracy"), CASES)
+def test_readings_of_the_model_give_its_angle_back(case, accuracy):
+    source, fit = made(case, accuracy).source, fit_of(case)
+    p, d = source.program, source.program.d
+    angle = np.random.default_rng(5).uniform(-pi, pi, 20_000)
+    readings = on_arrays(fit.model.reading)(fit.values, [], [angle], [])[0]
+    units = np.array([[p.unit(c)] for c in d.inputs])
+    pose, status = emulate(source, np.round(readings / units).astype(np.int64))
+    off = turned(pose[0] * turns.UNIT - angle).max()
+    assert not status.any()
+    assert off <= p.bounds["angle_rad"][2] + 2 * units.max()
+    assert p.bounds["angle_rad"][2] <= 33 / 32 * (accuracy or 1e-5) + 1e-6
+
+
+@pytest.mark.parametrize(("case", "accuracy"), CASES)
+def test_stated_bounds_hold_over_random_inputs(case, accuracy):
+    met = errors(made(case, accuracy).source, 200_000, seed=3)["angle_rad"]
+    bound = made(case, accuracy).source.program.bounds["angle_rad"][2]
+    assert 0.2 * bound < met <= bound
+
+
+def test_counts_that_are_shifted_are_angles():
+    """A 14-bit encoder: count << 18."""
+    source = made("meng angle").source
+    count = np.arange(2**14)
+    pose, status = emulate(source, (count << 18)[None])
+    wanted = source.program.d.exact(count[None] * (2 * pi / 2**14))
+    assert not status.any()
+    assert turned(pose * turns.UNIT - wanted).max() <= source.program.bounds["angle_rad"][2]
+
+
+def test_no_magnet_has_a_bit_of_its_own():
+    source = made("ellipse volts").source
+    units = np.array([source.program.unit(c) for c in source.program.d.inputs])
+    center = np.array([ELLIPSE["Vy"], ELLIPSE["Vx"]])
+    moved = np.array([[0.0, 0.0], [0.45, 0.0], [0.0, 0.55], [3.0, 0.0]])
+    inputs = (center + moved).T / units[:, None]
+    _, status = emulate(source, np.clip(np.round(inputs), -(2**31), 2**31 - 1).astype(np.int64))
+    assert status.tolist() == [0x40000000, 0x40000000, 0, 1]
+
+
+def test_a_coarser_accuracy_takes_fewer_steps_of_cordic():
+    counts = [turns.steps_for(a) for a in (1e-9, 1e-6, 1e-5, 1e-3)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] == turns.STEPS
+    for accuracy, steps in zip((1e-6, 1e-5, 1e-3), counts[1:], strict=True):
+        assert accuracy / 65 < turns.angle_error(2.0**40, steps) - steps * turns.UNIT / 2 < accuracy / 31
+
+
+def test_an_encoder_that_needs_no_correction_has_no_table():
+    source = made("ideal angle").source
+    assert not source.program.arrays
+    assert errors(source, 1000)["angle_rad"] < 1e-9
+
+
+# -- the C itself --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("case", "accuracy"), BUILT)
+def test_same_bits_here_and_on_a_cortex_m0(case, accuracy, tmp_path):
+    need("gcc", "make")
+    folder = tmp_path / "fw"
+    made(case, accuracy).write(folder)
+    said = ran(folder, "make", "check")
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+    assert "zero works" in said
+    need("arm-none-eabi-gcc", "qemu-system-arm")
+    assert ran(folder, "make", "qemu").count("as stated") == 2
+    said = ran(folder, "make", "count")
+    (step,) = [line for line in said.splitlines() if line.startswith("decoupler_step, ")]
+    assert max(map(int, step.rpartition(":")[2].split())) <= MOST[case]
+    symbols = ran(folder, "arm-none-eabi-nm", "build/decoupler.o").splitlines()
+    assert {line.split()[-2] for line in symbols} <= {"T", "t", "r"}  # nothing in RAM, nothing undefined
+
+
+def test_a_zero_is_taken_all_round_and_a_damaged_table_found(tmp_path):
+    need("gcc")
+    folder = tmp_path / "fw"
+    made("meng angle").write(folder)
+    sources = ["src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c"]
+    ran(folder, "gcc", "-std=c99", "-O2", "-shared", "-fPIC", "-Iinclude", "-Iparams", *sources, "-o", "d.so")
+    library = ctypes.CDLL(str(folder / "d.so"))
+    size = len(made("meng angle").source.binary)
+    table = np.array((ctypes.c_ubyte * size).in_dll(library, "decoupler_params"), dtype=np.uint8)
+
+    def call(name, *arrays):
+        function = getattr(library, name)
+        function.restype = ctypes.c_uint32
+        return function(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
+
+    assert table.tobytes() == made("meng angle").source.binary
+    for angle, known in np.random.default_rng(1).integers(0, 2**32, (50, 2), dtype=np.uint32):
+        given, pose, out = (np.array([v], dtype=np.uint32) for v in (angle, known, 0))
+        assert call("decoupler_zero", table, given, pose) == 0
+        assert call("decoupler_step", table, given, out) == 0
+        assert out == known
+    assert call("decoupler_check", table) == 0
+    for byte in range(12, size - 4, 7):
+        table[byte] ^= 1
+        assert call("decoupler_check", table) == 0x04
+        table[byte] ^= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "accuracy"), [*CASES, ("ideal angle", None), ("meng angle", 1e-6)])
+def test_eva_raises_no_alarm_and_cppcheck_lists_nothing(case, accuracy, tmp_path):
+    need("frama-c", "cppcheck", "make")
+    made(case, accuracy).write(tmp_path / "fw")
+    ran(tmp_path / "fw", "make", "misra")
+    said = ran(
+        tmp_path / "fw", "frama-c", "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64",
+        "-cpp-extra-args=-Iinclude -Iparams", "proof/eva.c", "params/decoupler_params.c",
+    )  # fmt: skip
+    assert "  0 alarms generated" in said
+    assert "100% of the logical properties" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["meng angle", "ellipse volts"])
+def test_every_input(case, tmp_path):
+    need("gcc")
+    made(case).write(tmp_path / "fw")
+    ran(
+        tmp_path / "fw", "gcc", "-std=c99", "-O3", "-fsanitize=signed-integer-overflow",
+        "-fsanitize-undefined-trap-on-error", "-Iinclude", "-Iparams", "proof/exhaustive.c",
+        "params/decoupler_params.c", "-o", "exhaustive",
+    )  # fmt: skip
+    assert "exhaustive: 0 of" in ran(tmp_path / "fw", "./exhaustive")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["meng angle", "meng volts"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_compilers_warn_of_nothing_and_the_self_test_runs_every_branch(case, compiler, tmp_path):
+    need(compiler, "gcov", "make")
+    folder = tmp_path / "fw"
+    made(case).write(folder)
+    assert ran(folder, "make", "check", f"CC={compiler}").count("as stated") == 2
+    if compiler == "gcc":
+        sources = [f"{n}.c" for n in ("src/decoupler", "src/decoupler_check", "params/decoupler_params",
+                                      "test/selftest", "test/main")]  # fmt: skip
+        include = ("-Iinclude", "-Iparams", "-Itest")
+        ran(folder, "gcc", "-std=c99", "-O0", "--coverage", *include, *sources, "-o", "covered")
+        ran(folder, "./covered")
+        said = ran(folder, "gcov", "-b", "-n", *(str(p) for p in folder.glob("*-decoupler.gcda")))
+        assert "Lines executed:100.00%" in said[said.index("decoupler.c'") :]
+
+
+# -- options -------------------------------------------------------------------------------------------------
+
+
+def test_what_integers_cannot_do_is_refused_in_one_sentence():
+    for call, said in (
+        (lambda: generate_q31(fit_of("meng angle"), correction="series"), "corrects an angle from a table"),
+        (lambda: generate_q31(fit_of("meng angle"), ranges={"angle_rad": (0, 1)}), "every bit pattern"),
+        (lambda: generate_q31(fit_of("clipped")), "1024 entries; .* is within reach"),
+    ):
+        with pytest.raises(InputError, match=said):
+            call()
+
+
+@pytest.mark.slow
+def test_the_command_writes_and_recalibrates_it(tmp_path, capsys):
+    fit_of("meng angle").save(tmp_path / "calib.json")
+    base = ["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw"), "--arithmetic", "q31"]
+    assert main(base) == 0
+    assert "table of 532 bytes" in capsys.readouterr().out
+    header = (tmp_path / "fw/include/decoupler.h").read_text()
+    assert "uint32_t angle_bam; /**< [2^-32 turn] */" in header
+    assert "table of 256 entries of 16 bits" in " ".join(header.replace(" * ", "").split())
+    assert main([*base, "--params-only"]) == 0
+    assert main([*base, "--params-only", "--correction", "auto", "--accuracy", "angle_mrad=1"]) == 2
+    assert "generate the folder again" in capsys.readouterr().err  # another table: other code

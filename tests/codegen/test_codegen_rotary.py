@@ -1,0 +1,343 @@
+"""C for encoders: corrected angle from two voltages or from a decoded angle.
+
+Independent facts: the model's own readings at a known angle; numpy's arctangent in double; a gain common to
+both plates leaves an angle alone; a wrap is a whole turn; the interval [-pi, pi]; a million samples.
+"""
+
+from dataclasses import replace
+from functools import cache
+from math import pi
+
+import casadi as ca
+import numpy as np
+import pytest
+from firmware import STRICT, Library, calibration, need, ran
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hallsym
+from hallsym.cli.main import main
+from hallsym.codegen.checks import notes_of
+from hallsym.codegen.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
+from hallsym.codegen.vectors import Emulator, worst
+from hallsym.errors import InputError
+from hallsym.families import rotary, rotary_effects
+from hallsym.log.noise import Noise, Sigma
+from hallsym.model.arrays import on_arrays
+
+ELLIPSE = {"Vx": 0.02, "Vy": -0.03, "Ax": 1.02, "Ay": 0.99, "beta": 0.02, "zero": 2.9}
+PAPER = {k: v for k, v in rotary.EXAMPLE["values"].items() if k != "A"}
+WAVES = {"h3c": 2e-3, "h3s": -1e-3, "h4c": 3e-3, "h8s": 1e-3}
+CASES = {
+    "ideal": (rotary.rotary_ideal, {"A": 1.3, "zero": -2.0}),
+    "ellipse": (rotary.rotary, ELLIPSE),
+    "meng": (rotary.rotary_meng, PAPER),
+    "harmonics": (lambda layout: rotary.harmonics(rotary.rotary(layout)), {**ELLIPSE, **WAVES}),
+    "eccentric": (
+        lambda layout: rotary_effects.off_axis("eccentricity", 0.3)(rotary.rotary(layout)),
+        {**ELLIPSE, "eccentricity_both_re": 0.01, "eccentricity_both_im": -0.02, "eccentricity_chip": 0.015},
+    ),
+}
+LAYOUTS = {"volts": rotary.two_voltages(), "angle": rotary.angle_only()}
+BUILT = [("ellipse", "volts"), ("meng", "angle")]
+QUICK = [*BUILT, ("ideal", "volts"), ("harmonics", "volts")]
+REST = [pytest.param(c, f, marks=pytest.mark.slow) for c in CASES for f in LAYOUTS if (c, f) not in QUICK]
+EVERY = [*QUICK, *REST]
+LATER = [*(pytest.param(*c, marks=pytest.mark.slow) for c in QUICK if c not in BUILT), *REST]
+
+
+def calibrated(model, values):
+    """A calibration of an encoder at known parameters."""
+    p = model.vector({k: v for k, v in values.items() if k in model.names})
+    n = len(p)
+    return replace(
+        calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), zeros={},
+        covariance=np.zeros((n, n)), noise=Noise({c: Sigma(3e-4, "given") for c in model.channels}),
+        log={"span": {"angle_ref_rad": [0.0, 12.0], "temperature_degc": [20.0, 30.0]}, "sha256": 64 * "0"},
+    )  # fmt: skip
+
+
+@cache
+def made(case, form, **variant):
+    make, values = CASES[case]
+    return hallsym.generate(calibrated(make(LAYOUTS[form]), values), **variant)
+
+
+def turned(difference):
+    return np.abs(difference - 2 * pi * np.round(difference / (2 * pi)))
+
+
+# -- polynomials ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "function", "end", "error"),
+    [(ARCTANGENT, np.arctan, 1.0, arctangent_error), (SINE, np.sin, pi / 2, sine_error)],
+)
+def test_the_stated_error_of_a_polynomial_holds_and_is_reached(coefficients, function, end, error):
+    a = np.array(coefficients, dtype=np.float32).astype(np.longdouble)
+    x = np.random.default_rng(3).uniform(0, end, 400_000).astype(np.longdouble)
+    off = np.abs(np.polyval(a[::-1], x * x) * x - function(x)).max()
+    assert 0.99 * error() < off <= error()
+    assert error() < 2.0**-24 * pi  # below what float32 rounds an angle near pi
+
+
+@given(st.floats(-3 * pi, 3 * pi))
+def test_a_wrap_moves_by_a_whole_turn_into_half_a_turn(x):
+    s = ca.SX.sym("s")
+    found = float(ca.Function("f", [s], [wrapped(s)])(x))
+    assert abs(found) <= pi + 1e-15
+    assert (found - x) / (2 * pi) == pytest.approx(round((found - x) / (2 * pi)), abs=1e-15)
+
+
+# -- the angle -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("case", "form"), EVERY)
+def test_readings_of_the_model_give_its_angle_back(case, form):
+    code = made(case, form)
+    d, model = code.source.d, code.source.d.model
+    angle = np.random.default_rng(5).uniform(-pi, pi, 1000)
+    p = calibrated(model, CASES[case][1]).values
+    readings = on_arrays(model.reading)(p, [], [angle], [])[0]
+    if form == "angle":
+        readings = readings - 2 * pi * np.round(readings / (2 * pi))  # as a chip gives it
+    pose, status = Emulator(d, code.source.real).step(readings.astype(np.float32))
+    input_rounding = 2.0**-24 * (pi if form == "angle" else 4)
+    off = turned(pose[0].astype(float) - angle).max()
+    assert not status.any()
+    assert off <= code.bounds.error["angle_rad"] + d.slack + input_rounding
+    assert off < 1e-6
+
+
+def test_the_ideal_encoder_is_an_arctangent():
+    code = made("ideal", "volts")
+    d = code.source.d
+    rng = np.random.default_rng(6)
+    v = rng.uniform(-1.3, 1.3, (2, 20_000)).astype(np.float32)
+    pose, status = Emulator(d, code.source.real).step(v)
+    wanted = np.arctan2(*v.astype(float)) + 2.0
+    clear = status == 0
+    assert clear.mean() > 0.5
+    assert turned(pose[0] - wanted)[clear].max() < code.bounds.error["angle_rad"] + d.slack
+
+
+@given(st.floats(0.55, 1.05), st.floats(-pi, pi))
+def test_a_gain_common_to_both_plates_leaves_the_angle_alone(gain, angle):
+    code = made("ellipse", "volts")
+    d, model = code.source.d, code.source.d.model
+    p = model.vector(ELLIPSE)
+    reading = np.asarray(model.reading(p, [], angle, [])).ravel()
+    center = np.array([ELLIPSE["Vy"], ELLIPSE["Vx"]])
+    given = (center + gain * (reading - center)).astype(np.float32)[:, None]
+    pose, status = Emulator(d, code.source.real).step(given)
+    assert status == 0
+    assert turned(float(pose[0, 0]) - angle) < 2e-6
+
+
+@pytest.mark.parametrize(("case", "form"), BUILT)
+def test_whatever_the_bits_the_angle_is_finite_and_within_half_a_turn(case, form):
+    code = made(case, form)
+    emulator = Emulator(code.source.d, code.source.real)
+    pose, status = emulator.step(emulator.sample(np.arange(50_000)))
+    assert np.isfinite(pose).all()
+    assert np.abs(pose).max() <= code.bounds.high["angle_rad"] < pi + 1e-5
+    assert 0 < (status != 0).mean() < 0.6
+
+
+def test_no_magnet_and_a_broken_wire_have_bits_of_their_own():
+    code = made("ellipse", "volts")
+    emulator = Emulator(code.source.d, code.source.real)
+    center = np.array([ELLIPSE["Vy"], ELLIPSE["Vx"]])
+    inputs = np.array([center, [0.0, 0.0], [np.nan, 0.1], [5.0, 0.1], [0.9, np.inf]], np.float32).T
+    pose, status = emulator.step(inputs)
+    assert [int(s) & 3 for s in status] == [0, 0, 1, 1, 2]
+    assert all(int(s) & 0x40000000 for s in status[:2])
+    assert np.isfinite(pose).all()
+
+
+def test_the_series_is_as_long_as_it_must_be():
+    def waves(case, form):
+        return sum(e.name.startswith("cos_") for e in made(case, form).source.d.table)
+
+    assert waves("ideal", "volts") == waves("ellipse", "volts") == 0  # the linear map does it all
+    assert 0 < waves("meng", "angle") < waves("harmonics", "volts") <= 32
+
+
+@pytest.mark.parametrize(("case", "form"), EVERY)
+def test_stated_bounds_hold_over_random_inputs(case, form):
+    code = made(case, form)
+    (met,) = code.errors.values()
+    assert 0 < met <= code.bounds.error["angle_rad"] + code.source.d.slack < 2 * pi / 2**20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "form"), EVERY)
+def test_stated_bounds_hold_over_a_million_random_inputs(case, form):
+    code = made(case, form)
+    met = worst(code.source.d, code.source.real, 1_000_000, seed=8)["angle_rad"]
+    assert met <= code.bounds.error["angle_rad"] + code.source.d.slack
+
+
+@pytest.mark.slow
+def test_double_leaves_what_the_polynomials_leave():
+    code = made("meng", "volts", double=True)
+    assert code.bounds.error["angle_rad"] < 1e-14
+    assert 1e-8 < code.errors["angle_rad"] <= code.source.d.slack < 2e-7
+
+
+# -- the C itself --------------------------------------------------------------------------------------------
+
+
+def written(case, form, tmp_path):
+    made(case, form).write(tmp_path / "fw")
+    return tmp_path / "fw"
+
+
+@pytest.mark.parametrize(("case", "form"), [*BUILT, *LATER])
+def test_the_folder_passes_its_self_test(case, form, tmp_path):
+    need("gcc", "make")
+    said = ran(written(case, form, tmp_path), "make", "check")
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+    assert "zero works" in said
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(-pi, pi), st.floats(-pi, pi))
+def test_a_zero_is_taken_all_round(library, known, angle):
+    model = library.d.model
+    reading = np.asarray(model.reading(model.vector(ELLIPSE), [], angle, [])).ravel()
+    assert library.zero(reading, np.array([np.float32(known) * 0.999])) == 0
+    pose, status = library.step(reading)
+    assert status == 0
+    assert turned(float(pose[0]) - known * 0.999) < 1e-6
+    assert abs(float(pose[0])) < pi + 1e-6
+    assert library.zero(np.array([-0.03, 0.02]), np.zeros(1)) == 0x40000000
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    need("gcc")
+    code = made("ellipse", "volts")
+    folder = tmp_path_factory.mktemp("encoder") / "fw"
+    code.write(folder)
+    return Library(folder, code.source.d, code.source.real.dtype)
+
+
+MOST = {("ellipse", "volts"): 130, ("meng", "angle"): 170}
+"""Instructions of decoupler_step() in QEMU, whatever the inputs."""
+
+
+@pytest.mark.parametrize(("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow)])
+def test_same_bits_and_few_instructions_on_a_cortex_m4f(case, form, tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    folder = written(case, form, tmp_path)
+    assert ran(folder, "make", "qemu").count("as stated") == 2
+    said = ran(folder, "make", "count")
+    (step,) = [line for line in said.splitlines() if line.startswith("decoupler_step, ")]
+    assert max(map(int, step.rpartition(":")[2].split())) <= MOST[case, form]
+    assert "decoupler_step=0" in said
+    symbols = ran(folder, "arm-none-eabi-nm", "build/decoupler.o")
+    assert {line.split()[-2] for line in symbols.splitlines()} == {"T"}  # no data, nothing undefined
+
+
+@pytest.mark.parametrize(
+    ("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow), *LATER]
+)
+def test_eva_raises_no_alarm(case, form, tmp_path):
+    need("frama-c")
+    said = ran(
+        written(case, form, tmp_path), "frama-c", "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64",
+        "-warn-special-float", "non-finite", "-cpp-extra-args=-Iinclude -Iparams", "proof/eva.c",
+        "src/decoupler.c", "params/decoupler_params.c",
+    )  # fmt: skip
+    assert "  0 alarms generated" in said
+    assert "100% of the logical properties" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "form"), BUILT)
+def test_cppcheck_finds_no_misra_violation_that_is_not_listed(case, form, tmp_path):
+    need("cppcheck", "make")
+    ran(written(case, form, tmp_path), "make", "misra")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "form"), BUILT)
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_compilers_warn_of_nothing_and_the_self_test_runs_every_branch(case, form, compiler, tmp_path):
+    need(compiler, "gcov", "make")
+    folder = written(case, form, tmp_path)
+    assert ran(folder, "make", "check", f"CC={compiler}").count("as stated") == 2
+    sources = (
+        "src/decoupler.c",
+        "src/decoupler_check.c",
+        "params/decoupler_params.c",
+        "test/selftest.c",
+        "test/main.c",
+    )
+    include = ("-Iinclude", "-Iparams", "-Itest")
+    ran(folder, compiler, *STRICT, "-pedantic", "-O0", *include, *sources, "-o", "strict")
+    if compiler == "gcc":
+        ran(folder, "gcc", "-std=c99", "-O0", "--coverage", *include, *sources, "-o", "covered")
+        ran(folder, "./covered")
+        said = ran(folder, "gcov", "-b", "-n", *(str(p) for p in folder.glob("*-decoupler.gcda")))
+        own = said[said.index("decoupler.c'") :]
+        assert "Lines executed:100.00%" in own
+        assert "Branches executed:100.00%" in own
+
+
+# -- refused -------------------------------------------------------------------------------------------------
+
+
+def warm(model):
+    return rotary_effects.gain_drift("warm", *rotary_effects.temperature(20.0))(model)
+
+
+def test_what_c_cannot_hold_is_refused_in_one_sentence():
+    base = rotary.rotary(LAYOUTS["volts"])
+    fit = calibrated(base, ELLIPSE)
+    for model, said in (
+        (warm(base), "depend on the angle alone; rotary with warm needs temperature_degc"),
+        (rotary_effects.reference_harmonics("stepper", [50])(base), "errors of its reference"),
+        (rotary_effects.time_skew(base), "computed from a whole log"),
+    ):
+        with pytest.raises(InputError, match=said):
+            hallsym.generate(calibrated(model, ELLIPSE))
+    steep = calibrated(base, {**ELLIPSE, "Vx": 3.0})
+    for call, said in (
+        (lambda: hallsym.generate(fit, jacobian=True), "--jacobian is not generated for rotary"),
+        (lambda: hallsym.generate(steep, ranges={"v_sin_v": (-4, 4)}), None),
+    ):
+        if said is not None:
+            with pytest.raises(InputError, match=said):
+                call()
+        else:
+            assert not call().source.d.said[1:]  # an offset beyond the amplitude is still an ellipse
+    beyond = calibrated(rotary.rotary(LAYOUTS["angle"]), ELLIPSE)
+    with pytest.raises(InputError, match="within one turn in either direction"):
+        hallsym.generate(beyond, ranges={"angle_rad": (-10.0, 10.0)})
+
+
+def test_a_clipped_channel_needs_too_many_waves():
+    model = rotary_effects.clipping([-1.0, -1.0], [0.6, 0.6])(rotary.rotary(LAYOUTS["volts"]))
+    values = {**ELLIPSE, "clipped_sin": 1.0, "clipped_cos": 1.0}
+    with pytest.raises(InputError, match=r"(more than 32 waves|too large to be undone)"):
+        hallsym.generate(calibrated(model, values))
+
+
+def test_the_command_writes_it(tmp_path, capsys):
+    saved = calibrated(rotary.rotary(LAYOUTS["volts"]), ELLIPSE)
+    saved.save(tmp_path / "calib.json")
+    assert main(["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw")]) == 0
+    assert "v_sin_v: " in capsys.readouterr().out
+    header = (tmp_path / "fw/include/decoupler.h").read_text()
+    assert "polynomial of degree 15: off by at most 6.7e-08 rad" in header
+    assert "DECOUPLER_FIELD" in header
+    assert main(["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw"), "--params-only"]) == 0
+
+
+def test_a_reading_that_the_fit_took_with_another_sign_is_said():
+    fit = replace(calibrated(rotary.rotary(LAYOUTS["angle"]), ELLIPSE), wiring=(("angle_rad", -1),))
+    assert notes_of(fit)[-1] == "The fit took angle_rad from -angle_rad: give it so here too."

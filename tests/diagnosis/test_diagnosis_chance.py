@@ -1,0 +1,136 @@
+"""Significance of faults of samples, and the products of columns that all tests of effects rest on.
+
+Probabilities are held against scipy.stats and against noise without a fault; products against sums of dense
+columns, run by run.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from gap_twins import faulty, machine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+import hallsym
+from hallsym.diagnosis.chance import as_many, as_often, exceeds, student
+from hallsym.diagnosis.effect import Facts
+from hallsym.diagnosis.faults import faults, wiring_p, wirings
+from hallsym.diagnosis.scores import candidates
+from hallsym.diagnosis.search import base_of
+from hallsym.diagnosis.stage_catalogue import CATALOGUE
+from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.tangent import Base, Products, tangents
+from hallsym.estimation.channel_assignment import rewired
+from hallsym.estimation.decoding import columns_of
+from hallsym.log import Block, Log
+from hallsym.log.batches import Batch, batches
+
+TESTED = 30
+
+
+def fitted(log: Log) -> Base:
+    return base_of(log, hallsym.fit(log, "stage31", solver="direct", loss="none"))
+
+
+@pytest.fixture(scope="module")
+def quiet() -> Base:
+    return fitted(machine("multisine", seed=5, thin=6))
+
+
+def test_probabilities_are_those_of_scipy() -> None:
+    assert as_many(3, 0.7) == pytest.approx(stats.poisson.sf(2, 0.7))
+    assert as_often(9, 12, 0.3) == pytest.approx(stats.binom.sf(8, 12, 0.3))
+    assert student(2.5, 10) == pytest.approx(stats.t.sf(2.5, 10))
+    assert (as_many(0, 5.0), as_often(0, 5, 0.5)) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("weight", [4, 8, 30])
+def test_tails_follow_from_the_body_of_heavy_noise(weight: int) -> None:
+    rng = np.random.default_rng(weight)
+    values = 2 * rng.f(2, weight, 100_000)
+    limit = 2 * stats.f.isf(1e-4, 2, weight)
+    assert exceeds(values, 2, limit) == pytest.approx(1e-4, rel=0.5)
+    gaussian = rng.chisquare(2, 100_000)
+    assert exceeds(gaussian, 2, stats.chi2.isf(1e-4, 2)) == pytest.approx(1e-4, rel=0.5)
+
+
+@pytest.mark.parametrize("noise", ["white", "heavy"])
+def test_noise_without_a_fault_is_no_fault(noise: str) -> None:
+    base = fitted(machine("multisine", seed=11, thin=6, noise=noise))
+    found = survey(base, frozenset(base.log.runs))
+    assert faults(base, found, TESTED) == []
+    assert min(found.spike_p, found.stale_p, found.jitter_p) > 0.01 / TESTED
+
+
+@pytest.mark.parametrize("name", ["outliers", "dropped_samples", "clock_jitter", "adc_quantisation"])
+def test_p_values_of_faults_come_from_the_samples(name: str) -> None:
+    log = machine("multisine", (faulty(np.random.default_rng(1))[name],), seed=1)
+    base = fitted(log)
+    found = survey(base, frozenset(base.log.runs))
+    first = faults(base, found, TESTED)[0]
+    assert (first.name, first.p_value < 1e-4) == (name, True)
+    # less of the log is less certain
+    part = survey(base, frozenset(base.log.runs[:1]))
+    p = {"outliers": "spike_p", "dropped_samples": "stale_p", "clock_jitter": "jitter_p"}.get(name, "step_p")
+    assert getattr(part, p) >= getattr(found, p)
+
+
+def test_exchanged_channels_are_certain_and_the_right_order_is_not(quiet: Base) -> None:
+    assert wirings(3) == 47
+    channels = quiet.model.channels
+    wrong = rewired(quiet.log, channels, ((channels[1], 1), (channels[0], 1), (channels[2], 1)))
+    assert wiring_p(quiet, wrong, quiet.log.runs) < 1e-9
+    assert wiring_p(quiet, quiet.log, quiet.log.runs) == 1.0
+
+
+def test_products_are_the_sums_over_dense_columns(quiet: Base) -> None:
+    log = quiet.log
+    cut = {c: log.array(c) for c in log.columns}
+    cut["run"] = np.searchsorted([700, 1900, 2000, 4100], np.arange(log.rows), "right")  # unequal lengths
+    base = replace(quiet, log=Log.from_arrays(cut, log.noise, log.meta), zeros={})
+    facts = Facts(60.0, 0.012, log.columns)
+    names = {"odd_nonlinearity", "vertical_offset_coupling", "reference_abbe_error", "second_order_rotation"}
+    tried, _ = candidates(base, [e for e in CATALOGUE if e.name in names], facts)
+    plain = {key: (model, new) for key, (_, _, model, new) in tried.items()}
+    t = tangents(base, plain)
+    work = Products(base, plain)
+    for batch in batches(base.log, columns_of(base.model)):
+        white = work.whitened(batch, None)
+        for block, part in batch.parts():
+            W = white[:, :, part].reshape(len(white), -1)
+            z = work.z
+            rest = W[z:] - (W[z:] @ np.linalg.pinv(W[:z])) @ W[:z]
+            unit = t.runs.index((block.run,))
+            own = slice(0, t.span[""].stop)
+            dense, found = rest @ rest.T, t.likelihood[unit]
+            size = np.sqrt(np.diag(dense))
+            spans = [own, *(s for k, s in t.span.items() if k)]
+            for span in spans:
+                pick = np.r_[own, span, len(dense) - 1] if span is not own else np.r_[own, len(dense) - 1]
+                scale = np.outer(size[pick], size[pick])
+                difference = dense[np.ix_(pick, pick)] - found[np.ix_(pick, pick)]
+                assert np.abs(difference / scale).max() < 1e-9
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=12), st.integers(1, 5))
+def test_blocks_side_by_side_hold_every_sample_once(lengths: list[int], most: int) -> None:
+    edges = np.cumsum([0, *lengths])
+    x = np.arange(1.0, edges[-1] + 1)
+    blocks = tuple(Block(k, {"x": x[a:b]}) for k, (a, b) in enumerate(pairwise(edges)))
+    batch = Batch(blocks, {"x": x}, tuple(edges.tolist()))
+    seen = []
+    for first, last in batch.groups(most):
+        assert 1 <= last - first <= most
+        laid = batch.layout(first, last)(np.stack([x, -x]))
+        assert laid.shape == (2, last - first, max(lengths[first:last]))
+        assert laid.size <= 2 * 1.25 * sum(lengths[first:last]) + 1e-9
+        for k in range(first, last):
+            row = laid[0, k - first]
+            assert row[: lengths[k]].tolist() == x[edges[k] : edges[k + 1]].tolist()
+            assert not row[lengths[k] :].any()
+        seen += range(first, last)
+    assert seen == list(range(len(lengths)))

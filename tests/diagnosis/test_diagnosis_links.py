@@ -1,0 +1,168 @@
+"""The link of the chain that a gap lies in, and how large it is: named where it is put, silent on noise."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from gap_twins import listed, machine
+from test_diagnosis_where import NOISES, base_on, stated
+from twins import record
+
+from hallsym.diagnosis.effect import Effect
+from hallsym.diagnosis.errors import block_errors
+from hallsym.diagnosis.links import _smoothed
+from hallsym.diagnosis.scores import Score, candidates, scores
+from hallsym.diagnosis.search import facts_of
+from hallsym.diagnosis.size import sizes
+from hallsym.diagnosis.stage_catalogue import CATALOGUE
+from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.user import user_effect
+from hallsym.diagnosis.where import Located, both, located
+from hallsym.log import Log
+from hallsym.model import LINKS, Model, Parameter
+from hallsym.model.arrays import on_arrays
+
+FEWER = ("odd_nonlinearity", "time_skew", "hysteresis", "reference_drift", "vertical_offset_coupling",
+         "height_quadratic", "mains_hum", "first_order_lag")  # fmt: skip
+"""Effects of every link, enough to tell them apart."""
+
+
+def fitted_runs(base: Base) -> list[int]:
+    return [run for run in base.log.runs if run not in base.apart]
+
+
+def scored(base: Base, effects: tuple[Effect, ...]) -> list[Score]:
+    runs = fitted_runs(base)
+    tried, _ = candidates(base, effects, facts_of(base, survey(base, frozenset(runs))))
+    return scores(base, tried, runs, 2.0)[0]
+
+
+def some() -> tuple[Effect, ...]:
+    return tuple(e for e in CATALOGUE if e.name in FEWER)
+
+
+@cache
+def found(name: str) -> tuple[Base, Located]:
+    log = machine("grid", (listed(np.random.default_rng(1))[name],), seed=1, thin=6)
+    base = base_on(log)
+    return base, located(base, log.runs, scored(base, some()))
+
+
+@pytest.mark.parametrize(
+    ("name", "link"),
+    [
+        ("odd_nonlinearity", "field"),
+        pytest.param("height_quadratic", "transducer", marks=pytest.mark.slow),
+    ],
+)
+def test_the_link_is_the_one_that_the_gap_was_put_in(name: str, link: str) -> None:
+    _, here = found(name)
+    first = next(s for s in here.statements if s.by == "link")
+    assert (first.at, name in first.text) == (link, True)
+    assert first.share > 0.9
+    assert first.p_value < 0.01
+    rows = {s.name: s for s in here.shares if s.kind == "link"}
+    assert set(rows) == set(LINKS)
+    assert all(s.share is None or 0 <= s.share <= 1 for s in rows.values())
+    assert max(rows, key=lambda k: rows[k].share or 0.0) == link
+
+
+def test_every_coordinate_is_listed_also_those_that_are_not_logged() -> None:
+    _, here = found("odd_nonlinearity")
+    rows = {s.name: s for s in here.shares if s.kind == "coordinate"}
+    assert rows["temperature"].share is None
+    assert rows["temperature"].text == "not logged"
+    assert {"height Z", "tilt Rx", "tilt Ry", "direction of motion", "velocity", "time in the campaign",
+            "place in the stroke of x", "place in the stroke of y", "rotation Rz"} <= set(rows)  # fmt: skip
+    assert {s.kind for s in here.shares} >= {"link", "output", "sensor", "frequency", "run"}
+    for kind in ("output", "sensor"):
+        assert sum(s.share or 0.0 for s in here.shares if s.kind == kind) == pytest.approx(1.0, abs=0.02)
+
+
+def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
+    def cubic(model: Model) -> Model:
+        size = Parameter("own_cubic", 0.0, -1e8, 1e8, "1/m2")
+
+        def step(s, p):
+            s["displacement"] = s["displacement"] + p["own_cubic"] * s["displacement"] ** 3
+
+        return model.with_step("field", step, effect="own_cubic", parameters=(size,))
+
+    base, _ = found("odd_nonlinearity")
+    here = located(base, base.log.runs, scored(base, (user_effect(cubic),)))
+    rows = {s.name: s for s in here.shares if s.kind == "link"}
+    assert rows["field"].share > 0.5
+    assert rows["clock"].share is None
+    assert rows["clock"].text == "no effect of this link could be tested"
+
+
+def test_smoothing_the_reference_moves_it_less_than_its_noise_and_leaves_the_residual() -> None:
+    """Axes at rest stand still; readings follow, so that what is left is what was left."""
+    base, _ = found("odd_nonlinearity")
+    log = _smoothed(base, [s.model for s in scored(base, some()[:1])])
+    model, read = base.model, on_arrays(base.model.reading)
+    old = {b.run: b.data for b in base.log.blocks()}
+    assert set(log.runs) == set(fitted_runs(base))
+    for block in log.blocks():
+        left = []
+        for data in (block.data, old[block.run]):
+            pose, state = ([data[c] for c in names] for names in (model.references, model.state))
+            (expected,) = read(base.p, base.zeros[block.run], pose, state)
+            left.append(np.array([data[c] for c in model.channels]) - expected)
+        np.testing.assert_allclose(left[0], left[1], atol=1e-15)
+        for c in model.references:
+            moved = block.data[c] - old[block.run][c]
+            assert moved.std() < 1.5 * base.sigma[c]
+        assert sum(np.ptp(block.data[c]) == 0 for c in model.references) == 2
+
+
+@pytest.mark.parametrize(
+    "kind", [k if k == "correlated" else pytest.param(k, marks=pytest.mark.slow) for k in NOISES]
+)
+def test_noise_gets_no_statement_of_a_link_an_output_or_a_sensor(kind: str) -> None:
+    """Noise that is larger than stated: there is an excess, but in no link."""
+    log = Log.from_arrays(record(seed=5, samples=24, **NOISES[kind]), noise=stated(0.85))
+    base = base_on(log)
+    here = located(base, log.runs, scored(base, some()))
+    assert [s for s in here.statements if s.by in ("link", "output", "sensor")] == []
+
+
+@pytest.mark.slow
+def test_statements_of_links_on_correlated_noise_are_as_rare_as_they_claim() -> None:
+    """60 campaigns with the whole catalogue: 4 or more at the 1 % level have a probability below 0.4 %."""
+    alarms = {"link": 0, "output": 0, "sensor": 0}
+    for seed in range(60):
+        log = Log.from_arrays(record(seed=seed, samples=40, **NOISES["correlated"]), noise=stated(0.85))
+        base = base_on(log)
+        said = {s.by for s in located(base, log.runs, scored(base, CATALOGUE)).statements}
+        for by in alarms:
+            alarms[by] += by in said
+    assert max(alarms.values()) < 4, alarms
+
+
+def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
+    base, _ = found("odd_nonlinearity")
+    sides = {"fitted": fitted_runs(base), "held_out": sorted(base.apart)}
+    errors = {k: block_errors(base, runs, base.log.rows, None) for k, runs in sides.items()}
+    floor = {"x_m": 1e-6, "y_m": 0.5e-6, "rz_rad": 2e-6}
+    fitted, held = both(base, base.log.runs)
+    size = sizes({"fitted": fitted, "held_out": held}, errors, floor)
+    for side in sides:
+        rows = {c: sides_[side] for c, sides_ in size["outputs"].items()}
+        assert {c: r["rms"] for c, r in rows.items()} == pytest.approx(errors[side].gap()["rmse"])
+        assert {c: r["noise"] for c, r in rows.items()} == floor
+        for r in (*rows.values(), *(s[side] for s in size["sensors"].values())):
+            assert r["above"] ** 2 == pytest.approx(max(r["rms"] ** 2 - r["noise"] ** 2, 0.0))
+        for kind in ("outputs", "sensors"):
+            assert sum(s[side]["share"] for s in size[kind].values()) == pytest.approx(1.0)
+    read = on_arrays(base.model.reading)
+    total, count = np.zeros(3), 0
+    for block in base.log.blocks():
+        if block.run in base.apart:
+            pose, state = ([block.data[c] for c in n] for n in (base.model.references, base.model.state))
+            (expected,) = read(base.p, base.zeros[block.run], pose, state)
+            left = np.array([block.data[c] for c in base.model.channels]) - expected
+            total, count = total + (left**2).sum(axis=1), count + left.shape[1]
+    seen = [size["sensors"][c]["held_out"]["rms"] for c in base.model.channels]
+    np.testing.assert_allclose(seen, np.sqrt(total / count), rtol=1e-9)

@@ -1,0 +1,364 @@
+"""Diagnosis of encoders: machines written in numpy hide one cause each, the diagnosis names it.
+
+Facts used beside the machines: waves of angle error per turn of a field harmonic, the phase of a low-pass,
+the field of a dipole off its axis, a knot table of a stepper with its pattern of 50 per turn.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hallsym
+from hallsym.diagnosis import diagnose
+from hallsym.diagnosis.record import Estimate
+from hallsym.diagnosis.rotary_catalogue import CATALOGUE
+from hallsym.diagnosis.split import split
+from hallsym.diagnosis.words import shown
+from hallsym.errors import InputError
+from hallsym.families import build, rotary, rotary_effects
+from hallsym.log import Log, Meta, Noise
+from hallsym.model.derived import Stretch
+from hallsym.report.text import diagnosis as text
+from hallsym.report.text.diagnosis import diagnosis_text
+
+TURN = 2 * np.pi
+SIGMA = 6e-4
+SPEEDS = (3.0, -3.0, 12.0, -12.0, 60.0, -60.0, 150.0, -150.0)
+HELD = (2, 5)
+ANGLES = np.linspace(0.1, 0.1 + TURN, 400)
+
+
+def machine(cause=None, model="ellipse", seed=1, noise=SIGMA):
+    """Eight runs at constant speeds; `cause(phase, speed, run, t)` changes angle and voltages."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for run, w in enumerate(SPEEDS):
+        t = np.arange(300) * (0.008 if abs(w) < 20 else 5e-4)
+        a = rng.uniform(0, TURN) + w * t
+        true, sine, cosine, logged = a + 0.7, np.sin, np.cos, a
+        late, add_sin, add_cos, off = 0.0, 0.0, 0.0, 0.0
+        if cause is not None:
+            late, add_sin, add_cos, off = cause(true, w, run, 20.0 * run + t)
+        v_sin, v_cos = sine(true + late) + add_sin, cosine(true + late) + add_cos
+        if model == "ellipse":
+            v_sin, v_cos = 1.004 * v_sin + 0.003, 0.997 * v_cos - 0.002
+        parts.append((np.full(300, run), 20.0 * run + t, v_sin, v_cos, logged + off))
+    names = ("run", "t_s", "v_sin_v", "v_cos_v", "angle_ref_rad")
+    columns = {n: np.concatenate(x) for n, x in zip(names, zip(*parts, strict=True), strict=True)}
+    for n in ("v_sin_v", "v_cos_v"):
+        columns[n] = columns[n] + noise * rng.standard_normal(len(columns[n]))
+    columns["angle_ref_rad"] = columns["angle_ref_rad"] + 3e-5 * rng.standard_normal(len(columns["run"]))
+    sigmas = {"v_sin_v": noise, "v_cos_v": noise, "angle_ref_rad": 3e-5}
+    meta = Meta(base_model=model, holdout=HELD)
+    return Log.from_arrays(columns, Noise.given(sigmas, tuple(columns)), meta, "a hidden encoder")
+
+
+def third(u, w, run, t):
+    return 0.0, 2e-3 * np.sin(3 * u), -2e-3 * np.cos(3 * u), 0.0  # -2e-3 exp(-3 i u)
+
+
+def latency(u, w, run, t):
+    return -2.5e-5 * w, 0.0, 0.0, 0.0
+
+
+def play(u, w, run, t):
+    return -1.2e-3 * np.sign(w), 0.0, 0.0, 0.0
+
+
+def squares(u, w, run, t):
+    return 0.0, 3e-3 * np.sin(u) ** 2, -2e-3 * np.cos(u) ** 2, 0.0
+
+
+def reference_once(u, w, run, t):
+    return 0.0, 0.0, 0.0, 2.5e-3 * np.sin(u - 0.7)
+
+
+def switched(u, w, run, t):
+    return 0.0, 3e-3 * (run in (3, 4, 6)), -2e-3 * (run in (3, 4, 6)), 0.0
+
+
+def pole_pairs(u, w, run, t):
+    return 0.0, 0.0, 0.0, 2e-3 * np.cos(50 * (u - 0.7))
+
+
+def bearing(u, w, run, t):
+    return 0.0, 3e-3 * np.sin(5.62 * u), 2e-3 * np.cos(5.62 * u), 0.0
+
+
+def offset(u, w, run, t):
+    return 0.0, 1.8e-3, -0.9e-3, 0.0
+
+
+NAMED = (
+    (third, "third_harmonic_distortion", {"field_saturation", "odd_nonlinearity"}),
+    (latency, "time_skew", {"first_order_lag"}),
+    (play, "hysteresis", set()),
+    pytest.param(squares, "even_nonlinearity", set(), marks=pytest.mark.slow),
+    pytest.param(
+        reference_once, "reference_eccentricity", {"eccentricity", "magnet_tilt"}, marks=pytest.mark.slow
+    ),
+    pytest.param(switched, "uniform_stray_field", set(), marks=pytest.mark.slow),
+    (pole_pairs, "reference_pole_pairs", set()),
+)
+
+
+@pytest.mark.parametrize(("cause", "name", "alike"), NAMED)
+def test_names_the_cause_or_its_group(cause, name, alike):
+    found = diagnose(machine(cause))
+    assert found.verdict == "explained"
+    first = next((set(g) for g in found.groups if found.ranked[0] in g), {found.ranked[0]})
+    assert name in first
+    assert first <= {name, *alike}
+    assert found.metric["after"] < 1.05 * found.metric["floor"]
+    link = next(e.link for e in CATALOGUE if e.name == name)
+    assert link == "reference" or not name.startswith("reference")
+
+
+def test_an_offset_of_the_ideal_encoder_is_no_eccentricity():
+    """Off the axis there is a second harmonic as large as the constant part; here there is none."""
+    found = diagnose(machine(offset, "ideal_arctan"))
+    assert set(found.groups[0]) == {"offset_error", "uniform_stray_field"}
+
+
+@pytest.mark.parametrize("model", ["ellipse", "ideal_arctan"])
+def test_no_gap_without_a_cause(model):
+    found = diagnose(machine(None, model) if model == "ellipse" else machine(None, model, seed=2))
+    assert found.verdict == "no gap"
+    assert "deg" in found.sentence
+
+
+def test_what_no_effect_explains_is_said():
+    assert diagnose(machine(bearing)).verdict == "unexplained"
+
+
+@pytest.mark.parametrize("change", ["swap", "sign"])
+def test_miswired_plates_are_a_group(change):
+    """Either turns the angle round, and its zero is free."""
+    log = machine()
+    columns = {c: log.array(c) for c in log.columns}
+    if change == "swap":
+        columns["v_sin_v"], columns["v_cos_v"] = columns["v_cos_v"], columns["v_sin_v"]
+    else:
+        columns["v_cos_v"] = -columns["v_cos_v"]
+    found = diagnose(Log.from_arrays(columns, log.noise, log.meta, "a miswired encoder"))
+    assert found.verdict == "explained"
+    assert set(found.groups[0]) == {"sign_inversion", "channel_swap"}
+
+
+def test_where_says_waves_per_turn():
+    found = diagnose(machine(third))
+    assert any("place in the turn, 4 waves per turn" in s.text for s in found.where)
+    assert "4 waves per turn" in diagnosis_text(found)
+    assert "ends of the range" not in diagnosis_text(found)  # a turn has none
+
+
+def test_angles_of_an_encoder_are_read_in_degrees():
+    """As the documentation says; those of a stage stay in urad."""
+    estimate = Estimate(np.radians(0.7), 1e-5, "rad")
+    found = diagnose(machine(third))
+    effect = replace(found.effects[0], parameters={"skewed": estimate})
+    shape = {"unit": "rad", "grid": [np.pi], "coordinate": "place in the turn of angle"}
+    assert "skewed 0.70000(57) deg" in text._parameters(effect, text.units_of(found))
+    assert text._at(shape, 0) == "180 deg"
+    stage = text.units_of(replace(found, noise_floor={"rz_rad": 1e-7}))
+    assert "skewed 12217(10) urad" in text._parameters(effect, stage)
+    assert shown(2 * np.pi, "rad/s") == "60 rpm"
+
+
+def test_clipped_voltages_are_a_rail():
+    log = machine()
+    columns = {c: log.array(c) for c in log.columns}
+    columns["v_sin_v"], columns["v_cos_v"] = (
+        np.clip(columns[c], -0.97, 0.97) for c in ("v_sin_v", "v_cos_v")
+    )
+    found = diagnose(Log.from_arrays(columns, log.noise, log.meta, "a clipped encoder"))
+    assert found.ranked[0] == "saturation"
+
+
+# -- one recording ---------------------------------------------------------------------------------------
+
+
+def knots(seed=1, size=200):
+    """A table of knots: four waves per turn of the encoder, 50 of the stepper, no time."""
+    rng = np.random.default_rng(seed)
+    step = np.arange(size)
+    shaft = TURN * step / size
+    logged = shaft + 3e-3 * np.cos(50 * shaft + 0.4)
+    angle = shaft + 4e-3 * np.sin(4 * shaft) + 2e-4 * rng.standard_normal(size)
+    return Log.from_arrays({"angle_rad": angle, "angle_ref_rad": logged}, name="a knot table")
+
+
+@pytest.mark.slow
+def test_a_knot_table_tells_encoder_from_reference():
+    found = diagnose(knots(), "rotary")
+    by_name = {e.name: e for e in found.effects}
+    assert by_name["reference_pole_pairs"].link == "reference"
+    size = [e.value for e in by_name["reference_pole_pairs"].parameters.values()]
+    assert np.hypot(*size) == pytest.approx(3e-3, rel=0.05)
+    assert {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"} & set(by_name)
+    assert found.not_testable["time_skew"] == "no time logged"
+    assert found.shrinkage["value"] > 0.8
+    assert any("every second held out" in note for note in found.notes)
+
+
+def test_split_holds_out_every_second_knot_and_both_phases_of_a_pattern():
+    whole = knots()
+    log, held = split(whole)
+    run = log.array("run").astype(int)
+    reference = log.array("angle_ref_rad")
+    apart = np.isin(run, held)
+    assert apart.sum() == 100
+    step = np.searchsorted(whole.array("angle_ref_rad"), reference)
+    assert sorted(step) == list(range(200))
+    for side in (apart, ~apart):
+        assert set(step[side] % 4) == {0, 1, 2, 3}
+
+
+def clipped_resolver(level=0.7, latency_s=0.03, short=0.0):
+    """One turn forward and back at 1 rad/s, channels clipped before atan2, latency, a short reference."""
+    t = np.arange(0, 2 * TURN, 0.01)
+    shaft = np.where(t < TURN, t, 2 * TURN - t)
+    speed = np.where(t < TURN, 1.0, -1.0)
+    u = shaft - latency_s * speed
+    angle = np.arctan2(np.clip(np.sin(u), -level, level), np.clip(np.cos(u), -level, level))
+    noise = np.random.default_rng(3).normal(0, 2e-4, len(t))
+    return Log.from_arrays({"t_s": t, "angle_rad": angle + noise, "angle_ref_rad": shaft * (1 + short)})
+
+
+@pytest.mark.slow
+def test_an_overdriven_resolver_and_its_latency():
+    found = diagnose(clipped_resolver(), "ideal_arctan")
+    effects = {e.name: e for e in found.effects}
+    assert found.effects[0].name == "saturation"
+    assert effects["saturation"].p_value < 1e-4
+    assert effects["saturation"].parameters["rail"].value == pytest.approx(0.7, abs=0.01)
+    assert any("hysteresis" in g for g in found.groups)  # one speed: play is as good as a delay
+    delay = effects.get("time_skew") or effects.get("first_order_lag")
+    assert next(iter(delay.parameters.values())).value == pytest.approx(0.03, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_a_short_turn_of_the_reference_is_the_references():
+    found = diagnose(clipped_resolver(level=2.0, short=-0.004), "ideal_arctan")
+    effects = {e.name: e for e in found.effects}
+    assert effects["reference_scale_error"].link == "reference"
+    assert effects["reference_scale_error"].parameters["scale"].value == pytest.approx(-0.004, rel=0.1)
+
+
+def test_too_few_samples_to_hold_any_out():
+    with pytest.raises(InputError, match="too few to hold any out"):
+        diagnose(
+            Log.from_arrays({c: knots().array(c)[::6] for c in ("angle_rad", "angle_ref_rad")}), "rotary"
+        )
+
+
+# -- the effects themselves ------------------------------------------------------------------------------
+
+
+def readings(model, values, columns=None):
+    p = model.vector({"A": 1.0, "zero": 0.0, **values})
+    state = [np.broadcast_to((columns or {})[c], ANGLES.shape) for c in model.state]
+    return np.array(model.reading(p, [], ANGLES[None], np.array(state).reshape(len(state), len(ANGLES))))
+
+
+@pytest.mark.parametrize(("order", "waves"), [(2, 1), (0, 1), (-1, 2), (3, 2), (-3, 4)])
+def test_a_field_harmonic_is_its_waves_per_turn(order, waves):
+    make = rotary_effects.field_harmonics("x", "field", (order,))
+    model = rotary_effects.direct(make(rotary.rotary_ideal()))
+    sine, cosine = readings(model, {f"x_{order}_re".replace("-", "m"): 1e-4})
+    error = np.angle((cosine + 1j * sine) * np.exp(-1j * ANGLES))
+    power = [abs(np.mean(error * np.exp(-1j * n * ANGLES))) for n in range(1, 7)]
+    assert 1 + int(np.argmax(power)) == waves
+
+
+def test_a_low_pass_has_the_phase_and_amplitude_of_its_transfer_function():
+    model = rotary_effects.direct(rotary_effects.first_order_lag(rotary.rotary_ideal()))
+    sine, cosine = readings(model, {"lag": 2e-3}, {"d1_angle_ref_rad": 150.0})
+    turned = (cosine + 1j * sine) * np.exp(-1j * ANGLES)
+    assert np.allclose(turned, 1 / (1 + 1j * 150.0 * 2e-3), atol=1e-12)
+
+
+def test_off_axis_is_a_dipole():
+    """The field of a dipole in numpy, chip and magnet 30 and 24 um off at a gap of 3 mm: 0.018^4 is left."""
+    gap, chip, magnet, towards = 3e-3, 3e-5, 2.4e-5 * np.exp(0.6j), 0.9
+    w = chip * np.exp(1j * (towards - ANGLES)) - magnet
+    r = np.array([w.real, w.imag, np.full_like(ANGLES, gap)])
+    m = np.array([[1.0], [0.0], [0.0]])
+    B = 3 * (m * r).sum(axis=0) * r / np.linalg.norm(r, axis=0) ** 5 - m / np.linalg.norm(r, axis=0) ** 3
+    field = -(B[0] + 1j * B[1]) * gap**3 * np.exp(1j * ANGLES)
+    a = -3 / gap**2
+    both = -a * chip * magnet * np.exp(-1j * towards)
+    values = {"e_both_re": both.real, "e_both_im": both.imag, "e_chip": a / 2 * chip**2}
+    model = rotary_effects.direct(rotary_effects.off_axis("e", towards)(rotary.rotary_ideal()))
+    sine, cosine = readings(model, values)
+    level = 1 + a * (chip**2 + abs(magnet) ** 2) + a / 2 * magnet**2
+    assert np.abs(cosine + 1j * sine - field - (1 - level) * np.exp(1j * ANGLES)).max() < 2e-6
+    assert np.abs(field - np.exp(1j * ANGLES)).max() > 2e-4
+
+
+def test_direction_turns_over_after_a_reversal():
+    u = np.concatenate([np.linspace(0, 1, 101), np.linspace(1, 0, 101)[1:]])
+    stretch = Stretch(0, {"angle_ref_rad": u, "t_s": np.arange(201) * 0.01}, 0.0, 0.0, {}, {})
+    z = rotary_effects.direction(0.02).rule(stretch)
+    assert np.allclose(z[5:90], 1.0)
+    assert np.allclose(z[112:], -1.0)
+    assert z[0] == 1.0
+
+
+@pytest.mark.parametrize("layout", [None, rotary.angle_only()], ids=["voltages", "angle"])
+def test_direct_reads_what_the_series_reads(layout):
+    model = rotary_effects.gain_mismatch(rotary.rotary_ideal(layout))
+    values = {"mismatch": 0.01, "zero": 0.3}
+    assert np.allclose(
+        readings(model, values), readings(rotary_effects.direct(model), values), rtol=0, atol=1e-9
+    )
+
+
+def test_every_effect_of_the_catalogue_moves_a_reading():
+    """No parameter without a derivative somewhere, at its own nominal value or with the others at 0.01."""
+    for layout in (None, rotary.angle_only()):
+        for model in (rotary.rotary_ideal(layout), rotary.rotary(layout)):
+            for effect in CATALOGUE:
+                for variant in effect.variants(model, facts()):
+                    wide = rotary_effects.direct(variant.make(model))
+                    new = [p.name for p in wide.parameters if p.name not in model.names]
+                    p = wide.vector({n: 0.02 for n in new if "share" not in n})
+                    state = np.array([np.linspace(0.4, 1.9, 400)] * len(wide.state)).reshape(
+                        len(wide.state), 400
+                    )
+                    base = np.array(wide.reading(p, [], ANGLES[None], state))
+                    for n in new:
+                        moved = p.copy()
+                        moved[wide.names.index(n)] += 1e-3
+                        there = np.array(wide.reading(moved, [], ANGLES[None], state))
+                        if rotary_effects.decodes(model) and n == "reference_voltage_fluctuation0_sin":
+                            continue
+                        assert np.abs(there - base).max() > 1e-9, (effect.name, variant.label, n)
+
+
+def facts():
+    from hallsym.diagnosis import Facts
+
+    return Facts(
+        100.0, 0.01, ("t_s", "temperature_degc"), 22.0, np.array([[0.9, 0.9], [-0.9, -0.9]]),
+        ((-0.9, 0.9), (-0.9, 0.9)), (50.0,), on_runs=(1, 2),
+    )  # fmt: skip
+
+
+def test_a_fit_of_another_family_has_no_catalogue():
+    from dataclasses import replace
+
+    from hallsym.diagnosis.kinds import kind_of
+
+    with pytest.raises(InputError, match="only stage and rotary models have"):
+        kind_of(replace(build("rotary"), family="halbach"))
+
+
+@pytest.mark.slow
+def test_bundled_encoder_is_named_after_what_it_holds():
+    """Its machine has the paper's transfer F: squares of the field, which the ellipse lacks."""
+    from hallsym.families.published import data_folder
+
+    found = diagnose(hallsym.read_log(data_folder() / "encoder"), "rotary", threshold=0.02)
+    assert found.verdict == "no gap" or found.ranked[0] == "even_nonlinearity"

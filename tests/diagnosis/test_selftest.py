@@ -1,0 +1,335 @@
+"""What the self-test injects is as large as it says, its noise is like the log's, its promises are kept."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from gap_twins import Inject, Motion, U, gains, machine
+
+import hallsym
+import hallsym.diagnosis.selftest as module
+from hallsym.cli.main import main
+from hallsym.diagnosis import diagnose, engine
+from hallsym.diagnosis.injection import Injection, generator, sized
+from hallsym.diagnosis.injection_catalogue import injections
+from hallsym.diagnosis.injection_faults import ages
+from hallsym.diagnosis.likeness import likeness
+from hallsym.diagnosis.search import base_of, facts_of
+from hallsym.diagnosis.selftest import NONE, RATIOS, SelfTest, selftest
+from hallsym.diagnosis.stage_catalogue import CATALOGUE
+from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.thin import thinned
+from hallsym.diagnosis.truth import Truth, readings_of, truth_of
+from hallsym.log import Log
+from hallsym.report.text.selftest import selftest_text
+
+FLOOR = 1.4e-6
+
+
+@cache
+def quiet(seed: int = 3, **options) -> Log:
+    """A machine without a gap, short enough for a test."""
+    return machine("multisine", seed=seed, thin=8, pink=0.0, curvature=0.0, **options)
+
+
+def base_on(log: Log) -> Base:
+    apart = engine._holdout(log, None)
+    return base_of(log, hallsym.fit(log, "stage31", solver="direct", holdout=apart))
+
+
+@cache
+def bench() -> tuple[Truth, dict[str, Injection], dict[str, str]]:
+    truth = truth_of(base_on(quiet()), FLOOR)
+    made, reasons = injections(truth, CATALOGUE, lambda name: generator(0, name))
+    return truth, {i.name: i for i in made}, reasons
+
+
+# -- sizes -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["odd_nonlinearity", "time_skew", "saturation", "adc_quantisation"])
+def test_the_gap_of_an_injection_is_what_a_fit_of_the_noise_free_log_leaves(name: str) -> None:
+    truth, made, _ = bench()
+    size = sized(truth, made[name], 1.3)
+    assert not size.reason
+    log = truth.log(made[name].make(size.amount, 0.0))
+    rows = hallsym.fit(log, "stage31", solver="direct", loss="none").errors.rows()["holdout"]["rmse"]
+    metric = np.sqrt(rows["x_m"] ** 2 + rows["y_m"] ** 2 + (0.35 * rows["rz_rad"]) ** 2)
+    assert size.gap_m == pytest.approx(metric, rel=0.05)
+    # by definition of the ratio, and as near as the search goes
+    assert size.gap_m == pytest.approx(FLOOR * np.sqrt(1.3**2 - 1), rel=0.03)
+
+
+def test_what_the_model_can_follow_is_no_gap() -> None:
+    truth, _, _ = bench()
+    base = truth.base
+    elsewhere = {run: zero + 1e-5 * np.sin(run) for run, zero in base.zeros.items()}
+    shifted, _ = truth.gap(readings_of(replace(base, zeros=elsewhere), base.model, base.p))
+    louder, raw = truth.gap(truth.clean * 1.01)
+    assert raw > 1e-6
+    assert max(louder, shifted) < 1e-3 * raw
+
+
+def test_a_linear_effect_doubles_with_its_parameters() -> None:
+    truth, made, _ = bench()
+    effect = made["even_nonlinearity"]
+    one, two = (truth.gap(effect.make(a, 0.0))[0] for a in (0.1, 0.2))
+    assert two == pytest.approx(2 * one, rel=1e-3)
+    assert effect.size(0.2)["even_nonlinearity2_A"][0] == pytest.approx(
+        2 * effect.size(0.1)["even_nonlinearity2_A"][0]
+    )
+
+
+def test_what_cannot_be_seen_says_why() -> None:
+    truth, made, reasons = bench()
+    assert reasons["gain_temperature_drift"] == "no temperature logged"
+    assert reasons["vertical_gain_coupling"] == "it is part of stage31"
+    assert "absorb it" in sized(truth, made["reference_scale_error"], 1.07).reason
+    assert "at the bounds" in sized(truth, made["second_order_rotation"], 2.0).reason
+
+
+def test_a_stale_reading_ages_until_its_hold_ends_and_not_beyond_its_run() -> None:
+    begins = np.array([0, 1, 0, 0, 0, 0, 1, 0], bool)
+    run = np.array([0, 0, 0, 0, 0, 0, 0, 1])
+    assert ages(begins, np.full(8, 3), run).tolist() == [0, 1, 2, 3, 0, 0, 1, 0]
+
+
+# -- noise -------------------------------------------------------------------------------------------------
+
+
+def like(log: Log):
+    base = base_on(log)
+    facts = facts_of(base, survey(base, frozenset(log.runs)))
+    return base, likeness(base, CATALOGUE, facts)
+
+
+def test_white_residuals_give_white_noise_of_the_stated_size() -> None:
+    base, noise = like(quiet())
+    drawn = noise.draw(np.repeat(np.arange(20), 1000), np.random.default_rng(0))
+    assert len(noise.coefficients) == 0
+    assert noise.excess == pytest.approx(1.0, abs=0.05)
+    # 20 000 draws: an entry of the covariance is known to 1 % of the variance or so
+    scale = np.sqrt(np.outer(np.diag(base.covariance), np.diag(base.covariance)))
+    assert np.abs(np.cov(drawn) - base.covariance).max() < 0.05 * scale.max()
+
+
+def test_correlated_residuals_give_noise_that_is_as_correlated() -> None:
+    _, noise = like(machine("multisine", seed=3, thin=2, pink=0.0, curvature=0.0, noise="correlated"))
+    drawn = noise.draw(np.repeat(np.arange(20), 1000), np.random.default_rng(0))
+    lag = [np.corrcoef(row[1:], row[:-1])[0, 1] for row in drawn]
+    # the twin's noise is autoregressive with 0.8, every second sample of which is taken
+    assert noise.lag_one == pytest.approx(0.8**2, abs=0.05)
+    assert lag == pytest.approx([0.8**2] * 3, abs=0.05)
+    # each run begins with noise of full size
+    starts = noise.draw(np.arange(400), np.random.default_rng(1))
+    assert starts.std(axis=1) == pytest.approx(drawn.std(axis=1), rel=0.15)
+
+
+def test_a_gap_that_the_catalogue_knows_does_not_pass_for_correlated_noise() -> None:
+    log = machine("multisine", (cubic({"A": 0.05, "B": 0.05, "C": 0.15}),), seed=3, thin=8, pink=0.0)
+    base, noise = like(log)
+    truth = truth_of(base, FLOOR)
+    left = np.array([log.array(c) for c in base.model.channels]) - truth.clean
+    raw = [np.corrcoef(row[1:], row[:-1])[0, 1] for row in left]
+    assert min(raw) > 0.3
+    assert noise.lag_one < 0.1
+
+
+# -- thinning ----------------------------------------------------------------------------------------------
+
+
+def test_a_log_is_thinned_as_far_as_mains_and_motion_stay_resolved() -> None:
+    log = machine("raster", seed=1, thin=1)
+    base = base_on(log)
+    short = thinned(base, 1000)
+    step = float(np.median(np.diff(short.log.array("t_s"))))
+    assert short.every == 3
+    assert 1 / step > 2 * 60
+    assert (short.log.runs, thinned(base, log.rows).text) == (log.runs, "")
+    fast = machine("multisine", seed=1, thin=2)
+    assert thinned(base_on(fast), 1000).every == 1
+
+
+def test_long_runs_are_cut_and_left_out_samples_stay_out(monkeypatch) -> None:
+    monkeypatch.setattr("hallsym.diagnosis.thin.MOST", 2000)
+    base = replace(base_on(quiet()), keep=lambda block: (np.arange(len(block.data["t_s"])) != 5) * 1.0)
+    runs, rows = quiet().runs, quiet().rows
+    short = thinned(base, 2000)
+    assert short.text == f"the first {100 * 2000 / rows:.3g} % of each run"
+    assert short.log.runs == runs
+    assert short.log.rows == pytest.approx(2000 - len(runs), abs=len(runs))
+    t = quiet().run(runs[0])["t_s"]
+    assert t[5] not in short.log.run(runs[0])["t_s"]
+    assert short.log.run(runs[0])["t_s"][:6].tolist() == t[[0, 1, 2, 3, 4, 6]].tolist()
+
+
+# -- trials ------------------------------------------------------------------------------------------------
+
+
+def stubbed(monkeypatch, answers) -> None:
+    """Replace the blind diagnosis by answers, so that only the book-keeping is tested."""
+    monkeypatch.setattr(module._Bench, "diagnosed", lambda self, log, name: answers(name))
+
+
+def test_found_from_the_smallest_size_above_which_all_are_found(monkeypatch) -> None:
+    said = iter(["found", "other", "group", "found", "found", "found", "no gap"] * 2)
+
+    def answers(name: str):
+        if name == NONE:
+            return "no gap", "no gap", ()
+        outcome = next(said)
+        return outcome, "explained", ("time_skew",) if outcome in ("other", "group") else (name,)
+
+    stubbed(monkeypatch, answers)
+    s = selftest(quiet(), "stage31", names=["even_nonlinearity", "odd_nonlinearity", "channel_swap"])
+    # injected in the order of the catalogue
+    odd, even, swap = (s.effect(n) for n in ("odd_nonlinearity", "even_nonlinearity", "channel_swap"))
+    assert (odd.status, odd.ratio, odd.confused_with) == ("found", RATIOS[2], ("time_skew",))
+    assert (even.status, even.ratio) == ("found", RATIOS[0])
+    assert (swap.status, swap.ratio) == ("not found", None)
+    assert s.false_alarms == 0
+    assert len(s.quiet_trials) == len(RATIOS)
+
+
+def test_an_interrupt_keeps_what_was_done(monkeypatch) -> None:
+    def answers(name: str):
+        if name == "time_skew":
+            raise KeyboardInterrupt
+        return ("no gap", "no gap", ()) if name == NONE else ("found", "explained", (name,))
+
+    stubbed(monkeypatch, answers)
+    s = selftest(quiet(), "stage31", names=["odd_nonlinearity", "time_skew"])
+    assert not s.complete
+    assert (s.effect("odd_nonlinearity").status, s.effect("time_skew").status) == ("found", "not run")
+    assert "INTERRUPTED" in selftest_text(s)
+    assert "not run: time_skew" in selftest_text(s)
+
+
+def test_leaving_effects_out_changes_no_draw(monkeypatch) -> None:
+    stubbed(monkeypatch, lambda name: ("no gap", "no gap", ()))
+    one, two = (
+        selftest(quiet(), "stage31", names=names, ratios=(1.3,), repeats=2, seed=5)
+        for names in (["hysteresis"], ["odd_nonlinearity", "hysteresis"])
+    )
+    sizes = [[t.size for t in s.effect("hysteresis").trials] for s in (one, two)]
+    assert sizes[0] == sizes[1]
+    assert sizes[0][0] != sizes[0][1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"names": ["hysterisis"]}, "did you mean 'hysteresis'"),
+        ({"names": []}, "at least one"),
+        ({"ratios": (1.0, 2.0)}, "above 1"),
+        ({"ratios": ()}, "above 1"),
+        ({"repeats": 0}, "1 or more"),
+        ({"rows": 0}, "rows"),
+    ],
+)
+def test_bad_input_is_one_sentence(options: dict, message: str) -> None:
+    with pytest.raises(hallsym.InputError, match=message):
+        selftest(quiet(), "stage31", **options)
+
+
+def test_the_command(monkeypatch, tmp_path, capsys) -> None:
+    stubbed(monkeypatch, lambda name: ("no gap", "no gap", ()))
+    log, out = tmp_path / "log.parquet", tmp_path / "out.json"
+    hallsym.write_log(quiet(), log)
+    noise = [f"--noise={c}={s.value}" for c, s in quiet().noise.sigmas.items()]
+    command = ["selftest", str(log), "--effects", "time_skew,outliers", "--sizes", "1.2", *noise]
+    assert main([*command, "-o", str(out)]) == 0
+    assert "time_skew" in capsys.readouterr().out
+    assert [e["name"] for e in json.loads(out.read_text())["effects"]] == ["time_skew", "outliers"]
+    assert main([*command[:3], "nonsense"]) == 2
+
+
+# -- it agrees with what a diagnosis then finds ------------------------------------------------------------
+
+
+def cubic(size: dict[str, float]) -> Inject:
+    """The cubic field typed a second time; `size` by probe."""
+    c = np.array([size[k] for k in "ABC"])[:, None]
+
+    def inject(m: Motion, _: np.random.Generator) -> None:
+        m.reading = m.reading + gains(m.state) * c * m.felt**3 / U**2
+
+    return inject
+
+
+def squared(size: dict[str, float]) -> Inject:
+    c = np.array([size[k] for k in "ABC"])[:, None]
+
+    def inject(m: Motion, _: np.random.Generator) -> None:
+        m.reading = m.reading + gains(m.state) * c * m.felt**2 / U
+
+    return inject
+
+
+def warmed(size: dict[str, float]) -> Inject:
+    c = np.array([size[k] for k in "ABC"])[:, None]
+
+    def inject(m: Motion, _: np.random.Generator) -> None:
+        m.reading = m.reading * (1 + c * (m.temperature - 22))
+
+    return inject
+
+
+def tilted(size: dict[str, float]) -> Inject:
+    c = np.array([[size[f"{k}_{s}"] for s in ("z_m", "rx_rad", "ry_rad")] for k in "ABC"])
+
+    def inject(m: Motion, _: np.random.Generator) -> None:
+        m.reading = m.reading + gains(m.state) * (c @ m.state)
+
+    return inject
+
+
+TYPED = {
+    "odd_nonlinearity": ("odd_nonlinearity3_", cubic),
+    "even_nonlinearity": ("even_nonlinearity2_", squared),
+    "gain_temperature_drift": ("gain_temperature_drift0_", warmed),
+    "vertical_offset_coupling": ("tilt_", tilted),
+}
+
+
+def kept(s: SelfTest, name: str, campaign: str, seed: int, **options) -> None:
+    """What is found at a size must be found at twice that size in fresh logs, injected by other code."""
+    row, (prefix, inject) = s.effect(name), TYPED[name]
+    assert row.status == "found", (name, row)
+    size = {k.removeprefix(prefix): 2 * v for k, (v, _) in row.size.items()}
+    found = diagnose(machine(campaign, (inject(size),), seed=seed, **options))
+    assert (found.verdict, found.ranked[0]) == ("explained", name)
+
+
+def test_what_it_calls_findable_is_found() -> None:
+    options = {"thin": 8, "temperature": True}
+    s = selftest(machine("multisine", seed=11, **options), "stage31",
+                 names=["odd_nonlinearity"], ratios=(1.3,))  # fmt: skip
+    assert s.false_alarms == 0
+    assert json.loads(json.dumps(s.to_dict(), allow_nan=False))["complete"]
+    kept(s, "odd_nonlinearity", "multisine", 12, **options)
+
+
+@pytest.mark.slow
+def test_what_it_calls_findable_is_found_in_many_logs() -> None:
+    options = {"thin": 4, "temperature": True}
+    s = selftest(machine("multisine", seed=21, **options), "stage31", names=list(TYPED))
+    assert s.false_alarms == 0
+    assert {e.name for e in s.effects if e.status == "found"} == set(TYPED)
+    for name in TYPED:
+        for seed in (31, 32, 33):
+            kept(s, name, "multisine", seed, **options)
+
+
+@pytest.mark.slow
+def test_thinning_does_not_change_the_answer() -> None:
+    log = machine("raster", seed=41, thin=1)
+    names = ["odd_nonlinearity", "hysteresis", "time_skew", "outliers"]
+    full, short = (selftest(log, "stage31", names=names, rows=rows) for rows in (log.rows, 8000))
+    assert short.rows < full.rows / 2
+    for name in names:
+        one, two = full.effect(name), short.effect(name)
+        assert (one.status, one.ratio) == (two.status, two.ratio)

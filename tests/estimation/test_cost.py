@@ -1,0 +1,220 @@
+"""The cost on summaries is the sum over samples, and its derivatives are its derivatives.
+
+Brute force, typed from the model: r = m - phi (PM q + d) at each sample, C of a run = reading variance plus
+the mean over its samples of (dr/dcolumn)^2 times column variance, F = sum r^T C^-1 r, smallest over d.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twins import COLUMNS, HALL, SIGMAS, cost_on, phi, pm, record, true_model, with_noise
+
+from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.run_statistics import summarise
+from hallsym.families import build
+from hallsym.log import Log
+
+NAMES = ["stage15", "stage30", "stage31"]
+DERIVED = [
+    ("stage15", ()),
+    ("stage30", ()),
+    ("stage31", ()),
+    ("stage31_tied", ()),
+    ("stage31", ("exact_rotation",)),
+]
+NOISY = {**SIGMAS, "z_m": 2e-6, "rx_rad": 3e-6, "ry_rad": 4e-6}
+"""State noise large enough to matter in C."""
+seeds = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return with_noise(record(seed=6, samples=20))
+
+
+def near(model, seed: int, share: float = 0.02) -> np.ndarray:
+    """A point some way from the truth: `share` of the width of the bounds, Table 5's widths cut to 100."""
+    width = np.minimum(model.bounds[1] - model.bounds[0], 100.0)
+    return model.nominal + share * width * np.random.default_rng(seed).uniform(-1, 1, len(width))
+
+
+def brute_force(log: Log, model, p: np.ndarray, centre: np.ndarray, sigma, zeros=None) -> tuple[float, dict]:
+    """F and the zeros of each run, sample by sample, without a line of the package."""
+    v = dict(zip(model.names, p.tolist(), strict=True))
+    PM, total, best = pm(v), 0.0, {}
+    slope = np.array([[v.get(f"{q}_{k}", 0.0) for q in "abc"] for k in "ABC"])
+    for run in log.runs:
+        data = log.run(run)
+        q, s = np.array([data[c] for c in COLUMNS[:3]]), np.array([data[c] for c in COLUMNS[3:]])
+        gain, moved = phi(v, s), PM @ q
+        residual = np.array([data[c] for c in HALL]) - gain * moved
+        C = np.diag([sigma[c] ** 2 for c in HALL])
+        n = q.shape[1]
+        for t in range(n):
+            J = np.hstack([gain[:, t : t + 1] * PM, (moved[:, t] - PM @ centre[:3])[:, None] * slope])
+            C = C + (J * [sigma[c] ** 2 for c in COLUMNS]) @ J.T / n
+        W = np.linalg.inv(C)
+        if not model.zeros:
+            d = np.zeros(3)
+        elif zeros is not None:
+            d = zeros[run]
+        else:  # r = residual - diag(gain) d: normal equations of the three zeros
+            normal = sum(np.diag(gain[:, t]) @ W @ np.diag(gain[:, t]) for t in range(n))
+            right = sum(np.diag(gain[:, t]) @ W @ residual[:, t] for t in range(n))
+            d = np.linalg.solve(normal, right)
+        best[run] = d
+        r = residual - gain * d[:, None]
+        total += sum(r[:, t] @ W @ r[:, t] for t in range(n))
+    return total, best
+
+
+@settings(max_examples=4)
+@given(seeds)
+@pytest.mark.parametrize("name", NAMES)
+def test_cost_is_the_sum_over_samples(log, name, seed):
+    model = true_model(name)
+    cost = cost_on(log, model, NOISY)
+    p = near(model, seed)
+    expected, zeros = brute_force(log, model, p, cost.summary.centre, NOISY)
+    point = cost.at(p)
+    assert point.value == pytest.approx(expected, rel=1e-10)
+    if model.zeros:
+        found = dict(zip(cost.summary.runs, point.zeros, strict=True))
+        assert all(np.allclose(found[run], d, rtol=0, atol=1e-14) for run, d in zeros.items())
+
+
+@pytest.mark.parametrize("name", ["stage30", "stage31"])
+def test_zeros_are_optimal(log, name):
+    """Moving any zero by +-h raises F alike: the derivative is zero, 1e-6 of the curvature's part at 1 um."""
+    model = true_model(name)
+    cost = cost_on(log, model)
+    p = near(model, 1)
+    zeros = dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
+    centre = cost.summary.centre
+    least, _ = brute_force(log, model, p, centre, SIGMAS, zeros)
+    assert least == pytest.approx(cost.at(p).value, rel=1e-10)
+    for k in range(3):
+        step = np.eye(3)[k] * 1e-6
+        up, _ = brute_force(log, model, p, centre, SIGMAS, {run: d + step for run, d in zeros.items()})
+        down, _ = brute_force(log, model, p, centre, SIGMAS, {run: d - step for run, d in zeros.items()})
+        curvature = up + down - 2 * least
+        assert curvature > 0
+        assert abs(up - down) < 1e-6 * curvature
+
+
+def stencil(f, p: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+    """Fourth-order central difference of f along u."""
+    return (8 * (f(p + h * u) - f(p - h * u)) - (f(p + 2 * h * u) - f(p - 2 * h * u))) / (12 * h)
+
+
+@settings(max_examples=4)
+@given(seeds)
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize(("name", "effects"), DERIVED)
+def test_gradient_and_hessian_are_derivatives(log, name, effects, weighted, seed):
+    """Steps of 1e-3 of the bounds (at most 100 for a, b, c): truncation 1e-12, rounding 1e-13 / 1e-3."""
+    rng = np.random.default_rng(seed)
+    model = build(name, added=effects)
+    cost = cost_on(log, model, NOISY)
+    if weighted:
+        cost = cost.weighted(rng.uniform(0, 2, 57))
+    width = np.minimum(model.bounds[1] - model.bounds[0], 100.0)
+    base = model.vector(
+        {n: -150.0 if n.startswith("a_") else 20.0 for n in model.names if n[:2] in ("a_", "b_", "c_")}
+    )
+    p, u = base + 0.05 * width * rng.uniform(-1, 1, len(width)), width * rng.uniform(-1, 1, len(width))
+    value, gradient, hessian = cost.at(p).derivatives()
+    assert value == cost.at(p).value
+    assert np.array_equal(hessian, hessian.T)
+    slope = stencil(lambda x: cost.at(x).value, p, u, 1e-3)
+    assert gradient @ u == pytest.approx(slope, rel=1e-8, abs=1e-8 * np.linalg.norm(gradient * width))
+    bend = stencil(lambda x: cost.at(x).derivatives()[1], p, u, 1e-3)
+    error = (hessian @ u - bend) * width
+    assert np.abs(error).max() < 1e-7 * np.abs((hessian @ u) * width).max()
+
+
+def test_run_gradients_add_up(log):
+    model = true_model()
+    point = cost_on(log, model).at(near(model, 2))
+    assert np.allclose(point.run_gradients.sum(axis=0), point.derivatives()[1], rtol=1e-12)
+
+
+def test_weighing_a_run_twice_is_recording_it_twice(log):
+    model = true_model()
+    cost = cost_on(log, model)
+    weights = np.ones(57)
+    weights[[4, 9]] = [2.0, 0.0]
+    runs = [run for run in cost.summary.runs if run != 9] + [4]
+    again = cost_of(cost.summary.select(runs), SIGMAS)
+    p = near(model, 3)
+    one, two = cost.weighted(weights).at(p).derivatives(), again.at(p).derivatives()
+    for a, b in zip(one, two, strict=True):
+        assert np.allclose(a, b, rtol=1e-11, atol=1e-12 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_population_is_one_by_one(log, noisy):
+    """With and without noise in the columns, whose covariance depends on the point."""
+    model = true_model()
+    sigma = NOISY if noisy else {c: NOISY[c] for c in HALL}
+    merged = cost_of(summarise(log, model).merged(), sigma)
+    points = np.array([near(model, seed) for seed in range(7)])
+    assert np.allclose(merged.population(points), [merged.at(p).value for p in points], rtol=1e-11)
+
+
+def test_the_cost_at_the_truth_counts_the_residuals(log):
+    """Of 57 x 20 x 3 residuals with three zeros per run, variance one each: 3249 +- 81 (1 sigma)."""
+    cost = cost_on(log, true_model())
+    dof = 57 * (20 - 1) * 3
+    assert abs(cost.at(true_model().nominal).value - dof) < 4 * np.sqrt(2 * dof)
+
+
+def test_information_is_half_the_hessian_where_the_reference_is_exact():
+    """Noise-free log: at the truth the residuals vanish and Gauss-Newton is the Hessian."""
+    model = true_model()
+    cost = cost_on(with_noise(record(seed=1, samples=20, sigma={})), model, {c: SIGMAS[c] for c in HALL})
+    _, _, hessian = cost.at(model.nominal).derivatives()
+    scale = 1 / np.sqrt(np.maximum(np.diag(hessian), 1e-12 * np.diag(hessian).max()))
+    information = cost.at(model.nominal).information(0.0).sum(axis=0)
+    assert np.allclose(
+        2 * information * np.outer(scale, scale), hessian * np.outer(scale, scale), rtol=0, atol=1e-6
+    )
+
+
+# -- noise in reading and reference ----------------------------------------------------------------------
+
+
+def test_noisy_references_do_not_bias_the_gains():
+    """20 um and 20 urad of reference noise attenuate plain least squares by s^2 / <q^2>, seen over 24 seeds.
+
+    <q^2> over the whole campaign is a third of A^2 / 2: 1 % in y (500 um), 2.7 % in x (300 um). The mean over
+    seeds scatters by a few 1e-4, so a bias of 4 of its standard errors would be seen, and plain least
+    squares (columns without variance) is out by more than 10.
+    """
+    from hallsym.estimation.optimum import refit
+
+    model = true_model()
+    sigma = {**SIGMAS, "x_ref_m": 20e-6, "y_ref_m": 20e-6, "rz_ref_rad": 20e-6}
+    plain = {c: sigma[c] for c in HALL}
+    held = [model.names.index(n) for n in ("H1y", "H2y", "H3x")]
+    gains = [model.names.index(f"eta_{k}") for k in "ABC"]
+    errors = {"likelihood": [], "plain": []}
+    for seed in range(24):
+        summary = summarise(with_noise(record(seed=100 + seed, sigma=sigma), sigma), model)
+        for name, stated in (("likelihood", sigma), ("plain", plain)):
+            p = refit(cost_of(summary, stated), model.nominal, held)
+            errors[name].append((p / model.nominal - 1)[gains])
+    mean = {name: np.mean(e, axis=0) for name, e in errors.items()}
+    standard = {name: np.std(e, axis=0, ddof=1) / np.sqrt(len(e)) for name, e in errors.items()}
+    assert np.all(np.abs(mean["likelihood"]) < 4 * standard["likelihood"])
+    assert np.all(mean["plain"] < -10 * standard["plain"])
+    assert np.allclose(mean["plain"], [-0.0096, -0.0096, -0.0267], rtol=0.25)
+
+
+@pytest.mark.parametrize("column", [*HALL, *COLUMNS])
+def test_every_stated_noise_changes_the_cost(log, column):
+    model = true_model()
+    p = near(model, 4)
+    more = {**SIGMAS, column: 10 * SIGMAS[column] + 1e-6}
+    assert cost_on(log, model, more).at(p).value < cost_on(log, model, SIGMAS).at(p).value

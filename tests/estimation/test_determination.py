@@ -1,0 +1,255 @@
+"""What the data determine: exact null directions, and what is left when an axis is at rest."""
+
+import numpy as np
+import pytest
+from twins import (
+    EFFECTS,
+    HALL,
+    SIGMAS,
+    TRUTH,
+    combinations_of_effects,
+    cost_on,
+    phi,
+    record,
+    true_model,
+    with_noise,
+)
+
+from hallsym.estimation.fit import fit
+from hallsym.estimation.identifiable import (
+    determine,
+    feature_scale,
+    linear_combinations,
+    scales,
+    structural_null,
+    structural_rank,
+)
+from hallsym.estimation.likelihood import Coefficients
+from hallsym.families import build
+from hallsym.model.features import find_features
+from hallsym.simulation.campaign import Campaign, Run, paper_campaign
+from hallsym.simulation.machine import NoiseModel, simulate
+
+H = {"H1x", "H1y", "H2x", "H2y", "H3x", "H3y"}
+PAIRS = [("H1x", "H1y"), ("H2x", "H2y"), ("H3x", "H3y")]
+
+
+def null_of(model) -> np.ndarray:
+    features = find_features(model)
+    coefficients = Coefficients(features, np.zeros(features.exponents.shape[1]))
+    return structural_null(coefficients, np.ones(features.size))
+
+
+def moving(model, null: np.ndarray) -> set[str]:
+    return {n for n, row in zip(model.names, null, strict=True) if np.linalg.norm(row) > 1e-6}
+
+
+@pytest.mark.parametrize("name", ["stage15", "stage30", "stage31"])
+def test_three_directions_are_null_and_are_the_three_pairs_of_h(name):
+    model = build(name)
+    null = null_of(model)
+    assert null.shape == (len(model.names), 3)
+    assert moving(model, null) == H
+    projector = null @ null.T
+    for one in PAIRS:
+        for other in PAIRS:
+            block = projector[
+                np.ix_([model.names.index(n) for n in one], [model.names.index(n) for n in other])
+            ]
+            if one == other:  # one direction of each pair
+                assert np.trace(block) == pytest.approx(1.0, abs=1e-9)
+            else:
+                assert np.abs(block).max() < 1e-9
+
+
+def test_the_tied_form_and_finite_rotation_make_h_observable():
+    for name, effects in (("stage31_tied", ()), ("stage31", ("exact_rotation",))):
+        model = build(name, added=effects)
+        assert null_of(model).shape[1] == 0
+
+
+@pytest.mark.parametrize(("name", "effects"), combinations_of_effects())
+def test_null_directions_leave_readings_alone_and_no_other_does(name, effects):
+    """Rank of d reading / d p over random poses, states and zeros, by plain differences of the model."""
+    from hallsym.model.arrays import on_arrays
+
+    model = build(name, added=effects)
+    rng, width = np.random.default_rng(1), scales(model)
+    p = rng.uniform(*model.bounds)
+    read = on_arrays(model.reading)
+    q, s = rng.uniform(-0.3, 0.3, (2, 3, 400))
+    zero = np.zeros(len(model.zeros))
+    columns = []
+    for k in range(len(p)):
+        step = np.zeros(len(p))
+        step[k] = 1e-5 * width[k]
+        columns.append((read(p + step, zero, q, s)[0] - read(p - step, zero, q, s)[0]).ravel() / 2e-5)
+    singular = np.linalg.svd(np.array(columns).T / np.linalg.norm(columns, axis=1), compute_uv=False)
+    assert np.sum(singular < 1e-8 * singular[0]) == null_of(model).shape[1]
+
+
+def test_the_articles_campaign_determines_all_but_the_pairs():
+    for name in ("stage15", "stage30", "stage31"):
+        model = true_model(name)
+        found = determine(cost_on(with_noise(record(name, seed=1)), model), model.nominal)
+        assert set(found.structural) == H
+        assert len(found.held) == 3
+        assert {model.names[k] for k in found.held} <= H
+        # one of each pair, or the pair's direction would stay open
+        assert {frozenset(pair) for pair in PAIRS if any(model.names[k] in pair for k in found.held)} == {
+            frozenset(pair) for pair in PAIRS
+        }
+
+
+def only(runs, sigma=SIGMAS, samples: int = 50, seed: int = 2):
+    columns = simulate(
+        build("stage31"), TRUTH, Campaign(1 / samples, tuple(runs)), NoiseModel(sigma), seed=seed
+    )
+    return with_noise(columns)
+
+
+Z0, RX0, RY0 = 1.5e-4, -2e-4, 1e-4
+
+
+def test_a_vertical_state_that_never_moves_leaves_only_the_gain_at_it():
+    """a, b, c are not determined, eta + a Z0 + b Rx0 + c Ry0 is."""
+    setting = {"z_m": Z0, "rx_rad": RX0, "ry_rad": RY0}
+    log = only([Run(1.0, setting, run.motion) for run in paper_campaign().runs[:30]])
+    found = fit(log, "stage31", solver="direct")
+    determined = dict(zip(found.model.names, found.determined, strict=True))
+    assert not any(determined[f"{q}_{k}"] for q in "abc" for k in "ABC")
+    assert not any(determined[f"eta_{k}"] for k in "ABC")
+    assert all(determined[f"theta_{k}"] for k in "ABC")
+    assert set(found.undetermined_by_log) == {f"{q}_{k}" for q in ("a", "b", "c", "eta") for k in "ABC"}
+    gains = dict(zip("ABC", phi(TRUTH, np.array([Z0, RX0, RY0])), strict=True))
+    for k in "ABC":
+        (one,) = [c for c in found.combinations if f"*a_{k}" in c.expression]
+        none = dict.fromkeys(found.model.names, 0.0)
+        slope = {
+            q: eval(one.expression, {"__builtins__": {}}, none | {f"{q}_{k}": 1.0})
+            for q in ("eta", "a", "b", "c")
+        }
+        assert slope["a"] / slope["eta"] == pytest.approx(Z0, rel=1e-3)
+        assert slope["b"] / slope["eta"] == pytest.approx(RX0, rel=1e-3)
+        assert slope["c"] / slope["eta"] == pytest.approx(RY0, rel=1e-3)
+        assert abs(one.value / slope["eta"] - gains[k]) < 4.5 * one.std / abs(slope["eta"])
+        assert one.std / abs(slope["eta"]) < 2e-3
+
+
+def test_at_z_zero_the_gain_is_eta_itself():
+    log = only([Run(1.0, {}, run.motion) for run in paper_campaign().runs[:30]])
+    found = fit(log, "stage31", solver="direct")
+    determined = dict(zip(found.model.names, found.determined, strict=True))
+    assert all(determined[f"eta_{k}"] for k in "ABC")
+    assert not any(determined[f"{q}_{k}"] for q in "abc" for k in "ABC")
+
+
+def test_what_is_held_stays_inside_its_bounds():
+    setting = {"z_m": Z0, "rx_rad": RX0, "ry_rad": RY0}
+    log = only([Run(1.0, setting, run.motion) for run in paper_campaign().runs[:30]])
+    found = fit(log, "stage31", solver="direct")
+    low, high = found.model.bounds
+    outside = [
+        n for n, p, a, b in zip(found.model.names, found.values, low, high, strict=True) if not a <= p <= b
+    ]
+    assert outside == []
+
+
+def test_an_axis_that_never_turns_leaves_no_lever_arm():
+    log = only([run for k, run in enumerate(paper_campaign().runs) if k % 3 != 2])
+    found = fit(log, "stage31", solver="direct")
+    determined = dict(zip(found.model.names, found.determined, strict=True))
+    assert not any(determined[n] for n in H)
+    assert all(determined[n] for n in set(found.model.names) - H)
+    assert not any("H" in c.expression for c in found.combinations)
+    assert set(found.held) >= H
+
+
+def test_noise_alone_is_no_motion():
+    """An axis at rest whose reference is noisy determines nothing, however many samples."""
+    sigma = {**SIGMAS, "rz_ref_rad": 5e-6}
+    log = only([run for k, run in enumerate(paper_campaign().runs) if k % 3 != 2], sigma, samples=400)
+    model = true_model()
+    found = determine(cost_on(log, model, sigma), model.nominal)
+    assert {model.names[k] for k in found.held} == H
+
+
+def test_a_fixed_parameter_is_held_and_is_no_null_direction():
+    model = build("stage31", parameters={"theta_A": {"fixed": True}, "H1y": {"fixed": True}})
+    found = determine(cost_on(with_noise(record(seed=1)), model), model.vector({"eta_A": 0.87}))
+    held = {model.names[k] for k in found.held}
+    assert {"theta_A", "H1y"} <= held
+    assert "H1x" not in held
+    assert len(held) == 4
+
+
+def test_null_is_orthonormal_and_slack_is_half_its_length():
+    model = true_model()
+    found = determine(cost_on(with_noise(record(seed=1)), model), model.nominal)
+    assert np.allclose(found.null.T @ found.null, np.eye(3), atol=1e-12)
+    unit = np.eye(len(model.names))
+    for k, name in enumerate(model.names):
+        expected = 0.5 * found.scale[k] * np.linalg.norm(found.null[k])
+        assert found.slack(unit[k]) == pytest.approx(expected, abs=1e-15)
+        assert (found.slack(unit[k]) > 1e-6) == (name in H)
+
+
+def test_linear_combinations_are_what_null_directions_leave():
+    """Two parameters of which only p + 2 q is known; r is known itself and takes no part."""
+    scale, none = np.ones(3), np.zeros((3, 0))
+    null, among = np.array([[2.0], [-1.0], [0.0]]) / np.sqrt(5), np.array([0, 1])
+    (one,) = linear_combinations(scale, null, none, among)
+    assert np.allclose(one / one[0], [1.0, 2.0, 0.0], atol=1e-12)
+    assert linear_combinations(scale, null, one[:, None], among) == []
+    assert linear_combinations(scale, none, none, among[:0]) == []
+
+
+def test_feature_scale_is_the_size_of_each_column():
+    log, model = with_noise(record(seed=1)), true_model()
+    summary = cost_on(log, model).summary
+    size = feature_scale(cost_on(log, model))
+    pose, state = ([log.array(c) for c in part] for part in (model.references, model.state))
+    (values,) = summary.features.values(pose, state, summary.centre)
+    assert np.allclose(size, np.linalg.norm(values, axis=1), rtol=1e-10)
+
+
+def test_effects_are_all_covered_here():
+    covered = {e for name, effects in combinations_of_effects() for e in (*effects, *build(name).effects)}
+    assert covered == set(EFFECTS)
+    assert set(HALL) == set(build("stage31").channels)
+
+
+@pytest.mark.parametrize(("name", "added"), combinations_of_effects(), ids=str)
+def test_the_structural_rank_is_decided_with_decades_to_spare(name, added):
+    """Kept pivots are above 1e-6, dropped ones rounding: in extended precision nothing lies between."""
+    model = build(name, added=added)
+    rank, pivots = structural_rank(find_features(model), (True,) * len(model.names))
+    assert np.all(pivots[:rank] > 1e-6)
+    assert np.all(pivots[rank:] < 1e-13)
+    assert rank == len(model.names) - null_of(model).shape[1]
+
+
+def test_a_fixed_parameter_takes_its_null_direction_with_it():
+    model = build("stage31")
+    open_ = tuple(n != "H1y" for n in model.names)
+    assert structural_rank(find_features(model), open_)[0] == 18  # of 20
+    pair = tuple(n not in ("H1x", "H1y") for n in model.names)
+    assert structural_rank(find_features(model), pair)[0] == 17  # of 19: two pairs are left
+
+
+def test_a_planned_campaign_counts_its_motion_whole():
+    """Noise-free columns as a plan hold as much as noisy ones do once the noise's share is taken out."""
+    from dataclasses import replace
+
+    model, campaign = true_model(), paper_campaign(0.02)
+    exact = cost_on(with_noise(simulate(model, TRUTH, campaign, seed=1)), model)
+    plan = replace(exact, planned=True).at(model.nominal).information(1.0)
+    noisy = [
+        cost_on(with_noise(simulate(model, TRUTH, campaign, NoiseModel(SIGMAS), seed=s)), model)
+        .at(model.nominal)
+        .information(1.0)
+        .sum(axis=0)
+        for s in range(8)
+    ]
+    size = np.sqrt(np.outer(*[np.diag(plan.sum(axis=0))] * 2))
+    assert (np.abs(np.mean(noisy, axis=0) - plan.sum(axis=0)) / size).max() < 0.01

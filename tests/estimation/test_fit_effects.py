@@ -1,0 +1,404 @@
+"""Effects that a diagnosis found are fitted, saved, read back and decoded with; `--effect` names them."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_twins import TRUTH, listed, machine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twins import record
+
+import hallsym
+from hallsym.cli.main import main
+from hallsym.diagnosis import diagnose, load_effects, makes
+from hallsym.diagnosis.choose import model_on
+from hallsym.diagnosis.stage_catalogue import CATALOGUE
+from hallsym.errors import InputError
+from hallsym.estimation.decoding import error_tables
+from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
+from hallsym.estimation.likelihood import cost_of
+from hallsym.estimation.linearised import exact, summarise_at
+from hallsym.families import build
+from hallsym.families import stage_effects as se
+from hallsym.families.play import stop_state
+from hallsym.families.recipes import FAULTS, RECIPES, lacking, make_of, write
+from hallsym.log import Log
+from hallsym.model import Parameter
+from hallsym.report.text.diagnosis import diagnosis_text
+
+SLOW = pytest.mark.slow
+NUMBERS = {
+    "hysteresis": ("half_width_m=6e-05",),
+    "gain_temperature_drift": ("mean_degc=21.5",),
+    "offset_temperature_drift": ("mean_degc=21.5",),
+    "gain_time_drift": ("duration_s=60,degree=3", "settling_s=12"),
+    "offset_time_drift": ("duration_s=60", "settling_s=12"),
+    "mount_slip": ("probe=B,instant_s=4.5",),
+    "saturation": ("low_m=-2e-4/-2e-4/-inf,high_m=2e-4/2e-4/inf",),
+    "mains_hum": ("frequency_hz=50.02,harmonics=3",),
+    "odd_nonlinearity": ("order=5",),
+    "time_skew": ("per=probe",),
+}
+STAGE = RECIPES["stage"]
+TEXTS = [*(n for n in STAGE if not lacking(n, "stage")), *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v)]
+KINDS = (
+    pytest.param("mount_slip", "grid", marks=SLOW),
+    pytest.param("odd_nonlinearity", "raster", marks=SLOW),
+    pytest.param("hysteresis", "multisine", marks=SLOW),
+    pytest.param("time_skew", "multisine", marks=SLOW),
+    pytest.param("first_order_lag", "multisine", marks=SLOW),
+    pytest.param("gain_temperature_drift", "multisine", marks=SLOW),
+    pytest.param("gain_time_drift", "multisine", marks=SLOW),
+    pytest.param("motor_stray_field", "multisine", marks=SLOW),
+    pytest.param("mains_hum", "raster", marks=SLOW),
+    pytest.param("saturation", "raster", marks=SLOW),
+    pytest.param("reference_drift", "multisine", marks=SLOW),
+)
+
+
+def hidden(name: str, campaign: str, seed: int = 1, thin: int = 6) -> Log:
+    effect = listed(np.random.default_rng(seed))[name]
+    return machine(
+        campaign, (effect,), seed=seed, temperature="temperature" in name, thin=thin, curvature=0.3
+    )
+
+
+def written(log: Log, path: Path) -> Path:
+    """The log as a CSV file."""
+    columns = [log.array(c) for c in log.columns]
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=",".join(log.columns), comments="")
+    return path
+
+
+# -- what is fitted is what was diagnosed ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "campaign"), KINDS)
+def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign: str, tmp_path) -> None:
+    log = hidden(name, campaign)
+    found = diagnose(log, "stage31")
+    assert found.ranked[0] == name
+    (text,) = [e.text for e in found.effects]
+    assert found.next_step[:4] == ("--model", "stage31", "--effect", text)
+    assert f"--effect {text}" in diagnosis_text(found)
+    result = hallsym.fit(log, "stage31", effects=(text,), holdout=found.validation_runs, solver="direct")
+    assert result.status == "converged"
+    after = result.errors.rows()["holdout"]["rmse"]
+    for c, value in found.gap_after["rmse"].items():
+        assert after[c] == pytest.approx(value, rel=0.04)
+    for n, estimate in found.effects[0].parameters.items():
+        k = result.model.names.index(n)
+        assert abs(result.values[k] - estimate.value) < 0.5 * result.std[k]
+    # saved, read back, and decoded with
+    result.save(tmp_path / "calib.json")
+    again = hallsym.load_fit(tmp_path / "calib.json")
+    assert again.model.texts == result.model.texts
+    assert again.model.names == result.model.names
+    noise = {c: s.value for c, s in result.noise.sigmas.items()}
+    table = errors_on(result.source or log, again, noise, result.keep).over(found.validation_runs)
+    for c, value in after.items():
+        assert table["rmse"][c] == pytest.approx(value, rel=1e-3)
+
+
+def errors_on(log: Log, known: hallsym.Fit, noise: dict[str, float], keep):
+    """Errors as `judge` finds them, over the samples that the fit counts: spikes and rails may be out."""
+    if keep is None:
+        return judge(log, known.model, known.values, noise)
+    cost = cost_near(log, known.model, known.values, noise, keep)
+    zeros = zeros_of(cost, known.values)
+    return error_tables(log, known.model, [(known.values, zeros)], cost.reading_variance, keep, sigma=noise)[
+        0
+    ]
+
+
+def test_the_name_alone_finds_the_numbers_on_the_log() -> None:
+    log = hidden("mains_hum", "raster")
+    model = model_on(log, "stage31", ["mains_hum"])
+    text = model.texts["mains_hum"]
+    frequency = float(re.search(r"frequency_hz=([0-9.]+)", text)[1])
+    (drawn,) = [f for f in (50.0, 60.0) if abs(f - frequency) < 1]
+    assert abs(frequency - drawn) < 0.06  # the twin draws within 0.05 Hz of the mains
+
+
+# -- the cost of tangents is that of the model -------------------------------------------------------------
+
+
+def test_a_tangent_has_value_and_slope_of_the_exact_cost() -> None:
+    """stage31 has summaries of its own: both ways must give one likelihood, wherever they are taken."""
+    log = machine("multisine", seed=3, thin=20)
+    fit = hallsym.fit(log, "stage31", solver="direct")
+    noise = {c: s.value for c, s in fit.noise.sigmas.items()}
+    p = fit.values * 1.001
+    own = cost_near(log, fit.model, p, noise)
+    zeros = dict(zip(own.summary.runs, own.at(p).zeros, strict=True))
+    other = cost_of(summarise_at(log, fit.model, p, zeros), noise)
+    assert exact(fit.model)
+    assert other.at(p).value == pytest.approx(own.at(p).value, rel=1e-7)  # monomials cost digits
+    assert np.allclose(other.at(p).zeros, own.at(p).zeros, atol=1e-12)
+    scale = np.abs(own.at(p).derivatives()[1]).max()
+    assert np.allclose(other.at(p).derivatives()[1], own.at(p).derivatives()[1], atol=1e-6 * scale)
+
+
+def test_models_without_summaries_are_told_apart() -> None:
+    plain = build("stage31")
+    assert exact(plain)
+    assert exact(build("stage31", added=("height_quadratic",)))
+    assert not exact(build("stage31", added=("odd_nonlinearity",)))  # the zero is inside the cube
+    assert not exact(build("stage31", added=("time_skew",)))  # rates are computed
+    assert not exact(build("stage31", added=(TEXTS[-4],)))
+
+
+# -- text of an effect -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_an_effect_is_built_again_from_its_text(text: str) -> None:
+    base = build("stage30" if text == "vertical_gain_coupling" else "stage31")
+    wide = make_of(text)(base)
+    (new,) = [e for e in wide.effects if e not in base.effects]
+    assert wide.texts[new] == text
+    again = build(base.name, added=(wide.texts[new],))
+    assert (again.names, again.state) == (wide.names, wide.state)
+    rng = np.random.default_rng(0)
+    p = wide.nominal + 1e-3 * rng.standard_normal(len(wide.names))
+    at = [1e-4 * rng.standard_normal(len(c)) for c in (wide.zeros, wide.pose, wide.state)]
+    assert np.array_equal(np.asarray(wide.reading(p, *at)), np.asarray(again.reading(p, *at)))
+
+
+def test_every_effect_of_the_catalogue_has_a_text_and_every_fault_a_remedy() -> None:
+    assert {e.name for e in CATALOGUE} == set(STAGE)
+    for name, sentence in FAULTS.items():
+        with pytest.raises(InputError, match="fault of the recording") as refused:
+            build("stage31", added=(name,))
+        assert sentence in str(refused.value)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(1e-7, 1e-3), st.tuples(*[st.floats(-1e-3, 1e-3)] * 3))
+def test_numbers_are_read_as_they_are_written(width: float, rails: tuple[float, ...]) -> None:
+    wide = make_of(write("stage", "hysteresis", half_width_m=width))(build("stage31"))
+    (parameter,) = [p for p in wide.parameters if p.name == "half_width"]
+    assert parameter.nominal == pytest.approx(width, rel=1e-8)
+    low, _, high = (
+        write("stage", "saturation", low_m=rails, high_m=rails).partition(":")[2].partition(",high_m=")
+    )
+    assert [float(v) for v in high.split("/")] == pytest.approx(list(rails), rel=1e-8)
+    assert low.removeprefix("low_m=") == high
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("hysteresis:half_with_m=1e-5", "did you mean 'half_width_m'"),
+        ("hysteresis:half_width_m=wide", "must be a number"),
+        ("hysteresis:half_width_m=-1", "must be a positive number"),
+        ("hysteresis:", "must be a name"),
+        ("hysteresis:half_width_m", "must be a name, or a name with its numbers"),
+        ("odd_nonlinearity:order=4", "must be one of 3, 5"),
+        ("gain_time_drift:settling_s=3,degree=2", "exclude each other"),
+        ("mount_slip:probe=Q,instant_s=3", "must be one of A, B, C"),
+        ("saturation:low_m=1/2,high_m=1/2", "3 numbers each"),
+        ("exact_rotation:order=3", "takes no numbers"),
+        ("reference_scale_error:order=3", "it has none"),
+        ("clock_jiter", "Effect must be one of"),
+    ],
+)
+def test_a_bad_text_is_one_clear_sentence(text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said) as refused:
+        build("stage31", added=(text,))
+    assert "\n" not in str(refused.value)
+
+
+def test_what_the_log_does_not_show_or_hold_is_said() -> None:
+    log = machine("grid", seed=5, thin=8)
+    with pytest.raises(InputError, match=r"mains_hum cannot be found in .*frequency_hz="):
+        model_on(log, "stage31", ["mains_hum"])
+    with pytest.raises(InputError, match="no temperature logged"):
+        model_on(log, "stage31", ["gain_temperature_drift"])
+    with pytest.raises(InputError, match="temperature_degc"):
+        hallsym.fit(log, "stage31", effects=["gain_temperature_drift:mean_degc=20"])
+
+
+# -- a play ------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(1.0, 20.0))
+def test_an_unknown_start_of_a_play_is_the_mean_over_all_starts(seed: int, width: float) -> None:
+    """Against 801 plays run sample by sample; once the motion has covered a whole loop all are one."""
+    u = np.cumsum(np.random.default_rng(seed).standard_normal(200))
+    starts = np.linspace(-1, 1, 801)
+    z, states = starts.copy(), [starts.copy()]
+    for step in np.diff(u) / width:
+        z = np.clip(z + step, -1, 1)
+        states.append(z.copy())
+    weights = np.full(801, 1 / 800)
+    weights[[0, -1]] /= 2
+    mean, slope = stop_state(u, width)
+    assert np.allclose(mean, np.array(states) @ weights, atol=1e-4)
+    covered = np.maximum.accumulate(u) - np.minimum.accumulate(u) >= 2 * width
+    assert np.all(np.ptp(np.array(states)[covered], axis=1) < 1e-9)
+    # the state is smooth in the width but at turning points that just reach the end of the loop
+    steps = [(stop_state(u, width + h)[0] - stop_state(u, width - h)[0]) / (2 * h) for h in (1e-6, 2e-6)]
+    smooth = np.abs(steps[0] - steps[1]) < 1e-6
+    assert smooth.mean() > 0.9
+    assert np.allclose(steps[0][smooth], slope[smooth], atol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_play_of_known_width_is_recovered_and_the_gap_shrinks_as_far_as_it_can(seed: int) -> None:
+    """Every run starts in a state of its own, drawn at random: what a decoder cannot know."""
+    half = 6e-5
+    size = np.random.default_rng(seed).uniform(1.5e-6, 4e-6, 3)[:, None]
+
+    def play(m, rng):
+        p, out = m.reading[:, 0] + half * rng.uniform(-1, 1, 3), np.zeros_like(m.reading)
+        for k in range(m.reading.shape[1]):
+            p = np.clip(p, m.reading[:, k] - half, m.reading[:, k] + half)
+            out[:, k] = (p - m.reading[:, k]) / half
+        m.reading = m.reading + size * out
+
+    log = machine("multisine", (play,), seed=seed, thin=3, curvature=0.0)
+    found = diagnose(log, "stage31")
+    width = found.effects[0].parameters["half_width"]
+    fit = hallsym.fit(log, "stage31", effects=[found.effects[0].text], solver="direct")
+    std = fit.std[fit.model.names.index("half_width")]
+    assert abs(fit.value("half_width") - half) < 2.6 * std  # 99 %
+    assert width.value == pytest.approx(fit.value("half_width"), abs=0.5 * std)
+    # at best the gap is what the same machine leaves without the play
+    best = hallsym.fit(machine("multisine", seed=seed, thin=3, curvature=0.0), "stage31", solver="direct")
+    metric = {c: (0.35 if c.startswith("r") else 1.0) for c in fit.model.pose}
+    left = sum((metric[c] * v) ** 2 for c, v in best.errors.rows()["holdout"]["rmse"].items()) ** 0.5
+    achievable = 1 - left / found.metric["before"]
+    assert achievable - 0.03 < found.shrinkage["value"] < achievable + 0.03
+
+
+# -- at a bound --------------------------------------------------------------------------------------------
+
+
+def cubic_up_to(limit: float):
+    def tight(model):
+        """A cube that the machine's own exceeds."""
+        wide = se.nonlinearity("tight", (3,))(model)
+        return wide.with_parameters(
+            {n: {"lower": -limit, "upper": limit} for n in wide.names if "tight" in n}
+        )
+
+    return tight
+
+
+def test_a_parameter_at_its_bound_has_no_interval_and_is_said(tmp_path) -> None:
+    log = hidden("odd_nonlinearity", "raster", thin=24)  # cubes of about 0.01 to 0.03
+    tight = diagnose_only(log, cubic_up_to(0.02))
+    (effect,) = tight.effects
+    assert effect.name == "tight"
+    assert effect.at_bound == ("tight3_B",)
+    assert effect.parameters["tight3_B"].std is None
+    assert effect.parameters["tight3_A"].std > 0
+    assert "tight3_B ended at its bound" in effect.note
+    assert effect.note.split(";")[0][:20] in " ".join(diagnosis_text(tight).split())
+    assert json.loads(json.dumps(tight.to_dict()))["effects"][0]["parameters"]["tight3_B"]["std"] is None
+
+
+def diagnose_only(log: Log, make):
+    """Diagnose with one effect alone."""
+    from unittest.mock import patch
+
+    from hallsym.diagnosis import user_effect
+    from hallsym.diagnosis.kinds import KINDS, Kind
+
+    with patch.dict(KINDS, {"stage": Kind(())}):
+        return diagnose(log, "stage31", effects=[user_effect(make)])
+
+
+# -- the command line --------------------------------------------------------------------------------------
+
+
+def test_the_command_that_is_printed_runs(tmp_path, capsys) -> None:
+    log = written(hidden("odd_nonlinearity", "raster", thin=24), tmp_path / "log.csv")
+    noise = ["hall_m=5e-7", "x_ref_m=3e-7", "y_ref_m=3e-7", "rz_ref_rad=5e-7"]
+    known = [word for n in noise for word in ("--noise", n)]
+    assert main(["diagnose", str(log), "--model", "stage31", *known]) == 0
+    (line,) = [row for row in capsys.readouterr().out.splitlines() if row.startswith("next: hallsym ")]
+    words = shlex.split(line.removeprefix("next: hallsym "))
+    assert words[:6] == ["fit", str(log), "--model", "stage31", "--effect", "odd_nonlinearity"]
+    calib = tmp_path / "calib.json"
+    assert main([*words, "--solver", "direct", "-o", str(calib)]) == 0
+    entry = json.loads(calib.read_text())["parameters"]["odd_nonlinearity3_A"]
+    assert entry["determined"]
+    assert entry["std"] > 0
+    capsys.readouterr()
+    assert main(["evaluate", str(calib), str(log), *known]) == 0
+    assert main(["sensitivity", str(calib), str(log), *known]) == 0
+    assert "odd_nonlinearity3_A" in capsys.readouterr().out
+    page = tmp_path / "report.html"
+    assert main(["report", str(calib), str(log), "-o", str(page), *known]) == 0
+    assert "odd_nonlinearity3_A" in page.read_text()
+    capsys.readouterr()
+    assert main(["diagnose", str(log), "--model", str(calib), *known, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["verdict"], record["next_step"]) == ("no gap", [])
+
+
+OWN = '''
+from hallsym.model.derived import rate
+from hallsym.model import Parameter
+
+
+def speed_gain(model):
+    """Gain that follows the velocity of x."""
+    slope = Parameter("speed_gain", 0.0, -100.0, 100.0, "s/m")
+
+    def step(s, p):
+        s["gain"] = s["gain"] * (1 + p["speed_gain"] * s["d1_x_ref_m"])
+
+    return model.with_columns(rate("x_ref_m")).with_step(
+        "transducer", step, effect="speed_gain", parameters=(slope,)
+    )
+
+
+EFFECTS = (speed_gain,)
+'''
+
+
+def test_an_effect_of_your_own_is_fitted_saved_and_read_back(tmp_path, capsys) -> None:
+    (tmp_path / "my_effects.py").write_text(OWN)
+    log = written(machine("multisine", seed=2, thin=12), tmp_path / "log.csv")
+    own = ["--effects", str(tmp_path / "my_effects.py")]
+    calib = str(tmp_path / "calib.json")
+    words = ["fit", str(log), "--effect", "speed_gain", "--solver", "direct", "-o", calib]
+    assert main([*words, *own]) == 0
+    assert "speed_gain" in capsys.readouterr().out
+    assert main(["evaluate", calib, str(log), *own]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", calib, str(log)]) == 2
+    assert "an effect of your own; give the file that defines it: --effects" in capsys.readouterr().err
+    known = hallsym.load_fit(calib, makes(load_effects(own[1])))
+    assert abs(known.value("speed_gain")) < 5 * known.std[known.model.names.index("speed_gain")]
+
+
+def test_a_family_without_a_plain_form_is_fitted_from_its_nominal_values() -> None:
+    """A term that is no polynomial of the columns, on a model that no name stands for."""
+    from dataclasses import replace
+
+    import casadi as ca
+
+    def wavy(model):
+        def step(s, p):
+            s["displacement"] = s["displacement"] + p["wave"] * ca.sin(s["displacement"] / 1e-4)
+
+        wave = Parameter("wave", 0.0, -1e-4, 1e-4, "m")
+        return replace(model, name="wavy").with_step("field", step, effect="wavy", parameters=(wave,))
+
+    model = wavy(build("stage31"))
+    log = Log.from_arrays(record(seed=4))
+    fit = hallsym.fit(log, model, solver="direct")
+    assert fit.status == "converged"
+    k = model.names.index("wave")
+    assert abs(fit.values[k]) < 5 * fit.std[k]
+    assert fit.value("eta_A") == pytest.approx(TRUTH["eta_A"], abs=5 * fit.std[model.names.index("eta_A")])

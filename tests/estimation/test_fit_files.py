@@ -1,0 +1,123 @@
+"""Calibrations in files: what is saved comes back, and what is not hallsym's is refused."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from twins import record, with_noise
+
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import load_fit
+from hallsym.estimation.fit import fit
+
+
+@pytest.fixture(scope="module")
+def rich():
+    """A fit with something in every field."""
+    columns = record(seed=1, samples=30)
+    mixed = {**columns, "hall_a_m": columns["hall_b_m"], "hall_b_m": columns["hall_a_m"]}
+    return fit(
+        with_noise(mixed),
+        "stage30",
+        solver="direct",
+        effects=("vertical_coupling", "exact_rotation"),
+        parameters={
+            "theta_C": {"fixed": True},
+            "eta_B": {"lower": 0.71, "nominal": 0.72},
+            "delta_A": {"upper": 5e-5},
+        },
+        holdout=(3,),
+        resolve_wiring=True,
+    )
+
+
+LIVE = ("keep", "source", "likelihood", "determination")
+"""Fields of a fit just made that a file does not hold."""
+
+
+def test_saving_and_loading_keeps_every_field(rich, tmp_path):
+    path = tmp_path / "calib.json"
+    rich.save(path)
+    back = load_fit(path)
+    assert back.to_dict() == rich.to_dict()
+    for field in fields(rich):
+        one, two = getattr(rich, field.name), getattr(back, field.name)
+        if field.name in ("model", "errors", "zeros", "noise", "log") or field.name in LIVE:
+            continue
+        if isinstance(one, np.ndarray):
+            assert np.array_equal(one, two, equal_nan=one.dtype.kind == "f"), field.name
+        else:
+            assert one == two, field.name
+    assert back.noise.sigmas == rich.noise.sigmas
+    assert {r: d.tolist() for r, d in back.zeros.items()} == {r: d.tolist() for r, d in rich.zeros.items()}
+    assert back.model.parameters == rich.model.parameters
+    assert back.model.zeros == rich.model.zeros
+    assert (back.model.name, back.model.effects, back.model.layout) == (
+        rich.model.name, rich.model.effects, rich.model.layout,
+    )  # fmt: skip
+
+
+def test_loaded_models_read_the_same(rich, tmp_path):
+    rich.save(tmp_path / "calib.json")
+    back = load_fit(tmp_path / "calib.json")
+    arguments = ([1e-6, 2e-6, 3e-6], [1e-4, 2e-4, 3e-4], [1e-4, -1e-4, 2e-4])
+    one, two = (np.asarray(f.model.reading(f.values, *arguments)) for f in (rich, back))
+    assert np.array_equal(one, two)
+
+
+def test_json_has_no_nan(rich, tmp_path):
+    rich.save(tmp_path / "calib.json")
+    text = (tmp_path / "calib.json").read_text(encoding="utf-8")
+
+    def never(name):
+        raise AssertionError(f"{name} in JSON")
+
+    raw = json.loads(text, parse_constant=never)
+    assert raw["parameters"]["theta_C"]["std"] is None
+
+
+def test_infinite_bounds_can_be_saved(tmp_path):
+    """A bound that is not there is not a number in JSON, but it is an allowed bound."""
+    log = with_noise(record(seed=1, samples=30))
+    result = fit(log, "stage31", solver="direct", parameters={"a_A": {"lower": -float("inf")}})
+    result.save(tmp_path / "calib.json")
+    assert load_fit(tmp_path / "calib.json").model.parameters == result.model.parameters
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{}",
+        "[1, 2]",
+        '{"format": "hallsym calibration 0"}',
+        '{"format": "hallsym calibration 1"}',
+        "\xff",
+    ],
+)
+def test_foreign_files_are_refused(tmp_path, text):
+    path = tmp_path / "calib.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(InputError):
+        load_fit(path)
+
+
+def test_files_with_one_field_missing_or_wrong_are_refused(rich, tmp_path):
+    whole = rich.to_dict()
+    path = tmp_path / "calib.json"
+    for key in whole:
+        for value in ("absent", None, 3, "text", [1]):
+            raw = {k: v for k, v in whole.items() if k != key} if value == "absent" else {**whole, key: value}
+            path.write_text(json.dumps(raw), encoding="utf-8")
+            try:
+                load_fit(path)
+            except InputError:
+                continue
+            except Exception as error:
+                pytest.fail(f"{key} = {value!r} raises {error!r}")
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        load_fit(tmp_path / "none.json")

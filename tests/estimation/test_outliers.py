@@ -1,0 +1,254 @@
+"""Spikes go, everything that changes smoothly stays, and clean Gaussian noise is left alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twins import COLUMNS, HALL, SIGMAS, TRUTH, campaign, phi, record, with_noise
+
+from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
+from hallsym.families.stage import stage31
+from hallsym.log import Block
+from hallsym.log.batches import remembered
+
+SIGMA = 1e-6
+COVARIANCE = np.eye(3) * SIGMA**2
+seeds = st.integers(0, 2**32 - 1)
+
+
+def block(r: np.ndarray) -> Block:
+    """A block whose residual is `r` (3, samples); one column tells how many samples there are."""
+    return Block(0, dict(zip(HALL, r, strict=True)))
+
+
+def spikes(covariance: np.ndarray = COVARIANCE):
+    return reject_spikes(lambda b: np.array([b.data[c] for c in HALL]), covariance, column_spikes(HALL))
+
+
+def biweight(covariance: np.ndarray = COVARIANCE):
+    return tukey(lambda b: np.array([b.data[c] for c in HALL]), covariance)
+
+
+def noise(seed: int, n: int = 400) -> np.ndarray:
+    return SIGMA * np.random.default_rng(seed).standard_normal((3, n))
+
+
+def test_residuals_of_the_truth_are_nothing():
+    model = stage31()
+    log = with_noise(record(seed=0, samples=20, sigma={}))
+    zeros = {
+        k: np.array(run.zeros) / phi(TRUTH, np.array([run.setting[c] for c in COLUMNS[3:]]))
+        for k, run in enumerate(campaign(20).runs)
+    }
+    residual = residuals(model, model.vector(TRUTH), zeros)
+    for one in log.blocks():
+        assert np.abs(residual(one)).max() <= 1e-18
+    # a run without zeros of its own has none
+    first = next(iter(log.blocks()))
+    expected = [0.87e-6, 0.52e-6, 0.26e-6] * phi(TRUTH, np.zeros(3)) / phi(TRUTH, np.zeros(3))
+    assert np.allclose(residuals(model, model.vector(TRUTH), {})(first).T, expected, rtol=1e-9)
+
+
+@settings(max_examples=25)
+@given(seeds, st.lists(st.integers(10, 389), min_size=1, max_size=12, unique=True), st.floats(20, 1e4))
+def test_isolated_spikes_go_and_nothing_else(seed, where, size):
+    """Spikes of 20 sigma and more, six samples apart; of 1200 Gaussian numbers none is 10 sigma out."""
+    where = [k for k in where if all(abs(k - j) > 6 or k == j for j in where)]
+    r = noise(seed)
+    channel = np.random.default_rng(seed).integers(0, 3, len(where))
+    r[channel, where] += size * SIGMA * np.where(np.arange(len(where)) % 2, 1, -1)
+    expected = np.ones(400)
+    expected[where] = 0.0
+    assert np.array_equal(spikes()(block(r)), expected)
+
+
+def test_gaussian_noise_is_kept_whole():
+    kept = [spikes()(block(noise(seed, 2000))).min() for seed in range(30)]
+    assert min(kept) == 1.0
+
+
+@settings(max_examples=20)
+@given(seeds, st.floats(1.0, 1e3), st.floats(2.0, 20.0))
+def test_a_smooth_gap_is_no_outlier(seed, size, periods):
+    """Smooth means: it bends by less than 4 sigma from one sample to the next, however large it is."""
+    t = np.arange(400) / 400
+    size = min(size, 4.0 / (2 * np.pi * periods / 400) ** 2)
+    gap = size * SIGMA * np.sin(2 * np.pi * periods * t)
+    assert np.all(spikes()(block(noise(seed) + gap)) == 1.0)
+
+
+def test_more_noise_than_stated_is_no_outlier():
+    for factor in (3.0, 30.0):
+        assert np.all(spikes()(block(factor * noise(1))) == 1.0)
+
+
+def test_an_axis_that_sets_off_is_no_spike():
+    """At rest, then in motion with more scatter, ringing as it sets off; spikes go in both."""
+    gone = 0
+    for seed, first, louder in ((0, 100, 15.0), (1, 170, 50.0), (2, 250, 300.0), (3, 120, 100.0)):
+        rng = np.random.default_rng(seed)
+        at = np.arange(400) - first
+        r = noise(seed) * np.select([at < 0, at < 60], [1.0, 5 * louder], louder)
+        gone += int(np.sum(spikes()(block(r)) == 0.0))
+        reference = np.where(at < 0, 0.0, 1e-5 * at + 1e-6 * rng.standard_normal(400))
+        assert np.all(column_spikes(("ref",))(Block(0, {"ref": reference})) == 1.0)
+        where = [first - 60, first + 120]  # further from setting off than its neighbourhood reaches
+        r[0, where] += 1e5 * SIGMA
+        assert not spikes()(block(r))[where].any()
+    # noise that is far larger than stated has a few per mille beyond; by one scale for all a quarter would go
+    assert gone <= 0.005 * 4 * 400
+
+
+def test_stated_noise_is_the_least_scale():
+    """A block quieter than stated: 9 stated standard deviations are kept, 11 are not."""
+    r = 1e-3 * noise(2)
+    r[1, 100] += 9 * SIGMA
+    r[1, 200] += 11 * SIGMA
+    expected = np.ones(400)
+    expected[200] = 0.0
+    assert np.array_equal(spikes()(block(r)), expected)
+
+
+def test_where_spikes_abound_small_ones_are_found_too():
+    """A tenth spread evenly up to 700 sigma: of those from 6 sigma on 5 in 1000 stay; nothing good goes."""
+    left = gone = 0
+    for seed in range(20):
+        rng, r = np.random.default_rng(seed), noise(seed, 1000)
+        hit = rng.random(1000) < 0.1
+        size = np.where(hit, rng.uniform(-700, 700, 1000), 0.0)
+        kept = spikes()(block(r + SIGMA * np.stack([size, 0 * size, 0 * size]))) > 0
+        left, gone = left + int(np.sum(kept & (np.abs(size) > 6))), gone + int(np.sum(~kept & ~hit))
+    assert left <= 0.005 * 2000
+    assert gone <= 0.001 * 18000
+    alone = noise(0)
+    alone[1, 200] = 8 * SIGMA  # the same size, where nothing else says that there are spikes
+    assert np.all(spikes()(block(alone)) == 1.0)
+
+
+def test_a_rail_tells_of_no_spikes():
+    """Tips cut off at every turn of a raster, with suspects there: of the others none goes."""
+    at = np.arange(3000)
+    tips = np.maximum(15 * (np.abs((at % 50) - 25.0) - 18), 0) * SIGMA  # 105 sigma high, kinks at both ends
+    r = noise(8, 3000) + np.stack([tips, -tips, 0 * tips])
+    turns = 12e-6 * np.abs((at % 50) - 25.0) + 1e-6 * np.random.default_rng(2).standard_normal(3000)
+    columns = {**dict(zip(HALL, r, strict=True)), "turns": turns}
+    suspected = column_spikes(("turns",))(Block(0, columns)) == 0
+    assert suspected.any()
+    weigh = reject_spikes(
+        lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, column_spikes(("turns",))
+    )
+    assert np.all(weigh(Block(0, columns))[~suspected] == 1)
+
+
+@pytest.mark.parametrize("end", [slice(None), slice(None, None, -1)])
+def test_spikes_side_by_side_at_the_end_of_a_run_do_not_vouch_for_each_other(end):
+    """Samples 2, 4 and 5 are suspected; 1 and 3 are off and are not: they must not be each other's median."""
+    r, flagged = noise(5, 100), 1e-3 * np.random.default_rng(0).standard_normal(100)
+    r[1, [1, 2, 3, 4, 5]] += np.array([280, 380, 725, 430, -290]) * SIGMA
+    flagged[[2, 4, 5]] += [1.0, -2.0, 3.0]
+    columns = {**dict(zip(HALL, r[:, end], strict=True)), "flagged": flagged[end]}
+    suspected = column_spikes(("flagged",))(Block(0, columns))[end] == 0
+    assert np.array_equal(np.flatnonzero(suspected), [2, 4, 5])
+    weigh = reject_spikes(
+        lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, column_spikes(("flagged",))
+    )
+    kept = weigh(Block(0, columns))[end]
+    assert np.all(kept[[1, 2, 3, 4, 5]] == 0)
+    assert np.all(kept[6:] == 1)
+
+
+@settings(max_examples=20)
+@given(seeds, st.sampled_from([0.01, 0.05, 0.1]))
+def test_columns_alone_show_most_spikes_and_accuse_few_good_samples(seed, share):
+    """A first guess on a noisy sine: nearly all spikes of 100 um and more, few of the good samples."""
+    rng = np.random.default_rng(seed)
+    n = 1000
+    x = 3e-4 * np.sin(2 * np.pi * np.arange(n) / 500) + SIGMA * rng.standard_normal(n)
+    hit = rng.random(n) < share
+    x[hit] += rng.choice([-1, 1], hit.sum()) * rng.uniform(1e-4, 1e-3, hit.sum())
+    weight = column_spikes(("x",))(Block(0, {"x": x, "y": np.zeros(n)}))
+    assert np.mean(weight[~hit]) > 0.9  # at a share of .1 every third good sample has a bad neighbour
+    assert np.mean(weight[hit]) < 0.03 if hit.any() else True
+
+
+@settings(max_examples=25)
+@given(seeds, st.integers(12, 150), st.floats(3.0, 80.0))
+def test_a_steep_residual_in_a_short_run_warns_of_nothing(seed, n, period):
+    """What was a spike may be none, and off by nothing, once its neighbours are out."""
+    r = noise(seed, n) + 1e-3 * np.sin(np.arange(n) / period)
+    weight = spikes(1e-2 * COVARIANCE)(block(r))
+    assert set(weight) <= {0.0, 1.0}
+
+
+def test_weights_are_remembered_for_the_same_numbers_only():
+    """A periodic log has many blocks of one length that begin alike."""
+    asked = []
+
+    def weigh(b: Block) -> np.ndarray:
+        asked.append(b)
+        return (b.data["x"] < 1).astype(float)
+
+    once = remembered(weigh, 100, ("x",))
+    x, other = np.zeros(5), np.array([0.0, 0, 2, 0, 0])
+    for _ in range(2):
+        assert once(Block(0, {"x": x, "y": x})).tolist() == [1, 1, 1, 1, 1]
+        assert once(Block(0, {"y": other, "x": x.copy()})).tolist() == [1, 1, 1, 1, 1]
+        assert once(Block(0, {"x": other})).tolist() == [1, 1, 0, 1, 1]
+        assert once(Block(1, {"x": x})).tolist() == [1, 1, 1, 1, 1]
+    assert len(asked) == 3
+
+
+def test_runs_too_short_to_judge_are_kept():
+    for n in (1, 2, 6):
+        assert np.all(column_spikes(("hall_a_m",))(block(noise(0, n))) == 1.0)
+        assert np.all(spikes()(block(noise(0, n))) == 1.0)
+
+
+@settings(max_examples=25)
+@given(seeds, st.floats(0.1, 30.0))
+def test_biweight_follows_its_formula(seed, size):
+    """(1 - u^2)^2 with u = distance / (4.685 scale); the scale is at least the stated one."""
+    r = 1e-3 * noise(seed)
+    r[:, 7] = [size * SIGMA, 0.0, 0.0]
+    u = size / np.sqrt(3) / 4.685
+    expected = (1 - u**2) ** 2 if u < 1 else 0.0
+    assert biweight()(block(r))[7] == pytest.approx(expected, rel=1e-2, abs=1e-9)
+
+
+def test_biweight_of_gaussian_noise_does_not_depend_on_its_size():
+    r = noise(3, 5000)
+    small, large = (biweight()(block(f * r)) for f in (2.0, 200.0))
+    assert np.allclose(small, large, rtol=0, atol=1e-12)
+    assert 0.8 < small.mean() < 0.95
+    # whitening: correlated noise of the stated covariance weighs the same as white noise
+    mix = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.5, 0.5, 0.7]])
+    other = biweight(mix @ COVARIANCE @ mix.T)(block(mix @ r))
+    assert np.allclose(other, biweight()(block(r)), rtol=0, atol=1e-9)
+
+
+def test_weights_are_weights():
+    for weigh in (spikes(), biweight(), column_spikes(HALL)):
+        w = weigh(block(noise(4) * 50))
+        assert w.shape == (400,)
+        assert np.all((w >= 0) & (w <= 1))
+
+
+def test_stated_noise_of_the_twin_is_what_its_residuals_show():
+    """The pieces together: 5 % spikes in every reading are found to the sample at the truth."""
+    clean, spiky = (record(seed=9, samples=100, outlier_share=s, outlier_size=1e-3) for s in (0.0, 0.02))
+    model = stage31()
+    log = with_noise(spiky)
+    zeros = {
+        k: np.array(run.zeros) / phi(TRUTH, np.array([run.setting[c] for c in COLUMNS[3:]]))
+        for k, run in enumerate(campaign(100).runs)
+    }
+    covariance = np.eye(3) * (2e-6) ** 2
+    suspects = column_spikes((*HALL, *COLUMNS[:3]))
+    weigh = reject_spikes(residuals(model, model.vector(TRUTH), zeros), covariance, suspects)
+    weight = np.concatenate([weigh(b) for b in log.blocks()])
+    residual = residuals(model, model.vector(TRUTH), zeros)
+    size = np.concatenate([np.abs(residual(b)).max(axis=0) for b in log.blocks()])
+    assert len(clean["run"]) == len(weight)
+    assert np.all(weight[size > 30e-6] == 0)
+    assert np.mean(weight[size < 8e-6]) > 0.99
+    assert set(SIGMAS) >= {*HALL}

@@ -1,0 +1,162 @@
+"""Optimal design on textbook problems: known designs, the equivalence theorem, brute force."""
+
+from itertools import combinations_with_replacement
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hallsym.experiment.criteria import CRITERIA, Criterion, criterion
+from hallsym.experiment.exchange import choose, exchange, greedy
+from hallsym.experiment.relaxed import relax
+
+NOTHING = 1e-9
+
+
+def polynomial(degree: int, places: np.ndarray) -> np.ndarray:
+    """Information (places, m, m) of one observation of a polynomial at each place."""
+    f = places[:, None] ** np.arange(degree + 1)
+    return f[:, :, None] * f[:, None, :]
+
+
+def criteria(m: int, workspace: np.ndarray | None = None) -> list[Criterion]:
+    return [criterion(name, m, np.eye(m)[:, None] if workspace is None else workspace) for name in CRITERIA]
+
+
+def positive(rng: np.random.Generator, m: int) -> np.ndarray:
+    A = rng.normal(size=(m, m + 2)) * 10.0 ** rng.uniform(-2, 2, m)[:, None]
+    return A @ A.T
+
+
+# -- information functions -------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.floats(0.01, 100))
+def test_criteria_are_information_functions(seed, m, factor):
+    """Homogeneous, concave, growing; and every slope bounds the criterion everywhere."""
+    rng = np.random.default_rng(seed)
+    a, b, workspace = positive(rng, m), positive(rng, m), rng.normal(size=(5, 2, m))
+    for phi in criteria(m, workspace):
+        at_a, at_b, between = phi.values(np.array([a, b, 0.5 * (a + b)]))
+        assert phi.values(factor * a) == pytest.approx(factor * at_a, rel=1e-6)
+        assert between >= 0.5 * (at_a + at_b) * (1 - 1e-6)
+        assert phi.values(a + b) >= max(at_a, at_b) * (1 - 1e-6)
+        G = phi.slope(a)
+        assert np.sum(G * b) >= at_b * (1 - 1e-6)
+        assert np.sum(G * a) >= at_a * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("name", ["D", "A"])
+def test_slopes_are_derivatives(name):
+    rng = np.random.default_rng(1)
+    M, step = positive(rng, 4) + np.eye(4), rng.normal(size=(4, 4))
+    step = step + step.T
+    phi, h = criterion(name, 4, np.eye(4)[:, None]), 1e-5
+    numeric = (phi.values(M + h * step) - phi.values(M - h * step)) / (2 * h)
+    assert np.sum(phi.slope(M) * step) == pytest.approx(float(numeric), rel=1e-6)
+
+
+def test_criteria_of_a_diagonal_matrix():
+    """det^(1/2) = 6, 2 / (1/4 + 1/9), least eigenvalue 4, 1 / (largest variance 1/4)."""
+    M = np.diag([4.0, 9.0])
+    values = [float(phi.values(M)) for phi in criteria(2)]
+    assert np.allclose(values, [6.0, 2 / (1 / 4 + 1 / 9), 4.0, 4.0], rtol=1e-12)
+
+
+# -- known optimal designs -------------------------------------------------------------------------------
+
+LINE = np.linspace(-1, 1, 21)
+# Shares at the ends and the middle of [-1, 1] (Atkinson, Donev & Tobias, Optimum Experimental Designs, 2007)
+KNOWN = {
+    ("D", 1): {-1: 1 / 2, 1: 1 / 2},
+    ("A", 1): {-1: 1 / 2, 1: 1 / 2},
+    ("D", 2): {-1: 1 / 3, 0: 1 / 3, 1: 1 / 3},
+    ("A", 2): {-1: 1 / 4, 0: 1 / 2, 1: 1 / 4},
+    ("E", 2): {-1: 1 / 5, 0: 3 / 5, 1: 1 / 5},
+}
+
+
+@pytest.mark.parametrize(("name", "degree"), KNOWN)
+def test_whole_runs_of_known_designs(name, degree):
+    """60 observations divide as the continuous design says, and reach the bound of the relaxation."""
+    infos, phi = polynomial(degree, LINE), criterion(name, degree + 1, np.eye(degree + 1)[:, None])
+    base = NOTHING * np.eye(degree + 1)
+    relaxed = relax(infos, base, 60, phi)
+    counts = choose(infos, base, 60, phi, relaxed, np.random.default_rng(0))
+    expected = {place: round(60 * share) for place, share in KNOWN[name, degree].items()}
+    assert {round(LINE[k], 9): int(counts[k]) for k in np.flatnonzero(counts)} == expected
+    reached = float(phi.values(base + np.tensordot(counts, infos, axes=1)))
+    assert reached <= relaxed.bound(infos, base, 60) * (1 + 1e-9)
+    assert reached >= 0.97 * relaxed.bound(infos, base, 60)
+
+
+def test_least_worst_variance_is_the_number_of_parameters_over_runs():
+    """Kiefer & Wolfowitz: the best design for max f' M^-1 f over the region is D-optimal: m / N."""
+    infos = polynomial(2, LINE)
+    f = LINE[:, None, None] ** np.arange(3)
+    phi, base = criterion("max-u", 3, f), NOTHING * np.eye(3)
+    relaxed = relax(infos, base, 30, phi)
+    counts = choose(infos, base, 30, phi, relaxed, np.random.default_rng(0))
+    assert {round(LINE[k], 9): int(counts[k]) for k in np.flatnonzero(counts)} == {-1.0: 10, 0.0: 10, 1.0: 10}
+    assert float(phi.values(np.tensordot(counts, infos, axes=1))) == pytest.approx(30 / 3, rel=1e-6)
+
+
+# -- whole runs ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+@pytest.mark.parametrize("seed", range(4))
+def test_no_exchange_is_left_and_no_choice_beats_the_bound(name, seed):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(7, 3, 2))
+    infos, base = A @ np.swapaxes(A, 1, 2), NOTHING * np.eye(3)
+    phi = criterion(name, 3, rng.normal(size=(6, 1, 3)))
+    relaxed = relax(infos, base, 4, phi)
+    counts = choose(infos, base, 4, phi, relaxed, rng)
+
+    def value(picked: np.ndarray) -> float:
+        return float(phi.values(base + np.tensordot(picked, infos, axes=1)))
+
+    unit = np.eye(7, dtype=int)
+    for j in np.flatnonzero(counts):
+        assert all(value(counts - unit[j] + unit[i]) <= value(counts) * (1 + 1e-5) for i in range(7))
+    every = [value(unit[list(p)].sum(axis=0)) for p in combinations_with_replacement(range(7), 4)]
+    assert value(counts) <= max(every) * (1 + 1e-12)
+    assert max(every) <= relaxed.bound(infos, base, 4) * (1 + 1e-9)
+
+
+def test_exchange_leaves_a_bad_start():
+    infos, phi = polynomial(1, LINE), criterion("D", 2, np.eye(2)[:, None])
+    bad = np.zeros(21, dtype=int)
+    bad[10], bad[11] = 5, 5
+    counts = exchange(infos, NOTHING * np.eye(2), bad, phi, np.random.default_rng(0))
+    assert counts[0] == counts[20] == 5
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+def test_each_run_that_greedy_adds_helps(name):
+    rng = np.random.default_rng(2)
+    A = rng.normal(size=(30, 5, 2))
+    infos, base, phi = (
+        A @ np.swapaxes(A, 1, 2),
+        1e-3 * np.eye(5),
+        criterion(name, 5, rng.normal(size=(9, 2, 5))),
+    )
+    values = [
+        float(phi.values(base + np.tensordot(greedy(infos, base, n, phi), infos, axes=1)))
+        for n in range(1, 12)
+    ]
+    assert np.all(np.diff(values) >= -1e-12)
+    assert values[-1] > values[0]
+
+
+def test_what_is_known_already_is_not_recorded_again():
+    """A line with 100 observations at one end: the next ones all go to the other."""
+    infos, phi = polynomial(1, LINE), criterion("D", 2, np.eye(2)[:, None])
+    base = 100 * infos[0] + NOTHING * np.eye(2)
+    relaxed = relax(infos, base, 10, phi)
+    counts = choose(infos, base, 10, phi, relaxed, np.random.default_rng(0))
+    assert counts[20] == 10
+    assert float(phi.values(base + 10 * infos[20])) == pytest.approx(relaxed.bound(infos, base, 10), rel=2e-3)

@@ -1,0 +1,292 @@
+"""The published tables hold the article's digits, and those digits agree with the model they belong to.
+
+The literals here stand in the units of Sensors 2016, 16(6), 872 and were typed apart from the files.
+Equivalences: a rigid stage ties b/a and c/a to where the probes are (signs and units of a, b, c, H);
+estimates lie inside their search ranges; every model improves on the one before.
+"""
+
+import math
+import os
+import subprocess
+import sys
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from hallsym.errors import InputError
+from hallsym.families.published import bounds, data_folder, table, values
+
+TABLES = [
+    "table1_designed",
+    "table2_errors_model15",
+    "table3_bounds",
+    "table4_errors_model30",
+    "table5_bounds_vertical",
+    "table6_settings",
+    "table7_estimates",
+    "table8_errors_model31",
+    "tableA1_zero_deviations",
+]
+VERTICAL = [f"{letter}_{sensor}" for sensor in "ABC" for letter in "abc"]
+LENGTHS = ["H1x", "H2x", "H3y", "H3x", "H1y", "H2y"]
+GAINS = ["eta_A", "eta_B", "eta_C"]
+ANGLES = ["theta_A", "theta_B", "theta_C"]
+
+
+def micro(printed: str) -> tuple[float, ...]:
+    """Read numbers printed in um or urad: exact, where a product with 1e-6 would round twice."""
+    return tuple(float(f"{number}e-6") for number in printed.split())
+
+
+def records(name: str, *columns: str) -> list[tuple]:
+    return list(zip(*(table(name)[column] for column in columns), strict=True))
+
+
+# The article's digits.
+
+
+def test_table_1_is_the_design():
+    design = values("table1_designed")
+    assert [design[name] for name in LENGTHS] == [0.1975, 0.1975, 0.36, 0.1975, 0.4, 0.42]
+    assert {design[name] for name in GAINS} == {1.0}
+    assert {design[name] for name in ANGLES} == {0.0}
+    assert len(design) == 12
+
+
+@pytest.mark.parametrize(
+    ("name", "rmse", "peak"),
+    [
+        ("table2_errors_model15", "27.8795 44.1243 89.2927", "61.2092 119.9458 221.5275"),
+        ("table4_errors_model30", "2.1896 4.2560 2.9176", "10.6451 19.2473 15.0316"),
+        ("table8_errors_model31", "1.3919 1.5381 2.3057", "6.6368 5.9375 9.6300"),
+    ],
+)
+def test_errors_of_a_model(name, rmse, peak):
+    assert records(name, "quantity", "x_m", "y_m", "rz_rad") == [
+        ("rmse", *micro(rmse)),
+        ("peak", *micro(peak)),
+    ]
+
+
+def test_tables_3_and_5_are_the_bounds():
+    limits = bounds()
+    assert [limits[name] for name in LENGTHS] == [
+        (0.1475, 0.2475),
+        (0.1475, 0.2475),
+        (0.26, 0.46),
+        (0.1475, 0.2475),
+        (0.3, 0.5),
+        (0.32, 0.52),
+    ]
+    assert [limits[name] for name in GAINS] == [(0.78, 0.98), (0.65, 0.85), (0.72, 0.92)]
+    assert {limits[name] for name in ANGLES} == {(-math.radians(8), math.radians(8))}
+    assert {name for name in VERTICAL if limits[name] == (0, 5000)} == {"c_A", "c_C"}
+    assert {limits[name] for name in VERTICAL if name not in ("c_A", "c_C")} == {(-5000, 0)}
+    assert len(limits) == 21
+
+
+def test_table_6_moves_one_axis_at_a_time():
+    z, rx, ry = (table("table6_settings")[column] for column in ("z_m", "rx_rad", "ry_rad"))
+    assert table("table6_settings")["setting"] == tuple(range(1, 20))
+    assert z == (0.0, *micro("250 -250 150 -150 50 -50"), *[0.0] * 12)
+    assert rx == (*[0.0] * 7, *micro("500 -500 250 -250 100 -100"), *[0.0] * 6)
+    assert ry == (*[0.0] * 13, *micro("500 -500 250 -250 100 -100"))
+
+
+def test_table_7_is_the_estimate():
+    estimate = values("table7_estimates")
+    assert [estimate[name] for name in LENGTHS] == [0.1944, 0.2173, 0.3293, 0.1979, 0.3381, 0.3555]
+    assert [estimate[name] for name in VERTICAL] == [
+        *(-188.1873, -69.7432, 14.8664),
+        *(-156.5783, -56.7511, -55.0764),
+        *(-178.1902, -63.4133, 12.7241),
+    ]
+    assert [estimate[name] for name in GAINS] == [0.8671, 0.7049, 0.8632]
+    assert [estimate[name] for name in ANGLES] == [math.radians(deg) for deg in (0.0145, 0.4143, -0.0561)]
+    assert len(estimate) == 21
+
+
+def test_table_a1_has_every_run_once():
+    runs = records("tableA1_zero_deviations", "setting", "axis")
+    assert sorted(runs) == sorted((setting, axis) for setting in range(1, 20) for axis in ("x", "y", "rz"))
+    assert [axis for _, axis in runs] == ["y", "x", "rz"] * 19
+    assert [setting for setting, _ in runs[::3]] == [
+        1,
+        *(n for pair in range(2, 20, 2) for n in (pair + 1, pair)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("setting", "axis", "printed"),
+    [
+        (1, "y", "0.87 0.52 0.26"),
+        (3, "x", "0.89 -0.24 0.93"),  # Z = -250 um
+        (6, "rz", "1.91 0.48 -0.89"),  # Z = +50 um
+        (7, "y", "2.77 1.99 -2.80"),  # Z = -50 um
+        (8, "rz", "0.49 0.94 -1.47"),  # Rx = +500 urad
+        (11, "y", "0.31 0.81 3.11"),  # Rx = -250 urad
+        (12, "x", "0.01 -0.04 -1.16"),  # Rx = +100 urad
+        (15, "y", "0.99 0.72 -4.22"),  # Ry = -500 urad
+        (17, "x", "-0.31 -0.97 -4.79"),  # Ry = -250 urad
+        (18, "rz", "0.74 2.18 -0.82"),  # Ry = +100 urad
+    ],
+)
+def test_table_a1_digits(setting, axis, printed):
+    runs = records("tableA1_zero_deviations", "setting", "axis", "delta_a_m", "delta_b_m", "delta_c_m")
+    assert (setting, axis, *micro(printed)) in runs
+
+
+def test_table_a1_sums():
+    """Sums of the printed columns, in um with two decimals: one wrong digit or sign anywhere shows."""
+    columns = [table("tableA1_zero_deviations")[f"delta_{sensor}_m"] for sensor in "abc"]
+    assert [round(math.fsum(column) * 1e6, 2) for column in columns] == [27.34, 35.67, 8.10]
+    rms = [math.sqrt(math.fsum(delta**2 for delta in column) / 57) * 1e6 for column in columns]
+    assert [round(value, 3) for value in rms] == [1.078, 1.006, 1.428]
+
+
+def test_zero_deviations_are_within_ten_micrometres():
+    columns = [table("tableA1_zero_deviations")[f"delta_{sensor}_m"] for sensor in "abc"]
+    assert max(abs(delta) for column in columns for delta in column) == 4.79e-6
+
+
+# What the digits say together.
+
+
+@pytest.mark.parametrize(
+    ("sensor", "x0", "y0"), [("A", 0.115, -0.03), ("B", 0.134, -0.01), ("C", 0.126, -0.03)]
+)
+def test_a_rigid_stage_ties_the_vertical_coefficients(sensor, x0, y0):
+    """b/a = y - y0 and c/a = -(x - x0): the three sensors find one point (x0, y0), in metres."""
+    p = values("table7_estimates")
+    x, y = {"A": (p["H1x"], p["H1y"]), "B": (-p["H2x"], p["H2y"]), "C": (p["H3x"], p["H3y"])}[sensor]
+    a, b, c = (p[f"{letter}_{sensor}"] for letter in "abc")
+    assert x + c / a == pytest.approx(x0, abs=0.0005)
+    assert y - b / a == pytest.approx(y0, abs=0.005)
+
+
+def test_estimates_are_strictly_inside_their_bounds():
+    limits = bounds()
+    for name, value in values("table7_estimates").items():
+        lower, upper = limits[name]
+        assert lower < value < upper, name
+
+
+def test_the_designed_gain_is_outside_its_search_range():
+    """A peculiarity of the article, kept as printed: a start at the design has to be moved inside."""
+    design, limits = values("table1_designed"), bounds()
+    outside = [name for name, value in design.items() if not limits[name][0] <= value <= limits[name][1]]
+    assert outside == GAINS
+
+
+@pytest.mark.parametrize("axis", ["x_m", "y_m", "rz_rad"])
+def test_each_model_improves_on_the_one_before(axis):
+    errors = [table(name)[axis] for name in TABLES if "_errors_" in name]
+    rmse, peak = zip(*errors, strict=True)
+    assert rmse[0] > rmse[1] > rmse[2]
+    assert peak[0] > peak[1] > peak[2]
+    assert all(low < high for low, high in errors)
+
+
+def test_published_peak_of_x_does_not_fit_its_lever_arm():
+    """Along Y sensor C reads almost nothing, so X = H3y Rz: 79.7 um at the peak of Rz, not 61.2."""
+    _, peak_x = table("table2_errors_model15")["x_m"]
+    _, peak_rz = table("table2_errors_model15")["rz_rad"]
+    assert round(values("table1_designed")["H3y"] * peak_rz * 1e6, 1) == 79.7
+    assert round(peak_x * 1e6, 1) == 61.2
+
+
+# The loader and its files.
+
+
+def test_every_file_is_a_known_table():
+    assert sorted(path.stem for path in (data_folder() / "chen2016").iterdir()) == TABLES
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_every_file_names_its_source_units_and_licence(name):
+    lines = (data_folder() / "chen2016" / f"{name}.csv").read_text(encoding="utf-8").splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    assert lines[: len(comments)] == comments
+    number = name.removeprefix("table").split("_")[0]
+    assert f"Table {number}, https://doi.org/10.3390/s16060872" in comments[0]
+    assert [line.split(":")[0] for line in comments] == [
+        "# source",
+        "# content",
+        "# units",
+        "# licence",
+        "# restored",
+    ]
+
+
+@pytest.mark.parametrize(
+    "name", ["table1_designed", "table3_bounds", "table5_bounds_vertical", "table7_estimates"]
+)
+def test_units_follow_from_the_parameter(name):
+    units = {"H": "m", "eta": "1", "theta": "rad", "a": "1/m", "b": "1/rad", "c": "1/rad"}
+    for parameter, unit in records(name, "parameter", "unit"):
+        assert unit == units["H" if parameter.startswith("H") else parameter.split("_")[0]], parameter
+
+
+@pytest.mark.parametrize("name", ["table1_designed", "table7_estimates"])
+def test_printed_and_value_are_the_same_number(name):
+    for parameter, value, printed in records(name, "parameter", "value", "printed"):
+        number, _, unit = printed.partition(" ")
+        assert value == (math.radians(float(number)) if unit == "deg" else float(number)), parameter
+
+
+def test_unknown_table_lists_the_known_ones():
+    with pytest.raises(InputError, match="did you mean 'table7_estimates'") as error:
+        table("table7_estimate")
+    assert all(name in str(error.value) for name in TABLES)
+
+
+def test_values_of_a_table_without_values():
+    with pytest.raises(InputError, match="must have the columns parameter and value"):
+        values("table6_settings")
+
+
+def test_a_table_cannot_be_changed_by_its_reader():
+    with pytest.raises(TypeError):
+        table("table6_settings")["z_m"] = ()  # type: ignore[index]
+    values("table7_estimates")["a_A"] = 0.0
+    assert values("table7_estimates")["a_A"] == -188.1873
+
+
+@pytest.mark.slow
+def test_the_wheel_carries_the_tables(tmp_path):
+    """The built wheel, unpacked elsewhere, reads its own copy of every table."""
+    root = Path(__file__).resolve().parents[2]
+    isolation = ["--no-build-isolation"] if find_spec("hatchling") else []
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        *isolation,
+        "--wheel-dir",
+        str(tmp_path),
+    ]
+    subprocess.run([*pip, str(root)], check=True)
+    (wheel,) = tmp_path.glob("hallsym-*.whl")
+    unpacked = tmp_path / "unpacked"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(unpacked)
+    script = (
+        "from hallsym.families.published import data_folder, table; print(data_folder()); "
+        f"print(sum(len(table(name)) > 0 for name in {TABLES}))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(unpacked)},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    folder, read = result.stdout.split()
+    assert Path(folder) == (unpacked / "hallsym" / "data").resolve()
+    assert int(read) == len(TABLES)

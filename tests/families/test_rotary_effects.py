@@ -1,0 +1,355 @@
+"""Effects of an encoder by their texts: fitted, saved, read back, evaluated and diagnosed again."""
+
+import json
+import shlex
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hallsym
+from hallsym.cli.main import main
+from hallsym.diagnosis import diagnose
+from hallsym.diagnosis.choose import model_on
+from hallsym.diagnosis.rotary_catalogue import CATALOGUE
+from hallsym.errors import InputError
+from hallsym.families import build
+from hallsym.families.recipes import FAULTS, RECIPES, lacking, make_of
+from hallsym.families.rotary import VOLTAGES, angle_only
+from hallsym.log import Log, Meta, Noise, Sigma
+
+ROTARY = RECIPES["rotary"]
+NUMBERS = {
+    "eccentricity": ("form=curved", "form=chip", "direction_deg=30"),
+    "magnet_tilt": ("form=chip",),
+    "third_harmonic_distortion": ("phase=free",),
+    "uniform_stray_field": ("source=speed", "runs=1/2"),
+    "odd_nonlinearity": ("order=5",),
+    "hysteresis": ("half_width_rad=0.01",),
+    "gain_temperature_drift": ("mean_degc=21.5",),
+    "offset_temperature_drift": ("mean_degc=21.5",),
+    "gain_time_drift": ("duration_s=4,degree=2", "settling_s=1.5"),
+    "offset_time_drift": ("duration_s=4", "settling_s=1.5"),
+    "mains_hum": ("frequency_hz=50.02",),
+    "reference_voltage_fluctuation": ("frequency_hz=50.02",),
+    "reference_pole_pairs": ("periods=50/100",),
+}
+ONLY = {"voltages": ("time_skew:per=plate", "saturation:low_v=-1.1/-1.2,high_v=1.1/inf"),
+        "angle": ("saturation:level=0.9,axes_deg=30",)}  # fmt: skip
+TEXTS = [
+    *(n for n in ROTARY if not lacking(n, "rotary")),
+    *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v),
+]
+CASES = [(form, text) for form, only in ONLY.items() for text in (*TEXTS, *only)]
+SIGMA, REF, OFFSET = 2e-4, 1e-5, 0.005 - 0.003j
+
+
+def bare(form: str, name: str = "rotary"):
+    meta = Meta(probes=[dict(p.entry) for p in angle_only()]) if form == "angle" else None
+    return build(name, meta=meta)
+
+
+# -- texts -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("form", "text"), CASES)
+def test_an_effect_of_an_encoder_is_built_again_from_its_text(form: str, text: str) -> None:
+    base = bare(form)
+    wide = make_of(text)(base)
+    (new,) = [e for e in wide.effects if e not in base.effects]
+    assert wide.texts == {new: text}
+    meta = Meta(probes=[dict(p.entry) for p in base.layout])
+    again = build("rotary", meta=meta, added=(wide.texts[new],))
+    assert (again.names, again.state, again.effects) == (wide.names, wide.state, wide.effects)
+    rng = np.random.default_rng(0)
+    p = wide.nominal + 1e-3 * rng.standard_normal(len(wide.names))
+    pose, state = rng.uniform(-3, 3, 1), rng.standard_normal(len(wide.state))
+    here = np.asarray(wide.reading(p, np.zeros(0), pose, state))
+    assert np.array_equal(here, np.asarray(again.reading(p, np.zeros(0), pose, state)))
+    # absent where its new parameters are 0, and there where they are not
+    p[len(base.names) :] = wide.nominal[len(base.names) :]
+    absent = np.asarray(wide.reading(p, np.zeros(0), pose, state))
+    plain = np.asarray(base.reading(p[: len(base.names)], np.zeros(0), pose, np.zeros(0)))
+    turns = (absent - plain) / (2 * np.pi) if form == "angle" else absent - plain
+    assert np.allclose(turns, np.round(turns), atol=1e-9)
+
+
+def test_every_effect_of_the_catalogue_has_a_text() -> None:
+    assert {e.name for e in CATALOGUE} == set(ROTARY)
+    for form in ONLY:
+        names = {text.partition(":")[0] for f, text in CASES if f == form}
+        assert names >= set(ROTARY) - {"saturation"}
+
+
+def test_a_name_of_two_families_is_that_of_the_model() -> None:
+    shared = set(ROTARY) & set(RECIPES["stage"])
+    assert {"time_skew", "saturation", "gain_temperature_drift", "hysteresis"} <= shared
+    assert "d1_angle_ref_rad" in build("rotary", added=("time_skew",)).state
+    assert "d1_x_ref_m" in build("stage31", added=("time_skew",)).state
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("cross_axis_sensitivity", "belongs to stage models; model rotary is of family rotary"),
+        ("mount_slip:probe=A,instant_s=2", "belongs to stage models"),
+        ("reference_pole_pair", "did you mean 'reference_pole_pairs'"),
+        ("reference_pole_pairs:periods=0.5", "periods per turn"),
+        ("hysteresis:half_width_m=1e-5", "did you mean 'half_width_rad'"),
+        ("uniform_stray_field:runs=1/2,source=speed", "exclude each other"),
+        ("uniform_stray_field:runs=1.5", "run numbers"),
+        ("saturation:low_v=1,high_v=1", "2 numbers each"),
+        ("saturation:level=0.9", "where only the angle is read"),
+        ("gain_time_drift:settling_s=0", "positive"),
+        ("eccentricity:form=chipped", "both, curved, chip"),
+        ("harmonics:order=3", "takes no numbers"),
+        *((name, "fault of the recording") for name in FAULTS),
+    ],
+)
+def test_a_bad_text_of_an_encoder_is_one_clear_sentence(text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said) as refused:
+        build("rotary", added=(text,))
+    assert "\n" not in str(refused.value)
+
+
+def test_effects_of_encoders_are_no_effects_of_stages() -> None:
+    with pytest.raises(InputError, match="belongs to rotary models; model stage31 is of family stage"):
+        build("stage31", added=("reference_pole_pairs",))
+    for text in ONLY["voltages"]:
+        with pytest.raises(InputError, match="reads the angle alone"):
+            make_of(text)(bare("angle"))
+
+
+def test_a_drift_common_to_both_plates_is_no_parameter_of_an_angle() -> None:
+    wide = make_of("gain_time_drift:duration_s=4")(bare("angle"))
+    assert wide.names[-1] == "gain_time_drift0_sin"
+    assert make_of("gain_time_drift:duration_s=4")(bare("voltages")).names[-1] == "gain_time_drift0_cos"
+
+
+# -- machines of which the truth is known ------------------------------------------------------------------
+
+
+def pattern(u, a, t):
+    """50 periods per turn of a stepper's pole pairs: the reference reads a + 2 mrad sin 50 a."""
+    return u, a + 2e-3 * np.sin(50 * a)
+
+
+def late(u, a, t):
+    """Readings 200 us old."""
+    return u - 2e-4 * np.gradient(a, t), a
+
+
+def magnet(u, a, t):
+    """Third harmonic of the magnet: b = exp(iu) + 0.01 exp(-3iu)."""
+    b = np.exp(1j * u) + 0.01 * np.exp(-3j * u)
+    return b, a
+
+
+def hum(u, a, t):
+    """50 Hz of 3 mV in both voltages."""
+    return np.exp(1j * u) + 3e-3 * (1 + 1j) * np.cos(2 * np.pi * 50 * t), a
+
+
+def cubic(u, a, t):
+    """Each voltage v loses 0.02 v^3."""
+    x, y = np.cos(u) + OFFSET.real, np.sin(u) + OFFSET.imag
+    return x - 0.02 * x**3 + 1j * (y - 0.03 * y**3) - OFFSET, a
+
+
+def rails(u, a, t):
+    """The sine stops at 0.97 V."""
+    y = np.clip(np.sin(u) + OFFSET.imag, -0.97, 0.97)
+    return np.cos(u) + 1j * (y - OFFSET.imag), a
+
+
+KINDS = {
+    "reference_pole_pairs": (
+        pattern,
+        {"reference_pole_pairs_50_sin": 2e-3, "reference_pole_pairs_50_cos": 0},
+    ),
+    "time_skew": (late, {"delay": 2e-4}),
+    "third_harmonic_distortion": (magnet, {"third_harmonic_distortion_m3_re": 0.01}),
+    "mains_hum:frequency_hz=50": (hum, {"mains_hum0_cos": 3e-3, "mains_hum0_sin": 3e-3}),
+    "odd_nonlinearity": (cubic, {"odd_nonlinearity0_cos": -0.02, "odd_nonlinearity0_sin": -0.03}),
+    "saturation:low_v=-0.97/-9,high_v=0.97/9": (rails, {"clipped_sin": 1.0}),
+}
+"""By text: what is done to the field's angle u (or to both voltages), and the parameters that say so."""
+
+
+@cache
+def encoder(kind, form: str = "voltages", seed: int = 1) -> Log:
+    """2 turns each way at two speeds in 6 runs of 400 samples; u = a + 0.6, offsets of 5 and -3 mV."""
+    rng = np.random.default_rng(seed)
+    columns = {c: [] for c in ("run", "t_s", *VOLTAGES, "angle_ref_rad")}
+    start = 0.0
+    for run, rate in enumerate((12.6, -12.6, 40.0, -40.0, 25.0, -25.0)):
+        t = start + 1e-3 * np.arange(0, 1000, 2.5)
+        a = rate * (t - start)
+        u, ref = kind(a + 0.6, a, t) if kind else (a + 0.6, a)
+        v = u if np.iscomplexobj(u) else np.exp(1j * u)
+        v = v + OFFSET + SIGMA * (rng.standard_normal(400) + 1j * rng.standard_normal(400))
+        values = (np.full(400, run), t, v.imag, v.real, ref + REF * rng.standard_normal(400))
+        for column, part in zip(columns.values(), values, strict=True):
+            column.append(part)
+        start += 2.0
+    out = {c: np.concatenate(parts) for c, parts in columns.items()}
+    out["run"] = out["run"].astype(int)
+    if form == "angle":
+        y, x = out.pop("v_sin_v"), out.pop("v_cos_v")
+        out["angle_rad"] = np.arctan2(y, x)
+    sigmas = dict.fromkeys(VOLTAGES, SIGMA) if form == "voltages" else {"angle_rad": SIGMA}
+    noise = Noise({c: Sigma(v, "given") for c, v in {**sigmas, "angle_ref_rad": REF}.items()})
+    return Log.from_arrays(out, noise)
+
+
+@pytest.mark.parametrize("text", KINDS)
+def test_an_effect_of_known_size_is_fitted_saved_and_read_back(text: str, tmp_path: Path) -> None:
+    kind, truth = KINDS[text]
+    log = encoder(kind)
+    fit = hallsym.fit(log, "rotary", effects=(text,), holdout=(4, 5), solver="direct")
+    assert fit.status == "converged"
+    assert fit.model.texts[text.partition(":")[0]] == text
+    for name, value in truth.items():
+        assert abs(fit.value(name) - value) < 3.9 * fit.std[fit.model.names.index(name)]  # 1e-4
+    rmse = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
+    assert rmse == pytest.approx(fit.noise_floor["angle_rad"], rel=0.1)  # 800 samples: 2.5 % is 1 sigma
+    fit.save(tmp_path / "calib.json")
+    again = hallsym.load_fit(tmp_path / "calib.json")
+    assert (again.model.texts, again.model.names) == (fit.model.texts, fit.model.names)
+    noise = {c: s.value for c, s in fit.noise.sigmas.items()}
+    table = hallsym.judge(log, again.model, again.values, noise).over((4, 5))
+    assert table["rmse"]["angle_rad"] == pytest.approx(rmse, rel=1e-3)  # spikes left out or not
+
+
+@pytest.mark.parametrize("text", ["reference_pole_pairs", "time_skew", "third_harmonic_distortion"])
+def test_the_same_from_the_decoded_angle(text: str) -> None:
+    kind, truth = KINDS[text]
+    fit = hallsym.fit(encoder(kind, "angle"), "rotary", effects=(text,), solver="direct")
+    for name, value in truth.items():
+        assert abs(fit.value(name) - value) < 3.9 * fit.std[fit.model.names.index(name)]
+
+
+def test_the_name_alone_finds_the_numbers_of_an_encoder() -> None:
+    text = model_on(encoder(hum), "rotary", ["mains_hum"]).texts["mains_hum"]
+    assert float(text.rpartition("=")[2]) == pytest.approx(50.0, abs=0.06)
+
+
+def written(log: Log, path: Path) -> Path:
+    columns = [log.array(c) for c in log.columns]
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=",".join(log.columns), comments="")
+    return path
+
+
+def test_the_command_printed_for_an_encoder_runs(tmp_path: Path, capsys) -> None:
+    log = written(encoder(pattern), tmp_path / "log.csv")
+    known = [w for c in VOLTAGES for w in ("--noise", f"{c}={SIGMA}")] + ["--noise", f"angle_ref_rad={REF}"]
+    assert main(["diagnose", str(log), "--model", "rotary", *known]) == 0
+    (line,) = [row for row in capsys.readouterr().out.splitlines() if row.startswith("next: hallsym ")]
+    words = shlex.split(line.removeprefix("next: hallsym "))
+    assert words[:5] == ["fit", str(log), "--model", "rotary", "--effect"]
+    assert words[5].partition(":")[0] == "reference_pole_pairs"
+    calib = tmp_path / "calib.json"
+    assert main([*words, "--solver", "direct", "-o", str(calib)]) == 0
+    assert json.loads(calib.read_text())["parameters"]["reference_pole_pairs_50_sin"]["determined"]
+    capsys.readouterr()
+    assert main(["evaluate", str(calib), str(log), *known]) == 0
+    assert main(["diagnose", str(log), "--model", str(calib), *known, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out.partition("\n{")[2].join(["{", ""]))
+    assert (record["verdict"], record["next_step"]) == ("no gap", [])
+
+
+def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
+    log = encoder(late, "angle")
+    found = diagnose(log, "rotary")
+    texts = [e.text for e in found.effects]
+    assert texts
+    assert all(texts)
+    fit = hallsym.fit(log, "rotary", effects=texts, holdout=found.validation_runs, solver="direct")
+    after = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
+    assert after == pytest.approx(found.gap_after["rmse"]["angle_rad"], rel=0.04)
+
+
+def test_the_self_test_and_the_comparison_of_an_encoder_are_in_degrees(tmp_path: Path, capsys) -> None:
+    log = str(written(encoder(late, "angle"), tmp_path / "log.csv"))
+    words = [log, "--model", "rotary", "--effects", "reference_pole_pairs,sign_inversion", "--sizes", "2"]
+    assert main(["selftest", *words]) == 0
+    said = capsys.readouterr().out
+    assert "deg" in said
+    assert " um" not in said
+    assert "sign_inversion: one channel has no wires to mix up" in said
+    assert main(["diagnose", log, "--model", "rotary", "--json"]) == 0
+    record = tmp_path / "a.json"
+    record.write_text(capsys.readouterr().out)
+    assert main(["diagnose", "--compare", str(record), str(record)]) == 0
+    said = capsys.readouterr().out
+    assert "gap [deg]" in said
+    assert " um" not in said
+
+
+# -- logs that are refused ---------------------------------------------------------------------------------
+
+
+def spoilt(what: str) -> Log:
+    """A log of which one thing is wrong."""
+    log = encoder(None)
+    c = {name: log.array(name) for name in log.columns}
+    y, x, a = "v_sin_v", "v_cos_v", "angle_ref_rad"
+    changes = {
+        "another count of turns": {a: c[a] / 2},
+        "another reference": {a: c[a][::-1] * np.pi},
+        "dead plate": {x: np.full_like(c[x], 0.3)},
+        "swapped": {y: c[x], x: c[y]},
+        "no reference": {},
+    }
+    c |= changes[what]
+    c["run"] = c["run"].astype(int)
+    return Log.from_arrays({k: v for k, v in c.items() if what != "no reference" or k != a})
+
+
+REFUSED = {
+    "another count of turns": "makes 2 turns while angle_ref_rad makes one",
+    "another reference": "does not follow angle_ref_rad",
+    "dead plate": "never changes",
+    "no reference": "has no column angle_ref_rad",
+}
+
+
+@pytest.fixture(scope="module")
+def calib(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("encoder") / "calib.json"
+    hallsym.fit(encoder(None), "rotary", solver="direct").save(path)
+    return path
+
+
+@pytest.mark.parametrize("what", REFUSED)
+@pytest.mark.parametrize("command", ["fit", "diagnose", "evaluate"])
+def test_a_wrong_log_of_an_encoder_is_refused_in_one_sentence(
+    what: str, command: str, calib: Path, tmp_path: Path, capsys
+) -> None:
+    log = str(written(spoilt(what), tmp_path / "log.csv"))
+    words = [str(calib), log] if command == "evaluate" else [log, "--model", "rotary"]
+    assert main([command, *words]) == 2
+    said = capsys.readouterr().err
+    assert REFUSED[what] in said
+    assert said.count("\n") == 1
+
+
+def test_swapped_voltages_are_said_where_a_calibration_is_judged(calib: Path, tmp_path: Path, capsys) -> None:
+    log = str(written(spoilt("swapped"), tmp_path / "log.csv"))
+    assert main(["evaluate", str(calib), log]) == 2
+    assert "runs the other way round than when the calibration was made" in capsys.readouterr().err
+    assert main(["fit", log, "--model", "rotary", "--solver", "direct"]) == 0
+    assert "or the two voltages are swapped" in capsys.readouterr().out
+
+
+def test_a_part_of_a_turn_is_judged_but_not_fitted(calib: Path, tmp_path: Path, capsys) -> None:
+    log = encoder(None)
+    part = {c: log.array(c) for c in log.columns}
+    some = np.mod(part["angle_ref_rad"] + 1e-3, 2 * np.pi) < 1.5
+    del part["t_s"]
+    table = {c: v[some].astype(int) if c == "run" else v[some] for c, v in part.items()}
+    path = str(written(Log.from_arrays(table), tmp_path / "log.csv"))
+    assert main(["fit", path, "--model", "rotary"]) == 2
+    assert "deg of a turn" in capsys.readouterr().err
+    assert main(["evaluate", str(calib), path]) == 0

@@ -1,0 +1,433 @@
+"""Logs of encoders: both forms, wraps, directions, counts, and one clear sentence for each bad one."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_rotary import ANGLE, TURN, angle_log, plates, voltage_log, wrap
+
+import hallsym
+from hallsym.cli.main import main
+from hallsym.diagnosis import diagnose
+from hallsym.errors import InputError
+from hallsym.families import build, default_model, rotary_seen
+from hallsym.log import Log, Meta, Noise, check_log
+from hallsym.log.phase import continuous, wrapped
+from hallsym.report import tables
+
+V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}
+FORTH = np.linspace(0, 3 * TURN, 500)
+BOTH = np.r_[FORTH, FORTH[::-1]]
+BESIDE = Path(__file__).resolve().parents[3] / "shared"
+
+
+def fitted(log: Log, **options):
+    return hallsym.fit(log, "rotary", solver="direct", **options)
+
+
+def test_the_form_follows_from_the_columns():
+    assert build("rotary", meta=voltage_log(V, BOTH).meta).channels == ("v_sin_v", "v_cos_v")
+    assert build("rotary", meta=angle_log(V, BOTH).meta).channels == ("angle_rad",)
+    assert default_model(angle_log(V, BOTH).meta) == "rotary"
+    assert default_model(Meta(columns=("x_ref_m",))) == "stage31"
+    with pytest.raises(InputError, match=r"neither a stage .* nor an encoder .*; map columns with --column"):
+        default_model(Meta(columns=("run", "t_s")))
+    assert build("ellipse").name == "rotary"
+    assert build("ideal_arctan").name == "rotary_ideal"
+    chosen = build("rotary", meta=Meta(probes=[{"channel": "angle_rad"}]))
+    assert chosen.layout == ANGLE
+
+
+@pytest.mark.parametrize("make", [angle_log, voltage_log])
+@pytest.mark.parametrize("wrap_reference", [False, True])
+@pytest.mark.parametrize("zero", [-3.14, 0.0, 3.13])
+def test_turns_wraps_and_any_zero(make, wrap_reference, zero):
+    log = make(V | {"zero": zero}, BOTH, 1e-4)
+    if wrap_reference:
+        columns = {c: log.array(c) for c in log.columns if c != "run"}
+        log = Log.from_arrays(columns | {"angle_ref_rad": wrap(columns["angle_ref_rad"])})
+    fit = fitted(log)
+    assert abs(wrap(fit.value("zero") - zero)) < 1e-4
+    assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < 1.3e-4
+
+
+@pytest.mark.parametrize("make", [angle_log, voltage_log])
+def test_an_encoder_that_turns_against_its_reference(make, tmp_path):
+    log = make(V, -BOTH, 1e-4)
+    columns = {c: log.array(c) for c in log.columns if c != "run"}
+    log = Log.from_arrays(columns | {"angle_ref_rad": BOTH})
+    fit = fitted(log)
+    assert fit.wiring[0][1] == -1
+    assert any("turns against" in note for note in fit.notes)
+    assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < 1.3e-4
+    fit.save(tmp_path / "calib.json")
+    hallsym.write_log(log, tmp_path / "log.csv")
+    assert main(["evaluate", str(tmp_path / "calib.json"), str(tmp_path / "log.csv"), "--json"]) == 0
+
+
+def test_a_reading_lies_next_to_its_reference():
+    log = angle_log(V, BOTH, 1e-4)
+    whole = continuous(log, build("rotary", meta=log.meta))
+    apart = whole.array("angle_rad") - whole.array("angle_ref_rad")
+    assert np.ptp(apart) < 0.2
+    assert np.allclose(wrapped(whole.array("angle_rad") - log.array("angle_rad"), TURN), 0, atol=1e-9)
+    assert continuous(whole, build("rotary", meta=log.meta)) is whole
+
+
+@pytest.mark.parametrize("make", [angle_log, voltage_log])
+def test_a_calibration_comes_back_from_its_file(make, tmp_path):
+    fit = fitted(make(V, BOTH, 1e-4), effects=["harmonics"])
+    fit.save(tmp_path / "calib.json")
+    back = hallsym.load_fit(tmp_path / "calib.json")
+    assert (back.model.names, back.model.channels, back.model.layout) == (
+        fit.model.names, fit.model.channels, fit.model.layout,
+    )  # fmt: skip
+    assert np.array_equal(back.values, fit.values)
+    noise = {c: s.value for c, s in fit.noise.sigmas.items()}
+    again = hallsym.judge(make(V, BOTH, 1e-4), back.model, back.values, noise)
+    assert again.over()["rmse"]["angle_rad"] == pytest.approx(
+        fit.errors.rows()["fitted"]["rmse"]["angle_rad"]
+    )
+
+
+def test_the_noise_floor_is_that_of_the_decoded_angle():
+    log = voltage_log({"Ax": 2.0, "Ay": 2.0}, BOTH, 1e-3)
+    sigma = {"v_sin_v": 1e-3, "v_cos_v": 1e-3, "angle_ref_rad": 3e-4}
+    noise = hallsym.Noise({c: hallsym.log.Sigma(s, "given") for c, s in sigma.items()})
+    known = Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"}, noise)
+    assert fitted(known).noise_floor["angle_rad"] == pytest.approx(np.hypot(5e-4, 3e-4), rel=1e-3)
+
+
+# -- bad input -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [angle_log, voltage_log])
+@pytest.mark.parametrize(
+    ("reference", "a", "says"),
+    [
+        (None, np.linspace(0, 1.2, 300), "covers only .* of a turn; .*record at least one full turn"),
+        (
+            lambda a: 2 * a,
+            BOTH,
+            "makes 1/2 of a turn while angle_ref_rad makes one; .*scale the reference by 0.5",
+        ),
+        (lambda a: a / 7, BOTH, "makes 7 turns while angle_ref_rad makes one"),
+        (lambda a: a**2 / 3, FORTH, "does not follow angle_ref_rad"),
+        (lambda a: 1.05 * a, 3 * BOTH, "makes 0.952.? turns while angle_ref_rad makes one; .*by 0.952"),
+        (np.degrees, BOTH, "angle_ref_rad of .* another unit: .* if angle_ref_rad were in degrees; say so"),
+        (lambda a: np.degrees(a) % 360, BOTH, "if angle_ref_rad were in degrees"),
+        (np.radians, 3 * BOTH, "if angle_ref_rad were in rad"),
+        (
+            lambda a: np.mod(a, TURN) * 20000 / 16384,
+            BOTH,
+            "wraps after 1.22. turns, which is no whole number",
+        ),
+    ],
+)
+def test_references_that_cannot_be_used(make, reference, a, says):
+    log = make(V, a, 1e-4)
+    if reference:
+        columns = {c: log.array(c) for c in log.columns if c != "run"}
+        log = Log.from_arrays(columns | {"angle_ref_rad": reference(a)})
+    with pytest.raises(InputError, match=says) as caught:
+        fitted(log)
+    assert str(caught.value).count(". ") == 0
+
+
+def test_an_angle_that_is_in_degrees_is_said():
+    log = angle_log(V, BOTH, 1e-4)
+    for columns in (("angle_rad",), ("angle_rad", "angle_ref_rad")):
+        other = {c: np.degrees(np.mod(log.array(c), TURN)) for c in columns}
+        table = {c: log.array(c) for c in log.columns if c != "run"} | other
+        with pytest.raises(InputError, match=r"angle_rad .* if angle_rad were in degrees"):
+            fitted(Log.from_arrays(table))
+
+
+def test_a_reference_of_another_scale_is_said_and_not_called_homed():
+    """Half a percent over six turns: 11 deg, which zeros of runs would differ by too."""
+    rng, parts = np.random.default_rng(3), []
+    for run, sign in enumerate((1, -1, 1)):
+        a = rng.uniform(0, 6) + sign * np.linspace(0, 6 * TURN, 1500)
+        log = angle_log(V, a, 1e-4)
+        parts.append(
+            {"run": np.full(len(a), run), "angle_rad": log.array("angle_rad"), "angle_ref_rad": 1.005 * a}
+        )
+    log = Log.from_arrays({c: np.concatenate([part[c] for part in parts]) for c in parts[0]})
+    (note,) = (n for n in fitted(log).notes if "turns while" in n)
+    assert "makes 0.99" in note
+    assert "--effect reference_scale_error" in note
+    assert not any("homed" in n for n in fitted(log).notes)
+
+
+def test_parts_of_a_turn_may_be_repeated():
+    """Each pass ends where the next one does not begin: no wrap of the reference, which the encoder shows."""
+    a = np.tile(np.linspace(0, 0.8 * TURN, 200), 4)
+    for make in (angle_log, voltage_log):
+        assert fitted(make(V, a, 1e-4)).value("beta") == pytest.approx(V["beta"], abs=1e-3)
+
+
+def test_a_plate_that_only_hums_is_dead():
+    y, x = plates(V, BOTH)
+    rng = np.random.default_rng(2)
+    for dead in ("v_sin_v", "v_cos_v"):
+        columns = {"v_sin_v": y, "v_cos_v": x, "angle_ref_rad": BOTH} | {
+            dead: 0.3 + 2e-4 * rng.standard_normal(len(y))
+        }
+        with pytest.raises(InputError, match=f"Column {dead} .* check that plate and its wiring"):
+            fitted(Log.from_arrays(columns))
+
+
+def test_spikes_do_not_hide_how_an_encoder_turns():
+    y, x = plates(V, BOTH)
+    y, x = (v + 2e-4 * np.random.default_rng(k).standard_normal(len(v)) for k, v in enumerate((y, x)))
+    y[50::80] = 100.0
+    fit = fitted(Log.from_arrays({"v_sin_v": y, "v_cos_v": x, "angle_ref_rad": BOTH}))
+    assert fit.value("Ay") == pytest.approx(V["Ay"], rel=1e-3)
+
+
+def test_voltages_beyond_the_bounds_of_an_amplitude():
+    y, x = plates(V, BOTH)
+    log = Log.from_arrays({"v_sin_v": 1e-5 * y, "v_cos_v": 1e-5 * x, "angle_ref_rad": BOTH})
+    with pytest.raises(
+        InputError, match=r"v_sin_v .* beyond the bounds of its amplitude Ay \(0.001 to 20 V\)"
+    ):
+        fitted(log)
+
+
+def test_rows_in_no_order_need_a_stated_noise():
+    """Differences of shuffled knots are no noise: 50 deg of it, and every parameter at its nominal value."""
+    log = angle_log(V, np.arange(200) * TURN / 200, 1e-4)
+    order = np.random.default_rng(5).permutation(200)
+    columns = {c: log.array(c)[order] for c in ("angle_rad", "angle_ref_rad")}
+    with pytest.raises(InputError, match=r"in no order .* sort them by angle_ref_rad, or state the noise"):
+        fitted(Log.from_arrays(columns))
+    stated = Noise.given({"angle_rad": 1e-4, "angle_ref_rad": 1e-5}, list(columns))
+    assert fitted(Log.from_arrays(columns, stated)).value("beta") == pytest.approx(V["beta"], abs=1e-3)
+
+
+def test_noise_that_is_estimated_too_large_is_said():
+    """A sample every 1.7 rad: differences of the angle's error are no noise, and what is left shows it."""
+    log = angle_log(V, 1.7 * np.arange(1000), 1e-4)
+    fit = fitted(Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"}))
+    assert "noise was estimated" in tables.evidence(fit)[0]
+    assert "state it with --noise" in tables.evidence(fit)[0]
+    assert "estimated" not in tables.evidence(fitted(angle_log(V, BOTH, 1e-4)))[0]
+
+
+def test_one_direction_and_a_gap_are_said():
+    fit = fitted(angle_log(V, np.linspace(0, TURN * 0.85, 300), 1e-4))
+    assert any("one direction only: latency and hysteresis" in n and "not observable" in n for n in fit.notes)
+    assert any("No sample lies in 50 deg of the turn" in n for n in fit.notes)
+    assert not any("direction" in n for n in fitted(angle_log(V, BOTH, 1e-4)).notes)
+
+
+def test_a_constant_channel_is_refused():
+    y, x = plates(V, BOTH)
+    for columns in ({"v_sin_v": y, "v_cos_v": 0 * x}, {"angle_rad": 0 * x + 1}):
+        with pytest.raises(InputError, match=r"never changes; .*check the probe and its wiring"):
+            fitted(Log.from_arrays({"angle_ref_rad": BOTH, **columns}))
+
+
+def counts(tmp_path: Path, text: str = "", header: str = "raw,ref") -> Path:
+    a = BOTH
+    y, x = plates(V, a)
+    raw = np.mod(np.arctan2(y, x), TURN) / TURN * 4096
+    file = tmp_path / "enc.csv"
+    rows = "\n".join(f"{c:.2f},{r:.6f}" for c, r in zip(raw, np.degrees(a), strict=True))
+    file.write_text(f"{header}\n{text}{rows}\n")
+    return file
+
+
+MAPPED = {"angle_count": "raw", "angle_ref_deg": "ref"}
+
+
+def test_counts_become_angles(tmp_path):
+    file = counts(tmp_path)
+    log = hallsym.read_log(file, columns=MAPPED, counts_per_turn=4096)
+    assert np.ptp(log.array("angle_rad")) == pytest.approx(TURN, abs=0.05)
+    (tmp_path / "c.toml").write_text(
+        'counts_per_turn = 4096\n[columns]\nangle_count = "raw"\nangle_ref_deg = "ref"\n'
+    )
+    same = hallsym.read_log(file, column_file=tmp_path / "c.toml")
+    assert np.array_equal(same.array("angle_rad"), log.array("angle_rad"))
+    inline = '[columns]\nangle_count = {name = "raw", counts_per_turn = 4096}\nangle_ref_deg = "ref"\n'
+    (tmp_path / "d.toml").write_text(inline)
+    assert np.array_equal(
+        hallsym.read_log(file, column_file=tmp_path / "d.toml").array("angle_rad"), log.array("angle_rad")
+    )
+    (tmp_path / "log").mkdir()
+    file.rename(tmp_path / "log" / "log.csv")
+    (tmp_path / "log" / "meta.json").write_text(json.dumps({"counts_per_turn": 4096}))
+    meta = hallsym.read_log(tmp_path / "log", columns=MAPPED)
+    assert np.array_equal(meta.array("angle_rad"), log.array("angle_rad"))
+    assert abs(fitted(meta).value("beta") - V["beta"]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("per_turn", "says"),
+    [
+        (None, "is an angle in counts; say how many make a turn with --counts-per-turn"),
+        (1024, "holds counts from .* where a turn has 1024: check --counts-per-turn"),
+        (0, "counts_per_turn as a number of 2 or more"),
+        (float("nan"), "counts_per_turn as a number of 2 or more"),
+    ],
+)
+def test_counts_that_cannot_be(tmp_path, per_turn, says):
+    with pytest.raises(InputError, match=says):
+        check_log(hallsym.read_log(counts(tmp_path), columns=MAPPED, counts_per_turn=per_turn))
+
+
+def test_signed_counts_are_a_turn_too():
+    a = np.linspace(-np.pi, np.pi, 200)
+    raw = np.round(a / TURN * 4096)
+    file = {"angle_rad": raw / 4096 * TURN, "angle_ref_rad": a}
+    assert check_log(Log.from_arrays(file))
+
+
+# -- the command line ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["voltages", "angle"])
+def test_every_command_works_on_an_encoder(form, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("angle.toml").write_text('[[probes]]\nchannel = "angle_rad"\n')
+    machine = ["--machine", "angle.toml"] if form == "angle" else []
+    assert main(["simulate", "--model", "rotary", *machine, "-o", "log.csv", "--seed", "1"]) == 0
+    assert main(["info", "log.csv"]) == 0
+    assert "angle_ref_rad" in capsys.readouterr().out
+    assert main(["fit", "log.csv", "--solver", "direct", "-o", "calib.json", "--plots", "pictures"]) == 0
+    text = capsys.readouterr().out
+    assert "rmse angle [deg]" in text
+    assert "pictures/measured.png" in text
+    assert main(["fit", "log.csv", "--solver", "direct", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["model"] == "rotary"
+    assert set(record["errors"]["fitted"]["rmse"]) == {"angle_rad"}
+    assert main(["evaluate", "calib.json", "log.csv", "--by-run", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["errors"]["rmse"]["angle_rad"] < np.radians(0.03)
+    assert main(["sensitivity", "calib.json", "log.csv", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert main(["report", "calib.json", "log.csv", "-o", "page.html"]) == 0
+    page = Path("page.html").read_text()
+    assert "mdeg" in page
+    assert "NaN" not in page
+
+
+def test_a_campaign_that_moves_what_a_model_lacks_is_refused():
+    with pytest.raises(InputError, match=r"moves .*, which rotary has not; it has angle_rad"):
+        hallsym.simulate(build("rotary"), {}, hallsym.paper_campaign(), seed=1)
+
+
+def test_the_bundled_encoder_gives_its_truth_back():
+    log = hallsym.read_log(Path(__file__).resolve().parents[2] / "data" / "encoder")
+    fit = hallsym.fit(log, solver="direct")
+    truth = {"Vx": 0.008943, "Vy": 0.000491, "Ax": 1.008607, "Ay": 0.994536, "beta": 0.000368, "m": 0.113}
+    assert fit.model.name == "rotary_meng"
+    for name, value in truth.items():
+        k = fit.model.names.index(name)
+        assert abs(fit.values[k] - value) < 3.5 * fit.std[k], name
+    held = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
+    assert held == pytest.approx(fit.noise_floor["angle_rad"], rel=0.1)
+
+
+# -- logs beside the repository --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", ["dev_016", "dev_017", "dev_018", "dev_019", "dev_020"])
+def test_cases_of_another_plant_give_the_gap_that_they_state(case):
+    folder = BESIDE / "cases"
+    if not folder.is_dir():
+        pytest.skip("no folder of cases beside the repository")
+    label = json.loads((folder / "labels.json").read_text())[case]
+    log = hallsym.read_log(folder / "dev" / case)
+    fit = hallsym.fit(log, solver="direct", loss="none")
+    stated = label["noisy"]["before"]["output_rmse"]["angle_rad"]
+    assert fit.errors.rows()["holdout"]["rmse"]["angle_rad"] == pytest.approx(stated, rel=0.02)
+
+
+def apart(log: Log, held: np.ndarray) -> Log:
+    """Run 0: the knots to fit; run 1: those held out."""
+    order = np.argsort(held, kind="stable")
+    columns = {c: log.array(c)[order] for c in ("angle_rad", "angle_ref_rad")}
+    return Log.from_arrays({"run": held[order].astype(int), **columns})
+
+
+def test_recorded_encoders_calibrate_to_what_their_reference_repeats():
+    """AS5047D on stepper motors: held-out knots keep what knots keep that were fitted themselves.
+
+    What is left is the pattern of the steps of the reference, four knots to a pole pair: of every second knot
+    the fit sees one phase and takes its mean for the zero, so that a step pattern counts twice between them.
+    """
+    folder = BESIDE / "real" / "rotary-mechaduino-luts"
+    if not folder.is_dir():
+        pytest.skip("no folder of recorded encoders beside the repository")
+    columns = {"angle_count": "raw_count", "angle_ref_deg": "ref_angle_deg"}
+    for file in sorted(folder.glob("*.csv")):
+        log = hallsym.read_log(file, columns=columns, counts_per_turn=16384)
+        a, r, k = log.array("angle_rad"), log.array("angle_ref_rad"), np.arange(log.rows)
+        e = wrap(a - r - np.angle(np.exp(1j * (a - r)).mean()))
+        waves = [f(n * r) for n in range(1, 9) for f in (np.cos, np.sin)]
+        basis = np.column_stack([np.ones(len(r)), *waves])
+        rest = float(np.std(e - basis @ np.linalg.lstsq(basis, e, rcond=None)[0]))
+        for held, most in ((k % 2, 2.0), (k // 4 % 2, 1.1)):
+            split = apart(log, held)
+            fit = hallsym.fit(split, "rotary", effects=["harmonics"], holdout=[1], solver="direct")
+            assert fit.errors.rows()["holdout"]["rmse"]["angle_rad"] < most * rest, file.name
+
+
+def test_a_recorded_resolver_loads_as_it_is():
+    folder = BESIDE / "real" / "rotary-resolver-amci"
+    if not folder.is_dir():
+        pytest.skip("no folder of a recorded resolver beside the repository")
+    columns = {"angle_deg": "resolver_deg", "angle_ref_deg": "ref_deg", "speed_deg_s": "vel_deg_s"}
+    for name, most in (("normal_connection", 6.0), ("divider_on_excitation", 2.0)):
+        log = hallsym.read_log(folder / f"{name}.csv", columns=columns, drop_bad=True)
+        fit = hallsym.fit(log, "rotary", solver="direct", drop_bad=True)
+        assert fit.errors.rows()["fitted"]["rmse"]["angle_rad"] < np.radians(most), name
+        assert not any("isolated spikes" in note for note in fit.notes)  # it rests half of the time
+
+
+@pytest.mark.slow
+def test_recorded_encoders_are_taken_apart_by_their_waves():
+    """The stepper's pattern is the reference's wherever it is 0.04 deg and more; nothing is above the gap."""
+    folder = BESIDE / "real" / "rotary-mechaduino-luts"
+    if not folder.is_dir():
+        pytest.skip("no folder of recorded encoders beside the repository")
+    columns = {"angle_count": "raw_count", "angle_ref_deg": "ref_angle_deg"}
+    for file in sorted(folder.glob("*.csv")):
+        log = hallsym.read_log(file, columns=columns, counts_per_turn=16384)
+        d = diagnose(log, "rotary_ideal")
+        largest = max(d.waves, key=lambda w: w.designed)
+        assert {e.name for e in d.effects} & set(largest.causes), file.name
+        steps = np.degrees(max((w.model for w in d.waves if w.per_turn in (50, 100)), default=0.0))
+        assert steps < 0.04 or "reference_pole_pairs" in d.ranked, file.name
+        assert d.metric["after"] < 0.4 * d.metric["before"], file.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["rotary", "rotary_ideal"])
+def test_a_recorded_resolver_is_overdriven_late_and_its_reference_short(model):
+    folder = BESIDE / "real" / "rotary-resolver-amci"
+    if not folder.is_dir():
+        pytest.skip("no folder of a recorded resolver beside the repository")
+    columns = {"angle_deg": "resolver_deg", "angle_ref_deg": "ref_deg"}
+    for name, clipped in (("normal_connection", True), ("divider_on_excitation", False)):
+        d = diagnose(hallsym.read_log(folder / f"{name}.csv", columns=columns), model)
+        assert (d.ranked[0] == "saturation") == clipped, name
+        found = {e.name: {n: p.value for n, p in e.parameters.items()} for e in d.effects}
+        (late,) = (v for n in ("time_skew", "first_order_lag") if n in found for v in found[n].values())
+        assert late == pytest.approx(0.034, abs=0.001), name
+        assert found["reference_scale_error"]["scale"] == pytest.approx(0.003, abs=5e-4), name
+
+
+def test_what_is_seen_of_a_long_log_takes_no_more_memory():
+    """Of numbers that go by in blocks of any size some are kept, evenly."""
+    some, stream = rotary_seen.Some(np.empty((2, 0))), np.arange(500_000.0)
+    for part in np.split(np.array([stream, -stream]), [7, 100_000, 100_001, 333_333], axis=1):
+        some.add(part)
+    assert some.count == 500_000
+    assert rotary_seen.MANY / 2 < some.values.shape[1] <= rotary_seen.MANY
+    assert np.array_equal(some.values[0], np.arange(0, 500_000, some.every))
+    assert np.array_equal(some.values[1], -some.values[0])

@@ -1,0 +1,491 @@
+"""The stage's physics, by equivalences that share no code with it.
+
+Equivalences: the article's PM and phi typed in numpy; decoding inverts reading; textbook limits; mirrored and
+turned machines read the same; gains scale readings; poses superpose; finite rotation from its matrix; tied
+coupling is the free one of a rigid stage; lever arms are all that H does; the article's own Table 2.
+Tolerances count roundings (EPS, half a unit in the last place each) times the size of the terms.
+"""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from twins import EFFECTS, EPS, MODELS, TRUTH, combinations_of_effects, inside, phi, phi_size, pm
+
+from hallsym.errors import InputError
+from hallsym.estimation.decoding import error_tables
+from hallsym.families import build
+from hallsym.families.stage import (
+    Probe,
+    exact_rotation,
+    paper_layout,
+    stage15,
+    stage30,
+    stage31,
+    stage31_tied,
+    tied_vertical_coupling,
+    vertical_coupling,
+    zero_deviation,
+)
+from hallsym.log import Log, Meta
+from hallsym.simulation.campaign import Campaign, paper_campaign
+from hallsym.simulation.machine import NoiseModel, simulate, table8_noise
+
+ROUNDINGS = 16 * EPS
+"""Some ten operations lie between data and reading, in each of the two computations."""
+
+unit = st.floats(-1.0, 1.0)
+poses = st.tuples(unit, unit, unit).map(lambda q: np.array(q) * [2e-3, 2e-3, 1e-3])
+states = st.tuples(unit, unit, unit).map(lambda s: np.array(s) * [3e-4, 5e-4, 5e-4])
+deltas = st.tuples(unit, unit, unit).map(lambda d: np.array(d) * 1e-5)
+seeds = st.integers(0, 2**32 - 1)
+NONE = np.zeros(0)
+
+
+def numbers(function: ca.Function, *arguments) -> np.ndarray:
+    return np.asarray(function(*arguments)).ravel()
+
+
+def zeros(model, d: np.ndarray) -> np.ndarray:
+    return d if model.zeros else NONE
+
+
+def named(model, p: np.ndarray) -> dict[str, float]:
+    return dict(zip(model.names, p.tolist(), strict=True))
+
+
+# -- the article's equations -----------------------------------------------------------------------------
+
+
+@settings(max_examples=25)
+@given(poses, states, deltas, seeds)
+@pytest.mark.parametrize("make", [stage15, stage30, stage31])
+def test_reading_is_the_articles_equation(make, q, s, delta, seed):
+    model = make()
+    p = inside(model, np.random.default_rng(seed))
+    v = named(model, p)
+    d = delta / phi(v, s * 0.0) if model.zeros else np.zeros(3)
+    expected = phi(v, s) * (pm(v) @ q + d)
+    size = phi_size(v, s) * (np.abs(pm(v)) @ np.abs(q) + np.abs(d))
+    assert np.all(np.abs(numbers(model.reading, p, zeros(model, d), q, s) - expected) <= ROUNDINGS * size)
+    assert np.all(np.abs(numbers(model.gain, p, s) - phi(v, s)) <= ROUNDINGS * phi_size(v, s))
+
+
+@settings(max_examples=25)
+@given(poses, states, deltas, seeds)
+@pytest.mark.parametrize("make", [stage15, stage30, stage31])
+def test_decoded_is_the_articles_equation(make, q, s, delta, seed):
+    model = make()
+    rng = np.random.default_rng(seed)
+    names = [n for n in model.names if n[0] not in "abc"]
+    p = model.vector({n: v for n, v in named(model, inside(model, rng)).items() if n in names} | (
+        {n: TRUTH[n] * rng.uniform(0.5, 1.5) for n in model.names if n not in names}
+    ))  # fmt: skip
+    v = named(model, p)
+    at_reset = rng.uniform(-1e-4, 1e-4, 3)
+    d = delta / phi(v, at_reset) if model.zeros else np.zeros(3)
+    m = rng.uniform(-5e-4, 5e-4, 3)
+    expected = np.linalg.solve(pm(v), m / phi(v, s) - d)  # (31)
+    inverse = np.abs(np.linalg.inv(pm(v)))
+    error = phi_size(v, s) / phi(v, s) * np.abs(m / phi(v, s)) + np.abs(d) + np.abs(pm(v)) @ np.abs(expected)
+    found = numbers(model.decoded, p, zeros(model, d), m, s, np.ones(3))
+    assert np.all(np.abs(found - expected) <= ROUNDINGS * inverse @ (error + np.abs(pm(v)) @ inverse @ error))
+
+
+def test_paper_layout_has_the_articles_quadrants_and_directions():
+    positions = {p.label: (p.position, p.senses) for p in paper_layout()}
+    assert positions == {
+        "A": ((0.1975, 0.4), (0.0, 1.0)),
+        "B": ((-0.1975, 0.42), (0.0, 1.0)),
+        "C": ((0.1975, 0.36), (1.0, 0.0)),
+    }
+
+
+def test_textbook_limit_without_misalignment_and_gain():
+    """A and B read y and the arc of their x, C reads x and the arc of its y."""
+    x, y, rz = 3e-4, -4e-4, 2e-4
+    a, b, c = numbers(stage15().reading, stage15().nominal, NONE, [x, y, rz], np.zeros(3))
+    assert a == pytest.approx(y + 0.1975 * rz, rel=4 * EPS)
+    assert b == pytest.approx(y - 0.1975 * rz, rel=4 * EPS)
+    assert c == pytest.approx(x - 0.36 * rz, rel=4 * EPS)
+
+
+def test_misalignment_turns_the_sensing_axis_counter_clockwise():
+    """Turned by 90 degrees, a probe that sensed Y senses -X, and one that sensed X senses Y."""
+    p = stage15().vector(dict.fromkeys(("theta_A", "theta_B", "theta_C"), np.pi / 2))
+    a, b, c = numbers(stage15().reading, p, NONE, [3e-4, -4e-4, 0.0], np.zeros(3))
+    assert np.allclose([a, b, c], [-3e-4, -3e-4, -4e-4], rtol=0, atol=2 * EPS * 5e-4)
+
+
+# -- any layout ------------------------------------------------------------------------------------------
+
+
+@st.composite
+def layouts(draw, sizes=(3, 4, 6)):
+    """Probes anywhere on a 0.8 m stage that sense in any direction, geometry that tells x, y, Rz apart."""
+    n = draw(st.sampled_from(sizes))
+    rng = np.random.default_rng(draw(seeds))
+    position, angle = rng.uniform(-0.4, 0.4, (n, 2)), rng.uniform(-np.pi, np.pi, n)
+    senses = np.array([np.cos(angle), np.sin(angle)]).T
+    matrix = np.column_stack([senses, (position[:, 0] * senses[:, 1] - position[:, 1] * senses[:, 0]) / 0.3])
+    assume(np.linalg.cond(matrix) < 30)
+    return tuple(
+        Probe(f"hall_{'abcdef'[k]}_m", tuple(position[k].tolist()), tuple(senses[k].tolist()))
+        for k in range(n)
+    )
+
+
+@settings(max_examples=12)
+@given(layouts(), poses, states, seeds)
+@pytest.mark.parametrize("effects", [(), ("exact_rotation",)])
+@pytest.mark.parametrize("make", [stage15, stage30, stage31, stage31_tied])
+def test_decoding_inverts_reading(make, effects, layout, q, s, seed):
+    """Normal equations square the condition number (30 at nominal values; below 60 with misalignment)."""
+    model = make(layout)
+    for _ in effects:
+        model = exact_rotation(model)
+    rng = np.random.default_rng(seed)
+    p = model.vector(
+        {n: v for n, v in named(model, inside(model, rng)).items() if n.startswith(("eta", "x0", "y0", "H"))}
+        | {n: rng.uniform(-0.03, 0.03) for n in model.names if n.startswith("theta")}
+        | {n: rng.uniform(-200, 200) for n in model.names if n.split("_")[0] in ("a", "b", "c")}
+    )
+    p = np.where([n.startswith("H") for n in model.names], model.nominal, p)
+    d = rng.uniform(-1e-5, 1e-5, len(model.zeros))
+    reading = numbers(model.reading, p, d, q, s)
+    back = numbers(model.decoded, p, d, reading, s, rng.uniform(0.5, 2.0, len(layout)))
+    scale = np.array([1.0, 1.0, 1 / 0.3]) * (np.linalg.norm(q * [1, 1, 0.3]) + 1e-5)
+    assert np.all(np.abs(back - q) <= 60**2 * 4 * ROUNDINGS * scale)
+
+
+@settings(max_examples=12)
+@given(layouts(), poses, states, seeds)
+def test_mirrored_machine_reads_the_same(layout, q, s, seed):
+    """x -> -x: positions, directions, x, Ry, Rz and misalignments change sign; Z, Rx and gains do not."""
+    mirrored = tuple(
+        Probe(p.channel, (-p.position[0], p.position[1]), (-p.senses[0], p.senses[1])) for p in layout
+    )
+    one, two = stage31_tied(layout), stage31_tied(mirrored)
+    v = named(one, inside(one, np.random.default_rng(seed)))
+    w = {n: -value if n.startswith(("theta", "x0")) else value for n, value in v.items()}
+    read = numbers(one.reading, one.vector(v), np.zeros(len(layout)), q, s)
+    mirror = numbers(two.reading, two.vector(w), np.zeros(len(layout)), q * [-1, 1, -1], s * [1, 1, -1])
+    assert np.all(np.abs(read - mirror) <= ROUNDINGS * 30.0 * (np.abs(q).sum() + 1e-300))
+
+
+@settings(max_examples=12)
+@given(layouts(), poses, states, st.floats(-3.0, 3.0), seeds)
+@pytest.mark.parametrize("exact", [False, True])
+def test_turned_machine_reads_the_same(exact, layout, q, s, turn, seed):
+    """Turning stage, probes, displacement and tilt together changes no reading."""
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    turned = tuple(Probe(p.channel, tuple(R @ p.position), tuple(R @ p.senses)) for p in layout)
+    rng = np.random.default_rng(seed)
+    make = (lambda x: exact_rotation(stage31_tied(x))) if exact else stage31_tied
+    one, two = make(layout), make(turned)
+    v = {n: x for n, x in named(one, inside(one, rng)).items() if n.startswith(("theta", "eta"))}
+    v |= {n: rng.uniform(-200, 200) for n in one.names if n.startswith("a_")}
+    point = rng.uniform(-0.3, 0.3, 2)
+    read = numbers(
+        one.reading, one.vector(v | dict(zip(("x0", "y0"), point, strict=True))), np.zeros(len(layout)), q, s
+    )
+    p = two.vector(v | dict(zip(("x0", "y0"), R @ point, strict=True)))
+    other = numbers(two.reading, p, np.zeros(len(layout)), [*(R @ q[:2]), q[2]], [s[0], *(R @ s[1:])])
+    assert np.all(np.abs(read - other) <= 4 * ROUNDINGS * np.abs(q).sum() + 1e-22)
+
+
+@settings(max_examples=25)
+@given(poses, states, seeds, st.floats(0.1, 10.0))
+def test_reading_scales_with_the_gain(q, s, seed, factor):
+    model = stage31()
+    v = named(model, inside(model, np.random.default_rng(seed)))
+    w = {n: factor * x if n.startswith(("eta", "a_", "b_", "c_")) else x for n, x in v.items()}
+    d = np.full(3, 2e-6)
+    one = numbers(model.reading, model.vector(v), d, q, s)
+    two = numbers(model.reading, model.vector(w), d, q, s)
+    size = phi_size(v, s) * (np.abs(pm(v)) @ np.abs(q) + np.abs(d))
+    assert np.all(np.abs(two - factor * one) <= ROUNDINGS * factor * size)
+
+
+@settings(max_examples=25)
+@given(poses, poses, states, seeds)
+def test_poses_and_zeros_superpose(q1, q2, s, seed):
+    model = stage31()
+    rng = np.random.default_rng(seed)
+    p, (d1, d2) = inside(model, rng), rng.uniform(-1e-5, 1e-5, (2, 3))
+    v = named(model, p)
+    total = numbers(model.reading, p, d1 + d2, q1 + q2, s)
+    parts = numbers(model.reading, p, d1, q1, s) + numbers(model.reading, p, d2, q2, s)
+    size = np.abs(q1) + np.abs(q2)
+    bound = phi_size(v, s) * (np.abs(pm(v)) @ size + np.abs(d1) + np.abs(d2))
+    assert np.all(np.abs(total - parts) <= ROUNDINGS * bound)
+
+
+# -- effects ---------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=12)
+@given(layouts(), st.tuples(unit, unit, st.floats(-3.0, 3.0)), seeds)
+def test_exact_rotation_is_the_rotation_matrix(layout, q, seed):
+    """A probe at p moves by R(Rz) (p + (x, y)) - p, whatever the angle."""
+    model = exact_rotation(stage15(layout))
+    v = named(model, inside(model, np.random.default_rng(seed)))
+    q = np.array(q)
+    rz = q[2]
+    R = np.array([[np.cos(rz), -np.sin(rz)], [np.sin(rz), np.cos(rz)]])
+    expected = []
+    for k, probe in enumerate(layout, start=1):
+        sign = np.where(np.array(probe.position) < 0, -1.0, 1.0)
+        p = sign * [v[f"H{k}x"], v[f"H{k}y"]]
+        angle = np.arctan2(probe.senses[1], probe.senses[0]) + v[f"theta_{probe.label}"]
+        moved = R @ (p + q[:2]) - p
+        expected.append(v[f"eta_{probe.label}"] * ([np.cos(angle), np.sin(angle)] @ moved))
+    found = numbers(model.reading, model.vector(v), NONE, q, np.zeros(3))
+    assert np.allclose(found, expected, rtol=0, atol=8 * ROUNDINGS)  # all terms are of order 1 m
+
+
+def test_small_angle_and_exact_rotation_differ_at_second_order():
+    """Halving the pose quarters the difference (up to the third order, 1e-3 of it at 1 mrad)."""
+    small, exact = stage15(), exact_rotation(stage15())
+    p = small.vector({n: TRUTH[n] for n in small.names})
+    q = np.array([1e-3, -8e-4, 1e-3])
+
+    def gap(scale: float) -> np.ndarray:
+        point = scale * q
+        return numbers(exact.reading, p, NONE, point, np.zeros(3)) - numbers(
+            small.reading, p, NONE, point, np.zeros(3)
+        )
+
+    assert np.abs(gap(1.0)).min() > 1e-8  # 0.3 m (1 mrad)^2 / 2 is 0.15 um
+    assert np.allclose(gap(1.0) / gap(0.5), 4.0, rtol=2e-3)
+    assert np.allclose(gap(0.5) / gap(0.25), 4.0, rtol=1e-3)
+
+
+@settings(max_examples=12)
+@given(layouts(), poses, states, seeds)
+def test_tied_coupling_is_the_free_one_of_a_rigid_stage(layout, q, s, seed):
+    tied, free = tied_vertical_coupling(stage15(layout)), vertical_coupling(stage15(layout))
+    v = named(tied, inside(tied, np.random.default_rng(seed)))
+    w = {n: x for n, x in v.items() if n in free.names}
+    for k, probe in enumerate(layout, start=1):
+        sx, sy = (-1.0 if value < 0 else 1.0 for value in probe.position)
+        a = v[f"a_{probe.label}"]
+        w[f"b_{probe.label}"] = a * (sy * v[f"H{k}y"] - v["y0"])
+        w[f"c_{probe.label}"] = -a * (sx * v[f"H{k}x"] - v["x0"])
+    one = numbers(tied.reading, tied.vector(v), NONE, q, s)
+    two = numbers(free.reading, free.vector(w), NONE, q, s)
+    size = 1.05 + 5000 * (np.abs(s) @ [1.0, 1.2, 1.2])
+    assert np.all(np.abs(one - two) <= ROUNDINGS * size * (np.abs(q) @ [1.0, 1.0, 1.0]))
+
+
+@settings(max_examples=25)
+@given(poses, states, seeds, st.floats(-0.05, 0.05), st.sampled_from((1, 2, 3)))
+def test_only_lever_arms_matter_of_H(q, s, seed, shift, k):
+    """Moving probe k along its sensing axis, turned by theta, leaves the readings as they are."""
+    model = stage31()
+    v = named(model, inside(model, np.random.default_rng(seed)))
+    probe = model.layout[k - 1]
+    sx, sy = (-1.0 if value < 0 else 1.0 for value in probe.position)
+    angle = np.arctan2(probe.senses[1], probe.senses[0]) + v[f"theta_{probe.label}"]
+    w = v | {
+        f"H{k}x": v[f"H{k}x"] + sx * shift * np.cos(angle),
+        f"H{k}y": v[f"H{k}y"] + sy * shift * np.sin(angle),
+    }
+    one = numbers(model.reading, model.vector(v), np.zeros(3), q, s)
+    two = numbers(model.reading, model.vector(w), np.zeros(3), q, s)
+    size = phi_size(v, s) * (np.abs(pm(v)) @ np.abs(q))
+    assert np.all(np.abs(one - two) <= 2 * ROUNDINGS * size)
+    arms = numbers(model.combined, model.vector(v)), numbers(model.combined, model.vector(w))
+    assert np.allclose(*arms, rtol=0, atol=ROUNDINGS)
+
+
+def test_lever_arms_are_the_third_column_of_pm_and_read_so():
+    model = stage31()
+    assert np.allclose(numbers(model.combined, model.vector(TRUTH)), pm(TRUTH)[:, 2], rtol=0, atol=4 * EPS)
+    for combination, value in zip(model.combinations, pm(TRUTH)[:, 2], strict=True):
+        names = {**TRUTH, "sin": np.sin, "cos": np.cos}
+        assert eval(combination.expression, {"__builtins__": {}}, names) == pytest.approx(value, rel=4 * EPS)
+
+
+@pytest.mark.parametrize(("name", "effects"), combinations_of_effects())
+def test_every_parameter_and_zero_moves_a_reading_and_the_decoded_pose(name, effects):
+    model = build(name, added=effects)
+    rng = np.random.default_rng(5)
+    p, d = inside(model, rng), rng.uniform(-1e-5, 1e-5, len(model.zeros))
+    s = model.symbols
+    both = ca.vertcat(s.parameters, s.zeros)
+    for output, values in (
+        (model.reading, ([3e-4, -2e-4, 1e-4],)),
+        (model.decoded, ([3e-4, -2e-4, 1e-4],)),
+    ):
+        x = ca.SX.sym("x", 3)
+        arguments = (
+            (s.parameters, s.zeros, x, s.state)
+            if output is model.reading
+            else (s.parameters, s.zeros, x, s.state, ca.DM.ones(3))
+        )
+        slope = ca.Function("slope", [both, x, s.state], [ca.densify(ca.jacobian(output(*arguments), both))])
+        columns = np.abs(np.asarray(slope(np.concatenate([p, d]), *values, [1e-4, 2e-4, -3e-4])))
+        dead = [
+            n
+            for n, c in zip((*model.names, *(z.name for z in model.zeros)), columns.T, strict=True)
+            if not c.any()
+        ]
+        assert dead == []
+
+
+# -- what is refused -------------------------------------------------------------------------------------
+
+A, B, C = paper_layout()
+
+
+@pytest.mark.parametrize(
+    ("layout", "said"),
+    [
+        ((A, B), "at least 3 probes"),
+        ((A, B, Probe("hall_a_um", (0.1, 0.1), (1.0, 0.0))), "different letters"),
+        ((A, B, Probe("hall_c_m", (0.2, 0.3), (1.0, 0.1))), "unit vector"),
+        ((A, B, Probe("hall_c_m", (0.2, 0.3), (float("nan"), 0.0))), "finite"),
+    ],
+)
+def test_impossible_layouts_are_refused(layout, said):
+    with pytest.raises(InputError, match=said):
+        stage15(layout)
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        (A, B, Probe("hall_c_m", (0.0, -0.3), (0.0, 1.0))),  # nothing senses X
+        tuple(Probe(f"hall_{k}_m", (0.1 * n, 0.2 * n), (0.6, 0.8)) for n, k in enumerate("abc")),
+        (  # all lines of sight meet in one point: a turn about it is not seen
+            Probe("hall_a_m", (0.2, 0.0), (1.0, 0.0)),
+            Probe("hall_b_m", (0.0, 0.2), (0.0, 1.0)),
+            Probe("hall_c_m", (-0.2, 0.0), (1.0, 0.0)),
+        ),
+        (A, B, Probe("hall_c_m", (float("nan"), 0.36), (1.0, 0.0))),
+    ],
+)
+def test_layouts_that_cannot_tell_x_y_and_rz_apart_are_refused(layout):
+    with pytest.raises(InputError):
+        stage15(layout)
+
+
+@pytest.mark.parametrize(
+    "effect", [zero_deviation, vertical_coupling, tied_vertical_coupling, exact_rotation]
+)
+def test_an_effect_is_added_once(effect):
+    model = effect(stage15())
+    with pytest.raises(InputError, match="already part"):
+        effect(model)
+
+
+def test_two_forms_of_one_coupling_do_not_go_together():
+    with pytest.raises(InputError, match="tied_vertical_coupling"):
+        tied_vertical_coupling(stage31())
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: build("stage32"), "stage31"),
+        (lambda: build("nothing like it"), ", ".join(MODELS)),
+        (lambda: build("stage15", added=("zero_deviatoin",)), "did you mean 'zero_deviation'"),
+        (lambda: build("stage15", added=("qwertz",)), ", ".join(EFFECTS)),
+        (lambda: build("stage15", parameters={"H1X": {"lower": 0.1}}), "did you mean 'H1x'"),
+        (lambda: build("stage15").vector({"eta_a": 1.0}), "did you mean 'eta_A'"),
+        (lambda: build("stage15", parameters={"H1x": {"min": 0.1}}), "'min' of parameter H1x"),
+        (lambda: build("stage15", parameters={"H1x": {"lower": "low"}}), "'lower' of parameter H1x"),
+        (lambda: build("stage15", parameters={"H1x": {"lower": float("nan")}}), "'lower' of parameter H1x"),
+        (lambda: build("stage15", parameters={"H1x": {"fixed": 1}}), "'fixed' of parameter H1x"),
+    ],
+)
+def test_unknown_names_are_refused_with_the_known_ones(call, said):
+    with pytest.raises(InputError, match=r"must be|no parameter") as caught:
+        call()
+    assert said in str(caught.value)
+
+
+def test_aliases_are_the_articles_names():
+    for alias, name in {"model15": "stage15", "model30": "stage30", "model31": "stage31"}.items():
+        assert build(alias).name == name
+
+
+# -- a machine described by its log ----------------------------------------------------------------------
+
+ENTRIES = [
+    {"channel": p.channel, "position_m": list(p.position), "senses": list(p.senses)} for p in paper_layout()
+]
+
+
+def test_meta_gives_layout_and_nominal_values():
+    meta = Meta(probes=ENTRIES, nominal={"H1x": 0.2, "eta": [0.9, 0.7, 0.8], "theta_rad": [0.01, 0.02, 0.03]})
+    model = build("stage31", meta=meta)
+    assert model.layout == paper_layout()
+    expected = stage31().vector(
+        {"H1x": 0.2, "eta_A": 0.9, "eta_B": 0.7, "eta_C": 0.8}
+        | {"theta_A": 0.01, "theta_B": 0.02, "theta_C": 0.03}
+    )
+    assert np.array_equal(model.nominal, expected)
+
+
+@pytest.mark.parametrize(
+    "meta",
+    [
+        Meta(nominal={"eta": [1.0, 1.0]}),
+        Meta(nominal={"eta": 1.0}),
+        Meta(nominal={"H1x": "wide"}),
+        Meta(nominal={"H1x": [0.2]}),
+        Meta(nominal={"theta_rad": [0.0, 0.0, "none"]}),
+        Meta(nominal={"H1q": 0.2}),
+        Meta(probes=[{"channel": "hall_a_m"}, *ENTRIES[1:]]),
+        Meta(probes=[{**ENTRIES[0], "position_m": [0.1]}, *ENTRIES[1:]]),
+        Meta(probes=["hall_a_m", *ENTRIES[1:]]),
+    ],
+)
+def test_meta_that_cannot_be_is_refused(meta):
+    with pytest.raises(InputError):
+        build("stage31", meta=meta)
+
+
+# -- the article's Table 2 -------------------------------------------------------------------------------
+
+
+def errors_of_designed_values(noise: NoiseModel | None) -> dict[str, list[float]]:
+    """Table 7 as truth, Table 1 as model, Table A1's deviations, the six runs at Z = +-250 um."""
+    ends = tuple(run for run in paper_campaign().runs if abs(run.setting["z_m"]) == 250e-6)
+    assert len(ends) == 6
+    log = Log.from_arrays(simulate(stage31(), TRUTH, Campaign(2e-3, ends), noise, seed=0))
+    model = stage15()
+    (table,) = error_tables(log, model, [(model.nominal, {})], np.ones(3))
+    return {row: list(entry.values()) for row, entry in table.over().items()}
+
+
+def test_designed_values_leave_the_articles_errors_at_both_ends_of_z():
+    """With Table 8's noise: RMSE 35, 45, 87 and peak 82, 130, 224 (um, um, urad)."""
+    found = errors_of_designed_values(table8_noise(stage31()))
+    assert np.allclose(found["rmse"], [35e-6, 45e-6, 87e-6], rtol=0.03)
+    assert np.allclose(found["peak"], [82e-6, 130e-6, 224e-6], rtol=0.03)
+
+
+def test_designed_values_without_noise_err_as_the_equations_say():
+    """The same errors from PM and phi alone: pose by pose PM0^-1 (phi (PM q) + delta) - q, RMSE and peak."""
+    designed = {"H1x": 0.1975, "H2x": 0.1975, "H3y": 0.36, "H3x": 0.1975, "H1y": 0.4, "H2y": 0.42}
+    designed |= {f"theta_{k}": 0.0 for k in "ABC"}
+    deltas = {
+        250e-6: {1: (-0.93, 1.60, 1.92), 0: (-0.82, 1.23, 0.39), 2: (0.99, 1.11, 1.17)},
+        -250e-6: {1: (1.32, 0.33, 0.45), 0: (0.89, -0.24, 0.93), 2: (1.05, 0.58, 0.86)},
+    }
+    wave, errors = np.sin(2 * np.pi * np.arange(500) * 2e-3), []
+    for z, runs in deltas.items():
+        gain = phi(TRUTH, np.array([z, 0.0, 0.0]))
+        for axis, delta in runs.items():
+            q = np.zeros((3, 500))
+            q[axis] = wave * (500e-6 if axis == 1 else 300e-6)
+            m = gain[:, None] * (pm(TRUTH) @ q) + np.array(delta)[:, None] * 1e-6
+            errors.append(np.linalg.solve(pm(designed), m) - q)
+    table = np.concatenate(errors, axis=1)
+    found = errors_of_designed_values(None)
+    assert np.allclose(found["rmse"], np.sqrt(np.mean(table**2, axis=1)), rtol=1e-11)
+    assert np.allclose(found["peak"], np.abs(table).max(axis=1), rtol=1e-11)

@@ -1,0 +1,362 @@
+"""Profiles beside what they are by definition: the least cost with one quantity fixed."""
+
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from twins import SIGMAS, cost_on, record, true_model, with_noise
+
+from hallsym.errors import InputError
+from hallsym.estimation.covariance import Estimate, estimate
+from hallsym.estimation.identifiable import Determination, determine
+from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.optimum import refit
+from hallsym.inference.profile_tangent import skewness, tangent
+from hallsym.inference.profiles import Profile, profile
+from hallsym.model import Model
+from hallsym.model.quantities import Quantity, combination, linear, parameter
+
+MODEL = true_model()
+THRESHOLD = float(chi2.ppf(0.95, 1))
+
+
+def solved(log_seed: int, factor: float = 1.0, model: Model = MODEL, samples: int = 50):
+    """Cost, optimum, what is determined and its uncertainties, with `factor` times the noise."""
+    sigma = {c: factor * s for c, s in SIGMAS.items()}
+    cost = cost_on(with_noise(record(seed=log_seed, samples=samples, sigma=sigma), sigma), model, sigma)
+    found = determine(cost, model.nominal)
+    p = refit(cost, model.nominal, found.held)
+    return cost.anchored(p), p, found, estimate(cost, p, found)
+
+
+@cache
+def paper() -> tuple[Cost, np.ndarray, Determination, Estimate]:
+    return solved(11)
+
+
+@cache
+def noisy() -> tuple[Cost, np.ndarray, Determination, Estimate]:
+    """60 times the noise, a third of the motion: intervals are lopsided."""
+    return solved(12, factor=60.0)
+
+
+def rise_at(cost: Cost, p: np.ndarray, held, name: str, value: float) -> float:
+    """Least F with one parameter fixed, above the optimum: the definition of a profile."""
+    k, at = MODEL.names.index(name), p.copy()
+    at[k] = value
+    for _ in range(2):
+        at = refit(cost, at, (*held, k))
+    return cost.at(at).value - cost.at(p).value
+
+
+def by_name(p: Profile) -> str:
+    return f"{p.lower} {p.upper}"
+
+
+# -- quantities ------------------------------------------------------------------------------------------
+
+
+def test_quantities_have_exact_derivatives():
+    """Central differences of a lever arm: error of order step^2."""
+    arm, p, h = combination(MODEL, MODEL.combinations[0]), MODEL.nominal + 0.01, 1e-5
+    value, gradient, hessian = arm.at(p)
+    steps = h * np.eye(len(p))
+    assert value == pytest.approx(np.asarray(MODEL.combined(p)).ravel()[0], rel=1e-15)
+    slopes = [(arm.first(p + s)[0] - arm.first(p - s)[0]) / (2 * h) for s in steps]
+    bends = [(arm.first(p + s)[1] - arm.first(p - s)[1]) / (2 * h) for s in steps]
+    assert np.allclose(gradient, slopes, rtol=0, atol=1e-9)
+    assert np.allclose(hessian, bends, rtol=0, atol=1e-9)
+    assert not arm.linear
+    assert arm.values(np.array([p, MODEL.nominal])) == pytest.approx([value, arm.first(MODEL.nominal)[0]])
+
+
+def test_linear_quantities_read_like_what_they_are():
+    gradient = np.zeros(len(MODEL.names))
+    gradient[[0, 3]] = 1.0, -0.25
+    sum_ = linear(MODEL, gradient, "m")
+    assert sum_.name == "H1x - 0.25*H2y"
+    value, slope, bend = sum_.at(MODEL.nominal)
+    assert value == pytest.approx(gradient @ MODEL.nominal, rel=1e-15)
+    assert np.array_equal(slope, gradient)
+    assert sum_.linear
+    assert not bend.any()
+
+
+def test_an_unknown_parameter_is_named():
+    with pytest.raises(InputError, match="did you mean 'eta_A'"):
+        parameter(MODEL, "eta_a")
+
+
+def test_parameters_keep_unit_and_bounds():
+    found = parameter(MODEL, "a_A")
+    assert (found.unit, found.lower, found.upper) == ("1/m", -5000.0, 0.0)
+
+
+# -- profiles --------------------------------------------------------------------------------------------
+
+
+def test_ends_rise_by_the_threshold():
+    cost, p, found, _ = paper()
+    for name in ("eta_A", "theta_B", "a_C", "b_A", "c_B"):
+        got = profile(cost, p, parameter(MODEL, name), held=found.held)
+        assert (got.lower.status, got.upper.status) == ("reached", "reached"), by_name(got)
+        for end in got.interval:
+            assert rise_at(cost, p, found.held, name, end) == pytest.approx(THRESHOLD, rel=1e-4)
+
+
+def test_lopsided_ends_rise_by_the_threshold():
+    cost, p, found, _ = noisy()
+    worst = 0.0
+    for name in ("eta_A", "eta_C", "a_B", "b_C"):
+        got = profile(cost, p, parameter(MODEL, name), held=found.held)
+        for side in (got.lower, got.upper):
+            if side.status == "reached":
+                assert rise_at(cost, p, found.held, name, side.value) == pytest.approx(THRESHOLD, rel=3e-4)
+        low, high = got.value - got.lower.value, got.upper.value - got.value
+        worst = max(worst, abs(high - low) / (high + low))
+    assert worst > 0.02  # or the case would show nothing
+
+
+def test_a_nearly_linear_problem_has_normal_intervals():
+    """Sides differ by 1e-4 of the width here; expected and observed information by 1e-3."""
+    cost, p, found, e = paper()
+    for c, said in zip(MODEL.combinations, e.combinations, strict=True):
+        got = profile(cost, p, combination(MODEL, c), held=found.held, std=said.std)
+        half = np.sqrt(THRESHOLD) * said.std
+        assert got.ok
+        assert got.interval == pytest.approx((said.value - half, said.value + half), abs=0.01 * half)
+
+
+def test_scale_and_level_set_the_threshold():
+    cost, p, found, e = paper()
+    eta = parameter(MODEL, "eta_A")
+    one, four = (profile(cost, p, eta, held=found.held, scale=s) for s in (1.0, 4.0))
+    assert four.threshold == pytest.approx(4 * one.threshold)
+    assert np.subtract(*four.interval) == pytest.approx(2 * np.subtract(*one.interval), rel=1e-3)
+    sigma = profile(cost, p, eta, held=found.held, level=0.6826894921370859)
+    assert sigma.threshold == pytest.approx(1.0)
+    assert -np.subtract(*sigma.interval) == pytest.approx(2 * e.std[MODEL.names.index("eta_A")], rel=0.01)
+
+
+def test_the_first_step_does_not_move_the_ends():
+    cost, p, found, _ = paper()
+    eta = parameter(MODEL, "eta_A")
+    got = [
+        profile(cost, p, eta, held=found.held, std=f * tangent(cost, p, eta, found.held).std)
+        for f in (0.1, 1, 20)
+    ]
+    for other in got[1:]:
+        assert other.interval == pytest.approx(got[0].interval, abs=1e-4 * -np.subtract(*got[0].interval))
+
+
+def test_points_fill_the_curve():
+    cost, p, found, _ = paper()
+    got = profile(cost, p, parameter(MODEL, "eta_A"), held=found.held, points=3)
+    assert np.all(np.diff(got.values) > 0)
+    assert len(got.values) >= 9
+    assert got.rises[got.values == got.value] == 0.0
+    values, rises = got.curve(41)
+    k = MODEL.names.index("eta_A")
+    assert rises == pytest.approx(((values - got.value) / paper()[3].std[k]) ** 2, rel=0.01, abs=1e-3)
+
+
+def test_a_bound_before_the_threshold_ends_the_profile():
+    _, p, found, e = paper()
+    k = MODEL.names.index("eta_B")
+    upper = p[k] + e.std[k]
+    tight = MODEL.with_parameters({"eta_B": {"nominal": p[k] - 1e-3, "upper": upper}})
+    cost, q, found, _ = solved(11, model=tight)
+    got = profile(cost, q, parameter(tight, "eta_B"), held=found.held)
+    assert (got.lower.status, got.upper.status) == ("reached", "at bound")
+    assert got.upper.value == upper
+    assert got.rises[-1] == pytest.approx(1.0, rel=0.01)  # one standard uncertainty away
+    assert "eta_B" in got.upper.reason
+
+
+def test_a_parameter_at_its_bound_has_one_side():
+    """The side that the likelihood has inside: its end rises by the threshold above the bounded optimum."""
+    _, p, found, e = paper()
+    k = MODEL.names.index("eta_B")
+    upper = p[k] - 2 * e.std[k]
+    tight = MODEL.with_parameters({"eta_B": {"nominal": upper - 1e-3, "upper": upper}})
+    cost, q, found, said = solved(11, model=tight)
+    assert said.at_bound == ("eta_B",)
+    got = profile(cost, q, parameter(tight, "eta_B"), held=found.held)
+    assert (got.lower.status, got.upper.status) == ("reached", "at bound")
+    assert got.upper.value == upper
+    # (d + 2)^2 - 2^2 = 3.84 in standard uncertainties
+    assert upper - got.lower.value == pytest.approx((np.sqrt(4 + THRESHOLD) - 2) * e.std[k], rel=0.01)
+    # with that parameter pinned another one is not bounded, and its profile may leave the bound
+    other = profile(cost, q, parameter(tight, "a_A"), held=found.held)
+    assert other.ok
+
+
+def test_bounds_of_other_parameters_leave_a_profile_open():
+    _, p, found, e = paper()
+    a, b = (MODEL.names.index(n) for n in ("eta_A", "eta_B"))
+    near = {
+        MODEL.names[k]: {"nominal": p[k], "lower": p[k] - 0.2 * e.std[k], "upper": p[k] + 0.2 * e.std[k]}
+        for k in (a, b)
+    }
+    boxed = MODEL.with_parameters(near)
+    gradient = np.zeros(len(p))
+    gradient[[a, b]] = 1.0
+    cost = replace(paper()[0], anchor=None)
+    summary = replace(cost.summary, features=replace(cost.summary.features, model=boxed))
+    cost = replace(cost, summary=summary)
+    got = profile(cost, p, linear(boxed, gradient, "1"), held=found.held)
+    assert (got.lower.status, got.upper.status) == ("open", "open")
+    assert got.upper.value == pytest.approx(p[a] + p[b] + 0.2 * (e.std[a] + e.std[b]), rel=1e-9)
+    assert "bounds of other parameters" in got.upper.reason
+    assert not got.ok
+
+
+def test_what_nothing_free_moves_is_open():
+    cost, p, found, _ = paper()
+    got = profile(cost, p, parameter(MODEL, "H1y"), held=found.held)
+    assert (got.lower.status, got.upper.status) == ("open", "open")
+    assert got.interval == (-np.inf, np.inf)
+
+
+def test_a_profile_that_breaks_is_failed_with_a_reason():
+    """A quantity that has no value one standard uncertainty to the right."""
+    cost, p, found, e = paper()
+    k = MODEL.names.index("eta_A")
+    symbol = MODEL.symbols.parameters
+    broken = Quantity(
+        "root", "1", -np.inf, np.inf, symbol, -ca.sqrt(p[k] + e.std[k] - symbol[k]) / e.std[k] ** 0.5
+    )
+    got = profile(cost, p, broken, held=found.held)
+    assert got.upper.status == "failed"
+    assert "stops at" in got.upper.reason
+    assert np.isnan(got.upper.value)
+    assert not got.ok
+    assert got.lower.status == "reached"
+
+
+def test_a_better_optimum_is_reported():
+    cost, p, found, e = paper()
+    k = MODEL.names.index("eta_A")
+    off = p.copy()
+    off[k] += e.std[k]
+    got = profile(replace(cost, anchor=None), off, parameter(MODEL, "eta_A"), held=found.held)
+    assert got.better is not None
+    assert cost.at(got.better).value == pytest.approx(cost.at(off).value - got.drop, abs=1e-3)
+    assert got.drop > 0.5
+
+
+# -- skewness --------------------------------------------------------------------------------------------
+
+
+def test_skewness_says_where_a_profile_is_needed():
+    for cost, p, found, e in (paper(), noisy()):
+        for name in ("eta_A", "eta_C", "a_B", "b_C"):
+            k = MODEL.names.index(name)
+            if not e.determined[k]:
+                continue
+            quantity = parameter(MODEL, name)
+            quick = skewness(cost, p, quantity, held=found.held, std=e.std[k])
+            got = profile(cost, p, quantity, held=found.held)
+            if not (quick.inside and got.lower.status == got.upper.status == "reached"):
+                continue
+            half = np.sqrt(THRESHOLD) * e.std[k]
+            sides = (got.value - got.lower.value) / half, (got.upper.value - got.value) / half
+            difference = abs(sides[1] - sides[0])
+            assert (quick.lower, quick.upper) == pytest.approx(sides, abs=1e-6 + 0.3 * difference)
+
+
+def test_near_a_bound_the_normal_interval_will_not_do():
+    _, p, _, e = paper()
+    k = MODEL.names.index("eta_B")
+    tight = MODEL.with_parameters({"eta_B": {"nominal": p[k] - 1e-3, "upper": p[k] + e.std[k]}})
+    cost, q, found, said = solved(11, model=tight)
+    quick = skewness(cost, q, parameter(tight, "eta_B"), held=found.held, std=said.std[k])
+    assert not quick.inside
+    assert not quick.normal
+    cost, p, found, e = paper()
+    assert skewness(cost, p, parameter(MODEL, "eta_B"), held=found.held, std=e.std[k]).normal
+
+
+# -- another implementation ------------------------------------------------------------------------------
+
+
+def reduced(cost: Cost, p: np.ndarray, free: list[int], arms: list[Quantity], std: np.ndarray):
+    """F / 2 and its gradient in full-rank coordinates, in units of `std` from the optimum.
+
+    Coordinates are the free parameters, the lever arms in place of the H that are free. An arm is linear in
+    its own H, so one Newton step turns coordinates into parameters.
+    """
+    H = [k for k in free if MODEL.names[k].startswith("H")]
+    at_p = np.array([arm.first(p)[0] for arm in arms])
+    base = cost.at(p).value
+
+    def parameters(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        out = p.copy()
+        out[free] += x * std
+        out[H] = p[H]
+        wanted = at_p + (x * std)[[free.index(k) for k in H]]
+        values, slopes = zip(*(arm.first(out) for arm in arms), strict=True)
+        out[H] += np.linalg.solve(np.array(slopes)[:, H], wanted - values)
+        G = np.eye(len(p))
+        G[H] = [arm.first(out)[1] for arm in arms]
+        return out, G[np.ix_(free, free)]
+
+    def fun(x: np.ndarray) -> float:
+        return 0.5 * (cost.at(parameters(np.asarray(x))[0]).value - base)
+
+    def grad(x: np.ndarray) -> np.ndarray:
+        at, G = parameters(np.asarray(x))
+        gradient = cost.weights @ cost.at(at).run_gradients
+        return 0.5 * std * np.linalg.solve(G.T, gradient[free])
+
+    return fun, grad
+
+
+def ends_of(values: np.ndarray, ratios: np.ndarray) -> list[float]:
+    """Where the likelihood ratio of a profile meets chi2: the root of the rise is a line between points."""
+    root = np.sqrt(-2.0 * np.log(np.minimum(ratios, 1.0))) * np.sign(values - values[np.argmax(ratios)])
+    return [float(np.interp(aim, root, values)) for aim in (-np.sqrt(THRESHOLD), np.sqrt(THRESHOLD))]
+
+
+def pypesto_profiles(fun, grad, lower: np.ndarray, upper: np.ndarray, which: list[int]) -> list[list[float]]:
+    """Ends of the intervals of the coordinates `which` by pyPESTO."""
+    dim = len(lower)
+    optimize = pytest.importorskip("pypesto.optimize", reason="the test extra is not installed")
+    import pypesto
+    from pypesto.profile import ProfileOptions, parameter_profile
+
+    problem = pypesto.Problem(pypesto.Objective(fun=fun, grad=grad), lb=lower, ub=upper)
+    optimizer = optimize.ScipyOptimizer(
+        method="L-BFGS-B", options={"ftol": 1e-11, "gtol": 1e-7, "maxiter": 2000}
+    )
+    at = pypesto.OptimizerResult(id="0", x=np.zeros(dim), fval=fun(np.zeros(dim)), x0=np.zeros(dim))
+    result = pypesto.Result(problem)
+    result.optimize_result.append(at)
+    parameter_profile(
+        problem, result, optimizer, profile_index=which, progress_bar=False, profile_options=ProfileOptions()
+    )
+    paths = result.profile_result.list[0]
+    return [ends_of(paths[k].x_path[k], paths[k].ratio_path) for k in which]
+
+
+@pytest.mark.slow
+def test_profiles_agree_with_pypesto():
+    """Lopsided intervals of a gain, a slope and a lever arm: ends to 3 digits of the half-width."""
+    cost, p, found, _ = noisy()
+    free = [k for k in range(len(p)) if k not in found.held]
+    arms = [combination(MODEL, c) for c in MODEL.combinations]
+    quantities = [parameter(MODEL, MODEL.names[k]) for k in free]
+    for arm in arms:
+        (k,) = (k for k in free if MODEL.names[k].startswith("H") and arm.first(p)[1][k] != 0)
+        quantities[free.index(k)] = arm
+    std = np.array([tangent(cost, p, q, found.held).std for q in quantities])
+    which = [free.index(MODEL.names.index("eta_C")), free.index(MODEL.names.index("a_B")), 0]
+    lower, upper = ((bound - p)[free] / std for bound in MODEL.bounds)
+    lower, upper = np.maximum(lower, -8.0), np.minimum(upper, 8.0)
+    theirs = pypesto_profiles(*reduced(cost, p, free, arms, std), lower, upper, which)
+    for k, ends in zip(which, theirs, strict=True):
+        ours = profile(cost, p, quantities[k], held=found.held)
+        assert (np.array(ours.interval) - ours.value) / std[k] == pytest.approx(ends, rel=1e-3)

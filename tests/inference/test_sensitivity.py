@@ -1,0 +1,336 @@
+"""What a recording determines: ranks, verdicts, effects, zero deviations; for any family."""
+
+import json
+
+import casadi as ca
+import numpy as np
+import pytest
+from twins import SIGMAS, TRUTH, record, true_model, with_noise
+
+from hallsym import InputError, bundled_campaign, fit
+from hallsym.families import build, published
+from hallsym.inference import identify
+from hallsym.log import Log, Noise, Sigma
+from hallsym.model import Combination, Model, Parameter
+from hallsym.simulation.campaign import Campaign, Run, multi_sine, paper_campaign, sine
+from hallsym.simulation.machine import NoiseModel, simulate
+
+PAIRS = [("H1x", "H1y"), ("H2x", "H2y"), ("H3x", "H3y")]
+
+
+def multi_sine_campaign() -> Campaign:
+    """All three axes move at once at each of Table 6's settings."""
+    s = published.table("table6_settings")
+    moves = {
+        "x_m": multi_sine(300e-6, [1.0, 4.0, 7.0]),
+        "y_m": multi_sine(500e-6, [2.0, 5.0, 8.0]),
+        "rz_rad": multi_sine(300e-6, [3.0, 6.0, 9.0]),
+    }
+    axes = ("z_m", "rx_rad", "ry_rad")
+    return Campaign(5e-3, tuple(Run(1.0, {a: s[a][k] for a in axes}, moves) for k in range(19)))
+
+
+def level_campaign() -> Campaign:
+    """One height: gains cannot be seen to follow it."""
+    moves = {"x_m": sine(3e-4, 1.0), "y_m": sine(5e-4, 1.5), "rz_rad": sine(3e-4, 2.5)}
+    return Campaign(0.01, (Run(2.0, {}, moves),))
+
+
+CAMPAIGNS = {"one-axis sines": paper_campaign(0.02), "combined multi-sines": multi_sine_campaign()}
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit(bundled_campaign(), "stage31", solver="direct")
+
+
+@pytest.fixture(scope="module")
+def report(fitted):
+    return identify(fitted)
+
+
+@pytest.mark.parametrize("campaign", CAMPAIGNS.values(), ids=CAMPAIGNS)
+def test_structural_rank_is_18_of_21_and_names_the_pairs_of_h(campaign):
+    found = identify(build("stage31"), campaign, values=TRUTH, noise=SIGMAS)
+    assert (found.structural.rank, found.structural.of) == (18, 21)
+    assert [d.parameters for d in found.structural.null] == PAIRS
+    assert (found.practical.rank, found.practical.null) == (18, ())
+    for direction, arm in zip(found.structural.null, ("H1x*cos", "-H2x*cos", "H3x*sin"), strict=True):
+        assert direction.determined.startswith(arm)
+        assert 0 < direction.std < 1e-3
+    for pair in PAIRS:
+        assert all(found[name].verdict.word == "not determined" for name in pair)
+
+
+@pytest.mark.parametrize("campaign", CAMPAIGNS.values(), ids=CAMPAIGNS)
+def test_finite_rotation_lifts_the_null_directions_by_too_little_to_use(campaign):
+    """No direction is structurally null with exact rotation; the data leave three, wider than bounds."""
+    found = identify(build("stage31", added=("exact_rotation",)), campaign, values=TRUTH, noise=SIGMAS)
+    assert (found.structural.rank, found.structural.of) == (21, 21)
+    assert found.practical.rank == 18
+    assert found.spectrum[17] > 100  # a hundredth of the bounds
+    assert np.all(found.spectrum[18:] < 1)  # beyond the bounds
+    assert np.all(found.spectrum[18:] > 1e-3)  # not rounding
+
+
+def test_the_tied_coupling_determines_h_on_the_same_log():
+    log = with_noise(record(seed=1, name="stage31_tied"))
+    free, tied = (
+        identify(fit(log, "stage31", solver="direct")),
+        identify(fit(log, "stage31_tied", solver="direct")),
+    )
+    assert (tied.structural.rank, tied.structural.of) == (17, 17)
+    for name in ("H1y", "H2y", "H3x"):
+        assert free[name].verdict.word == "not determined"
+        assert tied[name].verdict.word == "determined"
+        assert abs(tied[name].value - TRUTH[name]) < 4.5 * tied[name].std
+
+
+def test_a_level_campaign_leaves_what_only_height_could_tell():
+    found = identify(build("stage31"), level_campaign(), values=TRUTH, noise=SIGMAS)
+    for name in (f"{q}_{k}" for q in "abc" for k in "ABC"):
+        assert found[name].verdict.word == "no effect"
+        assert found[name].std is None
+    lost = [d.parameters for d in found.practical.null]
+    assert sorted(lost) == sorted((f"{q}_{k}",) for q in "abc" for k in "ABC")
+    assert found.practical.rank == 9
+    assert found.structural.rank == 18
+
+
+def test_gain_and_height_are_traded_off_at_one_height_above_zero():
+    """At Z = 0.2 mm only eta + a Z can be told; the report names the two and what is."""
+    moves = {"x_m": sine(3e-4, 1.0), "y_m": sine(5e-4, 1.5), "rz_rad": sine(3e-4, 2.5)}
+    campaign = Campaign(0.01, (Run(2.0, {"z_m": 2e-4}, moves),))
+    found = identify(build("stage31"), campaign, values=TRUTH, noise=SIGMAS)
+    row = {d.parameters: d for d in found.practical.null}
+    told = [d for p, d in row.items() if "a_A" in p]
+    assert len(told) == 1
+    # bounds of a are wide: a Z over them is far more than eta's range, so a_A is what stays open
+    assert found["a_A"].verdict.word in ("not determined", "weak")
+    assert found.practical.rank == 9
+
+
+def test_a_fixed_parameter_is_said_to_be_fixed_and_one_at_its_bound_to_be_there(fitted):
+    log = bundled_campaign()
+    changes = {
+        "theta_A": {"nominal": 0.0, "lower": 0.0, "upper": 0.0},
+        "eta_B": {"nominal": 0.70, "lower": 0.65, "upper": 0.70},
+    }
+    found = identify(fit(log, "stage31", solver="direct", parameters=changes), bootstrap=200)
+    assert found["theta_A"].verdict.word == "fixed"
+    assert found["eta_B"].verdict.word == "at bound"
+    assert "upper bound 0.7" in found["eta_B"].verdict.because
+    assert found["eta_B"].interval.how == "profile"
+    assert found["eta_B"].interval.high == pytest.approx(0.70)
+    assert found.structural.of == 20
+
+
+def test_effect_of_a_parameter_is_what_the_decoder_does(report, fitted):
+    """1 % of eta_A through the decoder itself, at the readings of the log, zero deviations held."""
+    from hallsym.estimation.decoding import decoder
+
+    model, log = fitted.model, bundled_campaign()
+    decode = decoder(model, np.ones(3))
+    readings = [log.array(c) for c in model.channels]
+    states = [log.array(c) for c in model.state]
+    p = fitted.values.copy()
+    before = decode(p, np.zeros(3), readings, states)
+    k = model.names.index("eta_A")
+    for factor in (1.0001, 0.9999):
+        q = p.copy()
+        q[k] *= factor
+        moved = np.abs(decode(q, np.zeros(3), readings, states) - before).max(axis=1) / 1e-4
+        for column, worst in zip(model.pose, moved, strict=True):
+            said = report["eta_A"].percent.worst[column] * 100
+            assert said == pytest.approx(worst, rel=0.05)  # zeros and thinning of the workspace
+
+
+def test_a_plan_says_what_the_recording_then_does():
+    """Planned standard uncertainties are those of a fit to the recording, to the noise in its own weights."""
+    campaign = paper_campaign(0.02)
+    model = true_model()
+    planned = identify(model, campaign, values=TRUTH, noise=SIGMAS)
+    log = with_noise(simulate(model, TRUTH, campaign, NoiseModel(SIGMAS), seed=3))
+    recorded = identify(fit(log, model, solver="direct"), profiles="none")
+    for entry in planned.parameters:
+        if entry.std is not None:
+            assert recorded[entry.name].std == pytest.approx(entry.std, rel=0.05), entry.name
+    assert [d.parameters for d in recorded.structural.null] == [d.parameters for d in planned.structural.null]
+
+
+def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
+    """20 recordings x 171 zeros: the standardised errors have a mean square of 1 to 2.4 % (1 sigma)."""
+    runs = paper_campaign().runs
+    squares = []
+    for seed in range(20):
+        log = with_noise(record(seed=100 + seed))
+        told = identify(fit(log, true_model(), solver="direct", loss="none"), profiles="none", bootstrap=0)
+        for k, run in enumerate(runs):
+            row = told.nuisance["runs"][str(k)]
+            for name, true in zip(("delta_A", "delta_B", "delta_C"), run.zeros, strict=True):
+                squares.append(((row[name]["value"] - true) / row[name]["std"]) ** 2)
+    assert told.nuisance["count"] == 171
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_record_is_json_and_complete(report):
+    record = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    entry = record["parameters"]["eta_A"]
+    assert {"value", "unit", "std", "interval", "verdict", "correlated_with", "effect"} <= set(entry)
+    assert set(entry["effect"]) == {"x_m", "y_m", "rz_rad"}
+    for space in ("structural", "practical"):
+        assert set(record[space]) == {"rank", "of", "null"}
+    null = record["structural"]["null"][0]
+    assert {"parameters", "determined", "value", "std"} <= set(null)
+    assert record["nuisance"]["count"] == 46 * 3
+    assert set(record["outputs"]) == {"x_m", "y_m", "rz_rad"}
+    assert record["parameters"]["H1x"]["std"] is None
+
+
+def test_correlated_with_is_symmetric_and_sorted(report):
+    r = report.correlation
+    known = np.isfinite(r)
+    assert np.allclose(r[known], r.T[known])
+    for entry in report.parameters:
+        sizes = [abs(value) for _, value in entry.correlated_with]
+        assert sizes == sorted(sizes, reverse=True)
+        assert all(size <= 1 for size in sizes)
+
+
+def test_correlated_noise_is_met_by_resampling_runs():
+    log = with_noise(record(seed=6, correlation_s=0.1))
+    found = identify(fit(log, true_model(), solver="direct"), profiles="none")
+    assert found.intervals.method.startswith("block bootstrap")
+    assert "scores of the 57 runs" in found.intervals.reason
+    assert all(e.interval.how == "block bootstrap" for e in found.parameters if e.std is not None)
+    white = identify(fit(with_noise(record(seed=6)), true_model(), solver="direct"), profiles="none")
+    assert white.intervals.method == "likelihood"
+
+
+# -- no family in it -------------------------------------------------------------------------------------
+
+
+def two_gains(named: bool) -> Model:
+    """Two channels behind one amplifier: reading = s (g1 u, g2 u + o); the gains share its factor."""
+
+    def step(s, p):
+        s["gain"] = ca.vertcat(p["s"] * p["g1"], p["s"] * p["g2"])
+        s["reading"] = s["gain"] * s["u_m"] + ca.vertcat(0, p["s"] * p["o"])
+
+    combination = Combination("s*g1", "1", ("s", "g1"), lambda p: p["s"] * p["g1"])
+    return Model(
+        name="two_gains",
+        family="bench",
+        pose=("u_m",),
+        references=("u_ref_m",),
+        state=(),
+        channels=("one_m", "two_m"),
+        parameters=(
+            Parameter("s", 1.0, 0.5, 2.0, "1"),
+            Parameter("g1", 1.0, 0.5, 2.0, "1"),
+            Parameter("g2", 1.0, 0.5, 2.0, "1"),
+            Parameter("o", 0.0, -1e-4, 1e-4, "m"),
+        ),
+        steps=(("electronics", step),),
+        combinations=(combination,) if named else (),
+    )
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_common_scale_is_found_in_a_model_of_no_family(named):
+    rng, n = np.random.default_rng(4), 200
+    u = np.linspace(-1e-3, 1e-3, n)
+    truth = {"s": 1.2, "g1": 0.9, "g2": 1.1, "o": 3e-5}
+    one = truth["s"] * truth["g1"] * u + 1e-7 * rng.standard_normal(n)
+    two = truth["s"] * (truth["g2"] * u + truth["o"]) + 1e-7 * rng.standard_normal(n)
+    columns = {"run": np.zeros(n, int), "t_s": np.arange(n) * 1e-3}
+    columns |= {"u_ref_m": u, "one_m": one, "two_m": two}
+    noise = Noise(
+        {"one_m": Sigma(1e-7, "given"), "two_m": Sigma(1e-7, "given"), "u_ref_m": Sigma(1e-9, "given")}
+    )
+    found = identify(fit(Log.from_arrays(columns, noise=noise), two_gains(named), solver="direct"))
+    assert (found.structural.rank, found.structural.of) == (3, 4)
+    (direction,) = found.structural.null
+    assert set(direction.parameters) == {"s", "g1", "g2", "o"}
+    assert direction.determined is not None
+    if named:
+        assert direction.determined == "s*g1"
+        assert direction.value == pytest.approx(1.08, abs=5 * direction.std)
+
+
+# -- bad input -------------------------------------------------------------------------------------------
+
+
+def test_a_model_alone_determines_nothing():
+    with pytest.raises(InputError, match="give a campaign"):
+        identify(build("stage31"))
+
+
+def test_a_calibration_without_its_log_is_refused(fitted, tmp_path):
+    from hallsym import load_fit
+
+    fitted.save(tmp_path / "calib.json")
+    with pytest.raises(InputError, match="does not hold its log"):
+        identify(load_fit(tmp_path / "calib.json"))
+
+
+def test_a_log_of_another_layout_is_refused(fitted):
+    from dataclasses import replace
+
+    from hallsym.log import Meta
+
+    log = bundled_campaign()
+    probes = [
+        {"channel": f"hall_{k}_m", "position_m": [x, y], "senses": s}
+        for k, x, y, s in (("a", 0.1, 0.2, [0, 1]), ("b", -0.1, 0.2, [0, 1]), ("c", 0.1, 0.3, [1, 0]))
+    ]
+    other = replace(Log.from_arrays({c: log.array(c) for c in log.columns}), meta=Meta(probes=probes))
+    with pytest.raises(InputError, match="another machine, or another layout"):
+        identify(fitted, other)
+
+
+def test_another_log_of_a_changed_machine_is_told(fitted):
+    columns = simulate(
+        build("stage31"), TRUTH | {"eta_A": 0.80}, paper_campaign(0.02), NoiseModel(SIGMAS), seed=5
+    )
+    found = identify(fitted, with_noise(columns), profiles="none")
+    assert any("not the log" in note and "eta_A" in note for note in found.evidence.notes)
+    assert found["eta_A"].value == pytest.approx(0.80, abs=1e-3)
+
+
+def test_too_few_samples_for_a_covariance_are_refused():
+    columns = record(seed=2, samples=200)
+    few = np.flatnonzero(columns["run"] == 0)[::25]
+    log = with_noise({c: v[few] for c, v in columns.items()})
+    with pytest.raises(InputError, match="too few to form a covariance"):
+        identify(fit(log, "stage31", solver="direct", loss="none"))
+
+
+def test_bounds_that_exclude_the_estimate_are_refused(fitted):
+    from dataclasses import replace
+
+    tight = fitted.model.with_parameters({"eta_A": {"lower": 0.9, "upper": 1.0}})
+    with pytest.raises(InputError, match=r"Bounds 0\.9 to 1 of eta_A exclude its estimate"):
+        identify(replace(fitted, model=tight))
+
+
+def test_a_plan_without_noise_is_refused():
+    noise = {c: s for c, s in SIGMAS.items() if c != "hall_b_m"}
+    with pytest.raises(InputError, match="hall_b_m has none"):
+        identify(build("stage31"), paper_campaign(0.05), values=TRUTH, noise=noise)
+
+
+@pytest.mark.parametrize(("option", "value"), [("profiles", "some"), ("bootstrap", 10)])
+def test_choices_are_checked(fitted, option, value):
+    with pytest.raises(InputError, match=option):
+        identify(fitted, **{option: value})
+
+
+def test_truth_of_the_twin_is_inside_nearly_all_intervals(report):
+    inside = [
+        entry.interval.low <= TRUTH[entry.name] <= entry.interval.high
+        for entry in report.parameters
+        if entry.interval is not None
+    ]
+    assert len(inside) == 15
+    assert sum(inside) >= 12  # 95 % each; fewer has a probability below 1e-3

@@ -1,0 +1,430 @@
+"""The page of a fit: everything that was asked for is there, once, escaped, the same bytes every time."""
+
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twins import Chopped, record, with_noise
+
+from hallsym import load_fit, write_log
+from hallsym.cli.main import main
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.fit import fit
+from hallsym.log import Log, read_log
+from hallsym.report.figures.survey import Decode
+from hallsym.report.page import fit_page, gather, run_series
+from hallsym.report.page.cells import Tally
+from hallsym.report.page.html import VOID, Markup, escape, table, tag
+from hallsym.report.page.series import ACROSS, UP, figure
+from hallsym.report.page.svg import Scale, decades, label, ticks
+
+HOLDOUT = (2, 7, 12)
+
+
+class Outline(HTMLParser):
+    """Checks that elements are closed in order, and gathers what a test looks at."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, name, attributes):
+        self.found.append((name, dict(attributes)))
+        if name not in VOID:
+            self.open.append(name)
+
+    def handle_endtag(self, name):
+        assert self.open[-1:] == [name]
+        self.open.pop()
+
+    def handle_data(self, data):
+        if not {"style", "script"} & set(self.open):
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    def all(self, name: str) -> list[dict[str, str | None]]:
+        return [attributes for found, attributes in self.found if found == name]
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return with_noise(record(seed=1))
+
+
+@pytest.fixture(scope="module")
+def fitted(log: Log) -> Fit:
+    return fit(log, "stage31", solver="direct", loss="none", holdout=HOLDOUT)
+
+
+@pytest.fixture(scope="module")
+def page(log: Log, fitted: Fit) -> str:
+    return fit_page(log, fitted, command="hallsym report calib.json log.csv")
+
+
+# -- the page --------------------------------------------------------------------------------------------
+
+
+def test_page_is_well_formed_and_has_its_sections(page: str):
+    outline = Outline(page)
+    sections = [a["id"] for a in outline.all("section")]
+    assert sections == ["asked", "errors", "maps", "series", "parameters", "notes", "origin"]
+    idents = [a["id"] for _, a in outline.found if "id" in a]
+    assert len(idents) == len(set(idents))
+    assert {a["href"] for a in outline.all("a")} == {f"#{s}" for s in sections}
+    assert all(a.get("aria-label") for a in outline.all("svg") if a.get("role") == "img")
+    assert len([a for a in outline.all("figure") if a.get("class") == "series"]) == 3
+
+
+def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
+    text = Outline(page).text
+    rows = fitted.errors.rows()
+    for row, where in (
+        (rows["holdout"], "held out"),
+        (rows["fitted"], "fitted"),
+        (rows["designed"], "designed"),
+    ):
+        shown = [
+            f"{1e6 * row[what][c]:#.3g}".rstrip(".") for what in ("rmse", "peak") for c in fitted.model.pose
+        ]
+        assert f"{where} {' '.join(shown)}" in text, where
+    assert "runs held out 3 (2, 7, 12)" in text
+    assert log.sha256 in text
+    assert "hallsym report calib.json log.csv" in text
+    for name in fitted.model.names:
+        assert f" {name} " in text
+    for combination in fitted.combinations:
+        assert combination.expression in text
+    assert text.count("no recording determines it") == len(fitted.structural)
+
+
+def test_verdict_judges_by_held_out_runs_and_names_what_is_not_determined(page: str, fitted: Fit):
+    sentence = re.search(r'id="verdict">(.*?)</p>', page)[1]
+    assert "on runs that were held out, no more than the noise floor explains" in sentence
+    assert "No recording determines H1x" in sentence
+
+
+def test_verdict_says_how_far_above_the_floor(log: Log):
+    rough = fit(log, "stage30", solver="direct", loss="none", holdout=HOLDOUT)
+    sentence = re.search(r'id="verdict">(.*?)</p>', fit_page(log, rough))[1]
+    rmse = rough.errors.rows()["holdout"]["rmse"]
+    ratio = max(rmse[c] / rough.noise_floor[c] for c in rmse)
+    assert ratio > 1.5
+    assert f"{ratio:.2g} times as much" in sentence
+
+
+def test_same_input_same_bytes(page: str, log: Log, fitted: Fit):
+    assert fit_page(log, fitted, command="hallsym report calib.json log.csv") == page
+
+
+def test_page_loads_nothing_and_is_small(page: str):
+    assert len(page.encode()) < 1_500_000
+    outline = Outline(page)
+    assert {name for name, _ in outline.found} & {"link", "img", "iframe", "object", "image", "use"} == set()
+    for _, attributes in outline.found:
+        assert not {"src", "srcset", "style"} & set(attributes)
+        assert not [a for a in attributes if a.startswith("on")]
+    assert set(re.findall(r"https?://[^\s\"'<]*", page)) <= {"http://www.w3.org/2000/svg"}
+    assert "@import" not in page
+    assert "url(" not in page
+
+
+def test_dark_backgrounds_are_not_printed(page: str):
+    for colour in re.findall(r"background: #(\w{3,6})", page):
+        assert int(colour[0], 16) >= 14, colour
+
+
+def test_saved_calibration_gives_the_same_page(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_log(record(seed=2), "log.csv")
+    read = read_log("log.csv")
+    result = fit(read, "stage31", solver="direct", loss="none", holdout=HOLDOUT)
+    result.save("calib.json")
+    assert main(["report", "calib.json", "log.csv", "-o", "page.html"]) == 0
+    assert "wrote page.html" in capsys.readouterr().out
+    first = Path("page.html").read_bytes()
+    assert (
+        fit_page(read, load_fit("calib.json"), command="hallsym report calib.json log.csv").encode() == first
+    )
+
+
+def test_names_are_escaped_everywhere(tmp_path, capsys):
+    folder = tmp_path / "a <b>&\"c\" '<script>alert(1)</script>'".replace("/", "_")
+    folder.mkdir()
+    path = folder / 'log <img src=x onerror=alert(1)>&".csv'
+    write_log(record(seed=3, samples=20), path)
+    fit(read_log(path), "stage31", solver="direct", loss="none").save(folder / "calib.json")
+    assert main(["report", str(folder / "calib.json"), str(path), "-o", str(folder / "p.html")]) == 0
+    text = (folder / "p.html").read_text(encoding="utf-8")
+    outline = Outline(text)
+    assert len(outline.all("script")) == 1
+    assert outline.all("img") == outline.all("b") == []
+    assert path.name in outline.text
+
+
+def test_spikes_that_the_fit_left_out_stay_out_of_maps_and_series(tmp_path):
+    spiky = with_noise(record(seed=4, samples=100, outlier_share=0.005, outlier_size=1e-3))
+    result = fit(spiky, "stage31", solver="direct", holdout=HOLDOUT)
+    text = fit_page(spiky, result)
+    (count,) = re.findall(r"Maps and series leave (\d+) isolated spikes out", text)
+    (left_out,) = re.findall(r"(\d+) of \d+ samples .* are isolated spikes", " ".join(result.notes))
+    assert int(count) == int(left_out)
+    assert "show samples that the fit gave little" not in text
+    for size in re.findall(r"decoded up to ([\d.e+]+) µ", text):
+        assert float(size) < 20
+
+
+def test_a_fit_that_kept_its_spikes_shows_them():
+    spiky = with_noise(record(seed=4, samples=100, outlier_share=0.005, outlier_size=1e-3))
+    text = fit_page(spiky, fit(spiky, "stage31", solver="direct", loss="none"))
+    assert "isolated spikes" not in text
+    assert any(float(v) > 100 for v in re.findall(r"decoded up to ([\d.e+]+) µ", text))
+
+
+def test_a_rewired_fit_is_decoded_with_its_wiring():
+    columns = record(seed=5)
+    columns["hall_a_m"], columns["hall_b_m"] = columns["hall_b_m"], -columns["hall_a_m"]
+    swapped = with_noise(columns)
+    result = fit(swapped, "stage31", solver="direct", loss="none", resolve_wiring=True)
+    sizes = [float(v) for v in re.findall(r"decoded up to ([\d.e+]+) µ", fit_page(swapped, result))]
+    assert len(sizes) == 9
+    assert max(sizes) < 20
+
+
+def test_another_log_is_named_as_such_and_gets_its_own_zeros(fitted: Fit, log: Log):
+    other = with_noise(record(seed=9))
+    text = Outline(fit_page(other, fitted)).text
+    assert "This log is not the one that was fitted" in text
+    assert "held out" not in text.partition("What was asked")[2].partition("Parameters")[0]
+    found = gather(other, {"": fitted})  # zeros of the wrong log
+    own = re.search(r"this log ([\d.]+) ([\d.]+) ([\d.]+)", text)
+    rmse = found.survey.fitted.over()["rmse"]
+    assert float(own[1]) < 1e6 * rmse["x_m"]
+    assert float(own[1]) == pytest.approx(1e6 * fitted.noise_floor["x_m"], rel=0.05)
+
+
+def test_a_log_without_time_counts_samples(log: Log):
+    columns = {c: log.array(c) for c in log.columns if c != "t_s"}
+    bare = replace(Log.from_arrays(columns), noise=log.noise)
+    text = fit_page(bare, fit(bare, "stage31", solver="direct", loss="none"))
+    assert "sample of the run" in text
+    assert 'data-unit="samples"' in text
+
+
+def test_what_lacks_a_column_is_refused(tmp_path, fitted: Fit, capsys):
+    fitted.save(tmp_path / "calib.json")
+    columns = record(seed=1, samples=20)
+    del columns["hall_b_m"]
+    write_log(columns, tmp_path / "log.csv")
+    code = main(
+        ["report", str(tmp_path / "calib.json"), str(tmp_path / "log.csv"), "-o", str(tmp_path / "p.html")]
+    )
+    assert code == 2
+    assert "hall_b_m" in capsys.readouterr().err
+    assert not (tmp_path / "p.html").exists()
+
+
+def test_unwritable_page_is_one_sentence(tmp_path, log: Log, fitted: Fit, capsys):
+    fitted.save(tmp_path / "calib.json")
+    write_log(record(seed=1), tmp_path / "log.csv")
+    out = tmp_path / "missing" / "p.html"
+    assert main(["report", str(tmp_path / "calib.json"), str(tmp_path / "log.csv"), "-o", str(out)]) == 2
+    assert "create the folder first" in capsys.readouterr().err
+
+
+# -- what is gathered ------------------------------------------------------------------------------------
+
+
+def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted: Fit):
+    found = gather(log, {"decoded": fitted})
+    titles = [m.by for m in found.maps]
+    assert titles[:4] == ["x [µm]", "x [µm]", "y [µm]", "Rz [µrad]"]
+    assert titles[4].startswith("vertical setting")
+    assert titles[5] == "run"
+    for m in found.maps:
+        assert m.count.sum() == log.rows
+        squares = np.nansum(m.rms**2 * m.count, axis=1)
+        np.testing.assert_allclose(squares, found.survey.fitted.squares.sum(axis=0), rtol=1e-9)
+    run = found.maps[5]
+    assert [int(run.labels[k]) for k in run.marked] == list(HOLDOUT)
+    (block,) = (b for b in log.blocks() if b.run == 2)
+    decode = Decode(fitted)
+    zeros = decode.zeros(2, np.array([block.data[c][0] for c in fitted.model.state]))
+    error = decode(block, zeros)[1] - np.array([block.data[c] for c in fitted.model.references])
+    np.testing.assert_allclose(run.rms[:, 2], np.sqrt((error**2).mean(axis=1)), rtol=1e-9)
+    floor = np.array(list(fitted.noise_floor.values()))
+    spacing = np.diff(np.sort(error, axis=1)[:, len(error[0]) // 2 - 1 :][:, :2], axis=1)[:, 0]
+    assert np.all(np.abs(run.median[:, 2] - np.median(error, axis=1)) <= spacing + floor / 20)
+
+
+def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):
+    whole = gather(log, {"decoded": fitted})
+    pieces: Log = Chopped(log, (7, 1, 19))  # type: ignore[assignment]
+    pieces.columns = log.columns  # type: ignore[misc]
+    parts = gather(pieces, {"decoded": fitted})
+    for a, b in zip(whole.maps, parts.maps, strict=True):
+        np.testing.assert_array_equal(a.count, b.count)
+        np.testing.assert_allclose(a.median, b.median, rtol=1e-12)
+        np.testing.assert_allclose(a.rms, b.rms, rtol=1e-12)
+    for a, b in zip(whole.series, parts.series, strict=True):
+        assert a.title == b.title
+        np.testing.assert_allclose(a.lines["decoded"], b.lines["decoded"], rtol=1e-9, atol=1e-18)
+
+
+def test_an_axis_at_rest_shows_no_bias_at_the_middle(log: Log, fitted: Fit):
+    """Runs that move y rest at x = 0 with noise of both signs, which must not decide the cell."""
+    over_x = gather(log, {"decoded": fitted}).maps[1]
+    middle = np.argmax(over_x.count)
+    assert over_x.edges[middle] < 0 < over_x.edges[middle + 1]
+    error = 1.2533 * over_x.rms[:, middle] / math.sqrt(over_x.count[middle])
+    assert np.all(np.abs(over_x.median[:, middle]) < 5 * error)
+
+
+@settings(max_examples=60)
+@given(
+    values=st.lists(st.floats(-1e-3, 1e-3), min_size=1, max_size=60),
+    fine=st.floats(1e-7, 1e-6),
+    cells=st.integers(1, 4),
+)
+def test_median_of_a_tally(values, fine, cells):
+    errors, cell = np.array([values]), np.arange(len(values)) % cells
+    tally = Tally(cells, np.array([fine]))
+    for part in np.array_split(np.arange(len(values)), 3):
+        tally.add(cell[part], errors[:, part])
+    for k in range(cells):
+        own = np.sort(errors[0][cell == k])
+        if not len(own):
+            assert np.isnan(tally.median[0, k])
+            continue
+        low, high = own[(len(own) - 1) // 2], own[len(own) // 2]
+        slack = 0.021 * max(abs(low), abs(high)) + 0.021 * fine
+        assert low - slack <= tally.median[0, k] <= high + slack
+        assert tally.rms[0, k] == pytest.approx(math.sqrt(np.mean(own**2)), abs=1e-15)
+    assert tally.count.sum() == len(values)
+
+
+# -- series ----------------------------------------------------------------------------------------------
+
+
+def _points(path: str) -> list[list[tuple[int, int]]]:
+    """Read a path back: pieces of points, in the path's own units."""
+    x = y = 0
+    pieces = []
+    for piece in re.findall(r"m[^m]*", path):
+        numbers = [int(n) for n in re.findall(r"-?\d+", piece)]
+        pieces.append([])
+        for dx, dy in zip(numbers[::2], numbers[1::2], strict=True):
+            x, y = x + dx, y + dy
+            pieces[-1].append((x, y))
+    return pieces
+
+
+def test_a_series_keeps_its_peaks_and_gaps():
+    time = np.linspace(5.0, 25.0, 50_000)
+    error = 1e-6 * np.sin(time)[None] * np.ones((2, 1))
+    error[0, 12_345] = 9e-6
+    error[1, 30_000:31_000] = np.nan
+    series = run_series("run 4", ("x_m", "rz_rad"), time, {"decoded": error})
+    assert series.per_column == 32
+    text = figure(series)
+    paths = re.findall(r'<path d="([^"]*)" class="line line0">', text)
+    first, second = map(_points, paths)
+    assert len(first) == 1
+    assert len(second) == 2
+    height = {y: x for x, y in first[0]}
+    assert min(height) == -UP
+    assert height[-UP] == pytest.approx(ACROSS * 12_345 / 50_000, abs=ACROSS / 1500)
+    assert 'data-reach="9"' in text
+    assert 'data-to="20"' in text or 'data-to="19.99' in text
+    assert len(text) < 120_000
+
+
+def test_a_short_series_is_drawn_sample_by_sample():
+    error = np.array([[1e-6, -2e-6, 0.5e-6]])
+    series = run_series("run 0", ("x_m",), np.array([0.0, 0.1, 0.2]), {"a": error})
+    (points,) = _points(re.search(r'<path d="([^"]*)" class="line line0">', figure(series))[1])
+    assert points == [(0, -UP // 2), (ACROSS // 2, UP), (ACROSS, -UP // 4)]
+
+
+def test_a_series_of_one_sample_or_none_kept_is_drawn():
+    assert "<path" in figure(run_series("r", ("x_m",), np.array([3.0]), {"a": np.array([[1e-6]])}))
+    figure(run_series("r", ("x_m",), None, {"a": np.full((1, 9), np.nan)}))
+
+
+# -- pieces ----------------------------------------------------------------------------------------------
+
+
+@given(low=st.floats(-1e6, 1e6), span=st.floats(1e-9, 1e6), most=st.integers(2, 8))
+def test_ticks_are_round_inside_and_few(low, span, most):
+    high = low + span
+    if span < 1e-9 * abs(low) or not high > low:
+        return
+    found = ticks(low, high, most)
+    assert len(found) <= most + 1
+    assert all(low - 1e-6 * span <= v <= high + 1e-6 * span for v in found)
+    steps = np.diff(found)
+    if len(steps):
+        digits = steps[0] / 10 ** math.floor(math.log10(steps[0]) + 1e-9)
+        assert min(abs(digits - d) for d in (1, 2, 5, 10)) < 1e-3 * max(1, abs(low) / span * 1e-9)
+
+
+@given(low=st.floats(1e-6, 1e3), factor=st.floats(1.5, 1e8))
+def test_logarithmic_ticks_are_inside_and_few(low, factor):
+    found = decades(low, low * factor, 4)
+    assert 1 <= len(found) <= 6
+    assert found == sorted(set(found))
+
+
+def test_a_logarithmic_scale_has_equal_steps_per_decade():
+    scale = Scale(1.0, 1000.0, 0.0, 30.0, log=True)
+    assert [scale(v) for v in (1, 10, 100, 1000, 1e9, 1e-9)] == pytest.approx([0, 10, 20, 30, 30, 0])
+
+
+def test_labels_have_a_true_minus_and_no_exponent_where_short():
+    assert [label(v) for v in (-2.5, -0.0, 12000.0, 0.002)] == ["−2.5", "0", "12000", "0.002"]
+
+
+@given(st.text())
+def test_escaped_text_has_no_markup_and_is_utf8(text):
+    found = escape(text + "\udcff\x00‮")
+    found.encode("utf-8")
+    assert not set("<>\"'\x00") & set(found)
+    parsed = Outline(tag("p", text, title=text))
+    assert len(parsed.found) == 1
+
+
+def test_markup_is_not_escaped_twice():
+    assert escape(Markup("<b>")) == "<b>"
+    assert tag("p", tag("b", "&"), None, hidden=True, lang=None) == "<p hidden><b>&amp;</b></p>"
+    assert table(["a"], []) == ""
+
+
+def test_unknown_columns_raise_input_error(log: Log, fitted: Fit):
+    columns = {c: log.array(c) for c in log.columns if c != "x_ref_m"}
+    with pytest.raises(InputError):
+        fit_page(Log.from_arrays(columns), fitted)
+
+
+def test_a_zoom_stops_where_columns_would_pass_for_samples():
+    time = np.linspace(0, 20, 40_000)
+    long, short = (
+        figure(run_series("r", ("x_m",), t, {"a": 1e-6 * np.sin(t)[None]})) for t in (time, time[:200])
+    )
+    columns = len(_points(re.search(r'<path d="([^"]*)" class="line line0">', long)[1])[0]) / 2
+    least = [int(re.search(r'data-least="(\d+)"', text)[1]) for text in (long, short)]
+    assert least[0] * columns / ACROSS == pytest.approx(200, abs=1)
+    assert least[1] * 200 / ACROSS == pytest.approx(4, abs=0.1)

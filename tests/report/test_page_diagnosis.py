@@ -1,0 +1,270 @@
+"""The page of a diagnosis, from hand-made records: nothing of a record is lost, nothing missing breaks it."""
+
+import copy
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_page import Outline
+
+from hallsym.report.page import Cells, diagnosis_page, run_series
+
+POSE = ("x_m", "y_m", "rz_rad")
+
+
+def gap(size: float) -> dict[str, dict[str, float]]:
+    return {
+        "rmse": {c: size * k for c, k in zip(POSE, (1.0, 1.5, 1.2), strict=True)},
+        "peak": {c: 4 * size * k for c, k in zip(POSE, (1.0, 1.5, 1.2), strict=True)},
+    }
+
+
+def side(rms: float, noise: float, share: float | None) -> dict[str, float | None]:
+    above = float(np.sqrt(rms**2 - noise**2))
+    return {"rms": rms, "noise": noise, "above": above, "share": share, "p_value": 1e-4}
+
+
+def a_shape(line: bool = True) -> dict[str, Any]:
+    """A curve as `diagnosis.shape` gives it; nothing is known of the last place of Hall B."""
+    grid = np.linspace(-2.5e-4, 2.5e-4, 9) if line else np.arange(6.0)
+    value = 0.01 * np.cos(np.arange(len(grid)))
+    one = {"value": value.tolist(), "low": (value - 2e-3).tolist(), "high": (value + 2e-3).tolist()}
+    two = {k: [*v[:-1], 0.0] for k, v in one.items()}
+    return {
+        "coordinate": "height Z" if line else "height Z and tilts Rx, Ry",
+        "line": line,
+        "column": "z_m",
+        "unit": "m" if line else "1",
+        "kind": "gain" if line else "offset",
+        "value_unit": "1",
+        "grid": grid.tolist(),
+        "labels": None
+        if line
+        else ["offset, Z", "offset, Rx", "offset, Ry", "gain, Z", "gain, Rx", "gain, Ry"],
+        "readings": {"hall_a_m": one, "hall_b_m": two, "hall_c_m": one},
+    }
+
+
+def a_record() -> dict[str, Any]:
+    return {
+        "verdict": "explained",
+        "sentence": "vertical_gain_coupling lowers the rmse by 61 %.",
+        "noise_floor": {"x_m": 1.1e-6, "y_m": 1.6e-6, "rz_rad": 1.3e-6, "source": "estimated"},
+        "gap_before": gap(3e-6),
+        "gap_after": gap(1.2e-6),
+        "metric": {"before": 2.7e-6, "after": 1.1e-6, "floor": 1e-6},
+        "shrinkage": {"value": 0.61, "interval": [0.57, 0.64], "share_closed": 0.97, "parameters_added": 11},
+        "ranked": ["vertical_gain_coupling", "time_skew", "lag"],
+        "groups": [["time_skew", "lag"]],
+        "effects": [
+            {
+                "name": "vertical_gain_coupling", "link": "field", "variant": "linear",
+                "parameters": {
+                    "a_A": {"value": -131.2, "std": 1.1, "unit": "1/m"},
+                    "b_A": {"value": 0.022, "std": None, "unit": "1/rad"},
+                },
+                "p_value": 0.0, "shrinkage": 0.58, "interval": [0.54, 0.62],
+                "share": 0.93, "cost": "9 parameters",
+            },
+            {
+                "name": "time_skew", "link": "clock", "variant": "",
+                "parameters": {"tau": {"value": 1.3e-4, "std": 2e-5, "unit": "s"}},
+                "p_value": 3e-9, "shrinkage": 0.07, "interval": [-0.01, 0.12],
+                "share": 0.04, "cost": "1 parameter",
+            },
+        ],
+        "where": [
+            {"by": "height Z", "at": "bin 8 of 8", "share": 0.62, "p_value": 1e-20, "held_out": 0.58,
+             "text": "62 % lies in height Z"},
+            {"by": "sensor", "at": "hall_b_m", "share": 0.41, "p_value": 1e-9,
+             "text": "41 % is seen by hall_b_m"},
+        ],
+        "remaining": [
+            {"by": "run", "at": "bin 3 of 57", "share": 0.05, "p_value": 2e-4,
+             "text": "5 % differs from run to run"}
+        ],
+        "separate_by": [
+            {"group": ["time_skew", "lag"], "recording": "y at 4 Hz and at 20 Hz", "distance": 0.4,
+             "needed": 3.0, "factor": 7.5}
+        ],
+        "size": {
+            "outputs": {"x_m": {"fitted": side(2.5e-6, 1.1e-6, 0.4), "held_out": side(3e-6, 1.1e-6, 0.55)}},
+            "sensors": {
+                "hall_b_m": {"fitted": side(1.2e-6, 6e-7, 0.12), "held_out": side(1.3e-6, 6e-7, None)},
+            },
+        },
+        "shares": [
+            {"kind": "link", "name": "clock", "share": 0.41, "p_value": 2e-3,
+             "text": "time_skew; all other links together: 12 %"},
+            {"kind": "coordinate", "name": "temperature", "share": None, "p_value": None,
+             "text": "not logged"},
+        ],
+        "unexplained": {"share": 0.35, "by": "height Z", "at": "", "of_it": 0.9, "text": "90 % with height Z",
+                        "curve": a_shape()},
+        "validation_runs": [2, 7, 12, 13, 14],
+        "not_testable": {"gain_temperature": "no temperature logged"},
+        "smaller_findings": [{"name": "quantisation", "shrinkage": 0.012}],
+        "threshold": 0.05,
+        "model": "stage30",
+        "log": {"path": "lab/a <b>&\"c\".csv", "sha256": "ab" * 32, "rows": 5700, "runs": 57},
+        "notes": ["A note & more."],
+        "seconds": 3.1,
+        "versions": {"hallsym": "0.1.0"},
+    }  # fmt: skip
+
+
+def test_everything_of_a_record_is_said():
+    text = Outline(diagnosis_page(a_record(), command="hallsym diagnose log.csv")).text
+    for words in (
+        "Explained. vertical_gain_coupling lowers the rmse by 61 %.",
+        "x 1.10 µm, y 1.60 µm, Rz 1.30 µrad; estimated",
+        "5 (2, 7, 12 to 14)",
+        "The gap shrinks by 61.0 % (57.0 to 64.0); 97 % of what is above the noise floor is closed",
+        "One number over all outputs: 2.70 µm before, 1.10 µm after, 1.00 µm floor.",
+        "before 3.00 4.50 3.60 12.0 18.0 14.4",
+        "after 1.20 1.80 1.44 4.80 7.20 5.76",
+        "vertical_gain_coupling field linear 58.0 % (54.0 to 62.0) 93 % < 1e−6",
+        "time_skew clock 7.0 % (−1.0 to 12.0) 4 % < 1e−6 lag",
+        "time_skew, lag : this log cannot tell them apart. Record y at 4 Hz and at 20 Hz: "
+        "the difference must show 7.5 times more than here.",
+        "62 % lies in height Z",
+        "What no effect explains",
+        "5 % differs from run to run 0.0002",
+        "a_A −131.2(11) 1/m",
+        "gain_temperature: not testable, no temperature logged",
+        "quantisation: significant, lowers the gap by 1.2 %",
+        "A note & more.",
+        "ab" * 32,
+        "what lowers the gap by at least 5 %",
+        'a <b>&"c".csv',
+        "hallsym diagnose log.csv",
+    ):
+        assert words in text, words
+
+
+def test_ranking_keeps_the_order_of_the_record():
+    record = a_record()
+    record["effects"].reverse()
+    text = Outline(diagnosis_page(record)).text.partition("effects, best first")[2]
+    assert text.index("time_skew clock") < text.index("vertical_gain_coupling field")
+
+
+def test_no_gap_needs_no_effects():
+    record = a_record()
+    record |= {"verdict": "no gap", "effects": [], "ranked": [], "groups": [], "separate_by": [], "where": []}
+    record |= {
+        "remaining": [],
+        "shares": [],
+        "unexplained": {},
+        "gap_after": record["gap_before"],
+        "sentence": "The rmse is at the noise floor.",
+    }
+    outline = Outline(diagnosis_page(record))
+    assert "No gap. The rmse is at the noise floor." in outline.text
+    assert "None: no effect of the catalogue lowers the gap" in outline.text
+    assert "Nowhere in particular" in outline.text
+    assert "rest" not in [a["id"] for a in outline.all("section")]
+    assert "after" not in outline.text
+
+
+@pytest.mark.parametrize("missing", [k for k in a_record() if k != "verdict"])
+def test_a_record_that_lacks_an_entry_still_makes_a_page(missing):
+    record = a_record()
+    del record[missing]
+    Outline(diagnosis_page(record))
+    record[missing] = None
+    Outline(diagnosis_page(record))
+
+
+def test_numbers_that_do_not_exist_leave_their_place_empty():
+    record = a_record()
+    record["gap_before"]["rmse"]["x_m"] = None
+    record["effects"][0] |= {"shrinkage": None, "interval": [None, None], "share": None, "p_value": None}
+    record["effects"][1]["interval"] = None
+    record["where"][0]["share"] = record["separate_by"][0]["factor"] = None
+    page = diagnosis_page(record)
+    assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!:)", Outline(page).text)
+    assert "rmse y" in page
+    assert "rmse x" not in page
+
+
+def test_features_that_are_no_line_have_names_and_intervals():
+    record = a_record()
+    record["unexplained"]["curve"] = a_shape(line=False)
+    page = diagnosis_page(record)
+    assert "error of the reading per standard deviation of height Z and tilts Rx, Ry" in Outline(page).text
+    assert page.count(">gain, Rx<") == 3
+
+
+def test_what_was_not_measured_at_a_place_is_not_drawn():
+    page = diagnosis_page(a_record())
+    shapes = page.partition('class="shape"')[2].partition("</figure>")[0]
+    lines = re.findall(r'<path d="([^"]*)" class="median"', shapes)
+    assert [line.count("L") for line in lines] == [8, 7, 8]
+
+
+def test_recordings_that_were_simulated_are_listed_with_what_they_give():
+    record = a_record()
+    record["separate_by"][0] |= {
+        "simulated": True, "sigma_now": 1.2, "sigma": 3.1, "run_s": 8.0, "runs": 3, "seconds": 24.0,
+        "tried": {"slower": 0.4, "faster": 3.1},
+    }  # fmt: skip
+    text = Outline(diagnosis_page(record)).text
+    assert "tell them apart (1.20 sigma)" in text
+    assert "one run of 8 s tells them apart by 3.10 sigma; 5 sigma take 3 runs (24 s in all)" in text
+    assert text.index("faster 3.10") < text.index("slower 0.400")
+
+
+def test_seconds_do_not_change_the_page():
+    assert diagnosis_page(a_record()) == diagnosis_page(a_record() | {"seconds": 99.0})
+
+
+def test_maps_and_series_are_optional_and_shown():
+    t = np.linspace(0, 4, 900)
+    errors = {"before": 3e-6 * np.sin(t) * np.ones((3, 1)), "after": 1e-6 * np.cos(t) * np.ones((3, 1))}
+    cells = Cells(
+        by="x [µm]", pose=POSE, count=np.array([3, 0]), edges=(-10.0, 0.0, 10.0),
+        median=np.array([[1e-6, np.nan]] * 3), rms=np.array([[2e-6, np.nan]] * 3),
+    )  # fmt: skip
+    page = diagnosis_page(a_record(), maps=[cells], series=[run_series("run 2", POSE, t, errors)])
+    outline = Outline(page)
+    assert {"maps", "series"} <= {a["id"] for a in outline.all("section")}
+    assert "3 samples" in page
+    assert page.count('class="line line1"') == 3
+    assert "nan" not in page.partition("<body>")[2].partition("<script>")[0]
+
+
+HOSTILE = st.text(alphabet="<>&\"'/=;!-scriptonerror \x00\udc80‮", max_size=30)
+
+
+@settings(max_examples=40)
+@given(text=HOSTILE)
+def test_no_text_of_a_record_becomes_markup(text):
+    plain = Outline(diagnosis_page(marked("x")))
+    hostile = Outline(diagnosis_page(marked(f"x{text}")))
+    assert [name for name, _ in hostile.found] == [name for name, _ in plain.found]
+    assert [sorted(a) for _, a in hostile.found] == [sorted(a) for _, a in plain.found]
+
+
+def marked(text: str) -> dict[str, Any]:
+    """Return a record with `text` wherever a user's words may stand."""
+    record = copy.deepcopy(a_record())
+    record |= {
+        "sentence": text,
+        "model": text,
+        "notes": [text],
+        "not_testable": {text: text},
+        "verdict": text,
+    }
+    record |= {"groups": [[text, "lag"]], "ranked": [text], "versions": {text: text}}
+    record["log"] |= {"path": text, "sha256": text}
+    record["noise_floor"]["source"] = text
+    effect = record["effects"][0]
+    effect |= {"name": text, "link": text, "variant": text, "cost": text}
+    effect["parameters"] = {text: {"value": 1.0, "std": 0.1, "unit": text}}
+    record["where"][0] |= {"by": text, "at": text, "text": text}
+    record["separate_by"][0] |= {"group": [text, "lag"], "recording": text}
+    return record

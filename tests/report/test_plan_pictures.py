@@ -1,0 +1,66 @@
+"""Pictures of a plan: what is drawn is what was planned, recorded and compared."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.collections import PathCollection
+from twins import SIGMAS, TRUTH, with_noise
+
+from hallsym.experiment import paper_ranges, plan
+from hallsym.families import build
+from hallsym.report.figures.plan import coverage, criterion_by_runs
+from hallsym.simulation.campaign import paper_campaign
+from hallsym.simulation.machine import simulate
+
+MODEL, TABLE6 = build("stage31"), paper_campaign(0.02)
+
+
+@pytest.fixture(scope="module")
+def planned():
+    ranges = replace(paper_ranges(), step_s=0.02, levels=2, noise=SIGMAS)
+    return plan(ranges, MODEL, TRUTH, runs=10, against=TABLE6, against_name="Table 6")
+
+
+def words(figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def places(ax) -> list[set[tuple[int, int]]]:
+    """Settings of each scatter, in the units of the axes."""
+    drawn = [c for c in ax.collections if isinstance(c, PathCollection)]
+    return [{(round(float(x)), round(float(y))) for x, y in c.get_offsets()} for c in drawn]
+
+
+@pytest.mark.parametrize("logged", [False, True])
+def test_coverage_shows_settings_and_motion_of_both(planned, logged):
+    other = with_noise(simulate(MODEL, TRUTH, TABLE6, seed=0)) if logged else TABLE6
+    figure = coverage(planned, other, "Table 6")
+    assert words(figure) == ["planned, 10 runs", "Table 6, 57 runs"]
+    z_rx, x_y = figure.axes[0], figure.axes[3]
+    assert (z_rx.get_xlabel(), z_rx.get_ylabel()) == ("Z [µm]", "Rx [µrad]")
+    before, after = places(z_rx)
+    heights, tilts = (0, 50, -50, 150, -150, 250, -250), (100, -100, 250, -250, 500, -500)
+    assert before == {(z, 0) for z in heights} | {(0, rx) for rx in tilts}
+    assert after == {(z, rx) for z in (-250, 250) for rx in (-500, 500)}
+    for marker in ("None", "o"):
+        lines = [line for line in x_y.lines if line.get_marker() == marker]
+        reach = [max(np.abs(line.get_data()[k]).max() for line in lines) for k in (0, 1)]
+        assert np.allclose(reach, (300, 500), rtol=1e-2)
+
+
+def test_a_plan_alone_has_one_entry_in_the_legend(planned):
+    assert words(coverage(planned)) == ["planned, 10 runs"]
+
+
+def test_the_curve_marks_the_plan_and_the_comparison(planned):
+    figure = criterion_by_runs(planned)
+    assert words(figure) == ["plans", "no plan is below", "this plan", "Table 6"]
+    lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
+    assert np.allclose(lines["Table 6"], [(57, 1)])
+    runs, values = planned.curve()
+    assert np.allclose(lines["plans"].T, [runs, np.sqrt(planned.comparison.value / values)])
+    assert np.all(lines["no plan is below"][:, 1] <= lines["plans"][:, 1] * (1 + 1e-12))
+    (here,) = lines["this plan"]
+    assert here[0] == 10
+    assert any(np.allclose(here, point) for point in lines["plans"])

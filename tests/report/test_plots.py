@@ -1,0 +1,163 @@
+"""Pictures: what is drawn is what was measured and fitted, axes say their units."""
+
+import numpy as np
+import pytest
+from twins import SIGMAS, record, with_noise
+
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.fit import fit
+from hallsym.families import build
+from hallsym.log import Log
+from hallsym.report import figures as plots
+from hallsym.simulation.campaign import Campaign, Run, sine
+from hallsym.simulation.machine import NoiseModel, simulate
+
+HOLDOUT = (2, 7, 12)
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return with_noise(record(seed=1))
+
+
+@pytest.fixture(scope="module")
+def fitted(log: Log) -> Fit:
+    return fit(log, "stage31", solver="direct", loss="none", holdout=HOLDOUT)
+
+
+@pytest.fixture(scope="module")
+def survey(log: Log, fitted: Fit) -> plots.Survey:
+    return plots.look_over(log, fitted)
+
+
+def _legends(figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+# -- figures of a campaign -------------------------------------------------------------------------------
+
+
+def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: plots.Survey) -> None:
+    assert survey.errors[0].width > 1, "the log shall be long enough to be decimated"
+    figure = plots.errors_before_after(fitted, survey)
+    tables = (survey.designed, survey.fitted)
+    assert len(figure.axes) == 6
+    for k, ax in enumerate(figure.axes):
+        trace = max(ax.lines, key=lambda line: len(line.get_xdata()))
+        drawn = 1e-6 * np.nanmax(np.abs(trace.get_ydata()))
+        np.testing.assert_allclose(drawn, tables[k % 2].peak[:, k // 2].max(), rtol=1e-9)
+        assert ax.get_ylabel() == f"error in {('x [µm]', 'y [µm]', 'Rz [µrad]')[k // 2]}"
+        low, high = ax.get_ylim()
+        assert low < -1e6 * tables[k % 2].peak[:, k // 2].max() < 0 < high
+    assert "held out" in figure.axes[1].get_title("left")
+    assert "held out" not in figure.axes[0].get_title("left")
+    rmse = fitted.error_rows["holdout"]["rmse"]["x_m"]
+    assert f"held out {1e6 * rmse:.3g}"[:12] in figure.axes[1].get_title("left")
+
+
+def test_measured_lays_the_decoded_pose_over_the_reference(
+    log: Log, fitted: Fit, survey: plots.Survey
+) -> None:
+    figure = plots.measured(log, fitted, survey)
+    assert len(figure.axes) == 12
+    assert [ax.get_ylabel() for ax in figure.axes[::3]] == ["x [µm]", "y [µm]", "Rz [µrad]", "reading [µm]"]
+    assert "held out" in figure.axes[2].get_title("left")
+    reference, designed, decoded = (line.get_ydata() for line in figure.axes[3].lines)  # y of run 0
+    np.testing.assert_allclose(reference, 1e6 * log.run(0)["y_ref_m"], rtol=1e-12)
+    assert np.abs(decoded - reference).max() <= 1e6 * survey.fitted.peak[:, 1].max() * (1 + 1e-9)
+    assert np.abs(designed - reference).max() > 50
+    assert {"Hall A", "Hall B", "Hall C", "reference"} <= set(_legends(figure))
+
+
+def test_errors_by_setting_shows_every_series(fitted: Fit, survey: plots.Survey) -> None:
+    steps = {"Model (30)": survey.designed}
+    figure = plots.errors_by_setting(fitted, survey, steps)
+    labels = ["designed", "Model (30)", "fitted", "fitted, held-out runs", "noise floor"]
+    assert _legends(figure) == labels
+    assert [ax.get_ylabel() for ax in figure.axes] == ["rmse x [µm]", "rmse y [µm]", "rmse Rz [µrad]"]
+    assert all(ax.get_yscale() == "log" for ax in figure.axes)
+    level = survey.designed.over((0, 1, 2))
+    assert level is not None
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata()[0], 1e6 * level["rmse"]["x_m"], rtol=1e-9)
+
+
+def test_parameters_say_what_is_not_determined(fitted: Fit) -> None:
+    figure = plots.parameters(fitted)
+    words = [text.get_text() for place in (*figure.axes, figure) for text in place.texts]
+    told = words.count("not determined") + words.count("not determined, held")
+    assert told == np.sum(~fitted.determined) - len(fitted.at_bound)
+    assert sum("±" in word for word in words) == fitted.determined.sum() + len(fitted.combinations) + 1
+    half = 100 * plots.COVERAGE * np.nanmax(fitted.std / (fitted.model.bounds[1] - fitted.model.bounds[0]))
+    drawn = max(float(line.get_xdata().max()) for line in figure.axes[1].lines)
+    assert drawn == pytest.approx(half)
+
+
+# -- other logs ------------------------------------------------------------------------------------------
+
+
+def one_run(samples: int, model: str = "stage15") -> dict[str, np.ndarray]:
+    motion = {"x_m": sine(3e-4, 1.0), "y_m": sine(5e-4, 0.7), "rz_rad": sine(3e-4, 0.3)}
+    run = Run(samples * 2e-3, {"z_m": 100e-6}, motion, () if model == "stage15" else (1e-6,) * 3)
+    return simulate(build(model), {}, Campaign(2e-3, (run,)), NoiseModel(SIGMAS), seed=5)
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_one_run_without_holdout(timed: bool) -> None:
+    columns = one_run(6000)
+    if not timed:
+        del columns["t_s"]
+    log = with_noise(columns)
+    result = fit(log, "stage15", solver="direct", loss="none")
+    survey = plots.look_over(log, result)
+    assert plots.settings(result, survey) == ([("0", [0])], "run")
+    figure = plots.errors_before_after(result, survey)
+    assert figure.axes[-1].get_xlabel() == ("time [s]" if timed else "sample")
+    assert len(_legends(figure)) == 1
+    assert len(plots.measured(log, result, survey).axes) == 4
+    assert len(plots.errors_by_setting(result, survey).axes) == 3
+
+
+def test_a_run_too_long_to_see_is_shown_from_its_start(fitted: Fit) -> None:
+    log = with_noise(one_run(100_000, "stage31"))
+    figure = plots.measured(log, fitted, plots.look_over(log, fitted))
+    title = figure.axes[0].get_title("left")
+    assert title.startswith("run 0, Z +100 µm, first ")
+    assert title.endswith(" s")
+    seconds = float(title.split()[-2])
+    assert 3 < seconds < 20
+    np.testing.assert_allclose(np.nanmax(figure.axes[0].lines[0].get_xdata()), seconds, rtol=0.01)
+
+
+def test_rms_lies_over_errors_that_are_a_solid_block(fitted: Fit, survey: plots.Survey) -> None:
+    assert "local rms" not in _legends(plots.errors_before_after(fitted, survey)), (
+        "short runs are seen as they are"
+    )
+    long = with_noise(one_run(40_000))
+    result = fit(long, "stage15", solver="direct", loss="none")
+    survey = plots.look_over(long, result)
+    figure = plots.errors_before_after(result, survey)
+    assert "local rms" in _legends(figure)
+    for k, ax in enumerate(figure.axes[1::2]):
+        block, *_, line = ax.lines
+        assert len(line.get_xdata()) < 0.1 * len(block.get_xdata())
+        rmse = 1e6 * np.sqrt(survey.fitted.squares[0, k] / survey.fitted.count[0])
+        np.testing.assert_allclose(np.sqrt(np.mean(line.get_ydata() ** 2)), rmse, rtol=1e-2)
+
+
+def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: plots.Survey) -> None:
+    """Margins are stated in inches: everything must fit into them."""
+    from matplotlib import style
+
+    steps = {f"Model ({k})": survey.designed for k in (15, 30)}
+    with style.context(["default", plots.STYLE]):
+        figures = (
+            plots.measured(log, fitted, survey),
+            plots.errors_before_after(fitted, survey),
+            plots.errors_by_setting(fitted, survey, steps),
+            plots.parameters(fitted),
+        )
+        for figure in figures:
+            drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+            assert min(drawn.x0, drawn.y0) >= 0
+            assert drawn.x1 <= width
+            assert drawn.y1 <= height

@@ -1,0 +1,162 @@
+"""Pictures of what data determine, as drawings: nothing beyond the edge, no words on words, whole files."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+import reports
+from matplotlib import style
+from matplotlib.axis import Tick
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from hallsym.errors import InputError
+from hallsym.inference import Identifiability
+from hallsym.inference.verdict import VERDICTS
+from hallsym.report.figures import DPI, STYLE, WIDTH
+from hallsym.report.figures.captions import broken, number
+from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.sensitivity import (
+    correlation,
+    drawable,
+    effects,
+    intervals,
+    profiles,
+    save_sensitivity_pictures,
+    spectrum,
+)
+from hallsym.report.figures.style import text_width
+from hallsym.report.figures.verdicts import LOOKS
+
+PICTURES = {
+    "correlation": correlation,
+    "effects": effects,
+    "intervals": intervals,
+    "profiles": profiles,
+    "spectrum": spectrum,
+}
+
+
+@pytest.fixture(autouse=True)
+def _look() -> Iterator[None]:
+    with style.context(["default", STYLE]):
+        yield
+
+
+def apart(figure: Figure) -> None:
+    """No two texts lie on each other."""
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    axes = [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]
+    seen = [axis for axis in axes if axis.get_visible()]
+    drawn = {id(label) for axis in seen for tick in axis._update_ticks() for label in labels(tick)}
+    beyond = {
+        id(label)
+        for axis in axes
+        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks())
+        for label in labels(tick)
+    } - drawn
+    texts = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip()]
+    texts = [t for t in texts if id(t) not in beyond]
+    assert len(texts) > 10
+    boxes = np.array([t.get_window_extent(renderer).extents for t in texts])
+    shrunk = boxes + np.array([0.5, 0.5, -0.5, -0.5])
+    across = (shrunk[:, None, 0] < shrunk[None, :, 2]) & (shrunk[None, :, 0] < shrunk[:, None, 2])
+    up = (shrunk[:, None, 1] < shrunk[None, :, 3]) & (shrunk[None, :, 1] < shrunk[:, None, 3])
+    same = [(texts[i].get_text(), texts[j].get_text()) for i, j in np.argwhere(np.triu(across & up, 1))]
+    assert same == []
+
+
+def labels(tick: Tick) -> tuple[Text, Text]:
+    return tick.label1, tick.label2
+
+
+@pytest.mark.parametrize(
+    ("picture", "which"),
+    [
+        *(("correlation", which) for which in ("full", "level")),
+        *(("effects", which) for which in ("odd", "level")),
+        *(("intervals", which) for which in ("odd", "plan")),
+        *(("profiles", which) for which in ("full", "odd")),
+        *(("spectrum", which) for which in ("full", "level")),
+    ],
+)
+def test_nothing_is_beyond_the_edge_or_on_other_words(picture: str, which: str) -> None:
+    report: Identifiability = getattr(reports, which)()
+    figure = PICTURES[picture](report)
+    FigureCanvasAgg(figure).draw()
+    reports.inside(figure)
+    apart(figure)
+
+
+def test_pictures_that_have_nothing_to_show_are_not_drawn() -> None:
+    plan, full = reports.plan(), reports.full()
+    assert drawable(plan) == [correlation, effects, intervals, spectrum]
+    assert drawable(full) == [correlation, effects, intervals, profiles, spectrum]
+    assert drawable(replace(plan, correlation=np.full((21, 21), np.nan))) == [effects, intervals, spectrum]
+
+
+def test_pictures_are_whole_files_in_their_own_style(tmp_path: Path) -> None:
+    plan = reports.plan()
+    with matplotlib.rc_context({"font.size": 17.0, "axes.facecolor": "red"}):
+        written = save_sensitivity_pictures(plan, tmp_path / "new" / "folder")
+        assert matplotlib.rcParams["font.size"] == 17.0
+    names = [f"{name}.png" for name in ("correlation", "effects", "intervals", "spectrum")]
+    assert [path.name for path in written] == names
+    assert sorted(p.name for p in (tmp_path / "new" / "folder").iterdir()) == names
+    for path in written:
+        assert int.from_bytes(path.read_bytes()[16:20], "big") == round(WIDTH * DPI)
+    (again,) = save_figures({"again": lambda: spectrum(plan)}, tmp_path)
+    assert again.read_bytes() == written[-1].read_bytes()
+
+
+def test_drawings_are_the_same_every_time(tmp_path: Path) -> None:
+    plan = reports.plan()
+    one, two = (
+        save_figures({name: lambda: spectrum(plan)}, tmp_path, suffixes=("svg",))[0].read_bytes()
+        for name in "ab"
+    )
+    assert one == two
+
+
+def test_bad_input_is_one_sentence(tmp_path: Path) -> None:
+    plan = reports.plan()
+    with pytest.raises(InputError, match="only png, pdf, svg; instead received 'gif'"):
+        save_sensitivity_pictures(plan, tmp_path, suffixes=("gif",))
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):
+        save_sensitivity_pictures(plan, tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_every_verdict_has_a_look_of_its_own() -> None:
+    assert set(LOOKS) == set(VERDICTS)
+    assert len({look.marker + str(look.filled) for look in LOOKS.values()}) == len(LOOKS)
+
+
+def test_broken_lines_fit_and_lose_no_word() -> None:
+    text = " ".join(f"parameter_{k}," for k in range(40))
+    lines = broken(text, 3.0)
+    assert len(lines) > 5
+    assert max(map(text_width, lines)) <= 3.0
+    assert " ".join(line.strip() for line in lines) == text
+    assert broken("unbreakablylongword", 0.1) == ["unbreakablylongword"]
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        (0.86677703, 0.0002, "0.86678"),
+        (-189.416, 1.8, "\N{MINUS SIGN}189.4"),
+        (np.inf, 1.0, "∞"),
+        (-np.inf, 0.0, "\N{MINUS SIGN}∞"),
+        (np.nan, 1.0, "unknown"),
+        (0.85, 0.0, "0.85"),
+        (12345.6, 200.0, "12346"),
+    ],
+)
+def test_numbers_have_the_digits_of_their_interval(value: float, half: float, text: str) -> None:
+    assert number(value, half) == text

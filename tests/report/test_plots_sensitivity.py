@@ -1,0 +1,303 @@
+"""Pictures of what data determine: what is drawn is what the report says, in words where numbers end."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import reports
+from matplotlib import style
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from hallsym.inference import Identifiability
+from hallsym.report.figures import STYLE
+from hallsym.report.figures.correlation import blocks
+from hallsym.report.figures.profiles import ends_in_words
+from hallsym.report.figures.sensitivity import (
+    correlation,
+    effects,
+    intervals,
+    profiles,
+    spectrum,
+)
+from hallsym.report.figures.spectrum import sorts
+from hallsym.report.figures.verdicts import LOOKS
+
+
+@pytest.fixture(autouse=True)
+def _look() -> Iterator[None]:
+    with style.context(["default", STYLE]):
+        yield
+
+
+@pytest.fixture(scope="module")
+def full() -> Identifiability:
+    return reports.full()
+
+
+@pytest.fixture(scope="module")
+def level() -> Identifiability:
+    return reports.level()
+
+
+@pytest.fixture(scope="module")
+def odd() -> Identifiability:
+    return reports.odd()
+
+
+def words(figure: Figure) -> list[str]:
+    """Texts of a figure outside of axes and legend, and beside the rows."""
+    return [text.get_text() for place in (figure, *figure.axes) for text in place.texts]
+
+
+def legends(figure: Figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+# -- correlation -----------------------------------------------------------------------------------------
+
+
+def test_correlation_writes_each_pair_once_and_names_what_is_left_out(full: Identifiability) -> None:
+    figure = correlation(full)
+    ax = figure.axes[0]
+    names = [label.get_text() for label in ax.get_yticklabels()]
+    left_out = {n for n in full.model.names if not np.isfinite(full[n].std or np.nan)}
+    assert left_out == {"H1x", "H1y", "H2x", "H2y", "H3x", "H3y"}
+    assert set(names) == set(full.model.names) - left_out
+    n = len(names)
+    assert len(ax.texts) == n * (n - 1) // 2
+    for text in ax.texts:
+        column, row = (round(v) for v in text.get_position())
+        index = [full.model.names.index(names[k]) for k in (row, column)]
+        shown = float(text.get_text().replace("\N{MINUS SIGN}", "-"))
+        assert shown == pytest.approx(full.correlation[index[0], index[1]], abs=0.0051)
+    squares = sum(len(collection.get_paths()) for collection in ax.collections[:2])
+    assert squares == n * (n - 1) // 2
+    caption = " ".join(words(figure)[:2])
+    assert "not determined: H1x, H1y, H2x, H2y, H3x, H3y." in caption
+
+
+def test_area_of_a_square_is_the_correlation_and_negative_ones_are_hollow(full: Identifiability) -> None:
+    names = ("eta_A", "eta_B")
+    k = [full.model.names.index(name) for name in names]
+    two = np.full_like(full.correlation, np.nan)
+    two[np.ix_(k, k)] = [[1.0, -0.25], [-0.25, 1.0]]
+    positive, negative = correlation(replace(full, correlation=two)).axes[0].collections[:2]
+    assert len(positive.get_paths()) == 0
+    (path,) = negative.get_paths()
+    assert np.ptp(path.vertices[:, 0]) == pytest.approx(0.9 * np.sqrt(0.25))
+    assert to_hex(negative.get_facecolor()[0]) == "#ffffff"
+
+
+def test_blocks_join_parameters_along_chains() -> None:
+    r = np.eye(5)
+    r[0, 3] = r[3, 0] = -0.8
+    r[3, 4] = r[4, 3] = 0.75
+    r[1, 2] = r[2, 1] = 0.69
+    r[2] = r[:, 2] = np.nan
+    assert blocks(r) == [[0, 3, 4], [1]]
+
+
+def test_many_parameters_are_squares_on_both_sides_without_numbers(full: Identifiability) -> None:
+    n = 48
+    model = full.model
+    many = replace(model, parameters=tuple(replace(model.parameters[0], name=f"p{k}") for k in range(n)))
+    rng = np.random.default_rng(1)
+    a = rng.standard_normal((n, n))
+    r = a @ a.T
+    r /= np.sqrt(np.outer(np.diag(r), np.diag(r)))
+
+    class Many:
+        model = many
+        correlation = r
+        parameters = tuple(replace(full.parameters[0], name=name) for name in many.names)
+
+    figure = correlation(Many())  # type: ignore[arg-type]
+    assert not figure.axes[0].texts
+    assert sum(len(c.get_paths()) for c in figure.axes[0].collections[:2]) == n * (n - 1)
+    reports.inside(figure)
+
+
+# -- effects ---------------------------------------------------------------------------------------------
+
+
+def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> None:
+    figure = effects(odd)
+    rows = [e for e in odd.parameters if e.verdict.word != "fixed"]
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [e.name for e in rows]
+    for ax, column, unit in zip(figure.axes, odd.model.pose, ("µm", "µm", "µrad"), strict=True):
+        assert ax.get_xlabel().endswith(f"[{unit}]")
+        assert ax.get_xscale() == "log"
+        floor = odd.outputs[column]["noise_floor"]
+        expected = {}
+        for row, e in enumerate(rows):
+            for side, change in ((-1, e.sigma), (1, e.percent)):
+                if change is not None and change.worst[column] > 1e-3 * floor:
+                    expected[row, side] = 1e6 * change.worst[column]
+        drawn = {}
+        for bar in ax.patches:
+            middle = bar.get_y() + bar.get_height() / 2
+            row = round(middle)
+            drawn[row, 1 if middle > row else -1] = bar.get_x() + bar.get_width()
+            if middle < row:
+                look = LOOKS[rows[row].verdict.word]
+                assert to_hex(bar.get_facecolor()) == look.color
+                assert (bar.get_hatch() or "") == look.hatch
+        assert drawn == pytest.approx(expected)
+        low, high = ax.get_xlim()
+        assert low < min(drawn.values()) <= max(drawn.values()) < high
+        levels = [line.get_xdata()[0] for line in ax.lines if line.get_ls() == "--"]
+        assert levels == pytest.approx([1e6 * floor])
+    assert words(figure) == [e.verdict.word for e in rows]
+
+
+def test_a_change_too_small_to_draw_is_a_mark_at_the_edge_and_none_is_nothing(level: Identifiability) -> None:
+    figure = effects(level)
+    for ax, column in zip(figure.axes, level.model.pose, strict=True):
+        least = 1e-3 * level.outputs[column]["noise_floor"]
+        every = [e.percent.worst[column] for e in level.parameters]
+        every += [e.sigma.worst[column] for e in level.parameters if e.sigma]
+        marks = [line for line in ax.lines if line.get_marker() == "<"]
+        assert len(marks) == sum(0 < v <= least for v in every)
+        assert len(ax.patches) == sum(v > least for v in every)
+    assert 0.0 in [e.percent.worst["x_m"] for e in level.parameters], "a, b, c do nothing at constant height"
+
+
+# -- profiles --------------------------------------------------------------------------------------------
+
+
+def test_profiles_are_drawn_over_their_threshold(full: Identifiability) -> None:
+    figure = profiles(full)
+    assert len(figure.axes) == len(full.intervals.profiles) == 18
+    for ax, profile in zip(figure.axes, full.intervals.profiles, strict=True):
+        factor = {"m": 1e3, "rad": 180 / np.pi}.get(profile.quantity.unit, 1.0)
+        curve, points, normal = ax.lines[:3]
+        np.testing.assert_allclose(points.get_xdata(), factor * profile.values)
+        np.testing.assert_allclose(points.get_ydata(), profile.rises / profile.threshold)
+        std = full.intervals.std[profile.quantity.name]
+        at = np.interp(factor * (profile.value + 1.96 * std), normal.get_xdata(), normal.get_ydata())
+        assert at == pytest.approx(1.0, rel=2e-3)
+        assert np.nanmax(curve.get_ydata()) == pytest.approx(np.max(profile.rises) / profile.threshold)
+        low, high = ax.get_xlim()
+        assert low < factor * profile.lower.value < factor * profile.upper.value < high
+        ends = [line.get_xdata()[0] for line in ax.lines if line.get_marker() == "o"]
+        assert ends == pytest.approx([factor * profile.lower.value, factor * profile.upper.value])
+        assert ax.texts[0].get_text() == "ends reached"
+    titles = [text.get_text() for text in figure.axes[0].texts]
+    assert titles[-1] == full.intervals.profiles[0].quantity.name
+
+
+def test_profiles_say_in_words_how_they_end(odd: Identifiability) -> None:
+    figure = profiles(odd)
+    by_name = {p.quantity.name: ax for ax, p in zip(figure.axes, odd.intervals.profiles, strict=True)}
+    expected = {
+        "eta_A": "failed | reached",
+        "eta_B": "reached | at bound",
+        "eta_C": "ends open",
+        "theta_A": "open | failed",
+        "theta_B": "open | at bound",
+    }
+    for name, told in expected.items():
+        assert by_name[name].texts[0].get_text() == told
+    assert "met a better optimum" in [t.get_text() for t in by_name["eta_B"].texts]
+    assert {"end: reached", "end: at bound", "end: open"} <= set(legends(figure))
+    arrows = [line.get_marker() for line in by_name["eta_C"].lines if line.get_marker() in "<>"]
+    assert arrows == ["<", ">"]
+    assert not [line for line in by_name["eta_B"].lines if line.get_ls() == "--"], "no std, no parabola"
+    for ax in figure.axes:
+        low, high = ax.get_xlim()
+        assert np.isfinite([low, high]).all()
+        assert low < high
+        assert all(low <= tick <= high for tick in ax.get_xticks())
+    failed = odd.intervals.profiles[0]
+    assert ends_in_words(replace(failed, upper=failed.lower)) == "ends failed"
+
+
+# -- spectrum --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("which", "counts"), [("full", (18, 0, 3)), ("level", (9, 9, 3)), ("plan", (9, 9, 3))]
+)
+def test_spectrum_marks_what_is_not_determined(which: str, counts: tuple[int, int, int]) -> None:
+    report: Identifiability = getattr(reports, which)()
+    figure = spectrum(report)
+    ax = figure.axes[0]
+    *series, threshold = ax.lines[:4]
+    assert tuple(len(line.get_xdata()) for line in series) == counts
+    np.testing.assert_allclose(np.concatenate([line.get_xdata() for line in series]), np.arange(21) + 1)
+    drawn = np.concatenate([line.get_ydata() for line in series])
+    np.testing.assert_allclose(drawn, np.maximum(report.spectrum, 0.01))
+    assert threshold.get_ydata()[0] == 4.0
+    assert (series[0].get_ydata() > 4).all()
+    assert (series[1].get_ydata() < 4).all()
+    assert (series[2].get_ydata() == 0.01).all(), "structural directions have no singular value"
+    assert len(sorts(report)) == len(report.spectrum)
+    caption = " ".join(words(figure))
+    assert "H1x with H1y; H2x with H2y; H3x with H3y" in caption
+    assert ("a_A, b_A, c_A" in caption) == (counts[1] > 0)
+    assert ("This plan leaves" in caption) == (which == "plan")
+
+
+def test_right_axis_of_the_spectrum_is_the_inverse_of_the_left(full: Identifiability) -> None:
+    left, right = spectrum(full).axes
+    np.testing.assert_allclose(np.array(left.get_ylim()) * right.get_ylim(), 100.0)
+
+
+# -- intervals -------------------------------------------------------------------------------------------
+
+
+def test_intervals_lie_in_their_bounds(full: Identifiability) -> None:
+    figure = intervals(full)
+    place, share = figure.axes
+    rows = list(full.parameters)
+    widths = {round(bar.get_y() + 0.31): bar.get_x() + bar.get_width() for bar in share.patches}
+    expected = {row: 100 * e.share for row, e in enumerate(rows) if e.share is not None}
+    assert widths == pytest.approx(expected)
+    assert all(to_hex(bar.get_facecolor()) == LOOKS["determined"].color for bar in share.patches)
+    for line, e in zip(place.lines, rows, strict=True):
+        p = full.model.parameters[full.model.names.index(e.name)]
+        assert line.get_xdata()[0] == pytest.approx((e.value - p.lower) / p.width)
+        assert line.get_markerfacecolor() == ("white" if e.std is None else LOOKS["determined"].color)
+    text = words(figure)
+    assert text.count("not determined") == 6
+    assert sum(" to " in line for line in text) == 15 + len(full.combinations)
+    assert "Determined instead" in text
+
+
+def test_intervals_without_ends_are_arrows_and_words(odd: Identifiability) -> None:
+    figure = intervals(odd)
+    place, share = figure.axes
+    rows = {e.name: k for k, e in enumerate(e for e in odd.parameters if e.verdict.word != "fixed")}
+    text = words(figure)
+    assert f"{odd.model.names[-1]}" in rows
+    assert "a_B" not in rows
+    assert any(line.startswith("\N{MINUS SIGN}∞ to 0.9") and "open below" in line for line in text)
+    assert any("to unknown deg (profile, open below, failed above)" in line for line in text)
+    assert "0.573 deg (profile, at lower bound, at upper bound)" in text
+    assert any(line.endswith("(bootstrap)") for line in text)
+    bars = {round(bar.get_y() + 0.31): bar for bar in share.patches}
+    assert bars[rows["eta_C"]].get_x() + bars[rows["eta_C"]].get_width() == pytest.approx(100.0)
+    assert bars[rows["eta_A"]].get_hatch() == LOOKS["weak"].hatch
+    assert not {rows["theta_A"], rows["theta_C"], rows["a_A"]} & set(bars)
+    arrows = {(line.get_marker(), line.get_ydata()[0]) for line in place.lines if line.get_marker() in "<>"}
+    both = {("<", rows["theta_B"]), (">", rows["theta_B"])}
+    assert arrows == {("<", rows["eta_C"]), ("<", rows["theta_A"])} | both
+
+
+def test_a_parameter_without_bounds_says_so(full: Identifiability) -> None:
+    model = full.model.with_parameters({"a_A": {"lower": -np.inf, "upper": np.inf}})
+    free = replace(
+        full, parameters=tuple(replace(e, share=None) if e.name == "a_A" else e for e in full.parameters)
+    )
+
+    class Unbounded:
+        def __getattr__(self, name: str) -> Any:
+            return model if name == "model" else getattr(free, name)
+
+    figure = intervals(Unbounded())  # type: ignore[arg-type]
+    assert "no bounds" in [text.get_text() for text in figure.axes[0].texts]
+    assert len(figure.axes[1].patches) == 14
+    assert "Parameters without bounds count in their own unit." in words(spectrum(Unbounded()))  # type: ignore[arg-type]

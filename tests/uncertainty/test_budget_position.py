@@ -1,0 +1,359 @@
+"""The budget of a decoded position against the paper's matrices typed in numpy, and against itself."""
+
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as effort
+from hypothesis import strategies as st
+from twins import HALL, SIGMAS, phi, pm, record, true_model, with_noise
+
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.fit import fit
+from hallsym.log import Log
+from hallsym.model import Model, Parameter
+from hallsym.uncertainty import (
+    Settings,
+    map_axes,
+    notes,
+    over_log,
+    position_budget,
+    position_monte_carlo,
+    uncertainty_map,
+)
+from hallsym.uncertainty.inputs import inputs, slopes
+
+POSE, STATE = ("x_m", "y_m", "rz_rad"), ("z_m", "rx_rad", "ry_rad")
+SOMEWHERE = {"x_m": 2e-4, "y_m": -3e-4, "rz_rad": 1e-4, "z_m": 2e-4, "rx_rad": -3e-4, "ry_rad": 1e-4}
+ELSEWHERE = {"x_m": 1e-4, "y_m": 2e-4, "rz_rad": -1e-4, "z_m": -1e-4, "rx_rad": 2e-4, "ry_rad": -1e-4}
+EVERYTHING = Settings(
+    averaged=2,
+    adc_step=60e-9,
+    zero_averaged=50,
+    zero_at=ELSEWHERE,
+    state_std=dict.fromkeys(STATE, 1e-7),
+    scale_std=dict.fromkeys(POSE, 3e-6),
+)
+
+
+@cache
+def log() -> Log:
+    return with_noise(record(seed=1))
+
+
+@cache
+def fitted(name: str = "stage31") -> Fit:
+    return fit(log(), name, solver="direct", loss="none")
+
+
+def columns(at: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([at[c] for c in POSE]), np.array([at[c] for c in STATE])
+
+
+def variance(at: dict[str, float], settings: Settings, known: Fit | None = None) -> np.ndarray:
+    return np.array([b.std**2 for b in position_budget(known or fitted(), at, settings).values()])
+
+
+# -- slopes ----------------------------------------------------------------------------------------------
+
+
+def paper_position(values, m, s, m0, s0, q0):
+    """Eq. (31) with zeros from a reset: m0 = phi(s0) (PM q0 + d), q = PM^-1 (m / phi(s) - d)."""
+    d = m0 / phi(values, s0) - pm(values) @ q0
+    return np.linalg.solve(pm(values), m / phi(values, s) - d)
+
+
+def test_slopes_are_those_of_the_papers_equation_with_a_reset():
+    """Central differences of an independent numpy model; the step's error is 1e-6 of a slope or less."""
+    known = fitted()
+    (q, s), (q0, s0) = columns(SOMEWHERE), columns(ELSEWHERE)
+    values = dict(zip(known.model.names, known.values, strict=True))
+    m, m0 = (phi(values, state) * (pm(values) @ pose) for state, pose in ((s, q), (s0, q0)))
+    given_ = {"reading": m, "state": s, "zero reading": m0, "zero state": s0, "zero pose": q0}
+    assert np.allclose(paper_position(values, *given_.values()), q, rtol=0, atol=1e-15)
+    found = slopes(known, q[:, None], s[:, None], EVERYTHING)
+    for place, at in given_.items():
+        for k in range(3):
+            step = 1e-7 * np.eye(3)[k]
+            up, down = (
+                paper_position(values, *{**given_, place: at + sign * step}.values()) for sign in (1, -1)
+            )
+            assert np.allclose(found.places[place][0, :, k], (up - down) / 2e-7, rtol=1e-5, atol=1e-8), place
+    for k, name in enumerate(known.model.names):
+        step = 1e-5 * max(abs(values[name]), 0.1)
+        up, down = (
+            paper_position({**values, name: values[name] + sign * step}, *given_.values()) for sign in (1, -1)
+        )
+        assert np.allclose(found.parameters[0, :, k], (up - down) / (2 * step), rtol=1e-5, atol=1e-10), name
+
+
+@pytest.mark.parametrize("name", ["stage30", "stage31", "stage31_tied"])
+def test_an_error_of_the_pose_at_the_zeroing_shifts_every_position_alike(name):
+    q, s = columns(SOMEWHERE)
+    found = slopes(fitted(name), q[:, None], s[:, None], EVERYTHING)
+    assert np.allclose(found.places["zero pose"][0], np.eye(3), atol=1e-9)
+
+
+def test_at_the_pose_of_the_zeroing_nothing_but_the_zeroing_counts():
+    """Parameters, vertical sensors and scale cancel; reading and zeroing noise weigh alike."""
+    budgets = position_budget(fitted(), ELSEWHERE, replace(EVERYTHING, averaged=50))
+    for budget in budgets.values():
+        part = {s.name: abs(s.contribution) for s in budget.sources}
+        for name in ("fit", "z sensor", "rx sensor", "ry sensor", "reference scale x"):
+            assert part[name] <= 1e-9 * budget.std, name
+        for channel in ("hall_a", "hall_b", "hall_c"):
+            assert part[f"{channel} noise"] == pytest.approx(part[f"zeroing: {channel} noise"], rel=1e-9)
+            assert part[f"{channel} ADC step"] == pytest.approx(
+                part[f"zeroing: {channel} ADC step"], rel=1e-9
+            )
+
+
+def test_the_scale_of_the_reference_counts_from_the_zeroing():
+    found = position_budget(fitted(), SOMEWHERE, EVERYTHING)["x_m"]
+    (scale,) = (s for s in found.sources if s.name == "reference scale x")
+    assert scale.contribution == pytest.approx(3e-6 * 1e-4, rel=1e-12)  # 200 um - 100 um
+
+
+def test_a_model_without_zeros_has_no_zeroing():
+    names = [s.name for s in position_budget(fitted("stage15"), SOMEWHERE, Settings())["x_m"].sources]
+    assert not [n for n in names if n.startswith("zeroing")]
+    assert "hall_a noise" in names
+
+
+# -- sums ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("settings", [Settings(), EVERYTHING], ids=["default", "everything"])
+def test_the_fit_split_into_parameters_has_the_same_sum(settings):
+    whole, split = (position_budget(fitted(), SOMEWHERE, settings, split=s) for s in (False, True))
+    for column in POSE:
+        assert split[column].std == pytest.approx(whole[column].std, rel=1e-9)
+        share = whole[column].shares[0]
+        parts = sum(
+            v
+            for s, v in zip(split[column].sources, split[column].shares, strict=True)
+            if s.name.startswith("fit: ")
+        )
+        assert parts == pytest.approx(share, abs=1e-9)
+
+
+@effort(max_examples=15, deadline=None)
+@given(st.integers(1, 1000), st.integers(1, 1000), st.floats(0.1, 10.0))
+def test_noise_averages_and_steps_do_not(averaged, zeroed, scale):
+    settings = replace(EVERYTHING, averaged=averaged, zero_averaged=zeroed, adc_step=scale * 60e-9)
+    for one, many in zip(
+        position_budget(fitted(), SOMEWHERE, replace(EVERYTHING, averaged=1, zero_averaged=1)).values(),
+        position_budget(fitted(), SOMEWHERE, settings).values(),
+        strict=True,
+    ):
+        for a, b in zip(one.sources, many.sources, strict=True):
+            n = zeroed if a.name.startswith("zeroing") else averaged
+            averages = a.name.endswith("noise") or a.name.startswith("zeroing: pose")
+            factor = n**-0.5 if averages else scale if "ADC" in a.name else 1.0
+            assert abs(b.contribution) == pytest.approx(factor * abs(a.contribution), rel=1e-9)
+
+
+def test_the_noise_of_the_reference_enters_only_at_the_zeroing():
+    loud = replace(fitted(), noise=with_noise(record(seed=1), {**SIGMAS, "x_ref_m": 9e-6}).noise)
+    named = {i.source.name for i in inputs(loud, Settings())}
+    assert not any("ref" in name for name in named)
+    known_well = Settings(zero_pose_std=dict.fromkeys(POSE, 1e-9))
+    assert np.allclose(variance(SOMEWHERE, known_well, loud), variance(SOMEWHERE, known_well), rtol=1e-12)
+    assert variance(SOMEWHERE, Settings(), loud)[0] > 2 * variance(SOMEWHERE, Settings())[0]
+
+
+# -- many positions --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [None, 0.99])
+def test_a_map_holds_the_budgets_of_its_points(level):
+    settings = replace(EVERYTHING, level=level)
+    known = replace(fitted(), covariance_method="likelihood, scaled", log={"runs": 6, "holdout": []})
+    fixed = {"rz_rad": 1e-4, "rx_rad": 2e-4}
+    axes = {"x_m": [-3e-4, 0.0, 2e-4], "y_m": [1e-4, 4e-4], "z_m": [-2e-4, 0.0, 2.5e-4]}
+    found = uncertainty_map(known, {**axes, "y_m": [1e-4, 2e-4, 4e-4]}, settings, fixed=fixed)
+    assert found.expanded.shape == (3, 3, 3, 3)
+    at = {**fixed, "x_m": 2e-4, "y_m": 1e-4, "z_m": -2e-4}
+    for i, budget in enumerate(position_budget(known, at, settings).values()):
+        assert found.expanded[i, 2, 0, 0] == pytest.approx(budget.expanded, rel=1e-9)
+    where, worst = found.worst("y_m")
+    assert worst == found.expanded[1].max()
+    assert position_budget(known, where, settings)["y_m"].expanded == pytest.approx(worst, rel=1e-9)
+
+
+def test_two_values_are_a_span():
+    found = uncertainty_map(fitted(), {"x_m": (-1e-4, 1e-4), "y_m": (0.0, 1e-4), "z_m": (0.0, 2e-4)})
+    assert found.expanded.shape == (3, 41, 41, 5)
+    assert found.axes["z_m"] == pytest.approx([0, 5e-5, 1e-4, 1.5e-4, 2e-4])
+
+
+def test_over_a_log_is_the_budget_of_every_sample():
+    data = {c: v[::97] for c, v in record(seed=1).items()}
+    short = with_noise(data)
+    found = over_log(fitted(), short, EVERYTHING)
+    names = dict(zip(("x_ref_m", "y_ref_m", "rz_ref_rad", *STATE), (*POSE, *STATE), strict=True))
+    rows = [{ours: float(data[c][k]) for c, ours in names.items()} for k in range(len(data["run"]))]
+    U = np.array([[b.expanded for b in position_budget(fitted(), at, EVERYTHING).values()] for at in rows])
+    assert found.samples == len(rows)
+    assert list(found.rms.values()) == pytest.approx(np.sqrt(np.mean(U**2, axis=0)), rel=1e-9)
+    assert list(found.worst.values()) == pytest.approx(U.max(axis=0), rel=1e-9)
+    assert found.where["x_m"] == pytest.approx(rows[int(U[:, 0].argmax())])
+    assert found.span["z_m"] == (data["z_m"].min(), data["z_m"].max())
+    assert found.outside({"x_m": 0.0, "z_m": 1e-3}) == ["z_m"]
+
+
+def test_farther_from_the_zeroing_the_fit_counts_more():
+    found = uncertainty_map(fitted(), {"x_m": np.linspace(0, 3e-4, 4), "y_m": [0.0], "z_m": [0.0]})
+    assert np.all(np.diff(found.expanded[0, :, 0, 0]) > 0)
+
+
+# -- other machines --------------------------------------------------------------------------------------
+
+
+def beam() -> Model:
+    """Two probes along a beam sense y + x Rz; the gain follows the height."""
+    places = {"a": 0.2, "b": -0.2}
+
+    def mechanics(s, p):
+        s["displacement"] = ca.vertcat(*(s["y_m"] + p[f"x_{k}"] * s["rz_rad"] for k in places))
+
+    def transducer(s, p):
+        s["gain"] = ca.vertcat(*(p[f"eta_{k}"] + p["a"] * s["z_m"] for k in places))
+
+    def electronics(s, p):
+        s["reading"] = s["gain"] * s["displacement"]
+
+    return Model(
+        name="beam",
+        family="beam",
+        pose=("y_m", "rz_rad"),
+        references=("y_ref_m", "rz_ref_rad"),
+        state=("z_m",),
+        channels=("hall_a_m", "hall_b_m"),
+        parameters=(
+            *(Parameter(f"x_{k}", x, x - 0.05, x + 0.05, "m") for k, x in places.items()),
+            *(Parameter(f"eta_{k}", 1.0, 0.5, 1.5, "1") for k in places),
+            Parameter("a", -100.0, -5000.0, 5000.0, "1/m"),
+        ),
+        steps=(("mechanics", mechanics), ("transducer", transducer), ("electronics", electronics)),
+    )
+
+
+def test_the_budget_knows_no_family():
+    model = beam()
+    assert map_axes(model) == ("y_m", "rz_rad", "z_m")
+    known = replace(
+        fitted(),
+        model=model,
+        values=model.nominal,
+        covariance=np.diag([0, 0, 1e-8, 1e-8, 0.0]),
+        noise=with_noise(record(seed=1)).noise,
+        at_bound=(),
+    )
+    at = {"y_m": 2e-4, "rz_rad": 0.0, "z_m": 1e-4}
+    found = position_budget(known, at)["y_m"]
+    part = {s.name: abs(s.contribution) for s in found.sources}
+    gain = 1 - 100 * 1e-4  # y = (m_a + m_b) / (2 gain)
+    assert part["hall_a noise"] == pytest.approx(SIGMAS[HALL[0]] / 2 / gain, rel=1e-9)
+    assert part["fit"] == pytest.approx(2e-4 / gain * 1e-4 / np.sqrt(2), rel=1e-9)
+    assert uncertainty_map(known, dict.fromkeys(map_axes(model), (0.0, 1e-4))).expanded.shape[0] == 2
+    checked = position_monte_carlo(known, at, rng=np.random.default_rng(1), trials=40_000, digits=1)
+    assert {c.verdict for c in checked.values()} == {"confirmed"}
+
+
+# -- refused and told ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "at", "words"),
+    [
+        ({"covariance": np.full((21, 21), np.nan)}, {}, "values that cannot be"),
+        ({"covariance": np.zeros((21, 21))}, {}, "no determined parameter"),
+        ({"values": np.full(21, np.nan)}, {}, "no numbers"),
+        ({}, {"z_m": 5e-3}, "The gain of hall_b_m at z_m = 0.005.* crosses zero"),
+        ({}, {"z_um": 5}, "must be given in columns"),
+        ({}, {"x_m": float("inf")}, "finite number"),
+    ],
+)
+def test_what_has_no_budget(change, at, words):
+    known = replace(fitted(), **change)
+    with pytest.raises(InputError, match=words) as caught:
+        position_budget(known, at)
+    assert str(caught.value).count(". ") == 0
+
+
+def test_a_map_across_a_pole_is_refused():
+    with pytest.raises(InputError, match="crosses zero"):
+        uncertainty_map(fitted(), {"x_m": (0, 1e-4), "y_m": (0, 1e-4), "z_m": (0.0, 6e-3)})
+    with pytest.raises(InputError, match="crosses zero"):
+        position_budget(fitted(), {}, Settings(zero_at={"z_m": 5e-3}))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Settings(averaged=0),
+        Settings(zero_averaged=-3),
+        Settings(adc_step=-1e-9),
+        Settings(state_std={"x_m": 1e-9}),
+        Settings(scale_std={"x_m": -1e-6}),
+        Settings(zero_at={"q": 0.0}),
+    ],
+)
+def test_settings_that_cannot_be(settings):
+    with pytest.raises(InputError):
+        position_budget(fitted(), {}, settings)
+
+
+def test_notes_say_what_the_budget_does_not_hold():
+    known = replace(
+        fitted(),
+        undetermined_by_log=("a_A",),
+        at_bound=("eta_B",),
+        solver={**fitted().solver, "cost_per_degree_of_freedom": 4.0},
+    )
+    said = " ".join(notes(known, Settings()))
+    for word in ("a_A", "eta_B", "2 x what the noise", "from 1 reading"):
+        assert word in said
+    assert notes(fitted(), Settings(zero_averaged=100)) == []
+
+
+# -- against recalibrations ------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_recalibrated_machines_scatter_as_stated():
+    """Fit 200 simulated campaigns; each time zero, read with noise, decode; the error has the stated u.
+
+    The variance ratio of 200 samples lies within 0.70 and 1.36 for 99.9 % of all such experiments (chi2).
+    """
+    from scipy.stats import chi2
+
+    n, model = 200, true_model()
+    truth = model.nominal
+    settings = Settings(averaged=4, zero_averaged=20, zero_pose_std=dict.fromkeys(POSE, 5e-8), zero_at={})
+    (q, s), values = columns(SOMEWHERE), dict(zip(model.names, truth, strict=True))
+    m_true, errors, stated = phi(values, s) * (pm(values) @ q), [], []
+    fits_only, fit_stated = [], []
+    for seed in range(n):
+        rng = np.random.default_rng(10_000 + seed)
+        known = fit(with_noise(record(seed=seed)), model, solver="direct", loss="none")
+        found = dict(zip(model.names, known.values, strict=True))
+        hall, vertical = np.array([SIGMAS[c] for c in HALL]), np.array([SIGMAS[c] for c in STATE])
+        m = m_true + rng.normal(0, hall / 2)
+        m0 = rng.normal(0, hall / np.sqrt(20))
+        state, s0 = s + rng.normal(0, vertical / 2), rng.normal(0, vertical / np.sqrt(20))
+        q0 = rng.normal(0, 5e-8, 3)  # the zeroing is believed to be at 0 and is at -q0
+        errors.append(paper_position(found, m, state, m0, s0, q0) - q)
+        fits_only.append(paper_position(found, m_true, s, np.zeros(3), np.zeros(3), np.zeros(3)) - q)
+        budgets = position_budget(known, SOMEWHERE, settings).values()
+        stated.append([b.std for b in budgets])
+        fit_stated.append([b.sources[0].std for b in budgets])
+    low, high = chi2.ppf([0.0005, 0.9995], n) / n
+    for what, said in ((errors, stated), (fits_only, fit_stated)):
+        ratio = np.mean(np.square(what), axis=0) / np.mean(np.square(said), axis=0)
+        assert np.all((low < ratio) & (ratio < high)), ratio

@@ -1,0 +1,502 @@
+"""Tolerances: indices against closed forms, against SALib, against the article's matrix typed again in numpy.
+
+Facts: a linear error has S_j = T_j = share of variance, whatever the distribution; Ishigami's function has
+published indices; probes that mirror each other have equal indices; what no reading sees has index 0; error
+and tolerance scale together; a calibration without noise leaves rounding.
+"""
+
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from twins import pm
+
+from hallsym.cli.main import main
+from hallsym.errors import InputError
+from hallsym.families import build, stage
+from hallsym.families.published import bounds
+from hallsym.simulation.campaign import paper_campaign
+from hallsym.uncertainty.gum import DIVISORS
+from hallsym.uncertainty.tolerances import (
+    Tolerance,
+    Tolerances,
+    Workspace,
+    default_tolerances,
+    given_tolerances,
+    read_tolerances,
+    sobol,
+    study,
+    tolerances,
+    workspace_of,
+)
+
+pytest.importorskip("SALib")
+
+SMALL = {
+    **{f"H{k}{axis}_um": 100 for k in (1, 2, 3) for axis in "xy"},
+    **{f"eta_{k}_percent": 0.03 for k in "ABC"},
+    **{f"theta_{k}_mrad": 0.25 for k in "ABC"},
+}
+"""Small enough for the error to be linear in them to 1e-3."""
+COUPLED = {f"{q}_{k}_per_{u}": 100 for q, u in (("a", "m"), ("b", "rad"), ("c", "rad")) for k in "ABC"}
+PAPER = bounds()
+
+
+@pytest.fixture(scope="module")
+def model():
+    return build("stage15")
+
+
+@pytest.fixture(scope="module")
+def somewhere() -> Workspace:
+    rng = np.random.default_rng(5)
+    return Workspace(
+        rng.uniform(-1, 1, (3, 7)) * np.array([[3e-4], [5e-4], [3e-4]]), rng.uniform(-2e-4, 2e-4, (3, 7))
+    )
+
+
+@pytest.fixture(scope="module")
+def small(model, somewhere) -> Tolerances:
+    return tolerances(model, somewhere, ranges=SMALL, samples=256, seed=1)
+
+
+@pytest.fixture(scope="module")
+def paper(model) -> Tolerances:
+    return tolerances(model, seed=0, samples=256)
+
+
+def error_by_hand(machines: np.ndarray, names, where: Workspace) -> np.ndarray:
+    """PM0^-1 diag(eta) PM q - q of Eq. (15), (n_pose, machines, points)."""
+    designed = dict(zip(names, build("stage15").nominal, strict=True))
+    out = []
+    for row in machines:
+        v = dict(zip(names, row, strict=True))
+        reading = np.array([[v["eta_A"]], [v["eta_B"]], [v["eta_C"]]]) * (pm(v) @ where.pose)
+        out.append(np.linalg.solve(pm(designed), reading) - where.pose)
+    return np.moveaxis(np.array(out), 0, 1)
+
+
+def shares_by_hand(model, ranges, where: Workspace) -> tuple[np.ndarray, np.ndarray]:
+    """Variance of the linearised error per tolerance, (n_pose, n), as shares, and the rms."""
+    parts = []
+    for k, t in enumerate(ranges):
+        h = 1e-3 * t.std
+        pair = np.tile(model.nominal, (2, 1))
+        pair[0, k] += h
+        pair[1, k] -= h
+        e = error_by_hand(pair, model.names, where)
+        slope = (e[:, 0] - e[:, 1]) / (2 * h)
+        parts.append((slope**2).mean(axis=1) * t.std**2)
+    variance = np.array(parts).T
+    return variance / variance.sum(axis=1, keepdims=True), np.sqrt(variance.sum(axis=1))
+
+
+# -- closed forms ----------------------------------------------------------------------------------------
+
+
+def test_a_linear_error_is_shared_by_variance(model, somewhere, small):
+    shares, rms = shares_by_hand(model, small.tolerances, somewhere)
+    for c, share, indices in zip(model.pose, shares, small.indices["error"].values(), strict=True):
+        assert np.all(np.abs(indices.first - share) <= indices.first_half + 1e-3), c
+        assert np.all(np.abs(indices.total - share) <= indices.total_half + 1e-3), c
+    assert small.errors.rms == pytest.approx(rms, rel=0.06)  # three standard errors
+
+
+def test_tightening_a_linear_error_takes_its_share(model, somewhere, small):
+    """Exact takes all of a share of the mean square, halved three quarters."""
+    shares, _ = shares_by_hand(model, small.tolerances, somewhere)
+    for left, fall in ((0.0, small.worth.exact), (0.25, small.worth.halved)):
+        expected = 1 - np.sqrt(1 - (1 - left) * shares.T)
+        assert np.all(np.abs(fall - expected) <= small.worth.exact_half + 1e-3)
+
+
+def test_shares_of_several_tolerances_add(model, somewhere, small):
+    """Rms of 2 x 512 machines, squares as scattered as large: 1.6 % standard error, three of them."""
+    both = ("eta_A", "eta_B")
+    tight = {k: v for k, v in SMALL.items() if not k.startswith(both)} | dict.fromkeys(both, "exact")
+    less = tolerances(model, somewhere, ranges=tight, samples=512, seed=1)
+    shares, rms = shares_by_hand(model, small.tolerances, somewhere)
+    left = 1 - shares[:, [model.names.index(n) for n in both]].sum(axis=1)
+    assert less.errors.rms == pytest.approx(rms * np.sqrt(left), rel=0.05)
+
+
+def ishigami(u: np.ndarray) -> np.ndarray:
+    """Ishigami and Homma 1990, with a = 7, b = 0.1."""
+    x = np.pi * (2 * u - 1)
+    return np.sin(x[..., 0]) + 7 * np.sin(x[..., 1]) ** 2 + 0.1 * x[..., 2] ** 4 * np.sin(x[..., 0])
+
+
+def test_ishigami():
+    """Variance a^2/8 + b pi^4/5 + b^2 pi^8/18 + 1/2, in parts known in closed form."""
+    a, b, pi = 7, 0.1, np.pi
+    alone = np.array([0.5 * (1 + b * pi**4 / 5) ** 2, a**2 / 8, 0.0])
+    together = b**2 * pi**8 * 8 / 225
+    whole = alone.sum() + together
+    first, total = alone / whole, (alone + np.array([together, 0, together])) / whole
+    assert first == pytest.approx([0.3139, 0.4424, 0], abs=5e-5)
+    y = ishigami(sobol.design(3, 2048, seed=3))
+    field = sobol.moments(y[..., None], y[:, [0, -1]].mean(keepdims=True)[0])
+    for found in (sobol.scalar_indices(y, seed=3), sobol.field_indices(field, seed=3)):
+        assert np.all(np.abs(found.first - first) <= found.first_half)
+        assert np.all(np.abs(found.total - total) <= found.total_half)
+        assert found.widest < 0.1
+
+
+# -- another implementation ------------------------------------------------------------------------------
+
+
+def test_a_field_of_one_point_is_what_salib_makes_of_a_scalar():
+    from SALib.analyze.sobol import first_order, total_order
+
+    y = np.random.default_rng(8).normal(3, 1, (64, 6))
+    mean = y[:, [0, -1]].mean()
+    found = sobol.field_indices(sobol.moments(y[..., None], np.array([mean])), seed=0)
+    A, AB, B = y[:, 0] - mean, y[:, 1:-1] - mean, y[:, -1] - mean
+    assert found.first == pytest.approx([float(first_order(A, AB[:, j], B)) for j in range(4)], rel=1e-12)
+    assert found.total == pytest.approx([float(total_order(A, AB[:, j], B)) for j in range(4)], rel=1e-12)
+
+
+def test_intervals_are_as_wide_as_salibs():
+    """Two bootstraps of the same estimator, 200 resamples each: the widths scatter by 1 / sqrt(400)."""
+    y = ishigami(sobol.design(3, 1024, seed=2))
+    field = sobol.field_indices(sobol.moments(y[..., None], np.array([y[:, [0, -1]].mean()])), seed=4)
+    salib = sobol.scalar_indices(y, seed=5)
+    assert field.first_half == pytest.approx(salib.first_half, rel=0.3)
+    assert field.total_half == pytest.approx(salib.total_half, rel=0.3)
+
+
+def test_errors_are_those_of_the_articles_matrix(model):
+    """Monte Carlo with other random numbers and the model typed again; within five standard errors."""
+    where, rng = workspace_of(model, paper_campaign(), 4), np.random.default_rng(9)
+    found = tolerances(model, where, samples=256, seed=4)
+    width = np.array([t.width for t in found.tolerances])
+    machines = model.nominal + rng.uniform(-1, 1, (1000, len(width))) * width
+    square = (error_by_hand(machines, model.names, where) ** 2).mean(axis=2)
+    assert np.all(
+        np.abs(found.errors.rms**2 - square.mean(axis=1)) < 5 * square.std(axis=1) / np.sqrt(1000 / 2)
+    )
+    rms = np.sqrt(square)
+    assert found.errors.rms_spread == pytest.approx(rms.std(axis=1), rel=0.15)
+    assert found.errors.rms_95 == pytest.approx(np.quantile(rms, 0.95, axis=1), rel=0.1)
+
+
+# -- symmetry, limits, scaling ---------------------------------------------------------------------------
+
+
+def test_mirrored_probes_are_worth_the_same():
+    layout = (
+        stage.Probe("hall_a_m", (0.2, 0.4), (0.0, 1.0)),
+        stage.Probe("hall_b_m", (-0.2, 0.4), (0.0, 1.0)),
+        stage.Probe("hall_c_m", (0.0, 0.36), (1.0, 0.0)),
+    )
+    found = tolerances(stage.stage15(layout), samples=256, seed=2)
+    for a, b in (("eta_A", "eta_B"), ("theta_A", "theta_B"), ("H1x", "H2x"), ("H1y", "H2y")):
+        i, j = found.active.index(a), found.active.index(b)
+        for indices in found.indices["error"].values():
+            assert abs(indices.total[i] - indices.total[j]) <= indices.total_half[i] + indices.total_half[j]
+
+
+def test_what_no_reading_sees_has_no_index(model, somewhere):
+    """H1y enters as H1y sin(theta_A) only: without misalignment it is nothing."""
+    ranges = {k: v for k, v in SMALL.items() if not k.startswith("theta")}
+    found = tolerances(
+        model, somewhere, ranges=given_tolerances(model, ranges, others="exact"), samples=64, seed=0
+    )
+    for name in ("H1y", "H2y", "H3x"):
+        j = found.active.index(name)
+        for quantity in found.indices.values():
+            assert all(i.first[j] == i.total[j] == 0 for i in quantity.values()), name
+        assert np.all(found.worth.exact[j] == 0)
+    assert not any(n.startswith("theta") for n in found.active)
+
+
+def test_an_output_without_error_has_no_indices(model, somewhere):
+    found = tolerances(
+        model, somewhere, ranges=given_tolerances(model, {"eta_C_percent": 1}, "exact"), samples=32
+    )
+    for c in ("y_m", "rz_rad"):  # probe C senses x alone
+        assert all(found.indices[q][c].total[0] < 1e-9 for q in ("error", "rms", "peak"))
+    assert found.indices["error"]["x_m"].total[0] == pytest.approx(1.0, abs=0.2)
+    assert found.worth.exact[0] == pytest.approx([1, 0, 0], abs=1e-9)
+
+
+def test_first_indices_sum_to_one_at_most(paper):
+    for quantity in paper.indices.values():
+        for i in quantity.values():
+            assert i.first.sum() <= 1 + np.linalg.norm(i.first_half)
+            assert np.all(i.total >= i.first - i.first_half - i.total_half)
+            assert np.all(i.total >= 0)
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    widths=st.lists(st.floats(0.1, 10), min_size=3, max_size=3),
+    factor=st.floats(0.1, 0.9),
+    seed=st.integers(0, 2**20),
+)
+def test_error_and_tolerance_scale_together(widths, factor, seed):
+    """Gains enter a reading linearly: all halved halves every error and leaves every index."""
+    model, where = build("stage15"), Workspace(np.array([[3e-4], [5e-4], [1e-4]]), np.zeros((3, 1)))
+
+    def at(scale: float) -> Tolerances:
+        ranges = {f"eta_{k}_percent": scale * w for k, w in zip("ABC", widths, strict=True)}
+        return tolerances(
+            model, where, ranges=given_tolerances(model, ranges, "exact"), samples=16, seed=seed
+        )
+
+    one, other = at(1.0), at(factor)
+    assert other.errors.rms == pytest.approx(factor * one.errors.rms, rel=1e-9)
+    for c in model.pose:
+        assert other.indices["error"][c].total == pytest.approx(one.indices["error"][c].total, abs=1e-8)
+    assert other.worth.exact == pytest.approx(one.worth.exact, abs=1e-8)
+
+
+def test_a_linear_error_asks_only_for_the_standard_uncertainty(model, somewhere, small):
+    ranges = {k: {"std": v / 3**0.5} for k, v in SMALL.items()}
+    normal = tolerances(model, somewhere, ranges=ranges, samples=256, seed=1)
+    assert normal.errors.rms == pytest.approx(small.errors.rms, rel=0.1)
+    for c in model.pose:
+        a, b = normal.indices["error"][c], small.indices["error"][c]
+        assert np.all(np.abs(a.total - b.total) <= a.total_half + b.total_half)
+
+
+def test_limits_beside_the_designed_value_are_an_error_common_to_all(model, somewhere):
+    """Gains from 0.8 to 0.9: the mean machine decodes 0.85 q."""
+    ranges = given_tolerances(model, {f"eta_{k}": [0.8, 0.9] for k in "ABC"}, "exact")
+    found = tolerances(model, somewhere, ranges=ranges, samples=256)
+    expected = 0.15 * np.sqrt((somewhere.pose**2).mean(axis=1))
+    assert found.errors.mean == pytest.approx(expected, rel=1e-3)
+    rz = found.worth.exact[found.active.index("eta_A"), 2]
+    assert any("grows where" in note for note in found.notes)
+    assert rz < -1  # A without the shift that B keeps: their difference is what Rz is made of
+
+
+# -- what a calibration takes away -----------------------------------------------------------------------
+
+
+def test_a_calibration_leaves_rounding(paper):
+    r = paper.remainder
+    assert np.all(r.after < 1e-10 * r.before)
+    assert r.before == pytest.approx(paper.errors.rms, rel=0.4)  # 16 machines of 512
+    assert r.freedom == 3
+    assert set(r.undetermined) == {"H1x", "H1y", "H2x", "H2y", "H3x", "H3y"}
+    assert 0.5 < r.apart < 1.2  # hardly moved from the designed value
+    assert len(r.combinations) == 3
+
+
+@pytest.mark.parametrize("name", ["stage31", "stage15+exact_rotation"])
+def test_freedom_of_other_models(name):
+    base, *added = name.split("+")
+    model = build(base, added=tuple(added))
+    ranges = COUPLED if base == "stage31" else None
+    r = tolerances(model, ranges=ranges, samples=16).remainder
+    assert r.freedom == (0 if added else 3)
+    assert np.all(r.after < 1e-8 * r.before)
+
+
+# -- the study itself ------------------------------------------------------------------------------------
+
+
+def test_the_papers_ranking(paper):
+    """Gains of A and B first, then their angles; probe C matters for x only."""
+    assert set(paper.ranking[:4]) == {"eta_A", "eta_B", "theta_A", "theta_B"}
+    assert set(paper.ranking[-3:]) == {"H1y", "H2y", "H3x"}
+    x = paper.indices["error"]["x_m"].total
+    assert paper.active[int(np.argmax(x))] == "theta_C"
+
+
+def test_the_seed_decides_everything(model, somewhere):
+    def numbers(seed: int) -> dict:
+        found = tolerances(model, somewhere, samples=32, seed=seed).to_dict()
+        del found["seconds"]
+        return found
+
+    np.random.seed(1)  # noqa: NPY002 -- global state takes no part
+    one = numbers(0)
+    np.random.seed(2)  # noqa: NPY002
+    assert one == numbers(0)
+    assert one != numbers(1)
+    json.dumps(one)
+
+
+def test_blocks_change_nothing(model, monkeypatch):
+    one = tolerances(model, samples=32)
+    monkeypatch.setattr(study, "BLOCK", 3000)
+    other = tolerances(model, samples=32)
+    assert other.errors.rms == pytest.approx(one.errors.rms, rel=1e-12)
+    for c in model.pose:
+        assert other.indices["error"][c].first == pytest.approx(one.indices["error"][c].first, abs=1e-10)
+        assert other.indices["peak"][c].total == pytest.approx(one.indices["peak"][c].total, abs=1e-10)
+
+
+def test_more_samples_make_narrower_intervals(model, somewhere):
+    """Four times the samples, half the width, within what 200 resamples can tell."""
+    few, many = (tolerances(model, somewhere, samples=n, seed=3).widest for n in (128, 512))
+    assert many / few == pytest.approx(0.5, rel=0.3)
+
+
+def test_a_workspace_holds_the_peaks_of_the_sines(model):
+    where = workspace_of(model, paper_campaign())
+    assert where.points == 57 * 8
+    assert np.abs(where.pose).max(axis=1) == pytest.approx([300e-6, 500e-6, 300e-6], rel=1e-9)
+    assert (where.pose[1] ** 2).mean() == pytest.approx(500e-6**2 / 6, rel=1e-9)
+    assert np.abs(where.state).max(axis=1) == pytest.approx([250e-6, 500e-6, 500e-6])
+
+
+# -- ranges ----------------------------------------------------------------------------------------------
+
+
+def test_default_ranges_are_table_3_about_table_1(model):
+    for t in default_tolerances(model):
+        low, high = PAPER[t.name]
+        assert t.width == pytest.approx((high - low) / 2)
+        assert t.centre == t.designed
+    assert default_tolerances(model.with_parameters({"H1x": {"lower": 0.2, "upper": 0.2}}))[0].width == 0
+
+
+def test_units_stand_in_the_key(model):
+    given = {
+        "H1x_um": 20, "H1y_mm": 0.02, "theta_A_deg": 0.1, "eta_A_percent": 2, "eta_B": 0.02,
+        "H2x_percent": 1, "theta_B_mrad": {"half_width": 3, "distribution": "triangular"},
+        "eta_C": [0.9, 1.0], "H3y": "exact",
+    }  # fmt: skip
+    found = {t.name: t for t in given_tolerances(model, given, "exact")}
+    width = {name: t.width for name, t in found.items()}
+    assert width["H1x"] == pytest.approx(20e-6)
+    assert width["H1y"] == pytest.approx(20e-6)
+    assert width["theta_A"] == pytest.approx(np.radians(0.1))
+    assert width["eta_A"] == pytest.approx(0.02)
+    assert width["eta_B"] == pytest.approx(0.02)
+    assert width["H2x"] == pytest.approx(0.001975)
+    assert found["theta_B"].std == pytest.approx(3e-3 / 6**0.5)
+    assert (found["eta_C"].centre, found["eta_C"].width) == pytest.approx((0.95, 0.05))
+    assert width["H3y"] == width["H2y"] == 0
+    coupled = given_tolerances(build("stage31"), {"a_A_per_mm": 0.2, "b_B_per_mrad": 0.1}, "exact")
+    named = {t.name: t.width for t in coupled}
+    assert (named["a_A"], named["b_B"]) == pytest.approx((200, 100))
+
+
+@pytest.mark.parametrize("distribution", [*DIVISORS, "normal"])
+def test_draws_have_the_standard_uncertainty(distribution):
+    t = Tolerance("H1x", "m", 1.0, 1.0, 0.3, distribution)
+    u = (np.arange(100_000) + 0.5) / 100_000
+    assert t.at(u).mean() == pytest.approx(1.0, abs=1e-9)
+    assert t.at(u).std() == pytest.approx(t.std, rel=1e-3)
+    assert np.all(np.diff(t.at(u)) > 0)
+    if distribution != "normal":
+        assert np.abs(t.at(np.array([0.0, 1.0])) - 1.0) == pytest.approx([0.3, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"H1z_um": 20}, "'H1z_um' in .* names no parameter of stage15 .did you mean 'H1"),
+        ({"H1x_deg": 20}, "must end with a unit of H1x: one of H1x_m, H1x_mm"),
+        ({"H1x": 20}, "must end with a unit of H1x"),
+        ({"theta_A_percent": 1}, "must end with a unit of theta_A"),
+        ({"H1x_um": 0}, 'must be positive, not 0; write "exact"'),
+        ({"H1x_um": -3}, "must be a positive number; instead received -3"),
+        ({"H1x_um": float("inf")}, "must be a positive number"),
+        ({"H1x_um": True}, "must be a positive number; instead received True"),
+        ({"H1x_um": "20"}, "must be a positive number; instead received '20'"),
+        ({"H1x_um": 20, "H1x_mm": 1}, "H1x has two tolerances"),
+        ({"H1x_um": {"std": 1, "half_width": 2}}, "must have half_width or std, one of them"),
+        ({"H1x_um": {"distribution": "normal"}}, "must have half_width or std, one of them"),
+        ({"H1x_um": {"std": 1, "distribution": "triangular"}}, "must be normal with std"),
+        ({"H1x_um": {"half_width": 1, "distribution": "flat"}}, "rectangular or triangular or arcsine"),
+        ({"H1x_um": {"sigma": 1}}, "Unknown key 'sigma'"),
+        ({"eta_A": [0.98, 0.78]}, r"must be \[low, high\], low < high"),
+        ({"eta_A": [0.98]}, r"two numbers \[low, high\]"),
+    ],
+)
+def test_ranges_that_cannot_be(model, given, words):
+    with pytest.raises(InputError, match=words) as caught:
+        given_tolerances(model, given)
+    assert str(caught.value).endswith(".")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_cannot_be(model, tmp_path):
+    path = tmp_path / "drawing.toml"
+    with pytest.raises(InputError, match=r"Tolerance file .* does not exist"):
+        read_tolerances(path, model)
+    for text, words in (
+        ("[tolerance", "is not valid TOML"),
+        ("[tolerances]\nH1x_um = 1", "Unknown key 'tolerances' .*did you mean 'tolerance'"),
+        ('others = "exact"', r"must hold a table \[tolerance\]"),
+        ('others = "none"\n[tolerance]\nH1x_um = 1', '\'others\' .* must be "bounds" or "exact"'),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=words):
+            read_tolerances(path, model)
+
+
+def test_studies_that_cannot_be(model, somewhere):
+    for samples in (1000, 8, 0, -4, 2**17):
+        with pytest.raises(InputError, match="'samples' must be a power of two"):
+            tolerances(model, somewhere, samples=samples)
+    with pytest.raises(InputError, match="Every parameter of stage15 is exact"):
+        tolerances(model, somewhere, ranges=given_tolerances(model, {}, "exact"))
+    with pytest.raises(InputError, match="seed must be a whole number, 0 or more"):
+        tolerances(model, somewhere, seed=-1)
+    with pytest.raises(InputError, match="one Tolerance per parameter of stage15"):
+        tolerances(model, somewhere, ranges=default_tolerances(model)[:3])
+    free = model.with_parameters({"H1x": {"upper": np.inf}})
+    with pytest.raises(InputError, match="H1x of stage15 has no finite bounds"):
+        tolerances(free, somewhere)
+    assert tolerances(free, somewhere, ranges={"H1x_um": 20}, samples=16).active == (*free.names,)
+
+
+def test_a_gain_that_crosses_zero_names_the_tolerance():
+    with pytest.raises(InputError, match=r"cross zero .* [bc]_[ABC] .*2500 1/rad, from the bounds"):
+        tolerances(build("stage31"), samples=64)
+    with pytest.raises(InputError, match=r"cross zero .* eta_B \(\+-1.2 1, as given\) moves it most"):
+        tolerances(build("stage15"), ranges={"eta_B": 1.2}, samples=64)
+
+
+def test_without_salib_one_sentence_says_what_to_install(model, somewhere, monkeypatch):
+    monkeypatch.setitem(sys.modules, "SALib.sample.sobol", None)
+    with pytest.raises(
+        InputError, match=r"need SALib, which is not installed; run: pip install 'hallsym\[sob"
+    ):
+        tolerances(model, somewhere, samples=16)
+
+
+# -- command and picture ---------------------------------------------------------------------------------
+
+
+def test_the_command_prints_the_ranking_first(capsys, tmp_path):
+    (tmp_path / "drawing.toml").write_text('others = "exact"\n[tolerance]\nH1x_um = 20\neta_A_percent = 2\n')
+    words = ["tolerances", "--ranges", str(tmp_path / "drawing.toml"), "--samples", "32"]
+    assert main([*words, "--plots", str(tmp_path / "pictures")]) == 0
+    out = capsys.readouterr().out
+    assert out.index("errors of the designed decoder") < out.index("worth") < out.index("Sobol indices")
+    rows = [line.split()[0] for line in out.splitlines() if line.startswith(("eta_A ", "H1x "))]
+    assert rows == ["eta_A", "H1x", "eta_A", "H1x"]
+    wanted = re.search(r"too wide to rank by: about --samples (\d+) brings them below 5", out)
+    assert wanted
+    assert int(wanted[1]) > 32
+    assert len(list((tmp_path / "pictures").glob("tolerances_*.png"))) == 3
+    assert main([*words, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["ranking"] == ["eta_A", "H1x"]
+    assert record["tolerances"]["H1x"]["std"] == pytest.approx(20e-6 / 3**0.5)
+    assert record["tolerances"]["theta_A"]["width"] == 0
+    assert set(record["indices"]["error"]["y_m"]["eta_A"]) == {"first", "first_half", "total", "total_half"}
+    assert main([*words, "--samples", "100"]) == 2
+    assert "power of two" in capsys.readouterr().err
+
+
+def test_a_picture_has_a_bar_per_tolerance_and_index(paper):
+    from hallsym.report.figures.tolerances import tolerances as draw
+
+    for quantity in study.QUANTITIES:
+        figure = draw(paper, quantity)
+        for ax, indices in zip(figure.axes, paper.indices[quantity].values(), strict=True):
+            widths = sorted(bar.get_width() for bar in ax.patches)
+            assert widths == pytest.approx(sorted(100 * np.r_[indices.first, indices.total]))
+        assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == list(paper.ranking)
