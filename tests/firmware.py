@@ -17,7 +17,8 @@ import hallsym
 from hallsym import Fit, Model, Parameter
 from hallsym.codegen import Generated, Integers, generate_q31
 from hallsym.codegen.parts import Decoupler
-from hallsym.families import stage, stage_effects
+from hallsym.families.stage import effects as stage_effects
+from hallsym.families.stage import models as stage
 from hallsym.log.noise import Noise, Sigma
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -21,7 +21,7 @@ from hallsym.estimation.calibration import load_fit
 from hallsym.estimation.fit import fit, noise_of
 from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
 from hallsym.families.machine_file import Machine, read_machine
-from hallsym.families.stage import paper_layout
+from hallsym.families.stage.models import paper_layout
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.report.text.plan import plan_text

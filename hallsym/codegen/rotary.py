@@ -33,7 +33,7 @@ from hallsym.codegen.trigonometry import (
     wrapped,
 )
 from hallsym.errors import InputError, counted
-from hallsym.families.rotary import TURN
+from hallsym.families.rotary.models import TURN
 from hallsym.model import Model
 
 WEAK = 0.5

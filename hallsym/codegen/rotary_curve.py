@@ -16,7 +16,7 @@ import numpy as np
 
 from hallsym.codegen.ranges import ranges
 from hallsym.errors import InputError
-from hallsym.families.rotary import ANGLE
+from hallsym.families.rotary.models import ANGLE
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays

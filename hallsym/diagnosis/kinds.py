@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from hallsym.diagnosis import rotary_catalogue, stage_catalogue
 from hallsym.diagnosis.effect import Effect
 from hallsym.errors import InputError
-from hallsym.families import rotary_effects
+from hallsym.families.rotary import effects as rotary_effects
 from hallsym.model import Model
 
 

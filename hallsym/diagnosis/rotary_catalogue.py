@@ -8,8 +8,8 @@ import numpy as np
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.survey import MAINS
 from hallsym.families import recipes
-from hallsym.families import rotary_effects as re
 from hallsym.families.recipes import make_of
+from hallsym.families.rotary import effects as re
 from hallsym.model import Model
 
 write = partial(recipes.write, "rotary")

@@ -4,7 +4,9 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import recipes, rotary, stage
+from hallsym.families import recipes
+from hallsym.families.rotary import models as rotary
+from hallsym.families.stage import models as stage
 from hallsym.log import Meta
 from hallsym.log.limits import is_moving
 from hallsym.model import Model

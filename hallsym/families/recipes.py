@@ -11,8 +11,9 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import rotary_recipes, stage_recipes
 from hallsym.families.parts import Make
+from hallsym.families.rotary import recipes as rotary_recipes
+from hallsym.families.stage import recipes as stage_recipes
 from hallsym.model import Model
 
 REPAIR = "is a fault of the recording, which no model holds"

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.families.published import table
-from hallsym.families.rotary import K1, K2
+from hallsym.families.rotary.models import K1, K2
 from solvers import Problem, Stop, discarding, hybrid, minimize, newton, ranking
 
 BUDGET, SIZE, POINTS = 20_100, 100, 360

@@ -27,7 +27,8 @@ from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.printer import DOUBLE, FLOAT
 from hallsym.codegen.vectors import Emulator, mix, worst
 from hallsym.errors import InputError
-from hallsym.families import effects, stage_effects
+from hallsym.families import effects
+from hallsym.families.stage import effects as stage_effects
 from hallsym.model.arrays import on_arrays
 
 

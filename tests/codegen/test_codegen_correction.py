@@ -25,7 +25,7 @@ from hallsym.codegen.rotary_correction import SIZES, Grid, Series, correction, g
 from hallsym.codegen.rotary_curve import Curve
 from hallsym.codegen.vectors import Emulator, worst
 from hallsym.errors import InputError
-from hallsym.families import rotary
+from hallsym.families.rotary import models as rotary
 from hallsym.model.arrays import on_arrays
 
 

@@ -21,7 +21,8 @@ from hallsym.codegen.checks import notes_of
 from hallsym.codegen.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.codegen.vectors import Emulator, worst
 from hallsym.errors import InputError
-from hallsym.families import rotary, rotary_effects
+from hallsym.families.rotary import effects as rotary_effects
+from hallsym.families.rotary import models as rotary
 from hallsym.log.noise import Noise, Sigma
 from hallsym.model.arrays import on_arrays
 

@@ -17,7 +17,7 @@ from hallsym.diagnosis.search import base_of, rails_of
 from hallsym.diagnosis.slips import instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.tangent import Base, tangents
-from hallsym.families import stage_effects as se
+from hallsym.families.stage import effects as se
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.derived import extended
 from hallsym.model import Model, Parameter

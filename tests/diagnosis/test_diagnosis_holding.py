@@ -10,7 +10,7 @@ from hallsym.diagnosis.errors import BlockErrors, interval
 from hallsym.diagnosis.holding import shrinks
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.residue import coordinates, residue
-from hallsym.families import rotary_effects
+from hallsym.families.rotary import effects as rotary_effects
 from hallsym.log import Log
 
 TURN = 2 * np.pi

@@ -16,7 +16,9 @@ from hallsym.diagnosis.rotary_catalogue import CATALOGUE
 from hallsym.diagnosis.split import split
 from hallsym.diagnosis.words import shown
 from hallsym.errors import InputError
-from hallsym.families import build, rotary, rotary_effects
+from hallsym.families import build
+from hallsym.families.rotary import effects as rotary_effects
+from hallsym.families.rotary import models as rotary
 from hallsym.log import Log, Meta, Noise
 from hallsym.model.derived import Stretch
 from hallsym.report.text import diagnosis as text

@@ -18,8 +18,8 @@ from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.separate import recorded, separation, with_readings
-from hallsym.families import stage_effects as se
 from hallsym.families.parts import Make
+from hallsym.families.stage import effects as se
 from hallsym.log import Log
 from hallsym.report.text.diagnosis import WIDTH, diagnosis_text, p_text, separation_text
 

@@ -8,7 +8,7 @@ from hallsym.errors import InputError
 from hallsym.estimation.fit import fit
 from hallsym.families import build
 from hallsym.families.published import values
-from hallsym.families.stage import Probe, stage31
+from hallsym.families.stage.models import Probe, stage31
 from hallsym.log import Log, Meta, Noise
 from hallsym.simulation.campaign import paper_campaign
 from hallsym.simulation.machine import NoiseModel, simulate, table8_noise

@@ -23,9 +23,9 @@ from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.linearised import exact, summarise_at
 from hallsym.families import build
-from hallsym.families import stage_effects as se
 from hallsym.families.play import stop_state
 from hallsym.families.recipes import FAULTS, RECIPES, lacking, make_of, write
+from hallsym.families.stage import effects as se
 from hallsym.log import Log
 from hallsym.model import Parameter
 from hallsym.report.text.diagnosis import diagnosis_text

@@ -12,7 +12,7 @@ from hallsym.estimation.fit import fit
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.run_statistics import summarise
 from hallsym.estimation.start import linear_fit
-from hallsym.families.stage import stage31
+from hallsym.families.stage.models import stage31
 
 WIRINGS = [(p, s) for p in permutations(range(3)) for s in product((1, -1), repeat=3)]
 QUICK = [WIRINGS[0], ((1, 0, 2), (1, 1, 1)), ((2, 0, 1), (1, -1, 1))]

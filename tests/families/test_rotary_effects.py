@@ -16,7 +16,7 @@ from hallsym.diagnosis.rotary_catalogue import CATALOGUE
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.recipes import FAULTS, RECIPES, lacking, make_of
-from hallsym.families.rotary import VOLTAGES, angle_only
+from hallsym.families.rotary.models import VOLTAGES, angle_only
 from hallsym.log import Log, Meta, Noise, Sigma
 
 ROTARY = RECIPES["rotary"]

@@ -11,7 +11,8 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
-from hallsym.families import build, default_model, rotary_seen
+from hallsym.families import build, default_model
+from hallsym.families.rotary import seen as rotary_seen
 from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.log.phase import continuous, wrapped
 from hallsym.report import tables

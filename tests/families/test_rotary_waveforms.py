@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hallsym.families import build, rotary_effects
+from hallsym.families import build
 from hallsym.families.recipes import make_of
-from hallsym.families.rotary import angle_only, rotary, rotary_ideal
-from hallsym.families.rotary_waveforms import FEW, Waveform, waveform
-from hallsym.families.rotary_waves import Wave
+from hallsym.families.rotary import effects as rotary_effects
+from hallsym.families.rotary.models import angle_only, rotary, rotary_ideal
+from hallsym.families.rotary.waveforms import FEW, Waveform, waveform
+from hallsym.families.rotary.waves import Wave
 from hallsym.log.phase import _unwrapped
 
 ANGLES = np.linspace(-3, 9, 25)

@@ -16,7 +16,7 @@ from twins import EFFECTS, EPS, MODELS, TRUTH, combinations_of_effects, inside, 
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import error_tables
 from hallsym.families import build
-from hallsym.families.stage import (
+from hallsym.families.stage.models import (
     Probe,
     exact_rotation,
     paper_layout,

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from twins import combinations_of_effects, inside, truth_of
 
-from hallsym.families import build, stage
+from hallsym.families import build
+from hallsym.families.stage import models as stage
 from hallsym.model.influence import influence
 
 CASES = combinations_of_effects()

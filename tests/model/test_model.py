@@ -8,7 +8,7 @@ import pytest
 
 from hallsym.errors import InputError
 from hallsym.families import build
-from hallsym.families.stage import stage15, stage31, zero_deviation
+from hallsym.families.stage.models import stage15, stage31, zero_deviation
 from hallsym.model import LINKS, Parameter
 
 
@@ -120,7 +120,7 @@ def test_derived_quantities_are_made_once_and_replaced_by_what_they_stand_for():
 
 def test_overdetermined_decoding_is_weighted_least_squares():
     """Against numpy's least squares on readings that no pose explains."""
-    from hallsym.families.stage import Probe
+    from hallsym.families.stage.models import Probe
 
     layout = tuple(
         Probe(f"hall_{k}_m", position, senses)

@@ -8,7 +8,7 @@ from twins import COLUMNS, EPS, HALL, SIGMAS, TRUTH, campaign, phi, pm
 
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import error_tables
-from hallsym.families.stage import stage15, stage31
+from hallsym.families.stage.models import stage15, stage31
 from hallsym.log import Log
 from hallsym.simulation import machine as simulation
 from hallsym.simulation.campaign import Campaign, Run, paper_campaign, sine

@@ -11,7 +11,7 @@ from twins import record, with_noise
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
-from hallsym.families import stage
+from hallsym.families.stage import models as stage
 from hallsym.log import Noise, Sigma
 from hallsym.report.text.budget import comparison_sentence
 from hallsym.uncertainty import (

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from hallsym.families.parts import Make, P, add, free
-from hallsym.families.rotary_effects.parts import harmonic
+from hallsym.families.rotary.effects.parts import harmonic
 from hallsym.model import Model, Signals
 
 

@@ -1,7 +1,7 @@
 """Effects of the stage in time: the probes feel the past, by a delay or a low-pass."""
 
 from hallsym.families.parts import Make, P, add, column
-from hallsym.families.stage_effects.parts import AXES, along, labels
+from hallsym.families.stage.effects.parts import AXES, along, labels
 from hallsym.model import Model, Parameter, Signals
 from hallsym.model.derived import rate
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families.rotary_seen import BINS, UNITS, Seen, seen_of
+from hallsym.families.rotary.seen import BINS, UNITS, Seen, seen_of
 from hallsym.model import Inspection, Model
 
 GAP_NOTE, GAP_REFUSE = 30.0, 120.0

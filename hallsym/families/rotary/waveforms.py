@@ -14,7 +14,7 @@ from math import pi
 
 import casadi as ca
 
-from hallsym.families.rotary_waves import Share, Wave, plus, times
+from hallsym.families.rotary.waves import Share, Wave, plus, times
 
 FEW = 4
 """Degree up to which harmonics are multiplied out where a filter needs them; above, they are a sum over

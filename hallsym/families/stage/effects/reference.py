@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from hallsym.families.parts import Make, P, add, free
-from hallsym.families.stage_effects.parts import along
+from hallsym.families.stage.effects.parts import along
 from hallsym.model import Model, Signals
 from hallsym.model.derived import Computed, run_time
 

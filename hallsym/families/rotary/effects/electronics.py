@@ -6,7 +6,7 @@ from math import pi
 import casadi as ca
 
 from hallsym.families.parts import Make, P, add, free
-from hallsym.families.rotary_effects.parts import PLATES
+from hallsym.families.rotary.effects.parts import PLATES
 from hallsym.model import Model, Parameter, Signals
 
 

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from hallsym.families import rotary
 from hallsym.families.data_functions import Columns
 from hallsym.families.parts import Make, P, add, free
-from hallsym.families.rotary_waves import Wave
+from hallsym.families.rotary import models as rotary
+from hallsym.families.rotary.waves import Wave
 from hallsym.model import Model, Signals
 
 (REFERENCE,) = rotary.REFERENCES

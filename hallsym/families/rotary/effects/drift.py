@@ -6,8 +6,8 @@ import casadi as ca
 
 from hallsym.families.data_functions import Columns, Followed, Read, count
 from hallsym.families.parts import Make
-from hallsym.families.rotary_effects.parts import REFERENCE, SPEED, per_plate
-from hallsym.families.rotary_waves import Wave
+from hallsym.families.rotary.effects.parts import REFERENCE, SPEED, per_plate
+from hallsym.families.rotary.waves import Wave
 from hallsym.model import Model
 from hallsym.model.derived import rate
 

@@ -23,8 +23,8 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.families.rotary_checks import inspect
-from hallsym.families.rotary_waves import Wave, angle, cosine, sine
+from hallsym.families.rotary.checks import inspect
+from hallsym.families.rotary.waves import Wave, angle, cosine, sine
 from hallsym.log import Meta
 from hallsym.model import Combination, Model, Parameter, Signals, Step
 

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 
 from hallsym.errors import InputError
-from hallsym.families import stage_effects as se
 from hallsym.families.data_functions import Followed
 from hallsym.families.parts import Make
 from hallsym.families.recipe_numbers import among, positive
+from hallsym.families.stage import effects as se
 from hallsym.model import Model
 
 ARMS = ((0, "ry_rad"), (1, "rx_rad"))

@@ -6,7 +6,7 @@ import casadi as ca
 
 from hallsym.families.data_functions import Columns, Read, count
 from hallsym.families.parts import Make, P, add, column, free
-from hallsym.families.stage_effects.parts import labels
+from hallsym.families.stage.effects.parts import labels
 from hallsym.model import Model, Signals
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from hallsym.families.parts import Make, P, add, free
-from hallsym.families.rotary_effects.parts import PLATES, amplitude, per_plate, volt
-from hallsym.families.rotary_waves import Wave
+from hallsym.families.rotary.effects.parts import PLATES, amplitude, per_plate, volt
+from hallsym.families.rotary.waves import Wave
 from hallsym.model import Model, Signals
 
 

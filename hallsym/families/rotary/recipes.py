@@ -7,10 +7,10 @@ from math import radians
 import casadi as ca
 
 from hallsym.errors import InputError
-from hallsym.families import rotary_effects as re
 from hallsym.families.data_functions import Columns, Followed, Read
 from hallsym.families.parts import Make
 from hallsym.families.recipe_numbers import among, positive
+from hallsym.families.rotary import effects as re
 from hallsym.model import Model, Step
 
 

@@ -2,8 +2,8 @@
 
 import casadi as ca
 
-from hallsym.families import stage
 from hallsym.families.parts import P
+from hallsym.families.stage import models as stage
 from hallsym.model import Model, Signals
 
 UNIT = 0.5e-3

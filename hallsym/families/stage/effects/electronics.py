@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.families.parts import Make, P, add, free
-from hallsym.families.stage_effects.parts import AXES, UNIT, labels
+from hallsym.families.stage.effects.parts import AXES, UNIT, labels
 from hallsym.model import Model, Signals
 from hallsym.model.derived import Computed, Stretch, rate
 

@@ -8,15 +8,15 @@ mechanisms in time, `direct` a model without the series of waves.
 """
 
 from hallsym.families.data_functions import during, powers_of_time, settling, temperature, wave_of_time
-from hallsym.families.rotary_effects.direct import direct
-from hallsym.families.rotary_effects.drift import gain_drift, offset_drift, speed
-from hallsym.families.rotary_effects.electronics import clipped_angle, clipping
-from hallsym.families.rotary_effects.field import field_harmonics, field_saturation
-from hallsym.families.rotary_effects.lag import first_order_lag, time_skew, time_skew_per_plate
-from hallsym.families.rotary_effects.mechanics import direction, hysteresis, off_axis
-from hallsym.families.rotary_effects.parts import amplitude, decodes
-from hallsym.families.rotary_effects.reference import FULL_STEPS, reference_harmonics, reference_scale_error
-from hallsym.families.rotary_effects.transducer import (
+from hallsym.families.rotary.effects.direct import direct
+from hallsym.families.rotary.effects.drift import gain_drift, offset_drift, speed
+from hallsym.families.rotary.effects.electronics import clipped_angle, clipping
+from hallsym.families.rotary.effects.field import field_harmonics, field_saturation
+from hallsym.families.rotary.effects.lag import first_order_lag, time_skew, time_skew_per_plate
+from hallsym.families.rotary.effects.mechanics import direction, hysteresis, off_axis
+from hallsym.families.rotary.effects.parts import amplitude, decodes
+from hallsym.families.rotary.effects.reference import FULL_STEPS, reference_harmonics, reference_scale_error
+from hallsym.families.rotary.effects.transducer import (
     gain_mismatch,
     nonlinearity,
     offset,

@@ -3,7 +3,7 @@
 import casadi as ca
 
 from hallsym.families.parts import P, add
-from hallsym.families.rotary_effects.parts import PLATES, REFERENCE, SPEED, ahead
+from hallsym.families.rotary.effects.parts import PLATES, REFERENCE, SPEED, ahead
 from hallsym.model import Model, Parameter, Signals
 from hallsym.model.derived import rate
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.families.parts import Make, P, add, column, free
 from hallsym.families.play import stop_state
-from hallsym.families.stage_effects.parts import AXES, UNIT, across, labels
+from hallsym.families.stage.effects.parts import AXES, UNIT, across, labels
 from hallsym.model import Model, Parameter, Signals
 from hallsym.model.derived import Computed, Stretch
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from hallsym.families.parts import Make, P, add, free
 from hallsym.families.play import stop_operator
-from hallsym.families.rotary_effects.parts import REFERENCE, ahead, harmonic
+from hallsym.families.rotary.effects.parts import REFERENCE, ahead, harmonic
 from hallsym.model import Model, Parameter, Signals
 from hallsym.model.derived import Computed, Stretch
 

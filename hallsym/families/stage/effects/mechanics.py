@@ -2,9 +2,9 @@
 
 import casadi as ca
 
-from hallsym.families import stage
 from hallsym.families.parts import P, add, free
-from hallsym.families.stage_effects.parts import labels
+from hallsym.families.stage import models as stage
+from hallsym.families.stage.effects.parts import labels
 from hallsym.model import Model, Signals
 
 

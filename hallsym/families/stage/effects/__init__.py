@@ -6,27 +6,27 @@ transducer, electronics); `lag` and `drift` hold the mechanisms that stand on tw
 """
 
 from hallsym.families.data_functions import powers_of_time, settling, temperature
-from hallsym.families.stage_effects.drift import gain_drift, offset_drift
-from hallsym.families.stage_effects.electronics import clipping, mains_hum, motor_stray_field
-from hallsym.families.stage_effects.field import (
+from hallsym.families.stage.effects.drift import gain_drift, offset_drift
+from hallsym.families.stage.effects.electronics import clipping, mains_hum, motor_stray_field
+from hallsym.families.stage.effects.field import (
     CROSS,
     cross_axis_sensitivity,
     hysteresis,
     mount_slip,
     nonlinearity,
 )
-from hallsym.families.stage_effects.lag import delayed
-from hallsym.families.stage_effects.mechanics import (
+from hallsym.families.stage.effects.lag import delayed
+from hallsym.families.stage.effects.mechanics import (
     second_order_rotation,
     second_order_rotation_body,
     vertical_offset_coupling,
 )
-from hallsym.families.stage_effects.reference import (
+from hallsym.families.stage.effects.reference import (
     reference_abbe_error,
     reference_drift,
     reference_scale_error,
 )
-from hallsym.families.stage_effects.transducer import (
+from hallsym.families.stage.effects.transducer import (
     height_quadratic,
     height_quadratic_tied,
     vertical_gain_coupling,

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import casadi as ca
 
-from hallsym.families import rotary
 from hallsym.families.parts import P
-from hallsym.families.rotary_waveforms import waveform
-from hallsym.families.rotary_waves import cosine, sine
+from hallsym.families.rotary import models as rotary
+from hallsym.families.rotary.waveforms import waveform
+from hallsym.families.rotary.waves import cosine, sine
 from hallsym.model import Model, Signals, Step
 
 
