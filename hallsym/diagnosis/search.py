@@ -9,7 +9,6 @@ import numpy as np
 from hallsym.diagnosis.cancelling import undone
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, bic_of, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
@@ -160,7 +159,7 @@ class Search:
         self.scored: list[tuple[Refitted, list[Score]]] = []
         self.owner: dict[str, str] = {}
         self.survey = Survey()
-        self.most = kind_of(base.model).most
+        self.most = base.model.family.most_effects
 
     def run(self) -> None:
         """Add effects while they lower the gap metric by the threshold; then ask of each again.
@@ -251,7 +250,7 @@ class Search:
             at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
             lambda e: self.keeps(e, at) and not undone(e.fit, at, self.start, self.owner),
         )  # fmt: skip
-        if kind_of(at.base.model).pairs:
+        if at.base.model.family.pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
         return exact, ranked
 

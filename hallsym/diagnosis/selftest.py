@@ -17,7 +17,7 @@ from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.injection import Injection, Sized, generator, sized
 from hallsym.diagnosis.injection_catalogue import injections
-from hallsym.diagnosis.kinds import kind_of
+from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.likeness import Likeness, likeness
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.search import base_of, facts_of
@@ -151,7 +151,7 @@ def selftest(
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
     model = engine._built(log, model)
-    catalogue = (*kind_of(model).catalogue, *effects)
+    catalogue = (*catalogue_of(model), *effects)
     wanted = _wanted(names, catalogue)
     ratios = _ratios(ratios)
     if repeats < 1:
@@ -236,7 +236,7 @@ class _Bench:
         self.model, self.apart, self.level, self.own = result.model, apart, level, own
         self.catalogue, self.seed, self.say = catalogue, seed, say
         base = base_of(log, result)
-        base = replace(base, model=kind_of(base.model).direct(base.model))
+        base = replace(base, model=base.model.family.direct(base.model))
         say("thinning the log")
         short = thinned(base, rows)
         base = replace(base, log=short.log, keep=None)
