@@ -1,4 +1,4 @@
-"""The logs that golden results are recorded on: bundled, simulated here, and cases that stand beside the project.
+"""The logs of the golden results: bundled, simulated here, and cases that stand beside the project.
 
 A simulated log is a folder with `log.parquet` and `meta.json`, as a user has it. Motion and readings of a
 stage come from `hallsym.simulate` without noise; noise and hidden effects are added here in plain numpy, so
@@ -51,7 +51,15 @@ FOUR_GAINS = {
     "c_A": 25.0, "c_C": -35.0, "c_D": 15.0,
 }  # fmt: skip
 ELLIPSE = {"Vx": 0.0189, "Vy": -0.0305, "Ax": 1.0286, "Ay": 0.9945, "beta": 0.01}
-MENG = {"Vx": 0.008943, "Vy": 0.000491, "Ax": 1.008607, "Ay": 0.994536, "beta": 0.000368, "m": 0.113, "zero": 0.6}
+MENG = {
+    "Vx": 0.008943,
+    "Vy": 0.000491,
+    "Ax": 1.008607,
+    "Ay": 0.994536,
+    "beta": 0.000368,
+    "m": 0.113,
+    "zero": 0.6,
+}
 HOMES = (0.6, -2.4, 2.1, 0.7, -0.9, 3.0)
 
 
@@ -63,7 +71,9 @@ def campaign_text(runs: int = 20, rotation: float = 300e-6, probes: int = 3) -> 
     lines = ["step_s = 4e-3", ""]
     for k in range(runs):
         zeros = [float(v) for v in np.round(2e-6 * np.cos(np.arange(1, 1 + probes) * (k + 1)), 9)]
-        z, rx, ry = (float(v) for v in np.round([2e-4 * np.sin(2 * k), 4e-4 * np.cos(3 * k), 4e-4 * np.sin(5 * k)], 9))
+        z, rx, ry = (
+            float(v) for v in np.round([2e-4 * np.sin(2 * k), 4e-4 * np.cos(3 * k), 4e-4 * np.sin(5 * k)], 9)
+        )
         lines += ["[[run]]", "duration_s = 1.0", f"zero_deviations_m = {zeros}"]
         lines += [f"rx_rad = {rx}", f"ry_rad = {ry}"]
         lines += [f'z_m = {{ kind = "sine", amplitude = 5e-5, frequency_hz = 0.7, about = {z} }}']
@@ -77,7 +87,9 @@ def campaign_text(runs: int = 20, rotation: float = 300e-6, probes: int = 3) -> 
             ("rz_rad", rotation, [0.8, 2.5, 6.0]),
         ):
             shifted = [round(f * (1 + 0.03 * (k % 5)), 6) for f in waves]
-            lines += [f'{axis} = {{ kind = "multi-sine", amplitude = {2 * size}, frequencies_hz = {shifted} }}']
+            lines += [
+                f'{axis} = {{ kind = "multi-sine", amplitude = {2 * size}, frequencies_hz = {shifted} }}'
+            ]
         lines += [""]
     return "\n".join(lines)
 
@@ -129,7 +141,7 @@ def stage(
 
 
 def add_noise(columns: Columns, sigma: Mapping[str, float], seed: int, kind: str = "white") -> None:
-    """Add noise column by column in the order of `sigma`; "slow": first order, correlation of four samples."""
+    """Add noise column by column in the order of `sigma`; "slow": correlated over four samples."""
     rng = np.random.default_rng(seed)
     for name, level in sigma.items():
         if name not in columns:
@@ -223,9 +235,9 @@ def humming(columns: Columns) -> None:
 
 
 def slipped(columns: Columns) -> None:
-    """Probe B moves by 6 um within run 9, and is 0.6 mm further out from then on."""
+    """Probe B moves by 6 um within run 9, and is 8 mm further out from then on."""
     when = columns["t_s"] > 18.5
-    columns["hall_b_m"] = columns["hall_b_m"] + when * (6e-6 - 6e-4 * columns["rz_ref_rad"])
+    columns["hall_b_m"] = columns["hall_b_m"] + when * (6e-6 - 8e-3 * columns["rz_ref_rad"])
 
 
 def leaning(columns: Columns) -> None:
@@ -344,6 +356,8 @@ class Recorded:
     diagnosed: str = "slow"
     diagnose: tuple[str, ...] = ()
     like: str | None = None
+    loose: tuple[str, ...] = ()
+    """Parameters at the edge of what a log determines: which side they fall on is up to the last bits."""
 
 
 def table6(step_s: float = 0.02) -> hallsym.Campaign:
@@ -357,7 +371,6 @@ def turning_campaign() -> hallsym.Campaign:
 
 
 RAILS = "saturation:low_m=-1.7e-4/-1.7e-4/-1.7e-4,high_m=1.7e-4/1.7e-4/1.7e-4"
-VOLT_RAILS = "saturation:low_v=-0.9/-0.9,high_v=0.9/0.9"
 DIRECT = ("--solver", "direct")
 OWN_ZEROS = ("--effect", "zero_deviation")
 STAGE15 = {k: v for k, v in TABLE7.items() if k[:2] not in ("a_", "b_", "c_")}
@@ -389,7 +402,8 @@ LOGS: dict[str, Recorded] = {
     "stage31_late": Recorded(lambda: stage(11, late), (*DIRECT, "--effect", "time_skew"), "always"),
     "stage31_lag": Recorded(lambda: stage(12, low_passed), (*DIRECT, "--effect", "first_order_lag")),
     "stage31_play": Recorded(
-        lambda: stage(13, play), (*DIRECT, "--effect", "hysteresis:half_width_m=3e-06"), "always"
+        lambda: stage(13, play), (*DIRECT, "--effect", "hysteresis:half_width_m=1e-05"), "always",
+        loose=("half_width",),
     ),
     "stage31_rails": Recorded(lambda: stage(14, at_rails), (*DIRECT, "--effect", RAILS)),
     "stage31_cubic": Recorded(lambda: stage(15, cubic), (*DIRECT, "--effect", "odd_nonlinearity")),
@@ -404,14 +418,18 @@ LOGS: dict[str, Recorded] = {
     "stage31_slip": Recorded(
         lambda: stage(20, slipped), (*DIRECT, "--effect", "mount_slip:probe=B,instant_s=18.5")
     ),
-    "stage31_leaning": Recorded(lambda: stage(21, leaning), (*DIRECT, "--effect", "reference_abbe_error:arms=all")),
+    "stage31_leaning": Recorded(
+        lambda: stage(21, leaning), (*DIRECT, "--effect", "reference_abbe_error:arms=all")
+    ),
     "stage31_ripple": Recorded(lambda: stage(22, rippled), DIRECT),
     "stage31_cubic_late": Recorded(lambda: stage(23, cubic, late), DIRECT),
     # encoders
     "rotary_volts": Recorded(lambda: encoder(30), ("--seed", "2"), "always"),
     "rotary_angle": Recorded(lambda: encoder(31, angle=True), DIRECT, "always"),
-    "rotary_homed": Recorded(lambda: encoder(32, homes=HOMES), (*DIRECT, *OWN_ZEROS)),
-    "rotary_homed_angle": Recorded(lambda: encoder(33, angle=True, homes=HOMES), (*DIRECT, *OWN_ZEROS)),
+    "rotary_homed": Recorded(lambda: encoder(32, homes=HOMES), (*DIRECT, *OWN_ZEROS), diagnose=OWN_ZEROS),
+    "rotary_homed_angle": Recorded(
+        lambda: encoder(33, angle=True, homes=HOMES), (*DIRECT, *OWN_ZEROS), diagnose=OWN_ZEROS
+    ),
     "rotary_ideal_offset": Recorded(lambda: encoder(34, base="rotary_ideal"), DIRECT, "always"),
     "rotary_third_wave": Recorded(
         lambda: encoder(35, third_wave), (*DIRECT, "--effect", "third_harmonic_distortion"), "always"
@@ -421,7 +439,7 @@ LOGS: dict[str, Recorded] = {
         lambda: encoder(37, voltages_warmed), (*DIRECT, "--effect", "gain_temperature_drift:mean_degc=25")
     ),
     "rotary_bearing": Recorded(lambda: encoder(38, bearing), DIRECT, "always"),
-    "rotary_rails": Recorded(lambda: encoder(39, plates_at_rails), (*DIRECT, "--effect", VOLT_RAILS)),
+    "rotary_rails": Recorded(lambda: encoder(39, plates_at_rails), DIRECT),
     "meng_volts": Recorded(lambda: concentrator(40), DIRECT),
     "meng_angle": Recorded(lambda: concentrator(41, angle=True), DIRECT),
     # an independent plant, where it stands beside the project
