@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from hallsym.cli import COMMANDS
 from hallsym.diagnosis.user import load_effects, makes
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
@@ -21,15 +22,13 @@ from hallsym.model import Model
 from hallsym.simulation import machine as twin
 from hallsym.simulation.campaign import Campaign, campaign_from, paper_campaign, read_campaign
 
-OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED = 0, 2, 3, 4
-
 
 def command(
-    sub: Any, name: str, run: Callable[[Namespace], int], help: str, description: str, epilog: str = ""
+    sub: Any, name: str, run: Callable[[Namespace], int], description: str, epilog: str = ""
 ) -> ArgumentParser:
     """Add a sub-command that `run(options)` carries out; it has `--json`."""
     parser = sub.add_parser(
-        name, help=help, description=description, epilog=epilog,
+        name, help=COMMANDS[name], description=description, epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.set_defaults(run=run)

@@ -5,9 +5,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import (
-    NOT_DETERMINED,
-    OK,
     command,
     levels,
     log_options,
@@ -37,7 +36,7 @@ PAPER = "the paper's campaign"
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "sensitivity", run, "what a log, or a plan, determines of each parameter",
+        sub, "sensitivity", run,
         "Say per parameter what the data determine: value, standard uncertainty, 95 % interval, strongest\n"
         "correlations, what it does to the decoded pose, and a verdict: determined, weak, at bound, not\n"
         "determined (and what is instead), no effect. Null directions are named, those that no recording\n"
