@@ -94,7 +94,9 @@ def examine(
     base = base_of(log, result)
     base = replace(base, model=model.family.direct(base.model), timed=timed)
     runs = [r for r in base.log.runs if r not in apart]
-    search = Search(base, runs, (*catalogue_of(model), *effects), level, floor_of(result, base.length_m), say)
+    search = Search(
+        base, runs, (*catalogue_of(model), *effects), level, floor_of(result, base.pose_weights), say
+    )
     search.run()
     said = report(search, log, result, apart, wiring, level, perf_counter() - began)
     if pieces:  # which the log on disk does not have

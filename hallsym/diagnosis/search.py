@@ -50,17 +50,16 @@ def base_of(log: Log, result: Fit) -> Base:
         zeros=dict(zip(cost.summary.runs, point.zeros, strict=True)),
         covariance=point.covariance.mean(axis=0),
         free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
-        length_m=log.meta.gap_length_scale_m or 0.35,
+        pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         apart=frozenset(result.log["holdout"]),
         sigma=sigma,
         keep=remembered(result.keep, wired.rows),
     )
 
 
-def floor_of(result: Fit, length_m: float) -> Floor:
+def floor_of(result: Fit, weights: np.ndarray) -> Floor:
     """Return the gap metric that noise alone leaves."""
-    floor = result.noise_floor.items()
-    metric = float(np.sqrt(sum((length_m * v if c.startswith("r") else v) ** 2 for c, v in floor)))
+    metric = float(np.linalg.norm(weights * np.array(list(result.noise_floor.values()))))
     return Floor(metric, all(s.source == "given" for s in result.noise.sigmas.values()))
 
 

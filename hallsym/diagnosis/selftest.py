@@ -20,7 +20,7 @@ from hallsym.diagnosis.injection_catalogue import injections
 from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.likeness import Likeness, likeness
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.search import base_of, facts_of
+from hallsym.diagnosis.search import base_of, facts_of, floor_of
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.thin import thinned
 from hallsym.diagnosis.truth import Truth, truth_of
@@ -240,9 +240,7 @@ class _Bench:
         say("thinning the log")
         short = thinned(base, rows)
         base = replace(base, log=short.log, keep=None)
-        floor = np.array(list(result.noise_floor.values()))
-        scale = [base.length_m if c.startswith("r") else 1.0 for c in result.noise_floor]
-        self.truth: Truth = truth_of(base, float(np.linalg.norm(scale * floor)))
+        self.truth: Truth = truth_of(base, floor_of(result, base.pose_weights).metric)
         self.thinning = short.text
         say("learning the noise")
         facts = facts_of(base, survey(base, frozenset(self.truth.runs)))

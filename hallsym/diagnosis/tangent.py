@@ -33,7 +33,7 @@ class Base:
     """A fitted model on a log: what all tangents are taken at.
 
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
-    parameters that the fit moves; `length_m`: what turns rotation into length in the gap metric; `apart`:
+    parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `apart`:
     held-out runs; `timed`: whether the log holds time, and not a counter in its place.
     """
 
@@ -43,7 +43,7 @@ class Base:
     zeros: Mapping[int, np.ndarray]
     covariance: np.ndarray
     free: tuple[int, ...]
-    length_m: float
+    pose_weights: np.ndarray
     apart: frozenset[int]
     sigma: Mapping[str, float]
     keep: Weigh | None = None
@@ -146,7 +146,6 @@ class Products:
         self.near = np.array([*range(own), self.size - 1])
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
-        self.scale = np.where(np.arange(len(base.model.pose)) == 2, base.length_m, 1.0)
         self.run: int | None = None
         self.done: list[Unit] = []
         self.order: list[int] = []
@@ -233,7 +232,7 @@ class Products:
         if weights is not None:
             A *= np.sqrt(weights)
         (spread,) = self.gain(base.p, pose, state, base.weight)
-        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * self.scale[:, None, None]
+        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * base.pose_weights[:, None, None]
         return A, D
 
     def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:

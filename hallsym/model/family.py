@@ -34,16 +34,14 @@ class PoseMetric:
     def weights(self, columns: Iterable[str], arm_m: float | None = None) -> np.ndarray:
         """Return what an error of each pose coordinate or reference is multiplied by, (n,).
 
+        The metric of several coordinates is the root of the summed squares of these products.
+
         >>> PoseMetric("m", 0.5).weights(("x_m", "rz_ref_rad"))
         array([1. , 0.5])
         """
         arm = self.arm_m if arm_m is None else arm_m
         factor = {("m", "rad"): arm, ("rad", "m"): 1.0 / arm}
         return np.array([factor.get((self.unit, c.rpartition("_")[2]), 1.0) for c in columns])
-
-    def size(self, errors: Mapping[str, float], arm_m: float | None = None) -> float:
-        """Return the root of the summed weighted squares of errors by column."""
-        return float(np.linalg.norm(self.weights(errors, arm_m) * np.array(list(errors.values()))))
 
 
 @dataclass(frozen=True, eq=False)
