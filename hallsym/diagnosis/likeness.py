@@ -10,9 +10,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.tangent import Base, Products
+from hallsym.diagnosis.tangent import Products
 from hallsym.estimation.decoding import columns_of
 from hallsym.log.batches import batches
 from hallsym.log.derived import extended

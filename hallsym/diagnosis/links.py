@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.marginal import LEAST, LEVEL, Found
 from hallsym.diagnosis.record import Share, Statement
@@ -19,7 +20,7 @@ from hallsym.diagnosis.refit import inverse, solve
 from hallsym.diagnosis.residue import BLOCKS, FEWEST, FOLDS, SHORTEST, Residue, moved
 from hallsym.diagnosis.scores import Score, by_name
 from hallsym.diagnosis.smooth import chance_of_signs
-from hallsym.diagnosis.tangent import Base, Products
+from hallsym.diagnosis.tangent import Products
 from hallsym.diagnosis.words import percent
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.refit import inverse
 from hallsym.diagnosis.survey import SEGMENT
-from hallsym.diagnosis.tangent import Base, Products
+from hallsym.diagnosis.tangent import Products
 
 MAX_SEGMENTS = 1200
 """Stretches that a log is cut into at most; a slip may be at the start of each."""

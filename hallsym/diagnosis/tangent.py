@@ -14,10 +14,10 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.slopes import Slopes
 from hallsym.estimation.decoding import columns_of, decoding_gain
-from hallsym.log import Log
-from hallsym.log.batches import Batch, Weigh, batches
+from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -26,38 +26,6 @@ UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
 TOGETHER = 16
 """Blocks whose products are made in one call: a matrix each, of some 0.5 MB with the whole catalogue."""
-
-
-@dataclass(frozen=True, eq=False)
-class Base:
-    """A fitted model on a log: what all tangents are taken at.
-
-    `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
-    parameters that the fit moves; `length_m`: what turns rotation into length in the gap metric; `apart`:
-    held-out runs; `timed`: whether the log holds time, and not a counter in its place.
-    """
-
-    log: Log
-    model: Model
-    p: np.ndarray
-    zeros: Mapping[int, np.ndarray]
-    covariance: np.ndarray
-    free: tuple[int, ...]
-    length_m: float
-    apart: frozenset[int]
-    sigma: Mapping[str, float]
-    keep: Weigh | None = None
-    timed: bool = True
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Parameters by name."""
-        return self.model.named(self.p)
-
-    @property
-    def weight(self) -> np.ndarray:
-        """1 / variance of each channel's reading, for decoding with more probes than coordinates."""
-        return 1.0 / np.diag(self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +124,7 @@ class Products:
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
         near, D = self._near(batch, weights)
-        rows = self.slopes.rows(batch, self._zeros(batch), weights)
+        rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
         metric = np.einsum("iks,ils->kls", D, D)
         for first, last in batch.groups(TOGETHER):
             lay = batch.layout(first, last)
@@ -211,11 +179,6 @@ class Products:
             if k != j:
                 M[:, to[:, None], at] += P.swapaxes(1, 2)
 
-    def _zeros(self, batch: Batch) -> np.ndarray:
-        """Zero deviations of every sample, (zeros, samples)."""
-        own = np.array([self.base.zeros.get(b.run, np.zeros(self.z)) for b in batch.blocks])
-        return np.repeat(own, np.diff(batch.edges), axis=0).T
-
     def _near(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Columns of zeros, parameters and residual, (own + 1, K, samples), and what maps them to the pose.
 
@@ -225,7 +188,7 @@ class Products:
         samples, K, own = len(batch), len(model.channels), self.z + self.n
         pose, state = batch.columns(model.references), batch.columns(model.state)
         A = np.empty((own + 1, K, samples))
-        reading, *slopes = self.read(base.p, self._zeros(batch), pose, state)
+        reading, *slopes = self.read(base.p, self.base.zeros_of(batch), pose, state)
         A[self.z : own] = slopes[0].reshape(-1, K, samples)[list(base.free)]
         if self.z:
             A[: self.z] = slopes[1].reshape(-1, K, samples)
@@ -241,7 +204,7 @@ class Products:
         near, _ = self._near(batch, weights)
         A = np.zeros((self.size, *near.shape[1:]))
         A[self.near] = near
-        for k, rows in enumerate(self.slopes.rows(batch, self._zeros(batch), weights)):
+        for k, rows in enumerate(self.slopes.rows(batch, self.base.zeros_of(batch), weights)):
             A[self.z + self.n + self.slopes.column[k], k] = rows
         return np.einsum("jk,cks->cjs", self.whiten, A)
 
