@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.estimation.decoding import columns_of
-from hallsym.log.batches import HELD, Batch, batches
+from hallsym.log.batches import Batch, batches, is_held
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -18,7 +18,7 @@ from hallsym.model.derived import Computed, campaign_time, rate, run_time
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A stretch of one run: times, whitened residual (K, samples), rate of the reading [1/s], readings (K, samples).
+    """A stretch of one run: times, whitened residual, rate of the reading [1/s] and readings, (K, samples).
 
     `speed` is d (expected reading) / dt, whitened like the residual. `used` says which samples count. `data`
     holds the columns of the model, the rates of the reference up to the third (`d0_x_ref_m`: smoothed),
@@ -42,19 +42,19 @@ _KNOWN: WeakKeyDictionary[Base, list[Residual]] = WeakKeyDictionary()
 def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
     """Yield the whitened residual of some runs beside what it may depend on.
 
-    Residuals of a log of up to `HELD` samples are kept for the next call with the same base.
+    Residuals of a log whose batches are kept (`is_held`) are kept too, for the next call with the same base.
     """
     model = base.model
     extra = _extra(model)
     log = extended(base.log, model.with_columns(*extra), base.sigma, base.values)
     wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc")
     columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
-    known, fresh = _KNOWN.get(base, []), []
+    known, fresh, held = _KNOWN.get(base, []), [], is_held(base.log)
     evaluate = residual_of(base)
     for k, batch in enumerate(batches(log, columns)):
         weights = batch.weights(base.keep)
         residual, speed = known[k] if known else evaluate(batch)
-        if not known and base.log.rows <= HELD:
+        if held and not known:
             fresh.append((residual, speed))
         readings = np.array(batch.columns(model.channels))
         for block, at in batch.parts():

@@ -80,21 +80,31 @@ def tangents(
     New parameters are taken at their nominal value, where they have no effect.
     """
     work = Products(base, candidates)
-    log = extended(
-        base.log, _with_rules(base.model, [m for m, _ in candidates.values()]), base.sigma, base.values
-    )
-    columns = tuple(
-        dict.fromkeys(c for m in (base.model, *(m for m, _ in candidates.values())) for c in columns_of(m))
-    )
-    for batch in batches(log, columns, on_rows):
+    for batch in work.batches(on_rows=on_rows):
         work.add(batch, batch.weights(base.keep))
     return work.result()
 
 
-def _with_rules(model: Model, others: Sequence[Model]) -> Model:
-    for other in others:
-        model = model.with_columns(*other.computed)
-    return model
+def following(M: np.ndarray, z: int) -> np.ndarray:
+    """Return how the first z columns follow the others in least squares, (z, c - z), from products (c, c)."""
+    return -np.asarray(np.linalg.lstsq(M[:z, :z], M[:z, z:], rcond=1e-12)[0])
+
+
+def eliminated(M: np.ndarray, follow: np.ndarray) -> np.ndarray:
+    """Return products (..., c - z, c - z) once the first z columns follow the others as `follow` says."""
+    z = len(follow)
+    half = M[..., z:, :z] @ follow
+    return M[..., z:, z:] + half + half.swapaxes(-1, -2) + follow.T @ M[..., :z, :z] @ follow
+
+
+@dataclass
+class Stretch:
+    """Products (c, c) of consecutive samples of a run: `size` readings from `start_s` [s of the log] on."""
+
+    run: int
+    start_s: float
+    products: np.ndarray
+    size: float
 
 
 class Products:
@@ -107,6 +117,7 @@ class Products:
         self.read, self.gain = _base_functions(base.model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
+        self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
         own = self.z + self.n
         self.size = own + self.slopes.columns + 1
         self.span = {"": slice(0, self.n)}
@@ -120,6 +131,14 @@ class Products:
         self.order: list[int] = []
         self.begun = 0
         self.follow: list[np.ndarray] = []
+
+    def batches(self, *further: str, on_rows: Callable[[int], None] | None = None) -> Iterator[Batch]:
+        """Yield the log with the columns that the model and its candidates read, and `further` ones."""
+        base, wide = self.base, self.base.model
+        for model in self.models:
+            wide = wide.with_columns(*model.computed)
+        columns = dict.fromkeys((*(c for m in self.models for c in columns_of(m)), *further))
+        yield from batches(extended(base.log, wide, base.sigma, base.values), tuple(columns), on_rows)
 
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
@@ -208,18 +227,30 @@ class Products:
             A[self.z + self.n + self.slopes.column[k], k] = rows
         return np.einsum("jk,cks->cjs", self.whiten, A)
 
-    def segments(self, size: int) -> Iterator[tuple[int, float, np.ndarray]]:
-        """Yield run, first time [s since the log began] and products of each stretch of `size` samples."""
-        origin: float | None = None
-        log = extended(self.base.log, self.base.model, self.base.sigma, self.base.values)
-        for batch in batches(log, (*columns_of(self.base.model), "t_s")):
+    def stretches(self, length: int) -> Iterator[list[Stretch]]:
+        """Yield the stretches of `length` samples of each run; zeros are the first columns."""
+        run: list[Stretch] = []
+        seen, origin = 0, None
+        for batch in self.batches("t_s"):
             white = self.whitened(batch, batch.weights(self.base.keep))
             t = batch.data["t_s"]
             origin = float(t[0]) if origin is None else origin
             for block, part in batch.parts():
-                for low in range(part.start, part.stop, size):
-                    here = white[:, :, low : min(low + size, part.stop)].reshape(len(white), -1)
-                    yield block.run, float(t[low]) - origin, here @ here.T
+                if run and run[0].run != block.run:
+                    yield run
+                    run, seen = [], 0
+                edges = range(part.start - seen % length, part.stop, length)
+                for low, high in ((max(e, part.start), min(e + length, part.stop)) for e in edges):
+                    here = white[:, :, low:high].reshape(len(white), -1)
+                    products = here @ here.T
+                    if (seen + low - part.start) % length:  # goes on from the block before
+                        run[-1].products += products
+                        run[-1].size += here.shape[1]
+                    else:
+                        run.append(Stretch(block.run, float(t[low]) - origin, products, here.shape[1]))
+                seen += part.stop - part.start
+        if run:
+            yield run
 
     def _gather(self, run: int, white: np.ndarray, out: np.ndarray, count: float) -> None:
         if run != self.run:
@@ -257,12 +288,10 @@ class Products:
         if z == 0:
             self.follow.append(np.zeros((0, self.size)))
             return entry
-        follow = -np.linalg.lstsq(white[:z, :z], white[:z, z:], rcond=1e-12)[0]
+        follow = following(white, z)
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
         self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        half = out[z:, :z] @ follow
-        half += half.T + follow.T @ out[:z, :z] @ follow
-        return run, white[z:, z:] + white[z:, :z] @ follow, out[z:, z:] + half, count
+        return run, eliminated(white, follow), eliminated(out, follow), count
 
     def result(self) -> Tangents:
         """Return what has been gathered."""

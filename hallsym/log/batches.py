@@ -146,11 +146,16 @@ def batches(
     after each batch.
     """
     done = 0
-    for batch in _held(log, columns) if log.table.in_memory and log.rows <= HELD else _read(log, columns):
+    for batch in _held(log, columns) if is_held(log) else _read(log, columns):
         yield batch
         done += len(batch)
         if on_rows:
             on_rows(done)
+
+
+def is_held(log: Log) -> bool:
+    """Return whether the batches of a log are kept, and what is computed from them may be."""
+    return log.table.in_memory and log.rows <= HELD
 
 
 def _held(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
