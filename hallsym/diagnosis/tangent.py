@@ -291,7 +291,8 @@ class Products:
         follow = following(white, z)
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
         self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        return run, eliminated(white, follow), eliminated(out, follow), count
+        own = white[z:, z:] + white[z:, :z] @ follow  # what `eliminated` is where the same products say so
+        return run, own, eliminated(out, follow), count
 
     def result(self) -> Tangents:
         """Return what has been gathered."""
