@@ -12,12 +12,12 @@ from time import perf_counter
 import numpy as np
 
 from hallsym.diagnosis import split
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
-from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit as fitting
 from hallsym.estimation.calibration import Fit

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.base import Base
 from hallsym.estimation.decoding import columns_of, pose_errors
 from hallsym.log import Block
 from hallsym.log.batches import Weigh, batches
@@ -54,8 +54,8 @@ Decode = Callable[[Block], np.ndarray]
 
 def errors_of(base: Base) -> Decode:
     """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns."""
-    errors, none = pose_errors(base.model, np.diag(base.covariance)), np.zeros(len(base.model.zeros))
-    return lambda block: errors(base.p, base.zeros.get(block.run, none), block.data)
+    errors = pose_errors(base.model, np.diag(base.covariance))
+    return lambda block: errors(base.p, base.zeros_in(block.run), block.data)
 
 
 def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None) -> BlockErrors:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hallsym.diagnosis.alike import groups_of, ranked_names, smaller_findings
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.found import EITHER, closed, fault_record, found_effects, miswired, wiring_record
 from hallsym.diagnosis.holding import held
@@ -15,7 +16,6 @@ from hallsym.diagnosis.sentences import next_step, sentence, shapeless
 from hallsym.diagnosis.shape import unexplained
 from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, remains
 from hallsym.diagnosis.waves import waves
 from hallsym.diagnosis.where import Located, both, located

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.cancelling import undone
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
@@ -17,13 +18,12 @@ from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import SEGMENT, Survey, survey
 from hallsym.diagnosis.switching import switched_runs
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import as_read
 from hallsym.estimation.gauss_newton import cost_near
 from hallsym.log import Log
-from hallsym.log.batches import remembered
+from hallsym.log.batches import batches, remembered
 from hallsym.model import Model
 
 REPEATS = 4
@@ -83,7 +83,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
 
 
 def _mean(log: Log, column: str) -> float:
-    sums = [(b.data[column].sum(), len(b.data[column])) for b in log.blocks((column,))]
+    sums = [(b.data[column].sum(), len(b)) for b in batches(log, (column,))]
     return float(sum(s for s, _ in sums) / sum(n for _, n in sums))
 
 
@@ -91,8 +91,8 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
     """Return the extreme values of each channel that come again and again, exactly: its rails."""
     low, high = np.full(len(model.channels), np.inf), np.full(len(model.channels), -np.inf)
     at_low, at_high = np.zeros(len(low)), np.zeros(len(low))
-    for block in log.blocks(model.channels):
-        values = np.array([block.data[c] for c in model.channels])
+    for batch in batches(log, model.channels):
+        values = np.array(batch.columns(model.channels))
         lowest, highest = values.min(axis=1), values.max(axis=1)
         at_low = np.where(lowest < low, 0, at_low)
         at_high = np.where(highest > high, 0, at_high)
@@ -107,9 +107,8 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
 
 def _extremes(log: Log, model: Model) -> np.ndarray:
     """Quantiles of a sample of the readings, high and low in turn: rails that are tried."""
-    parts = [np.array([b.data[c] for c in model.channels])[:, :: max(1, log.rows // 50_000)]
-             for b in log.blocks(model.channels)]  # fmt: skip
-    values = np.hstack(parts)
+    step = max(1, log.rows // 50_000)
+    values = np.hstack([np.array(b.columns(model.channels))[:, ::step] for b in batches(log, model.channels)])
     return np.vstack([np.quantile(values, [a, 1 - a], axis=1) for a in (0.998, 0.99, 0.97, 0.93)])
 
 

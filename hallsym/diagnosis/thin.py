@@ -6,7 +6,7 @@ from itertools import islice
 
 import numpy as np
 
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.base import Base
 from hallsym.log import Log
 from hallsym.log.derived import extended
 from hallsym.model.derived import rate

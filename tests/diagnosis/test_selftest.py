@@ -12,6 +12,7 @@ import hallsym
 import hallsym.diagnosis.selftest as module
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, engine
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.injection import Injection, generator, sized
 from hallsym.diagnosis.injection_catalogue import injections
 from hallsym.diagnosis.injection_faults import ages
@@ -20,7 +21,6 @@ from hallsym.diagnosis.search import base_of, facts_of
 from hallsym.diagnosis.selftest import NONE, RATIOS, SelfTest, selftest
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.thin import thinned
 from hallsym.diagnosis.truth import Truth, readings_of, truth_of
 from hallsym.log import Log
