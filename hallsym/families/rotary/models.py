@@ -14,7 +14,7 @@ distortions (offset, mismatch, phase, harmonics together) up to about 20 %.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import pi
 from typing import Any
@@ -292,6 +292,7 @@ def zero_deviation(model: Model) -> Model:
 
     delta = Parameter("delta", 0.0, -0.2, 0.2, "rad", "zero of a run's reference beside the encoder's")
     wide = model.with_step("reference", step, effect="zero_deviation", zeros=(delta,))
+    wide = replace(wide, homes={"delta": POSE[0]})
     return wide.with_parameters({"zero": {"nominal": 0.0, "lower": 0.0, "upper": 0.0}})
 
 
