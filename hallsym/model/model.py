@@ -278,7 +278,7 @@ class Model:
 
         phi(0) of Eq. (31) where they are displacements, one per channel; else 1.
         """
-        if self.symbols.displacement.numel() != len(self.zeros):
+        if not self.zeros or self.symbols.displacement.numel() != len(self.zeros):
             return np.ones(len(self.zeros))
         return np.asarray(self.gain(p, first_state)).ravel()
 
