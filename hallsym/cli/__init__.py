@@ -13,7 +13,7 @@ COMMANDS = {
     "plan": "choose what to record next, within your ranges and your time",
     "tolerances": "which tolerance of the machine is worth money, before any data",
     "simulate": "write the log a known machine would record",
-    "info": "what a log, calibration or campaign file holds; or what hallsym knows",
+    "info": "what a log, calibration or campaign file holds, or what a model is",
 }
 """Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 

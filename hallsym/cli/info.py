@@ -2,15 +2,17 @@
 
 from argparse import Namespace
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, noted, open_log, say
 from hallsym.estimation.calibration import load_fit
 from hallsym.estimation.fit import LOSSES, SOLVERS, noise_of
-from hallsym.families import effects, models
+from hallsym.families import build, effects, models
 from hallsym.log import Log, check_log, spans
 from hallsym.report.tables import fit_text, grid
+from hallsym.report.text.model import model_record, model_text
 from hallsym.simulation import Campaign, read_campaign
 from hallsym.units import readable
 
@@ -20,10 +22,15 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "info", run,
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a\n"
-        "campaign file. Without a file: the models, effects and solvers there are.",
+        "campaign file; or explain a model: its chain of links, parameters, zeros, effects it can take.\n"
+        "Without an argument: the models, effects and solvers there are.\n\n"
+        "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31",
     )  # fmt: skip
     parser.add_argument(
-        "file", metavar="FILE", nargs="?", help="log, calibration (.json) or campaign (.toml)"
+        "file",
+        metavar="FILE",
+        nargs="?",
+        help="log, calibration (.json), campaign (.toml) or name of a model",
     )
     log_options(parser)
 
@@ -38,6 +45,9 @@ def run(options: Namespace) -> int:
             "losses": list(LOSSES),
         }
         say(options, record, lambda: _listing(record))
+    elif options.file in models() and not Path(options.file).exists():
+        record = model_record(build(options.file))
+        say(options, record, lambda: model_text(record))
     elif options.file.endswith(".json"):
         known = load_fit(options.file)
         say(options, known.to_dict(), lambda: fit_text(known))
