@@ -15,7 +15,7 @@ class Base:
     """A fitted model on a log, as the fit left it or with effects added.
 
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
-    parameters that the fit moves; `length_m`: what turns rotation into length in the gap metric; `apart`:
+    parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `apart`:
     held-out runs; `timed`: whether the log holds time, and not a counter in its place.
     """
 
@@ -25,7 +25,7 @@ class Base:
     zeros: Mapping[int, np.ndarray]
     covariance: np.ndarray
     free: tuple[int, ...]
-    length_m: float
+    pose_weights: np.ndarray
     apart: frozenset[int]
     sigma: Mapping[str, float]
     keep: Weigh | None = None

@@ -9,7 +9,6 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.found import EITHER, closed, fault_record, found_effects, miswired, wiring_record
 from hallsym.diagnosis.holding import held
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.leftover import Leftover, leftover
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation
 from hallsym.diagnosis.search import Search
@@ -109,7 +108,7 @@ def report(
         notes=tuple(dict.fromkeys((*result.notes, *left.notes, *said.notes))),
         seconds=seconds,
         versions=dict(result.versions),
-        waves=waves(kind_of(start.model).waves, start, left.base if said.effects else None),
+        waves=waves(start.model.family.waves, start, left.base if said.effects else None),
         next_step=next_step(
             result, said.effects, search, apart, bool(wiring and miswired(result.model, wiring))
         ),

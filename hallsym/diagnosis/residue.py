@@ -103,13 +103,12 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
     run = joined.pop("run")
     spread = np.asarray(model.noise_gain(base.p, [float(joined[c].mean()) for c in model.state], base.weight))
     fold, block, part = _blocks(run)
-    length = np.array([base.length_m if _unit(c) == "rad" else 1.0 for c in model.pose])
     made = {c.name for c in model.computed}
     logged = tuple(c for c in model.state if c not in made)
     return Residue(
         model.channels, model.pose, model.references, logged, run, joined.pop("residual"),
         joined.pop("felt"), joined.pop("speed"), joined,
-        np.linalg.inv(base.covariance), fold, block, part, spread, length, base.sigma, spectrum,
+        np.linalg.inv(base.covariance), fold, block, part, spread, base.pose_weights, base.sigma, spectrum,
         base.timed,
     )  # fmt: skip
 

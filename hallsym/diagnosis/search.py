@@ -10,7 +10,6 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.cancelling import undone
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, bic_of, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
@@ -51,17 +50,16 @@ def base_of(log: Log, result: Fit) -> Base:
         zeros=dict(zip(cost.summary.runs, point.zeros, strict=True)),
         covariance=point.covariance.mean(axis=0),
         free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
-        length_m=log.meta.gap_length_scale_m or 0.35,
+        pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         apart=frozenset(result.log["holdout"]),
         sigma=sigma,
         keep=remembered(result.keep, wired.rows),
     )
 
 
-def floor_of(result: Fit, length_m: float) -> Floor:
+def floor_of(result: Fit, weights: np.ndarray) -> Floor:
     """Return the gap metric that noise alone leaves."""
-    floor = result.noise_floor.items()
-    metric = float(np.sqrt(sum((length_m * v if c.startswith("r") else v) ** 2 for c, v in floor)))
+    metric = float(np.linalg.norm(weights * np.array(list(result.noise_floor.values()))))
     return Floor(metric, all(s.source == "given" for s in result.noise.sigmas.values()))
 
 
@@ -159,7 +157,7 @@ class Search:
         self.scored: list[tuple[Refitted, list[Score]]] = []
         self.owner: dict[str, str] = {}
         self.survey = Survey()
-        self.most = kind_of(base.model).most
+        self.most = base.model.family.most_effects
 
     def run(self) -> None:
         """Add effects while they lower the gap metric by the threshold; then ask of each again.
@@ -250,7 +248,7 @@ class Search:
             at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
             lambda e: self.keeps(e, at) and not undone(e.fit, at, self.start, self.owner),
         )  # fmt: skip
-        if kind_of(at.base.model).pairs:
+        if at.base.model.family.pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
         return exact, ranked
 

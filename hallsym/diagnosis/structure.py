@@ -115,7 +115,6 @@ class _Work:
         self.gain, self.spread = on_arrays(model.gain), decoding_gain(model)
         self.read = on_arrays(model.reading)
         self.unwhiten = np.linalg.inv(base.whiten)
-        self.scale = np.where(np.arange(len(model.pose)) == 2, base.length_m, 1.0)
         self.E = len(model.pose)
         self.turning = all(c in model.period for c in model.references)
         self.waves = int(np.clip(runs // 3, 3, 12))
@@ -175,7 +174,7 @@ class _Work:
         (gain,) = self.spread(base.p, pose, state, base.weight)
         K = len(model.channels)
         D = gain.reshape(K, self.E, -1)
-        return np.einsum("kis,ks->is", D, self.unwhiten @ piece.residual) * self.scale[:, None]
+        return np.einsum("kis,ks->is", D, self.unwhiten @ piece.residual) * base.pose_weights[:, None]
 
     def _unit(self, piece: Piece, column: str) -> np.ndarray:
         middle, half = self.ranges[column]

@@ -125,7 +125,6 @@ class Products:
         self.near = np.array([*range(own), self.size - 1])
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
-        self.scale = np.where(np.arange(len(base.model.pose)) == 2, base.length_m, 1.0)
         self.run: int | None = None
         self.done: list[Unit] = []
         self.order: list[int] = []
@@ -215,7 +214,7 @@ class Products:
         if weights is not None:
             A *= np.sqrt(weights)
         (spread,) = self.gain(base.p, pose, state, base.weight)
-        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * self.scale[:, None, None]
+        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * base.pose_weights[:, None, None]
         return A, D
 
     def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
