@@ -43,7 +43,7 @@ UNITS["k"] = Unit("k", "degc", 1.0, -273.15)
 
 # What hallsym's own names measure: a name that fits a row has one of its SI units.
 _QUANTITIES: tuple[tuple[str, tuple[str, ...]], ...] = (
-    (r"hall_[a-z0-9]+", ("m", "v", "t", "count")),
+    (r"hall_[a-z0-9]+(_\d+)*", ("m", "v", "t", "count")),
     (r"(col|v)_[a-z0-9]+", ("v", "t", "count")),
     (r"[xyz](_ref)?", ("m",)),
     (r"r[xyz](_ref)?", ("rad",)),
@@ -114,7 +114,7 @@ def from_si(column: str, values: Array) -> Array:
 
 
 ANGLES = re.compile(r"angle\w*")
-"""Angles that go round are read in degrees; the small ones of a stage in urad."""
+"""Angles that go round are read in degrees; small ones in urad."""
 READ = {"m": (1e6, "um"), "rad": (1e6, "urad"), "v": (1e3, "mV"), "s": (1e3, "ms"), "degc": (1.0, "degC")}
 """Unit of a column -> factor and unit for reading."""
 

@@ -15,7 +15,7 @@ OUTLIERS = 0.003
 HOLD = 3
 """Samples for which a stale reading is held at most."""
 FEWEST_STEPS = 4
-"""Steps of CORDIC of which an encoder has at least: 7 deg of error."""
+"""Steps of CORDIC of which a chip takes at least: 7 deg of error."""
 MOST_SHARE = 0.3
 """Share of stale or clipped samples beyond which a recording is no longer one."""
 

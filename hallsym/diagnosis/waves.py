@@ -1,6 +1,6 @@
 """The error of a periodic coordinate by waves per period: as designed, with the model, with its effects.
 
-What makes 1, 2 or 4 waves per turn is the first question of anybody who mounts an encoder, and the model's
+What makes 1, 2 or 4 waves per turn is the first question of anybody who mounts a sensor, and the model's
 own offsets, amplitudes and phase absorb most of it before a diagnosis asks what is left.
 """
 
