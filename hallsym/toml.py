@@ -33,7 +33,7 @@ def tables(raw: Any, key: str, where: str) -> list[Mapping[str, Any]]:
 def table(raw: Any, key: str, where: str) -> Mapping[str, Any]:
     """Return the `[key]` table of a file."""
     if not isinstance(raw, Mapping):
-        raise InputError(f"In {where}, {key} must be a table; instead received {raw!r}.")
+        raise InputError(f"In {where}, {key} must be a table, [{key}]; instead received {raw!r}.")
     return raw
 
 

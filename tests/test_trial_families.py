@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 from firmware import need, ran
-from trial_families import ARRAY, PLANE, TRIALS, second_harmonic
+from trial_families import ARRAY, PLANE, TRIALS, second_harmonic, second_harmonic_along
 
 import hallsym
 from hallsym import InputError, Log, Noise, NoiseModel
@@ -161,9 +161,18 @@ def test_the_waves_of_an_error_over_x_are_counted():
     largest = max(found.waves, key=lambda w: w.model)
     assert (largest.coordinate, largest.per_turn) == ("x_m", 3)
     assert largest.model == pytest.approx(5e-6, rel=0.1)
-    assert found.where[0].by.startswith("place in the")
+    assert (found.where[0].by, found.where[0].waves) == ("place in the period of x", (3,))
     assert found.where[0].share > 0.7
     assert "waves per period of x [um]" in diagnosis_text(found)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_wave_of_error_is_found_over_its_own_coordinate(axis):
+    """Of two periodic coordinates one has a second harmonic, by the array along it."""
+    model = PLANE.models[0]()
+    found = hallsym.diagnose(recorded(second_harmonic_along(model, axis)), model, holdout=[2])
+    assert found.verdict == "unexplained"
+    assert (found.where[0].by, found.where[0].waves) == (f"place in the period of {axis}", (3,))
 
 
 @each_trial

@@ -216,11 +216,14 @@ PLACES = [(k * LENGTH / 3, side) for side in (-0.02, 0.02) for k in range(3)]
 
 
 def array_6dof(layout=None):
-    """A mover with an array along x and one along y, each over two rows of three sensors; small rotations."""
+    """A mover with an array along x and one along y, each over two rows of three sensors; small rotations.
+
+    Within one period: a turned mover is not the same a period further.
+    """
     channels = tuple(f"hall_{a}_{k}_v" for a in "xy" for k in range(6))
 
     def field(s, p):
-        rows = []
+        s["waves"] = []
         for axis in "xy":
             for k, (along, across) in enumerate(PLACES):
                 px, py = (along, across) if axis == "x" else (across, along)
@@ -228,9 +231,11 @@ def array_6dof(layout=None):
                 u = -(dx + s["rz_rad"] * dy) if axis == "x" else -(dy - s["rz_rad"] * dx)
                 height = s["z_m"] + s["rx_rad"] * dy - s["ry_rad"] * dx
                 fade = ca.exp(-height / LC)
-                wave = [s.derive(f"{f.__name__} {axis}{k}", fade * f(u / LC)) for f in (ca.cos, ca.sin)]
-                rows.append(wave_of(wave, p[f"phase_{axis}"]))
-        s["field"] = ca.vertcat(*rows)
+                s["waves"] += [
+                    [s.derive(f"{f.__name__} {axis}{k}", fade * f(u / LC)) for f in (ca.cos, ca.sin)]
+                ]
+        phases = [p[f"phase_{axis}"] for axis in "xy" for _ in PLACES]
+        s["field"] = ca.vertcat(*map(wave_of, s["waves"], phases))
 
     def begin(v, p):
         place, height = [], []
@@ -263,6 +268,19 @@ def array_6dof(layout=None):
             (k * LENGTH / 4, j * LENGTH / 4, 5e-3, 0.0, 0.0, 0.0) for k in range(4) for j in range(4)
         ),
     )
+
+
+def second_harmonic_along(model, axis):
+    """A machine whose array along one axis has a second harmonic: 3e-3 of the first."""
+
+    def step(s, p):
+        rows = []
+        for k, (cos, sin) in enumerate(s["waves"]):
+            size = 3e-3 if axis == "xy"[k // len(PLACES)] else 0.0
+            rows.append(size * wave_of((cos * cos - sin * sin, 2 * cos * sin), 2 * p[f"phase_{axis}"]))
+        s["field"] = s["field"] + ca.vertcat(*rows)
+
+    return model.with_step("field", step, effect="second_harmonic_along")
 
 
 PLANE = Family(

@@ -80,6 +80,8 @@ class Family:
     pose_metric: PoseMetric = PoseMetric()
     aliases: Mapping[str, str] = field(default_factory=dict)
     from_meta: Callable[[Maker, Any], Model] = _plain_from_meta
+    tables: tuple[str, ...] = ()
+    """Tables of a machine file and of meta.json that `from_meta` reads in `Meta.raw`, beside the probes."""
     effects: tuple[Any, ...] = ()
     """What a model may be extended by: functions `Model -> Model`."""
     catalogue: tuple[Any, ...] | None = None
