@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from hallsym.diagnosis import rotary_catalogue, stage_catalogue
 from hallsym.diagnosis.effect import Effect
 from hallsym.errors import InputError
 from hallsym.families.rotary import effects as rotary_effects
+from hallsym.families.stage import effects as stage_effects
 from hallsym.model import Model
 
 
@@ -27,8 +27,14 @@ class Kind:
 
 
 KINDS = {
-    "stage": Kind(stage_catalogue.CATALOGUE),
-    "rotary": Kind(rotary_catalogue.CATALOGUE, rotary_effects.direct, True, 6, rotary_catalogue.WAVES),
+    "stage": Kind(tuple(e for e in stage_effects.EFFECTS if e.diagnosed)),
+    "rotary": Kind(
+        tuple(e for e in rotary_effects.EFFECTS if e.diagnosed),
+        rotary_effects.direct,
+        True,
+        6,
+        rotary_effects.WAVES,
+    ),
 }
 
 

@@ -4,15 +4,20 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import recipes
+from hallsym.families.faults import FAULTS
+from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary import models as rotary
+from hallsym.families.stage import effects as stage_effects
 from hallsym.families.stage import models as stage
 from hallsym.log import Meta
 from hallsym.log.limits import is_moving
-from hallsym.model import Model
+from hallsym.model import Effect, Model
+from hallsym.model.effect import as_effect, read_text
 
 FAMILIES = (stage, rotary)
 """Adding a family: one file with MODELS, EFFECTS, ALIASES and `from_meta`, and its name here."""
+EFFECTS = {stage.FAMILY: stage_effects.EFFECTS, rotary.FAMILY: rotary_effects.EFFECTS}
+"""Effects by family."""
 
 
 def models() -> dict[str, Callable[..., Model]]:
@@ -21,30 +26,14 @@ def models() -> dict[str, Callable[..., Model]]:
     return named | {alias: named[name] for family in FAMILIES for alias, name in family.ALIASES.items()}
 
 
-def effects(family: str | None = None) -> dict[str, Callable[[Model], Model]]:
-    """Return every effect by name: of one family, or of all; a name in several acts as the model's does."""
-    out: dict[str, Callable[[Model], Model]] = {}
-    for f in FAMILIES:
-        if family in (None, f.FAMILY):
-            known = {effect.__name__: effect for effect in f.EFFECTS}
-            known |= {name: _later(name, forms[0]) for name, forms in recipes.recipes_of(f.FAMILY).items()}
-            out = known | out
-    return out
+def effects(family: str | None = None) -> dict[str, Effect]:
+    """Return every effect by name: of one family, or of all."""
+    return {e.name: e for name, known in EFFECTS.items() if family in (None, name) for e in known}
 
 
 def known_effect(text: str) -> bool:
     """Return whether an effect, named with or without numbers, is one of hallsym's own."""
-    return recipes.read(text)[0] in effects()
-
-
-def _later(name: str, form: Callable[..., Callable[[Model], Model]]) -> Callable[[Model], Model]:
-    """The effect of that name, its numbers looked at when it is added."""
-
-    def make(model: Model) -> Model:
-        return recipes.make_of(name)(model)
-
-    make.__doc__ = form.__doc__
-    return make
+    return read_text(text)[0] in effects()
 
 
 def build(
@@ -58,7 +47,7 @@ def build(
     """Return the model called `name` for the machine that `meta` describes.
 
     `meta`: probe layout and nominal values of a log folder. `added`: effects by name, with their numbers
-    where they have some (`hallsym.families.recipes`). `parameters`: changed nominal values and bounds,
+    where they have some (`hallsym.model.effect`). `parameters`: changed nominal values and bounds,
     `{"H1x": {"lower": .1}}`. `own`: the user's effects by name. Raises `InputError` that lists known names.
     """
     known = models()
@@ -108,7 +97,7 @@ def adapted(
 ) -> Model:
     """Return `model` with effects added by name and with changed nominal values and bounds."""
     for effect in added:
-        model = _effect(effect, model, own or {})(model)
+        model = effect_named(effect, model, own).added(model, effect)
     return model.with_parameters(_checked(model, parameters))
 
 
@@ -136,25 +125,25 @@ def same_layout(model: Model, meta: Meta) -> bool:
     return family.from_meta(models()[model.name], meta).layout == model.layout
 
 
-def _effect(text: str, model: Model, own: Mapping[str, Callable[[Model], Model]]) -> Callable[[Model], Model]:
-    """The effect that a text names for `model`."""
-    name, given = recipes.read(text)
-    known = effects(model.family) | dict(own)
-    if name in recipes.FAULTS and name not in own:
-        raise InputError(f"Effect {name} {recipes.FAULTS[name]}")
+def effect_named(
+    text: str, model: Model, own: Mapping[str, Callable[[Model], Model]] | None = None
+) -> Effect:
+    """Return the effect that a text names for `model`. Raises `InputError` that lists known names."""
+    name, _ = read_text(text)
+    if own and name in own:
+        return as_effect(own[name])
+    known = effects(model.family)
+    if name in FAULTS:
+        raise InputError(f"Effect {name} {FAULTS[name].refusal}")
     if name not in known:
-        others = [f.FAMILY for f in FAMILIES if name in effects(f.FAMILY)]
+        others = [family for family in EFFECTS if name in effects(family)]
         if others:
             raise InputError(
                 f"Effect {name} belongs to {' and '.join(others)} models; model {model.name} is of family "
                 f"{model.family}."
             )
         raise _unknown("Effect", name, known)
-    if name in own or name not in recipes.recipes_of(model.family):
-        if given:
-            raise InputError(f"Effect {name} takes no numbers; instead received {text!r}.")
-        return lambda model: recipes.noted(model, known[name](model), name)
-    return recipes.make_of(text)
+    return known[name]
 
 
 def _unknown(what: str, name: str, known: Mapping[str, Any]) -> InputError:

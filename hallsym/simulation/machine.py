@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.families import published
-from hallsym.families.rotary.cordic import MOST_STEPS, cordic_angle
+from hallsym.families.cordic import MOST_STEPS, cordic_angle
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.simulation.campaign import Campaign, Run

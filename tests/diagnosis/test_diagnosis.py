@@ -17,7 +17,7 @@ from hallsym.diagnosis.search import base_of, rails_of
 from hallsym.diagnosis.slips import instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.tangent import Base, tangents
-from hallsym.families.stage import effects as se
+from hallsym.families import effects
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.derived import extended
 from hallsym.model import Model, Parameter
@@ -255,7 +255,7 @@ def test_tangents_predict_what_a_refit_finds() -> None:
     base = base_of(log, result)
     runs = [r for r in log.runs if r not in log.meta.holdout]
     start = refit(base, runs)
-    wide = se.nonlinearity("even_nonlinearity", (2,))(start.base.model)
+    wide = effects("stage")["even_nonlinearity"](start.base.model)
     new = [n for n in wide.names if n not in base.model.names]
     t = tangents(start.base, {"e": (wide, new)})
     M = t.likelihood[t.units(runs)].sum(axis=0)
