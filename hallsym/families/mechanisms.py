@@ -254,18 +254,23 @@ def in_runs(runs: Sequence[int]) -> Functions:
     return column(Computed(f"on_in_{'_'.join(map(str, runs))}", (), rule), "in the runs with the field on")
 
 
-def at_frequency(frequency_hz: float, harmonics: int = 1, waves: Sequence[str] = ("cos", "sin")) -> Functions:
-    """Return cosine and sine of a frequency and its harmonics over the campaign."""
-    all_ = [(wave, n) for n in range(1, harmonics + 1) for wave in waves]
+def at_frequency(
+    frequency_hz: float,
+    harmonics: int = 1,
+    waves: Sequence[str] = ("cos", "sin"),
+    name: str = "{wave}_{n}x{base:.9g}hz",
+) -> Functions:
+    """Return cosine and sine of a frequency and its harmonics over the campaign; `name`: of their columns."""
 
     def made(wave: str, n: int) -> Computed:
         def rule(s: Stretch) -> np.ndarray:
             return np.asarray(getattr(np, wave)(2 * pi * n * frequency_hz * (s.data["t_s"] - s.origin_s)))
 
-        return Computed(f"{wave}_{n}x{frequency_hz:.9g}hz", (), rule)
+        return Computed(name.format(wave=wave, n=n, base=frequency_hz, hz=n * frequency_hz), (), rule)
 
-    columns = [made(wave, n) for wave, n in all_]
-    meanings = [f"at {n * frequency_hz:.5g} Hz, {wave} part" for wave, n in all_]
+    pairs = [(wave, n) for n in range(1, harmonics + 1) for wave in waves]
+    columns = [made(wave, n) for wave, n in pairs]
+    meanings = [f"at {n * frequency_hz:.5g} Hz, {wave} part" for wave, n in pairs]
     return Functions(meanings, lambda s: [s[c.name] for c in columns], columns)
 
 
@@ -299,9 +304,9 @@ def late(
     """
     labels = port.labels(model)
     names = [f"tau_{effect}" if shared else f"tau_{effect}_{k}" for k in labels]
-    what = "delay" if series is DELAY else "time constant"
+    what = "delay of the readings" if series is DELAY else "time constant of the low-pass"
     new = {
-        n: Parameter(n, 0.0, least, 0.05, "s", what if shared else f"{what} of {k}")
+        n: Parameter(n, 0.0, least, 0.05, "s", what if shared else f"{what}, channel {k}")
         for n, k in zip(names, labels, strict=True)
     }
 

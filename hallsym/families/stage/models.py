@@ -128,7 +128,7 @@ def zero_deviation(model: Model) -> Model:
     return model.with_step("reference", step, effect="zero_deviation", zeros=zeros)
 
 
-@effect(link="transducer", diagnosed=False)
+@effect(link="transducer", diagnosed=False, unless=("tied_vertical_coupling",))
 def vertical_coupling(model: Model) -> Model:
     """Gain follows Z, Rx, Ry: a, b, c of Eq. (31).
 
@@ -161,7 +161,7 @@ def vertical_coupling(model: Model) -> Model:
     return model.with_step("transducer", step, effect="vertical_coupling", parameters=parameters)
 
 
-@effect(link="transducer", diagnosed=False)
+@effect(link="transducer", diagnosed=False, unless=("vertical_coupling",))
 def tied_vertical_coupling(model: Model) -> Model:
     """Gain follows the height of each probe on a rigid stage.
 
