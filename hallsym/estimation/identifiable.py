@@ -60,7 +60,7 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     always = structural_null(cost.coefficients, feature_scale(cost), p, open_)
     rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
     rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
-    information = np.tensordot(cost.weights, cost.at(p).information(2.0), axes=1) * np.outer(scale, scale)
+    information = cost.information(p, 2.0) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(rest.T @ information @ rest)
     weak = values < max(UNDETERMINED**-2, ROUNDING * values.max(initial=0.0))
     null = np.hstack([always, rest @ vectors[:, weak]])

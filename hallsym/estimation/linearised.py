@@ -58,6 +58,7 @@ class Program:
     zero_entries: tuple[tuple[int, int], ...]
     values: Callable[..., list[np.ndarray]]
     slopes: Callable[..., list[np.ndarray]]
+    slope_sparsity: ca.Sparsity
     by_parameter: Callable[..., list[np.ndarray]]
 
 
@@ -77,6 +78,7 @@ def program(model: Model) -> Program:
         zero_entries,
         on_arrays(ca.Function("tangents", inputs, [ca.densify(rows)])),
         on_arrays(ca.Function("tangent_slopes", inputs, [ca.densify(slopes)])),
+        slopes.sparsity(),
         on_arrays(ca.Function("by_parameter", inputs, [ca.densify(by_p)])),
     )
 
@@ -106,6 +108,10 @@ class TangentFeatures(Features):
         """
         run = program(self.model).slopes
         return lambda pose, state, zeros: run(self.at, np.zeros_like(zeros), pose, state)
+
+    @property
+    def _slope_sparsity(self) -> ca.Sparsity:
+        return program(self.model).slope_sparsity
 
     @cached_property
     def expansion(self) -> Any:

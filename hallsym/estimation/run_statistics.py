@@ -30,8 +30,8 @@ class Summary:
     """The runs of a log as seen by one model.
 
     `triangles`: (runs, n, n), n = n_features + n_channels, readings last.
-    `slopes`: (runs, n_columns, n_features, n_features), mean outer product of d feature / d column, over the
-    columns of pose and state: how noise of a logged column enters the residual.
+    `slopes`: (runs, pairs), mean product of d feature i / d column and d feature j / d column for each entry
+    of `features.slope_pairs`: how noise of a logged column, pose or state, enters the residual.
     `counts`: samples per run (sum of weights). `first_state`: vertical state at the reset of each run.
     `mean_state`: mean vertical state of each run. `places`: per run (n_columns, samples), pose and state
     of some samples, where the noise of the reference acts in another direction at each (`Model.typical`).
@@ -51,6 +51,18 @@ class Summary:
     def model(self) -> Model:
         """The model whose features these are."""
         return self.features.model
+
+    def noise_in_features(self, variance: np.ndarray) -> np.ndarray:
+        """Sum over columns of variance (n_columns,) * mean outer product of feature slopes, (runs, f, f)."""
+        f = self.features.size
+        out = np.zeros((len(self.runs), f, f))
+        column, i, j = self.features.slope_pairs
+        for c in np.flatnonzero(variance):
+            here = column == c
+            out[:, i[here], j[here]] += variance[c] * self.slopes[:, here]
+        upper = np.triu_indices(f, 1)
+        out[:, upper[1], upper[0]] = out[:, upper[0], upper[1]]
+        return out
 
     def select(self, runs: Iterable[int]) -> "Summary":
         """Return the summary of some of the runs, in the order given."""
@@ -80,7 +92,7 @@ class Summary:
             centre=self.centre,
             runs=(0,),
             triangles=_triangle(rows.reshape(-1, rows.shape[-1]))[None],
-            slopes=np.tensordot(share, self.slopes[:, :, k:, k:], axes=1)[None],
+            slopes=(share @ self.slopes)[None],
             counts=np.array([self.counts.sum()]),
             first_state=(share @ self.first_state)[None],
             mean_state=(share @ self.mean_state)[None],
@@ -168,14 +180,11 @@ def _gather(
     there = at if at.ndim == 1 else at[:, pick]
     slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], there)[0]
     slopes = slopes.reshape(len(pose) + len(state), n, -1)
-    # features that carry zeros: their slope with the state is a second-order weight, left out so that the
-    # weight of a residual does not depend on the zeros
-    slopes[:, : features.n_zero] = 0.0
     for k, (block, part) in enumerate(batch.parts()):
         run = gathered.setdefault(block.run, _Run(states[:, part.start]))
         run.add(rows[part], weight[part], states[:, part])
         here = pick[edges[k] : edges[k + 1]]
-        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here])
+        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here], features.slope_pairs)
         if model.typical:
             run.places.append(np.vstack([*(v[here] for v in pose), *(v[here] for v in state)]))
 
@@ -209,8 +218,8 @@ class _Run:
         self.count += float(weight.sum())
         self.state_sum = self.state_sum + states @ weight
 
-    def add_slopes(self, slopes: np.ndarray, weight: np.ndarray) -> None:
-        self.slopes = self.slopes + (slopes * weight) @ np.swapaxes(slopes, 1, 2)
+    def add_slopes(self, slopes: np.ndarray, weight: np.ndarray, pairs: np.ndarray) -> None:
+        self.slopes = self.slopes + ((slopes * weight) @ np.swapaxes(slopes, 1, 2))[tuple(pairs)]
         self.slope_count += float(weight.sum())
 
 

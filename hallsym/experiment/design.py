@@ -173,7 +173,7 @@ def _recorded(log: Log, model: Model, p: np.ndarray) -> tuple[np.ndarray, int]:
     sigma = {c: s.value for c, s in noise_of(log, model, log.meta.holdout).sigmas.items()}
     summary = summarise(log, model)
     summary = summary.select([run for run in summary.runs if run not in log.meta.holdout])
-    return cost_of(summary, sigma).at(p).information(1.0).sum(axis=0), len(summary.runs)
+    return cost_of(summary, sigma).information(p), len(summary.runs)
 
 
 def _order(found: Study, choice: Choice) -> list[int]:

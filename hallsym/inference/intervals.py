@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.covariance import inverse
 from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.normal_equations import inverse
 from hallsym.inference.bootstrap import Bootstrap
 from hallsym.inference.bootstrap import bootstrap as resample
 from hallsym.inference.evidence import Evidence
@@ -180,7 +180,7 @@ def _profiled(
 def _likelihood_std(evidence: Evidence, quantities: list[Quantity]) -> np.ndarray:
     """Standard uncertainties that the likelihood alone gives, 0 where it gives none."""
     free = np.flatnonzero(np.diag(evidence.covariance) > 0)
-    information = np.tensordot(evidence.cost.weights, evidence.cost.at(evidence.p).information(1.0), axes=1)
+    information = evidence.cost.information(evidence.p)
     if not len(free):
         return np.zeros(len(quantities))
     naive = inverse(information[np.ix_(free, free)])

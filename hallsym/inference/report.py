@@ -232,9 +232,9 @@ def _parameter(
 
 def _spectrum(evidence: Evidence) -> np.ndarray:
     """Singular values of the Jacobian with parameters in bound widths and readings in standard deviations."""
-    point, scale = evidence.cost.at(evidence.p), evidence.found.scale
+    scale = evidence.found.scale
     open_ = np.array([p.width > 0 for p in evidence.model.parameters])
-    information = np.tensordot(evidence.cost.weights, point.information(1.0), axes=1) * np.outer(scale, scale)
+    information = evidence.cost.information(evidence.p) * np.outer(scale, scale)
     values = np.linalg.eigvalsh(information[np.ix_(open_, open_)])[::-1]
     return np.sqrt(np.maximum(values, 0.0))
 

@@ -7,9 +7,10 @@ import pytest
 from twins import SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.covariance import estimate, inverse
+from hallsym.estimation.covariance import estimate
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.normal_equations import inverse
 from hallsym.estimation.optimum import refit
 from hallsym.inference.bootstrap import Bootstrap, bootstrap
 from hallsym.model.quantities import combination, linear, parameter
