@@ -1,7 +1,8 @@
 """Optimisers that know nothing of sensors.
 
 `Problem` says what to minimise; `minimize` searches a box with a population, `ipopt` and `newton` refine one
-point, `hybrid` does both; each returns a `Result`. To add a global method write its equations as a generator
+point, `hybrid` does both; each returns a `Result`. `gauss_newton` is the loop for costs that are expensive to
+linearise. To add a global method write its equations as a generator
 (see `solvers.problem.Solver`; `solvers/pso.py` is the shortest example) and name it in
 `solvers.driver.SOLVERS`.
 
@@ -9,6 +10,7 @@ Needs numpy and casadi, nothing else, and nothing of hallsym.
 """
 
 from solvers.driver import SOLVERS, Stop, minimize
+from solvers.gauss_newton import gauss_newton
 from solvers.hybrid import HybridResult, hybrid
 from solvers.ipopt import Ipopt, ipopt
 from solvers.limits import discarding, ranking
@@ -26,6 +28,7 @@ __all__ = [
     "Stop",
     "best_apart",
     "discarding",
+    "gauss_newton",
     "hybrid",
     "ipopt",
     "latin_hypercube",

@@ -18,7 +18,7 @@ from hallsym.estimation.gauss_newton import optimum
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import SOLVERS, refit
 from hallsym.estimation.result import result_of, zero_notes
-from hallsym.estimation.task import Progress, State, Task
+from hallsym.estimation.task import Progress, Task
 from hallsym.families import adapted, build, default_model, plain
 from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
 from hallsym.log.drop import Drop, without
@@ -114,7 +114,7 @@ def fit(
         loss,
         perf_counter() - began,
     )
-    return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
+    return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.determined)
 
 
 def _by_passes(
@@ -142,12 +142,11 @@ def _by_passes(
     if first is not None:
         noise = noise.merged(first.noise)
     task = Task(log, model, noise, solver, seed, say, start)
-    found = optimum(log, model, task.sigmas, begin if start is None else start, apart, keep, say)
-    state = State(found.everything, found.fitted, found.determination, found.search, apart)
+    state = optimum(log, model, task.sigmas, begin if start is None else start, apart, keep, say)
     errors = task.errors(state, keep)
     seconds = perf_counter() - began
     result = result_of(task, state, errors, tuple(notes), wiring, loss, seconds)
-    return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
+    return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.determined)
 
 
 # -- pieces ----------------------------------------------------------------------------------------------

@@ -10,14 +10,15 @@ import numpy as np
 
 from hallsym.estimation import covariance as uncertainty
 from hallsym.estimation.calibration import Errors, Fit
-from hallsym.estimation.task import State, Task
+from hallsym.estimation.optimum import Solution
+from hallsym.estimation.task import Task
 from hallsym.log.phase import home_notes
 from hallsym.model import Model
 
 
 def result_of(
     task: Task,
-    state: State,
+    state: Solution,
     errors: Errors,
     notes: tuple[str, ...],
     wiring: Any,
@@ -25,7 +26,7 @@ def result_of(
     seconds: float,
 ) -> Fit:
     """Return the fit that is handed out; `seconds` it took, `wiring` it found."""
-    model, found = task.model, state.found
+    model, found = task.model, state.determined
     estimate = uncertainty.estimate(state.fitted, state.p, found)
     gain = np.array([model.zero_scale(state.p, s) for s in state.everything.summary.first_state])
     zeros = state.everything.at(state.p).zeros

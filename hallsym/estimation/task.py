@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -11,9 +10,9 @@ from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors
 from hallsym.estimation.channel_assignment import check_wiring
 from hallsym.estimation.decoding import columns_of, error_tables
-from hallsym.estimation.identifiable import Determination, determine
+from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_of
-from hallsym.estimation.optimum import Search, search
+from hallsym.estimation.optimum import Solution, search
 from hallsym.estimation.run_statistics import Summary, summarise
 from hallsym.log import Log, Noise
 from hallsym.log.batches import Weigh, remembered
@@ -28,32 +27,7 @@ ROUNDS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class State:
-    """A solved fit: costs of all and of the fitted runs, what is determined, and the optimum."""
-
-    everything: Cost
-    fitted: Cost
-    determination: Determination
-    search: Search
-    holdout: tuple[int, ...]
-
-    @property
-    def p(self) -> np.ndarray:
-        """The optimum, shape (n,)."""
-        return self.search.p
-
-    @cached_property
-    def found(self) -> Determination:
-        """What the fitted runs determine at the optimum, for what was held on the way there."""
-        return replace(determine(self.fitted, self.p), held=self.determination.held)
-
-    def zeros(self) -> dict[int, np.ndarray]:
-        """Zero displacements of every run, held-out ones included."""
-        return dict(zip(self.everything.summary.runs, self.everything.at(self.p).zeros, strict=True))
-
-
-@dataclass(frozen=True, eq=False)
-class Started(State):
+class Started(Solution):
     """A solved fit of run summaries, with what it was started and is checked with."""
 
     linear: start.LinearFit
@@ -106,7 +80,7 @@ class Task:
         found = replace(found, p=nearest_turn(self.model, found.p))
         return Started(everything, fitted, determination, found, holdout, linear, merged, closed_form)
 
-    def errors(self, state: State, keep: Weigh | None) -> Errors:
+    def errors(self, state: Solution, keep: Weigh | None) -> Errors:
         """Return the errors before and after; `keep`: weight of each sample."""
         versions = [(designed(self.model, state.p), {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
@@ -115,7 +89,7 @@ class Task:
         )
         return Errors(before, after, state.holdout)
 
-    def suspicious(self, state: State, errors: Errors) -> bool:
+    def suspicious(self, state: Solution, errors: Errors) -> bool:
         """Return whether some error is too large for the noise floor."""
         floor = np.array(list(uncertainty.noise_floor(state.fitted, state.p).values()))
         return bool(np.any(errors.fitted.peak.max(axis=0) > SUSPECT * floor))
@@ -148,7 +122,7 @@ class Task:
         )
         return state, weigh, [said]
 
-    def weigh(self, state: State, loss: str, suspects: Weigh) -> Weigh:
+    def weigh(self, state: Solution, loss: str, suspects: Weigh) -> Weigh:
         """Return what takes outliers out, judged by the residuals of the fit so far; each block once."""
         residual = outliers.residuals(self.model, state.p, state.zeros())
         covariance = state.fitted.at(state.p).covariance.mean(axis=0)
