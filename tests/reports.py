@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from twins import SIGMAS, TRUTH, record, with_noise
 
-from hallsym.estimation.fit import fit
+from hallsym.estimation import fit
 from hallsym.families import build
 from hallsym.inference import Identifiability, identify
 from hallsym.inference.intervals import Interval

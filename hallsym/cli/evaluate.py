@@ -5,10 +5,10 @@ from typing import Any
 
 from hallsym.cli.common import OK, command, log_options, noted, open_log, own_effects, own_option, say
 from hallsym.errors import InputError
+from hallsym.estimation import noise_of
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.channel_assignment import as_read, rewired
 from hallsym.estimation.decoding import logged_columns
-from hallsym.estimation.fit import noise_of
 from hallsym.estimation.gauss_newton import judge
 from hallsym.log import Log, check_log
 from hallsym.report.tables import error_rows

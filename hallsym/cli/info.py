@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hallsym.cli.common import OK, command, log_options, noted, open_log, say
+from hallsym.estimation import LOSSES, SOLVERS, noise_of
 from hallsym.estimation.calibration import load_fit
-from hallsym.estimation.fit import LOSSES, SOLVERS, noise_of
 from hallsym.families import effects, models
 from hallsym.log import Log, check_log, spans
 from hallsym.report.tables import fit_text, grid

@@ -11,7 +11,7 @@ from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.verdict import SURE
 from hallsym.errors import InputError
-from hallsym.estimation import fit as fitting
+from hallsym.estimation import fit
 from hallsym.estimation.calibration import Fit
 from hallsym.families import adapted, build, default_model
 from hallsym.families.recipes import lacking
@@ -44,7 +44,7 @@ def model_on(
         if (own and text in own) or ":" in text or not lacking(text, model.family):
             model = adapted(model, (text,), {}, own)
             continue
-        known = fitting.fit(
+        known = fit(
             log, model, solver="direct", holdout=holdout, drop_bad=drop_bad, resolve_wiring=True,
             on_progress=on_progress,
         )  # fmt: skip

@@ -21,7 +21,7 @@ FEW_RUNS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Uncertainty:
     """Uncertainty of every parameter and determined combination; see `Fit` for the fields."""
 
     std: np.ndarray
@@ -35,7 +35,7 @@ class Estimate:
     cost_per_dof: float
 
 
-def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
+def uncertainty(cost: Cost, p: np.ndarray, found: Determination) -> Uncertainty:
     """Return the uncertainties at the optimum `p` of `cost`."""
     model = cost.summary.model
     point = cost.at(p)
@@ -61,7 +61,7 @@ def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
     determined = np.isin(np.arange(len(p)), free) & ~_loose(model.names, std, found)
     combinations, lost = _combinations(cost, p, covariance, found, determined)
     loose = [n for k, n in enumerate(model.names) if _by_log(model, k, found, determined, at_bound)]
-    return Estimate(
+    return Uncertainty(
         std=np.where(determined, std, np.nan),
         determined=determined,
         covariance=covariance,

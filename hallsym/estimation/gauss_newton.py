@@ -129,4 +129,4 @@ def optimum(
         said = f"{next(number) - 1} passes over the log did not bring it to rest"
         said = "no step along the tangent lowers the cost" if outcome == "stuck" else said
         found = replace(found, status="not converged", message=said)
-    return Solution(best.everything, best.fitted, best.determination, found, tuple(holdout))
+    return Solution(best.everything, best.fitted, best.determination, found)

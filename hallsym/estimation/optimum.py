@@ -51,7 +51,6 @@ class Solution:
     fitted: Cost
     determination: Determination
     search: Search
-    holdout: tuple[int, ...]
 
     @property
     def p(self) -> np.ndarray:

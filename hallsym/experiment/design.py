@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
+from hallsym.estimation import noise_of
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.fit import noise_of
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.run_statistics import summarise
 from hallsym.experiment.comparison import Comparison, compare

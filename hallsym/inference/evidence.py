@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation import covariance as uncertainty
 from hallsym.estimation.calibration import CombinationEstimate, Fit
 from hallsym.estimation.channel_assignment import as_read
+from hallsym.estimation.covariance import noise_floor, uncertainty
 from hallsym.estimation.fit import fit
 from hallsym.estimation.gauss_newton import cost_near
 from hallsym.estimation.identifiable import Determination, determine
@@ -105,7 +105,7 @@ def from_plan(
     cost = replace(cost_near(log, model, p, noise), planned=True)
     _check_samples(cost, model, name)
     found = determine(cost, p)
-    said = uncertainty.estimate(cost, p, found)
+    said = uncertainty(cost, p, found)
     return Evidence(
         cost=cost,
         p=p,
@@ -118,7 +118,7 @@ def from_plan(
         at_bound=said.at_bound,
         combinations=said.combinations,
         undetermined_by_log=said.undetermined_by_log,
-        noise_floor=uncertainty.noise_floor(cost, p),
+        noise_floor=noise_floor(cost, p),
         workspace=visited(log, model),
         recorded=name,
     )

@@ -18,10 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation.covariance import estimate
-from hallsym.estimation.fit import fit
-from hallsym.estimation.identifiable import determine
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation import Cost, determine, fit, uncertainty
 from hallsym.families import build, published
 from hallsym.inference import identify
 from hallsym.inference.bootstrap import bootstrap
@@ -124,7 +121,7 @@ def compare(samples: int, turns: int) -> None:
 
     rows = [
         ("report without profiles", *least(turns, lambda: identify(found, profiles="none"))),
-        ("standard uncertainties", *least(turns, lambda: estimate(cost, p, what))),
+        ("standard uncertainties", *least(turns, lambda: uncertainty(cost, p, what))),
         (f"is a normal interval good enough, {len(stated)} quantities", *least(turns, checks)),
         (f"profiles of {len(stated)} quantities", *least(turns, profiles)),
         (

@@ -25,13 +25,19 @@ from scipy.optimize import least_squares
 
 import hallsym
 import solvers
-from hallsym.estimation import start
-from hallsym.estimation.channel_assignment import find_wiring, rewired
-from hallsym.estimation.fit import noise_of
-from hallsym.estimation.gauss_newton import judge
-from hallsym.estimation.identifiable import determine
-from hallsym.estimation.likelihood import Cost, cost_of
-from hallsym.estimation.run_statistics import summarise
+from hallsym.estimation import (
+    Cost,
+    LinearFit,
+    closed_form,
+    cost_of,
+    determine,
+    find_wiring,
+    judge,
+    linear_fit,
+    noise_of,
+    rewired,
+    summarise,
+)
 from hallsym.families.published import values
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Model
@@ -95,12 +101,12 @@ class Task:
         )
 
 
-def task_on(log: Log, model: Model, *, hold: bool) -> tuple[Task, np.ndarray, start.LinearFit]:
+def task_on(log: Log, model: Model, *, hold: bool) -> tuple[Task, np.ndarray, LinearFit]:
     """Return the merged problem of a log and its closed-form start."""
     sigma = {c: s.value for c, s in noise_of(log, model).sigmas.items()}
     merged = cost_of(summarise(log, model).merged(), sigma)
-    linear = start.linear_fit(merged)
-    first = np.clip(start.closed_form(merged, linear), *model.bounds)
+    linear = linear_fit(merged)
+    first = np.clip(closed_form(merged, linear), *model.bounds)
     held = determine(merged, first).held if hold else ()
     first[list(held)] = np.clip(model.nominal, *model.bounds)[list(held)]
     return Task(merged, first, held), first, linear

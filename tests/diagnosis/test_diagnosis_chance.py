@@ -23,8 +23,7 @@ from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base, Products, tangents
-from hallsym.estimation.channel_assignment import rewired
-from hallsym.estimation.decoding import columns_of
+from hallsym.estimation import columns_of, rewired
 from hallsym.log import Block, Log
 from hallsym.log.batches import Batch, batches
 

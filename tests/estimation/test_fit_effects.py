@@ -18,10 +18,7 @@ from hallsym.diagnosis import diagnose, load_effects, makes
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.errors import InputError
-from hallsym.estimation.decoding import error_tables
-from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.linearised import exact, summarise_at
+from hallsym.estimation import cost_near, cost_of, error_tables, exact, judge, summarise_at, zeros_of
 from hallsym.families import build
 from hallsym.families.play import stop_state
 from hallsym.families.recipes import FAULTS, RECIPES, lacking, make_of, write

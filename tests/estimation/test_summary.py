@@ -6,10 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import SIGMAS, Chopped, cost_on, record, true_model, with_noise
 
-from hallsym.estimation.identifiable import determine
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.optimum import refit
-from hallsym.estimation.run_statistics import Summary, summarise
+from hallsym.estimation import Summary, cost_of, determine, refit, summarise
 from hallsym.log import Log
 
 EXACT_STATE = {**SIGMAS, "z_m": 0.0, "rx_rad": 0.0, "ry_rad": 0.0}
