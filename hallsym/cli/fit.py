@@ -25,7 +25,7 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
-from hallsym.report.tables import fit_text
+from hallsym.report.text.fit import fit_text
 
 
 def add(sub: Any) -> None:

@@ -9,7 +9,8 @@ from hallsym.estimation import LOSSES, SOLVERS, noise_of
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import effects, models
 from hallsym.log import Log, check_log, spans
-from hallsym.report.tables import fit_text, grid
+from hallsym.report.tables import grid
+from hallsym.report.text.fit import fit_text
 from hallsym.simulation.campaign import Campaign, read_campaign
 from hallsym.units import readable
 

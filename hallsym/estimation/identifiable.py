@@ -57,19 +57,37 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     model = cost.summary.model
     scale, (lower, upper) = scales(model), model.bounds
     open_ = lower < upper
-    always = structural_null(cost.coefficients, feature_scale(cost), p, open_)
-    rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
-    rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
+    always, rest = structural_directions(cost, p)
     information = cost.information(p, 2.0) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(rest.T @ information @ rest)
-    weak = values < max(UNDETERMINED**-2, ROUNDING * values.max(initial=0.0))
-    null = np.hstack([always, rest @ vectors[:, weak]])
+    null = np.hstack([always, rest @ vectors[:, values < least_information(values)]])
     inside = (lower <= model.nominal) & (model.nominal <= upper)
     held = {*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}
     moving = np.flatnonzero(np.linalg.norm(always, axis=1) > 1e-6)
     return Determination(
         scale, null, tuple(model.names[k] for k in moving), tuple(sorted(held)), always.shape[1]
     )
+
+
+def least_information(values: np.ndarray) -> np.ndarray:
+    """Return the information (...,) that a scaled direction needs to count as determined.
+
+    `values`: (..., m) eigenvalues of the information about scaled parameters.
+    """
+    return np.maximum(UNDETERMINED**-2, ROUNDING * values.max(axis=-1, initial=0.0))
+
+
+def structural_directions(cost: Cost, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return orthonormal bases of what no recording determines, (n, k), and of the other directions, (n, m).
+
+    Both in scaled parameters; fixed parameters are in neither.
+    """
+    lower, upper = cost.summary.model.bounds
+    open_ = lower < upper
+    always = structural_null(cost.coefficients, feature_scale(cost), p, open_)
+    rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
+    rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
+    return always, rest
 
 
 def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:

@@ -15,9 +15,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError
-from hallsym.estimation.identifiable import ROUNDING, UNDETERMINED, scales
-from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.optimum import refit
+from hallsym.estimation import Cost, least_information, refit, scales
 from hallsym.model.quantities import Quantity
 
 CHECKED = 10
@@ -147,9 +145,8 @@ class _Steps:
         if len(self.free) == 0:
             return np.ones(len(weights), dtype=bool)
         values = np.linalg.eigvalsh(np.tensordot(weights, self.information, axes=1))
-        enough = np.maximum(UNDETERMINED**-2, ROUNDING * values[:, -1])
         curved = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0] > 0
-        return np.asarray((values[:, 0] >= enough) & curved)
+        return np.asarray((values[:, 0] >= least_information(values)) & curved)
 
     def newton(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return one Newton step from the optimum for every draw, (m, n), and which left the box, (m,).

@@ -20,10 +20,7 @@ import numpy as np
 
 from hallsym.estimation import Cost, determine, fit, uncertainty
 from hallsym.families import build, published
-from hallsym.inference import identify
-from hallsym.inference.bootstrap import bootstrap
-from hallsym.inference.profile_tangent import skewness, tangent
-from hallsym.inference.profiles import Profile, profile
+from hallsym.inference import Profile, bootstrap, identify, profile, skewness, tangent
 from hallsym.log import Log, Noise
 from hallsym.model.quantities import Quantity, combination, parameter
 from hallsym.simulation.campaign import paper_campaign

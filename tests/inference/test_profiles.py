@@ -11,8 +11,7 @@ from twins import SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, Determination, Uncertainty, determine, refit, uncertainty
-from hallsym.inference.profile_tangent import skewness, tangent
-from hallsym.inference.profiles import Profile, profile
+from hallsym.inference import Profile, profile, skewness, tangent
 from hallsym.model import Model
 from hallsym.model.quantities import Quantity, combination, linear, parameter
 

@@ -165,11 +165,11 @@ def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
     for seed in range(20):
         log = with_noise(record(seed=100 + seed))
         told = identify(fit(log, true_model(), solver="direct", loss="none"), profiles="none", bootstrap=0)
-        for k, run in enumerate(runs):
-            row = told.nuisance["runs"][str(k)]
-            for name, true in zip(("delta_A", "delta_B", "delta_C"), run.zeros, strict=True):
-                squares.append(((row[name]["value"] - true) / row[name]["std"]) ** 2)
-    assert told.nuisance["count"] == 171
+        offsets = told.offsets
+        assert (offsets.names, offsets.runs) == (("delta_A", "delta_B", "delta_C"), tuple(range(len(runs))))
+        true = np.array([run.zeros for run in runs])
+        squares.append(((offsets.values - true) / offsets.std) ** 2)
+        assert offsets.values.size == 171
     assert np.mean(squares) == pytest.approx(1.0, abs=0.1)
 
 

@@ -1,13 +1,18 @@
 """The report of `identify` as tables for a terminal."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
-from hallsym.inference.null import NullDirection, NullSpace
-from hallsym.inference.report import CombinationReport, Identifiability, ParameterReport
-from hallsym.inference.workspace import Change
+from hallsym.inference import (
+    Change,
+    CombinationReport,
+    Identifiability,
+    NullDirection,
+    NullSpace,
+    Offsets,
+    ParameterReport,
+)
 from hallsym.report.tables import concise, grid
 from hallsym.units import readable
 
@@ -26,7 +31,7 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
         parts += ["", combinations_text(report.combinations)]
     parts += ["", *null_text(report.structural, report.practical)]
     parts += ["", effects_text(report)]
-    parts += ["", outputs_text(report), "", *nuisance_text(report, zeros)]
+    parts += ["", outputs_text(report), "", *offsets_text(report.offsets, zeros)]
     parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
     parts += [f"not computed: {sentence}" for sentence in report.partial]
     parts += [f"note: {note}" for note in report.evidence.notes]
@@ -131,38 +136,49 @@ def outputs_text(report: Identifiability) -> str:
         "noise_floor": "noise of one reading",
     }
     for key, label in labels.items():
-        rows.append([label, *(f"{report.outputs[c][key] * readable(c)[0]:.3g}" for c in report.model.pose)])
+        sizes = {c: getattr(output, key) * readable(c)[0] for c, output in report.outputs.items()}
+        rows.append([label, *(f"{sizes[c]:.3g}" for c in report.model.pose)])
     return grid(rows)
 
 
-def nuisance_text(report: Identifiability, listed: bool) -> list[str]:
+def offsets_text(offsets: Offsets, listed: bool) -> list[str]:
     """Return the zero deviations: summarised, and listed if asked for."""
-    nuisance = report.nuisance
-    if not nuisance["count"]:
+    if not offsets.names:
         return []
-    zeros = nuisance["zeros"]
-    factor, unit = _read(zeros)
-    sizes = [
+    sizes = offsets.sizes()
+    factor, unit = (1e6, "um") if offsets.units[0] == "m" else (float(np.degrees(1.0)), "deg")
+    said = [
         f"{n} {factor * z['rms']:.3g} {unit} rms, {factor * z['worst']:.3g} {unit} at most"
-        for n, z in zeros.items()
+        for n, z in sizes.items()
     ]
-    std = factor * max(z["std"] for z in zeros.values())
+    std = factor * max(z["std"] for z in sizes.values())
     lines = [
-        f"{nuisance['count']} zero deviations, profiled out: {'; '.join(sizes)}; each +-{std:.2g} {unit}"
+        f"{offsets.values.size} zero deviations, profiled out: {'; '.join(said)}; each +-{std:.2g} {unit}"
     ]
     if listed:
-        lines += ["", _zero_table(nuisance["runs"], factor, unit)]
+        rows = [["run", *(f"{n} [{unit}]" for n in offsets.names)]]
+        for run, values, own in zip(offsets.runs, factor * offsets.values, factor * offsets.std, strict=True):
+            rows.append([str(run), *map(concise, values.tolist(), own.tolist())])
+        lines += ["", grid(rows)]
     return lines
 
 
-def _read(zeros: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
-    """Factor and unit in which zeros are read."""
-    return (1e6, "um") if next(iter(zeros.values()))["unit"] == "m" else (float(np.degrees(1.0)), "deg")
+def comparison_text(report: Identifiability, others: Sequence[Identifiability]) -> str:
+    """Return verdict and value of each parameter under every model, side by side."""
+    every = [report, *others]
+    names = list(dict.fromkeys(entry.name for one in every for entry in one.parameters))
+    rows = [["parameter", *(one.model.name for one in every)]]
+    rows += [[name, *(_cell(one, name) for one in every)] for name in names]
+    rank = [f"{one.structural.rank} of {one.structural.of}" for one in every]
+    cost = [f"{one.evidence.cost.at(one.evidence.p).value:.6g}" for one in every]
+    return grid([*rows, ["structural rank", *rank], ["cost (-2 log likelihood)", *cost]])
 
 
-def _zero_table(runs: Mapping[str, Mapping[str, Mapping[str, float]]], factor: float, unit: str) -> str:
-    names = list(next(iter(runs.values())))
-    rows = [["run", *(f"{n} [{unit}]" for n in names)]]
-    for run, row in runs.items():
-        rows.append([run, *(concise(row[n]["value"] * factor, row[n]["std"] * factor) for n in names)])
-    return grid(rows)
+def _cell(report: Identifiability, name: str) -> str:
+    if name not in report.model.names:
+        return "-"
+    entry = report[name]
+    factor, unit = _shown(entry.unit)
+    if entry.std is None:
+        return entry.verdict.word
+    return f"{concise(entry.value * factor, entry.std * factor)} {unit}"

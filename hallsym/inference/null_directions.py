@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.estimation.calibration import CombinationEstimate
-from hallsym.estimation.identifiable import Determination, echelon, feature_scale, structural_null
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation import CombinationEstimate, Cost, Determination, feature_scale, structural_null
+from hallsym.estimation.identifiable import echelon
 
 NAMED = 0.05
 """Parameters that move less than this part of the leading one along a direction are not named with it."""
