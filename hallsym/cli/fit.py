@@ -118,7 +118,7 @@ def exit_code(result: Fit) -> int:
         what = ", ".join(result.undetermined_by_log)
         print(
             f"hallsym: this log does not determine {what} of {result.model.name}: "
-            "they are held or combined as the table says; record runs that move what they belong to.",
+            "they are fixed or combined as the table says; record runs that move what they belong to.",
             file=sys.stderr,
         )
         return NOT_DETERMINED

@@ -17,6 +17,7 @@ The path of a fit, file by file:
 
 from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, added_effects, load_fit
 from hallsym.estimation.channel_assignment import Wiring, as_read, check_wiring, find_wiring, rewired
+from hallsym.estimation.coefficients import Coefficients
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
 from hallsym.estimation.decoding import (
     ErrorTable,
@@ -40,7 +41,7 @@ from hallsym.estimation.identifiable import (
     structural_null,
     structural_rank,
 )
-from hallsym.estimation.likelihood import Coefficients, Cost, cost_of
+from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.linearised import exact, summarise_at
 from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import BUDGET, SOLVERS, Solution, refit

@@ -1,4 +1,4 @@
-"""A fit: parameter values with honest uncertainties, what is determined instead, errors before and after."""
+"""A calibration: values with uncertainties, identifiable combinations, errors; saved as readable JSON."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence

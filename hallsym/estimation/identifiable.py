@@ -10,7 +10,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import qr
 
-from hallsym.estimation.likelihood import Coefficients, Cost
+from hallsym.estimation.coefficients import Coefficients
+from hallsym.estimation.likelihood import Cost
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features
@@ -93,7 +94,7 @@ def structural_directions(cost: Cost, p: np.ndarray) -> tuple[np.ndarray, np.nda
 def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:
     """The parameters whose values fix every null direction best: pivoted QR of the null basis.
 
-    Those whose nominal value lies outside their bounds come last: they would not be held at nominal.
+    Those whose nominal value lies outside their bounds come last: they would not be fixed at a value inside.
     """
     if null.shape[1] == 0:
         return []

@@ -1,4 +1,4 @@
-"""Null directions in words: which parameters cannot be told apart, and what is determined instead."""
+"""Null directions: which parameters cannot be told apart, and which combinations of them are identifiable."""
 
 import re
 from collections.abc import Sequence

@@ -15,7 +15,7 @@ TOO_SMALL = 0.1
 
 
 def fit_text(fit: Fit) -> str:
-    """Return what `hallsym fit` prints: errors, parameters, what is determined instead, notes."""
+    """Return what `hallsym fit` prints: errors, parameters, identifiable combinations, notes."""
     log = fit.log
     used = log["runs"] - len(log["holdout"])
     parts = [
@@ -36,7 +36,7 @@ def fit_text(fit: Fit) -> str:
 
 
 def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
-    labels = {"designed": "designed", "fitted": "fitted", "holdout": "held out"}
+    labels = {"designed": "nominal", "fitted": "fitted", "holdout": "held out"}
     return {labels.get(k, k): v for k, v in rows.items()}
 
 
@@ -63,7 +63,7 @@ def _remarks_left(rows: list[list[str]]) -> str:
 
 
 def remark(fit: Fit, k: int) -> str:
-    """Return what is to be said of parameter `k`; nothing where it is determined inside its bounds."""
+    """Return what is to be said of parameter `k`; nothing where it is identifiable and inside its bounds."""
     p = fit.model.parameters[k]
     if p.width == 0:
         return ""
@@ -71,13 +71,14 @@ def remark(fit: Fit, k: int) -> str:
         return "at its bound"
     if fit.determined[k]:
         return ""
-    cause = "no recording determines it" if p.name in fit.structural else "this log does not determine it"
-    return cause + ("; held at nominal" if p.name in fit.held else "; see below")
+    source = "any recording" if p.name in fit.structural else "this log"
+    ending = "fixed at its nominal value" if p.name in fit.held else "see the combinations"
+    return f"not identifiable from {source}; {ending}"
 
 
 def combination_text(fit: Fit) -> str:
-    """Return what the data determine instead of the parameters that they do not."""
-    rows = [["determined instead", "value", "unit"]]
+    """Return the combinations that the data determine although they do not determine their parameters."""
+    rows = [["identifiable combinations", "value", "unit"]]
     rows += [[c.expression, concise(c.value, c.std), c.unit] for c in fit.combinations]
     return grid(rows)
 

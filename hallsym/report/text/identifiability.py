@@ -79,16 +79,16 @@ def _other(entry: ParameterReport) -> str:
 
 
 def combinations_text(combinations: Sequence[CombinationReport]) -> str:
-    """Return what is determined instead of parameters that are not."""
-    rows = [["determined instead", "value", "unit", "95 % interval"]]
+    """Return the combinations that are identifiable although their parameters are not."""
+    rows = [["identifiable combinations", "value", "unit", "95 % interval"]]
     rows += [[c.expression, concise(c.value, c.std), c.unit, _interval(c, 1.0)] for c in combinations]
     return grid(rows)
 
 
 def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
     """Return the sentences on null directions."""
-    some = "what no recording can determine" if structural.null else "some recording determines everything"
-    less = "what this recording leaves" if practical.null else "this recording loses nothing more"
+    some = "not identifiable from any recording:" if structural.null else "all are identifiable"
+    less = "not identifiable from this recording:" if practical.null else "nothing more is lost"
     return [
         f"structural rank {structural.rank} of {structural.of}: {some}",
         *map(_direction, structural.null),
@@ -100,7 +100,7 @@ def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
 def _direction(direction: NullDirection) -> str:
     named = ", ".join(direction.parameters)
     if direction.determined is None:
-        return f"  {named}: nothing of it is determined"
+        return f"  {named}: no combination is identifiable"
     value = f"{concise(direction.value or 0.0, direction.std)} {direction.unit}"
     return f"  {named}: only {' and '.join((f'{direction.determined} = {value}', *direction.also))}"
 
@@ -152,9 +152,7 @@ def offsets_text(offsets: Offsets, listed: bool) -> list[str]:
         for n, z in sizes.items()
     ]
     std = factor * max(z["std"] for z in sizes.values())
-    lines = [
-        f"{offsets.values.size} zero deviations, profiled out: {'; '.join(said)}; each +-{std:.2g} {unit}"
-    ]
+    lines = [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; each +-{std:.2g} {unit}"]
     if listed:
         rows = [["run", *(f"{n} [{unit}]" for n in offsets.names)]]
         for run, values, own in zip(offsets.runs, factor * offsets.values, factor * offsets.std, strict=True):
