@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hallsym.log import Block, Log
+from hallsym.log.core import Block, Log
 from hallsym.model import Model
 from hallsym.model.derived import HALVES, Computed, Stretch
 

@@ -23,7 +23,7 @@ from hallsym.codegen.vectors import Emulator, worst
 from hallsym.errors import InputError
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary import models as rotary
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log import Noise, Sigma
 from hallsym.model.arrays import on_arrays
 
 ELLIPSE = {"Vx": 0.02, "Vy": -0.03, "Ax": 1.02, "Ay": 0.99, "beta": 0.02, "zero": 2.9}

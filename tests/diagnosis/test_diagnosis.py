@@ -18,8 +18,7 @@ from hallsym.diagnosis.slips import instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.tangent import Base, tangents
 from hallsym.families.stage import effects as se
-from hallsym.log import Log, Meta, Noise, Sigma
-from hallsym.log.derived import extended
+from hallsym.log import Log, Meta, Noise, Sigma, extended
 from hallsym.model import Model, Parameter
 from hallsym.model.derived import HALVES, rate, widest_half
 from hallsym.report.text.diagnosis import diagnosis_text

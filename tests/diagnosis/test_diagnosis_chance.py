@@ -24,8 +24,7 @@ from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base, Products, tangents
 from hallsym.estimation import columns_of, rewired
-from hallsym.log import Block, Log
-from hallsym.log.batches import Batch, batches
+from hallsym.log import Batch, Block, Log, batches
 
 TESTED = 30
 
