@@ -46,7 +46,7 @@ from hallsym.estimation.linearised import exact, summarise_at
 from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import BUDGET, SOLVERS, Solution, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
-from hallsym.estimation.run_statistics import Summary, summarise
+from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.estimation.start import LinearFit, closed_form, linear_fit
 from hallsym.estimation.task import noise_of
 
@@ -62,8 +62,8 @@ __all__ = [
     "Errors",
     "Fit",
     "LinearFit",
+    "RunStatistics",
     "Solution",
-    "Summary",
     "Uncertainty",
     "Wiring",
     "added_effects",

@@ -1,6 +1,6 @@
-"""Fit a model to a log: summaries, starts, global search, refinement, uncertainty, error tables.
+"""Fit a model to a log: run statistics, starts, global search, refinement, uncertainty, error tables.
 
-The path is the same for every family: one pass over the log gives run summaries; a closed form and SHTLBO
+The path is the same for every family: one pass over the log gives run statistics; a closed form and SHTLBO
 give starting points; IPOPT refines them inside the bounds; a second pass tabulates errors.
 """
 
@@ -52,7 +52,7 @@ def fit(
     without (`hysteresis:half_width_m=6e-05`; `hallsym.diagnosis.choose.model_on` finds them on a log). `own`:
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
-    A model that has no run summaries (memory, rates, a term of higher order in the zeros) is fitted from the
+    A model that has no run statistics (memory, rates, a term of higher order in the zeros) is fitted from the
     optimum of the model without its effects by Gauss-Newton steps, one pass over the log each.
 
     Raises `InputError` for a log that cannot be what the model needs.
@@ -75,7 +75,7 @@ def fit(
     held_out = _holdout(log, log.meta.holdout if holdout is None else holdout)
     task = Task(log, model, held_out, solver, loss, seed, say, start)
     if exact(model):
-        solved = task.by_summaries(resolve_wiring)
+        solved = task.by_statistics(resolve_wiring)
         return result_of(solved, (*notes, *solved.notes), solved.wiring or mounted.wiring, began)
     first = None
     if exact(base := plain(model)):

@@ -1,4 +1,4 @@
-"""The optimum of a model without run summaries of its own: Gauss-Newton, one pass over the log per step."""
+"""The optimum of a model without run statistics of its own: Gauss-Newton, one pass over the log per step."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

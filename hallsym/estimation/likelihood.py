@@ -1,4 +1,4 @@
-"""The maximum-likelihood cost of a model on run summaries, with exact derivatives.
+"""The maximum-likelihood cost of a model on run statistics, with exact derivatives.
 
 Reading and reference are both noisy, so a residual r (one entry per channel) has the covariance
 C = Sigma_reading + (dr/dcolumn) Sigma_column (dr/dcolumn)^T, which depends on the parameters. With the true
@@ -21,7 +21,7 @@ import numpy as np
 
 from hallsym.estimation.coefficients import Coefficients
 from hallsym.estimation.normal_equations import eliminate, solve
-from hallsym.estimation.run_statistics import Summary
+from hallsym.estimation.run_statistics import RunStatistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Cost:
     bootstrap and cross-validation without touching a sample).
     """
 
-    summary: Summary
+    summary: RunStatistics
     coefficients: Coefficients
     reading_variance: np.ndarray
     column_variance: np.ndarray
@@ -305,7 +305,7 @@ def _kron(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("rij,rkl->rikjl", a, b).reshape(r, K * K, K * K)
 
 
-def cost_of(summary: Summary, noise: Mapping[str, float]) -> Cost:
+def cost_of(summary: RunStatistics, noise: Mapping[str, float]) -> Cost:
     """Return the likelihood of `summary` for standard deviations `noise` by column (absent: exact)."""
     model = summary.model
     return Cost(

@@ -1,4 +1,4 @@
-"""Find the optimum of a likelihood on run summaries: global stage, IPOPT, and quick refits."""
+"""Find the optimum of a likelihood on run statistics: global stage, IPOPT, and quick refits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -117,7 +117,7 @@ def _elsewhere(problem: solvers.Problem, rng: np.random.Generator) -> np.ndarray
 
 
 def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
-    """Return the optimum of a re-weighted cost near `p`: Newton's method on the summaries, no global stage.
+    """Return the optimum of a re-weighted cost near `p`: Newton's method on the statistics, no global stage.
 
     For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
     """

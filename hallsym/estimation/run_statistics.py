@@ -1,4 +1,4 @@
-"""Run summaries: a log of any length, reduced without loss to one small triangle per run.
+"""Run statistics: a log of any length, reduced without loss to one small triangle per run.
 
 The residual of a reading is linear in the features of `hallsym.model.features`, so the R factor of
 [features | readings] holds everything a least-squares cost can ask of a run, for any parameters and any zero
@@ -26,7 +26,7 @@ MOST_PLACES = 512
 
 
 @dataclass(frozen=True, eq=False)
-class Summary:
+class RunStatistics:
     """The runs of a log as seen by one model.
 
     `triangles`: (runs, n, n), n = n_features + n_channels, readings last.
@@ -64,7 +64,7 @@ class Summary:
         out[:, upper[1], upper[0]] = out[:, upper[0], upper[1]]
         return out
 
-    def select(self, runs: Iterable[int]) -> "Summary":
+    def select(self, runs: Iterable[int]) -> "RunStatistics":
         """Return the summary of some of the runs, in the order given."""
         index = [self.runs.index(run) for run in runs]
         return replace(
@@ -78,7 +78,7 @@ class Summary:
             places=tuple(self.places[k] for k in index) if self.places else (),
         )
 
-    def merged(self) -> "Summary":
+    def merged(self) -> "RunStatistics":
         """Return one run for all, the features that carry zeros projected out.
 
         For constant vertical state within each run this is exactly the cost with the zeros eliminated; for
@@ -87,7 +87,7 @@ class Summary:
         k = self.features.n_zero
         rows = self.triangles if k == 0 else _projected(self.triangles, k)
         share = self.counts / self.counts.sum()
-        return Summary(
+        return RunStatistics(
             features=self.features.without_zeros,
             centre=self.centre,
             runs=(0,),
@@ -102,8 +102,8 @@ class Summary:
 
 def summarise(
     log: Log, model: Model, weigh: Weigh | None = None, on_rows: Callable[[int], None] | None = None
-) -> Summary:
-    """Read a log once and return its run summaries for `model`.
+) -> RunStatistics:
+    """Read a log once and return its run statistics for `model`.
 
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
     `on_rows(samples so far)` is called along the way.
@@ -125,8 +125,8 @@ def summarised(
     place: Callable[[Batch], np.ndarray],
     weigh: Weigh | None = None,
     on_rows: Callable[[int], None] | None = None,
-) -> Summary:
-    """Read a log once and return the run summaries of given features.
+) -> RunStatistics:
+    """Read a log once and return the run statistics of given features.
 
     `place(batch)`: what the features are taken at: one centre (n_variables,) for all, or zeros (z, samples).
     """
@@ -139,7 +139,7 @@ def summarised(
         centre = at if at.ndim == 1 else centre
         _gather(gathered, features, at, batch, batch.weights(weigh))
     runs = list(gathered.values())
-    return Summary(
+    return RunStatistics(
         features=features,
         centre=centre,
         runs=tuple(gathered),

@@ -1,4 +1,4 @@
-"""One fit as it goes round: solve summaries, tabulate errors, take outliers out, refuse what is wrong."""
+"""One fit as it goes round: solve, tabulate errors, take outliers out, refuse what is wrong."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,7 @@ from hallsym.estimation.gauss_newton import optimum
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
-from hallsym.estimation.run_statistics import Summary, summarise
+from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.log import Log, Noise, estimate_noise
 from hallsym.log.batches import Weigh, remembered
 from hallsym.log.drop import Drop, without
@@ -50,7 +50,7 @@ def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = ()) -> Nois
 
 @dataclass(frozen=True, eq=False)
 class Started(Solution):
-    """A solved fit of run summaries, with what it was started and is checked with."""
+    """A solved fit of run statistics, with what it was started and is checked with."""
 
     linear: start.LinearFit
     merged: Cost
@@ -100,8 +100,8 @@ class Task:
         """Standard deviation of the noise by column."""
         return {c: s.value for c, s in self.noise.sigmas.items()}
 
-    def by_summaries(self, resolve_wiring: bool) -> Solved:
-        """Fit run summaries, which hold all that the cost can ask of the log."""
+    def by_statistics(self, resolve_wiring: bool) -> Solved:
+        """Fit run statistics, which hold all that the cost can ask of the log."""
         task, state = self, self.solve(self.summary())
         wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
         if gain > 0:
@@ -115,7 +115,7 @@ class Task:
         return Solved(task, state, errors, keep, wiring if gain > 0 else None, notes)
 
     def by_passes(self, first: Fit | None) -> Solved:
-        """Fit a model without run summaries, from `first`: the fit of what it is without its effects."""
+        """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
         task, keep, begin = self, None, self.model.nominal
         if first is not None:
             task, keep = replace(self, log=first.source or self.log, known_noise=first.noise), first.keep
@@ -131,12 +131,12 @@ class Task:
         self.say(what)
         return lambda rows: self.say(f"{what}, {100 * rows // total} % of {total} samples")
 
-    def summary(self, weigh: Weigh | None = None) -> Summary:
-        """Return the run summaries of the log."""
+    def summary(self, weigh: Weigh | None = None) -> RunStatistics:
+        """Return the run statistics of the log."""
         return summarise(self.log, self.model, weigh, self.counting("summarising runs"))
 
-    def solve(self, summary: Summary, solver: str | None = None) -> Started:
-        """Find the optimum of one set of summaries."""
+    def solve(self, summary: RunStatistics, solver: str | None = None) -> Started:
+        """Find the optimum of one set of run statistics."""
         used = [run for run in summary.runs if run not in self.holdout]
         everything = cost_of(summary, self.sigmas)
         fitted = everything if len(used) == len(summary.runs) else cost_of(summary.select(used), self.sigmas)

@@ -22,8 +22,8 @@ RowFilter = Callable[[Piece], Array | None]
 class Source:
     """A file's columns under their own names; each format has one.
 
-    `small`: whether whole columns may be kept in memory. `left_out`: by name, why a vector cannot be a column.
-    `aliases`: short names by long name, a path in a struct or a group.
+    `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
+    name. `aliases`: short names by long name, a path in a struct or a group.
     """
 
     names: tuple[str, ...]

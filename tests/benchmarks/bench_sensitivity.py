@@ -4,7 +4,7 @@
     python tests/benchmarks/bench_sensitivity.py --quick
 
 Model (31) on the paper's campaign of 57 runs, 500 samples each, noise of Table 8. The peer is pyPESTO, which
-profiles the same likelihood, F / 2 with our exact gradient on run summaries, in full-rank coordinates, with
+profiles the same likelihood, F / 2 with our exact gradient on run statistics, in full-rank coordinates, with
 scipy's L-BFGS-B: what differs is the way along the profile, not the time to evaluate a cost.
 """
 

@@ -4,7 +4,7 @@
     python tests/benchmarks/bench_solvers.py --quick
 
 Four problems on the paper's stage, each printed as a Markdown table (docs/solvers.md quotes them):
-(a) Model (31) on the merged run summary of the bundled campaign, inside the bounds of Tables 3 and 5;
+(a) Model (31) on the merged run statistics of the bundled campaign, inside the bounds of Tables 3 and 5;
 (b) the same with the channels in random order and with random signs, angles anywhere;
 (c) one sample in ten of every reading and reference off by up to 1 mm or 1 mrad; judged on a noise-free log,
     success: the parameters add less than 5 % to the noise floor of every axis;

@@ -15,7 +15,7 @@ from hallsym.model import Model, Step
 
 
 def short(model: Model) -> Model:
-    """Return the model with atan2 itself where it has no run summaries anyway: the series would be long."""
+    """Return the model with atan2 itself where it has no run statistics anyway: the series would be long."""
     return re.direct(model) if re.decodes(model) and model.computed else model
 
 
