@@ -12,8 +12,7 @@ from hallsym.estimation import fit
 from hallsym.families import build
 from hallsym.inference import Identifiability, Interval, Side, Verdict, identify
 from hallsym.report.figures import WIDTH
-from hallsym.simulation.campaign import Campaign, Run, sine
-from hallsym.simulation.machine import NoiseModel, simulate
+from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
 
 @cache

@@ -64,7 +64,7 @@ def result_of(solved: Solved, notes: tuple[str, ...], wiring: Wiring | None, beg
         notes=(
             *notes,
             *zero_notes(model, tuple(zeros), delta),
-            *home_notes(task.log, zeros),
+            *home_notes(task.log, model, zeros),
         ),
         errors=errors,
         keep=solved.keep,

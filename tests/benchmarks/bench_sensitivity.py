@@ -23,8 +23,7 @@ from hallsym.families import build, published
 from hallsym.inference import Profile, bootstrap, identify, profile, skewness, tangent
 from hallsym.log import Log, Noise
 from hallsym.model.quantities import Quantity, combination, parameter
-from hallsym.simulation.campaign import paper_campaign
-from hallsym.simulation.machine import NoiseModel, simulate, table8_noise
+from hallsym.simulation import NoiseModel, paper_campaign, simulate, table8_noise
 
 MODEL = "stage31"
 RZ_NOISE = 5e-8

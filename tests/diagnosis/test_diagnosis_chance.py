@@ -15,14 +15,15 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import hallsym
-from hallsym.diagnosis.chance import as_many, as_often, exceeds, student
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
+from hallsym.diagnosis.normal_equations import Products, tangents
+from hallsym.diagnosis.p_values import as_many, as_often, exceeds, student
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base, Products, tangents
 from hallsym.estimation import columns_of, rewired
 from hallsym.log import Batch, Block, Log, batches
 

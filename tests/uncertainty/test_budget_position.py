@@ -14,7 +14,7 @@ from twins import HALL, SIGMAS, phi, pm, record, true_model, with_noise
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, fit
 from hallsym.log import Log
-from hallsym.model import Model, Parameter
+from hallsym.model import Family, Model, Parameter
 from hallsym.uncertainty import (
     Settings,
     map_axes,
@@ -228,7 +228,7 @@ def beam() -> Model:
 
     return Model(
         name="beam",
-        family="beam",
+        family=Family("beam"),
         pose=("y_m", "rz_rad"),
         references=("y_ref_m", "rz_ref_rad"),
         state=("z_m",),
