@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from hallsym.errors import InputError
 from hallsym.estimation.likelihood import Cost
@@ -57,8 +58,6 @@ def find_wiring(cost: Cost, linear: LinearFit) -> tuple[Wiring, float]:
 
     Compares each channel's response to the axes that moved, freed of its gain, with the nominal one.
     """
-    from scipy.optimize import linear_sum_assignment  # takes long, and only a fit needs it
-
     features, model = cost.summary.features, cost.summary.model
     index = [j for j in range(features.size) if features.label(j) in model.pose and linear.moved[j]]
     nominal = cost.coefficients.first(model.nominal)[0][0]
@@ -68,7 +67,7 @@ def find_wiring(cost: Cost, linear: LinearFit) -> tuple[Wiring, float]:
     distance = np.linalg.norm(
         expected[:, :, None, None] - found[:, None, :, None] * np.array([1.0, -1.0]), axis=0
     )
-    rows, columns = linear_sum_assignment(distance.min(axis=2))
+    rows, columns = scipy.optimize.linear_sum_assignment(distance.min(axis=2))
     signs = np.where(distance[rows, columns].argmin(axis=1) == 0, 1, -1)
     best = distance.min(axis=2)[rows, columns].sum()
     k = np.arange(len(model.channels))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import qr
+import scipy
 
 from hallsym.estimation.coefficients import Coefficients
 from hallsym.estimation.likelihood import Cost
@@ -99,7 +99,7 @@ def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:
     if null.shape[1] == 0:
         return []
     preferred = null.T * np.where(inside, 1.0, 1e-3)
-    return [int(k) for k in qr(preferred, mode="r", pivoting=True)[1][: null.shape[1]]]
+    return [int(k) for k in scipy.linalg.qr(preferred, mode="r", pivoting=True)[1][: null.shape[1]]]
 
 
 def feature_scale(cost: Cost) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+import scipy
 
 from hallsym.errors import InputError
 from hallsym.estimation import Cost, least_information, refit, scales
@@ -75,14 +75,14 @@ class Bootstrap:
         when few runs tell most of a parameter, because a sample of few runs does not show their tails.
         """
         value, _ = quantity.first(self.p)
-        half = float(stdtrit(self.runs - 1, 0.5 * (1 + level))) * self.std_of(quantity)
+        half = float(scipy.special.stdtrit(self.runs - 1, 0.5 * (1 + level))) * self.std_of(quantity)
         return max(value - half, quantity.lower), min(value + half, quantity.upper)
 
 
 def _middle(values: np.ndarray) -> np.ndarray:
     """Standard deviation of a normal distribution with the same middle 95 %, along the first axis."""
     low, high = np.quantile(values, [0.025, 0.975], axis=0)
-    return np.asarray((high - low) / (2.0 * ndtri(0.975)))
+    return np.asarray((high - low) / (2.0 * scipy.special.ndtri(0.975)))
 
 
 def bootstrap(
