@@ -9,16 +9,21 @@ linearise. To add a global method write its equations as a generator
 Needs numpy and casadi, nothing else, and nothing of hallsym.
 """
 
+from solvers.box import BOUNDS, reflect
 from solvers.driver import SOLVERS, Stop, minimize
 from solvers.gauss_newton import gauss_newton
-from solvers.hybrid import HybridResult, hybrid
+from solvers.hybrid import EXPLORERS, REFINERS, HybridResult, hybrid
 from solvers.ipopt import Ipopt, ipopt
 from solvers.limits import discarding, ranking
 from solvers.multistart import best_apart, latin_hypercube, screened_starts
 from solvers.newton import newton
 from solvers.problem import Population, Problem, Result
+from solvers.quadratic import bounded_step
 
 __all__ = [
+    "BOUNDS",
+    "EXPLORERS",
+    "REFINERS",
     "SOLVERS",
     "HybridResult",
     "Ipopt",
@@ -27,6 +32,7 @@ __all__ = [
     "Result",
     "Stop",
     "best_apart",
+    "bounded_step",
     "discarding",
     "gauss_newton",
     "hybrid",
@@ -35,5 +41,6 @@ __all__ = [
     "minimize",
     "newton",
     "ranking",
+    "reflect",
     "screened_starts",
 ]

@@ -11,9 +11,8 @@ import solvers
 from hallsym.estimation.identifiable import Determination, determine, scales
 from hallsym.estimation.likelihood import Cost
 from hallsym.model import Model
-from solvers.hybrid import EXPLORERS
 
-SOLVERS = ("hybrid", "direct", *EXPLORERS)
+SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
 """hybrid is SHTLBO, closed form, IPOPT; direct leaves the global stage out; the others replace SHTLBO."""
 BUDGET, SIZE, KEEP = 4040, 40, 3
 """Evaluations and class size of the global stage; how many of its points are refined."""

@@ -17,7 +17,7 @@ from hallsym.log.extras import available, load
 from hallsym.log.table import Source
 from hallsym.units import Array
 
-_IN_MEMORY_BYTES = 250_000_000
+IN_MEMORY_BYTES = 250_000_000
 _MISSING = ("", "nan", "NaN", "NAN")
 _TYPED = {"\t": "$'\\t'"}  # in a shell
 _SAY = {"\t": "tabs", ";": "';'", "|": "'|'", ",": "','"}
@@ -40,7 +40,7 @@ class CsvSource(Source):
         self.path = path
         self.header = _read_header(path, delimiter)
         self.names = self.header.names
-        self.small = path.stat().st_size <= _IN_MEMORY_BYTES
+        self.small = path.stat().st_size <= IN_MEMORY_BYTES
         self._rows: int | None = None
 
     def count(self) -> int:
