@@ -38,7 +38,7 @@ def run(options: Namespace) -> int:
     _belongs(log, known)
     log = as_read(log, known.model, known.wiring)
     noise = noise_of(log, known.model)
-    table = judge(log, known.model, known.values, {c: s.value for c, s in noise.sigmas.items()})
+    table = judge(log, known.model, known.values, noise.std)
     rows: dict[str, Any] = {"all runs": table.over()}
     if options.by_run:
         rows |= {f"run {run}": table.over([run]) for run in table.runs}

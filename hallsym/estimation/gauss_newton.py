@@ -113,8 +113,7 @@ def optimum(
         say(f"pass {next(number)} over the log")
         p, zeros = at
         everything = cost_of(summarise_at(log, model, p, zeros, weigh, sigma=noise), noise)
-        used = [run for run in everything.summary.runs if run not in holdout]
-        return _Pass(everything, cost_of(everything.summary.select(used), noise), p, known)
+        return _Pass(everything, everything.without(holdout), p, known)
 
     def converged(now: _Pass, gained: float) -> bool:
         passes.append(now)

@@ -12,7 +12,7 @@ F is unbiased, docs/theory.md). F is quadratic in a run's zeros d_i: they are el
 gradient and Hessian below are those of the cost that is left.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -68,6 +68,14 @@ class Cost:
         for name in ("noise_in_features", "triangles", "grams"):
             other.__dict__[name] = getattr(self, name)
         return other
+
+    def without(self, holdout: Collection[int]) -> "Cost":
+        """Return the cost of the runs that are not in `holdout`; itself where there are none."""
+        used = [run for run in self.summary.runs if run not in holdout]
+        if len(used) == len(self.summary.runs):
+            return self
+        weights = self.weights[[run not in holdout for run in self.summary.runs]]
+        return replace(self, summary=self.summary.select(used), weights=weights)
 
     def anchored(self, p: np.ndarray) -> "Cost":
         """Return a cost whose re-weightings share what has been computed at `p`: for many refits from `p`."""

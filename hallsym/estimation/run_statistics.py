@@ -65,8 +65,9 @@ class RunStatistics:
         return out
 
     def select(self, runs: Iterable[int]) -> "RunStatistics":
-        """Return the summary of some of the runs, in the order given."""
-        index = [self.runs.index(run) for run in runs]
+        """Return the statistics of some of the runs, in the order given."""
+        place = {run: k for k, run in enumerate(self.runs)}
+        index = [place[run] for run in runs]
         return replace(
             self,
             runs=tuple(self.runs[k] for k in index),

@@ -95,11 +95,6 @@ class Task:
         """Noise by column, with its source."""
         return noise_of(self.log, self.model, self.holdout).merged(self.known_noise)
 
-    @property
-    def sigmas(self) -> dict[str, float]:
-        """Standard deviation of the noise by column."""
-        return {c: s.value for c, s in self.noise.sigmas.items()}
-
     def by_statistics(self, resolve_wiring: bool) -> Solved:
         """Fit run statistics, which hold all that the cost can ask of the log."""
         task, state = self, self.solve(self.summary())
@@ -119,10 +114,10 @@ class Task:
         task, keep, begin = self, None, self.model.nominal
         if first is not None:
             task, keep = replace(self, log=first.source or self.log, known_noise=first.noise), first.keep
-            known = dict(zip(first.model.names, first.values.tolist(), strict=True))
+            known = first.model.named(first.values)
             begin = self.model.vector({n: v for n, v in known.items() if n in self.model.names})
         begin = begin if self.begin is None else self.begin
-        state = optimum(task.log, task.model, task.sigmas, begin, task.holdout, keep, task.say)
+        state = optimum(task.log, task.model, task.noise.std, begin, task.holdout, keep, task.say)
         return Solved(task, state, task.errors(state, keep), keep, first.wiring if first else None)
 
     def counting(self, what: str) -> Callable[[int], None]:
@@ -137,10 +132,9 @@ class Task:
 
     def solve(self, summary: RunStatistics, solver: str | None = None) -> Started:
         """Find the optimum of one set of run statistics."""
-        used = [run for run in summary.runs if run not in self.holdout]
-        everything = cost_of(summary, self.sigmas)
-        fitted = everything if len(used) == len(summary.runs) else cost_of(summary.select(used), self.sigmas)
-        merged = cost_of(fitted.summary.merged(), self.sigmas)
+        everything = cost_of(summary, self.noise.std)
+        fitted = everything.without(self.holdout)
+        merged = cost_of(fitted.summary.merged(), self.noise.std)
         linear = start.linear_fit(merged)
         closed_form = start.closed_form(merged, linear)
         first = np.clip(closed_form if self.begin is None else self.begin, *self.model.bounds)
@@ -158,7 +152,7 @@ class Task:
         versions = [(designed(self.model, state.p), {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
         before, after = error_tables(
-            self.log, self.model, versions, variance, keep, self.counting("tabulating errors"), self.sigmas
+            self.log, self.model, versions, variance, keep, self.counting("tabulating errors"), self.noise.std
         )
         return Errors(before, after, self.holdout)
 

@@ -71,7 +71,7 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
     assert determination is not None
     assert source is not None
     _check_samples(cost, found.model, source.name)
-    sigma = {c: s.value for c, s in found.noise.sigmas.items()}
+    sigma = found.noise.std
     return Evidence(
         cost,
         found.values,

@@ -233,8 +233,8 @@ def _evidence(
         raise InputError("A model by itself determines nothing: give a campaign, or fit a log first.")
     if isinstance(known, Fit):
         model = known.model
-        values = values or dict(zip(model.names, known.values.tolist(), strict=True))
-        noise = noise or {c: s.value for c, s in known.noise.sigmas.items()}
+        values = values or model.named(known.values)
+        noise = noise or known.noise.std
     else:
         model, values = known, values or {}
         noise = noise or dict(on.noise or table8_noise(model, values).sigma)

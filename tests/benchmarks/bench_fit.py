@@ -81,8 +81,8 @@ def in_memory(columns: dict[str, np.ndarray], *, exact_reference: bool = False) 
 def common_start(log: Log) -> tuple[peers.Task, Cost]:
     """What the peers get: the samples, and our closed form with the best zeros for it."""
     model = build(MODEL)
-    cost = cost_of(summarise(log, model), {c: s.value for c, s in log.noise.sigmas.items()})
-    merged = cost_of(cost.summary.merged(), {c: s.value for c, s in log.noise.sigmas.items()})
+    cost = cost_of(summarise(log, model), log.noise.std)
+    merged = cost_of(cost.summary.merged(), log.noise.std)
     p = np.clip(closed_form(merged, linear_fit(merged)), *model.bounds)
     sigma = np.array([log.noise[c].value for c in model.channels])
     return peers.task_of(log, model, sigma, p, cost.at(p).zeros), cost

@@ -102,7 +102,7 @@ class Task:
 
 def task_on(log: Log, model: Model, *, hold: bool) -> tuple[Task, np.ndarray, LinearFit]:
     """Return the merged problem of a log and its closed-form start."""
-    sigma = {c: s.value for c, s in noise_of(log, model).sigmas.items()}
+    sigma = noise_of(log, model).std
     merged = cost_of(summarise(log, model).merged(), sigma)
     linear = linear_fit(merged)
     first = np.clip(closed_form(merged, linear), *model.bounds)

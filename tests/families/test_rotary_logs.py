@@ -85,7 +85,7 @@ def test_a_calibration_comes_back_from_its_file(make, tmp_path):
         fit.model.names, fit.model.channels, fit.model.layout,
     )  # fmt: skip
     assert np.array_equal(back.values, fit.values)
-    noise = {c: s.value for c, s in fit.noise.sigmas.items()}
+    noise = fit.noise.std
     again = hallsym.judge(make(V, BOTH, 1e-4), back.model, back.values, noise)
     assert again.over()["rmse"]["angle_rad"] == pytest.approx(
         fit.errors.rows()["fitted"]["rmse"]["angle_rad"]

@@ -198,7 +198,7 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
 
 
 def _cost(log: Log, fit: Fit) -> Cost:
-    return cost_near(log, fit.model, fit.values, {c: s.value for c, s in fit.noise.sigmas.items()})
+    return cost_near(log, fit.model, fit.values, fit.noise.std)
 
 
 def _elsewhere(log: Log, fit: Fit) -> Fit:
