@@ -53,15 +53,17 @@ def bound(
     edges = curve.parts(min(max(64, 4 * curve.control_points), 4096))
     edges = np.r_[first, edges[(edges > first) & (edges < last)], last]
     low, high = edges[:-1], edges[1:]
-    best, where, settled, angle = 0.0, float(low[0]), 0.0, 0.0
+    best, where, settled, angle, before = 0.0, float(low[0]), 0.0, 0.0, np.inf
     for turn in range(ROUNDS + 1):
         upper, lower, rotation = _parts(curve, nominal, low, high)
         k = int(np.argmax(lower))
         if lower[k] > best:
             best, where = float(lower[k]), float((low[k] + high[k]) / 2)
         again = upper > max(best * (1 + rel), settled)
-        if turn == ROUNDS or 3 * np.count_nonzero(again) > MOST_PARTS:
-            again[:] = False
+        worst = float(upper.max())
+        if turn == ROUNDS or 3 * np.count_nonzero(again) > MOST_PARTS or worst > 0.95 * before:
+            again[:] = False  # smaller parts would show no more: what is left is rounding
+        before = worst if turn else np.inf
         settled = max(settled, float(upper[~again].max(initial=0.0)))
         angle = max(angle, float(rotation[~again].max(initial=0.0)))
         if not again.any():
@@ -109,7 +111,7 @@ def _parts(curve: Curve, nominal: Nominal, low: Array, high: Array) -> tuple[Arr
     turning = [k for k in range(len(e)) if k not in lengths]
     reach = np.abs(e[:, 1:]) * powers[1:]
     rotation = (np.abs(e[turning, 0]) + reach[turning].sum(axis=1) + slack[turning]).max(axis=0, initial=0.0)
-    if isinstance(curve.form, SplineForm) and curve.form.degree == 1:
+    if is_polyline(curve):
         upper, lower = _from_chord(curve, middle, e[lengths], slack[lengths], powers)
     else:
         size = np.abs(e[lengths, 0]) + reach[lengths].sum(axis=1) + slack[lengths]
@@ -118,18 +120,31 @@ def _parts(curve: Curve, nominal: Nominal, low: Array, high: Array) -> tuple[Arr
     return np.where(np.isnan(upper), np.inf, upper * (1 + 8 * UNIT)), np.nan_to_num(lower), rotation
 
 
+def chords(curve: Curve, inner: Array) -> tuple[Array, Array, Array]:
+    """Return piece of a polyline at each parameter of its form, its direction (d, len) and length."""
+    points, knots = curve.form.control[:, curve.lengths], polyline_knots(curve)
+    piece = np.clip(np.searchsorted(knots, inner, side="right") - 1, 0, len(points) - 2)
+    chord = points[piece + 1] - points[piece]
+    long = np.linalg.norm(chord, axis=1)
+    return piece, np.divide(chord, long[:, None], out=np.zeros_like(chord), where=long[:, None] > 0).T, long
+
+
+def polyline_knots(curve: Curve) -> Array:
+    """Return the parameters of the corners of a polyline."""
+    return curve.form.knots[1:-1] if isinstance(curve.form, SplineForm) else np.empty(0)
+
+
+def is_polyline(curve: Curve) -> bool:
+    """Whether the curve is made of chords, whose error is the distance from them."""
+    return isinstance(curve.form, SplineForm) and curve.form.degree == 1
+
+
 def _from_chord(
     curve: Curve, middle: Array, e: Array, slack: Array, powers: Array
 ) -> tuple[Array, Array]:
     """Distance from the chord: the error across it, and along it only where it reaches beyond the ends."""
-    assert isinstance(curve.form, SplineForm)
-    lengths = curve.lengths
-    points, knots = curve.form.control[:, lengths], curve.form.knots[1:-1]
-    inner = curve.inner(middle)
-    piece = np.clip(np.searchsorted(knots, inner, side="right") - 1, 0, len(points) - 2)
-    chord = points[piece + 1] - points[piece]
-    long = np.linalg.norm(chord, axis=1)
-    way = np.divide(chord, long[:, None], out=np.zeros_like(chord), where=long[:, None] > 0).T
+    inner, knots = curve.inner(middle), polyline_knots(curve)
+    piece, way, long = chords(curve, inner)
     share = (inner - knots[piece]) / (knots[piece + 1] - knots[piece])
     slack = np.sqrt(np.sum(slack**2, axis=0)) + 16 * UNIT * np.abs(e).sum(axis=(0, 1))
     along = np.einsum("ds,dks->ks", way, e)
