@@ -14,6 +14,7 @@ from hallsym.commands import (
     sensitivity,
     simulate,
     tolerances,
+    trajectory,
 )
 
 COMMANDS = (
@@ -29,6 +30,7 @@ COMMANDS = (
     plan,
     tolerances,
     simulate,
+    trajectory,
     info,
 )
 """In the order of `hallsym --help`."""

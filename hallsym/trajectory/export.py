@@ -120,6 +120,9 @@ def gcode(curve: Curve, *, chord_m: float | None = None, feed_m_s: float = 1e-3)
     ]
     start = ["G21 G90 G17", f"G0 {_block(axes, 1e3 * curve(curve.start)[0, curve.lengths])}"]
     speed = f"F{6e4 * feed_m_s:.6g}"
+    if chord_m is None and isinstance(curve.form, SplineForm) and curve.form.degree == 1:
+        lines = [f"G1 {_block(axes, p)}" for p in 1e3 * curve(curve.parts(1))[1:, curve.lengths]]
+        return "\n".join([*head, *start, speed, *lines, "M2", ""])
     if chord_m is not None:
         if not 0 < chord_m < np.inf:
             raise InputError(f"The chord error must be a positive length; got {chord_m!r} m.")

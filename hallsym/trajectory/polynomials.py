@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb, factorial
 
 import numpy as np
-from scipy.interpolate import BPoly, BSpline, PPoly
 
 from hallsym.errors import InputError
 from hallsym.trajectory.corner_cutting import FgForm
@@ -68,12 +68,15 @@ def pieces_of(curve: Curve) -> Pieces:
 
 
 def _of_spline(form: SplineForm) -> tuple[Array, Array]:
-    power = PPoly.from_spline(BSpline(form.knots, form.control, form.degree))
+    """Breaks and Bezier points of each piece, from its derivatives at the left end."""
     start, stop = form.domain
-    wide = (np.diff(power.x) > 0) & (power.x[:-1] >= start) & (power.x[1:] <= stop)
-    kept = PPoly(power.c[:, wide], np.r_[power.x[:-1][wide], stop])
-    bezier = BPoly.from_power_basis(kept)
-    return kept.x, bezier.c.transpose(1, 0, 2)
+    breaks, degree, part = np.r_[start, form.breaks(), stop], form.degree, form
+    width, powers = np.diff(breaks)[:, None], []
+    for j in range(degree + 1):
+        powers.append(part.evaluate(breaks[:-1]) * width**j / factorial(j))
+        part = part.derivative()
+    share = [[comb(i, j) / comb(degree, j) for j in range(degree + 1)] for i in range(degree + 1)]
+    return breaks, np.einsum("ij,jpd->pid", np.array(share), np.array(powers))
 
 
 def _checked(curve: Curve, breaks: Array, control: Array) -> Pieces:
