@@ -7,6 +7,8 @@
 0.867
 """
 
+from typing import TYPE_CHECKING, Any
+
 from hallsym.budget import Budget, Source, position_budget, read_budget, uncertainty_map
 from hallsym.calibration import Fit, load_fit
 from hallsym.campaign import Campaign, paper_campaign, read_campaign, write_campaign
@@ -26,9 +28,13 @@ from hallsym.sensitivity import Identifiability, identify
 from hallsym.tolerancing import Tolerances, read_tolerances, tolerances
 from hallsym.twin import NoiseModel, simulate, simulate_blocks, table8_noise
 
+if TYPE_CHECKING:
+    from hallsym.trajectory import Curve, choose_curve, read_curve
+
 __all__ = [
     "Budget",
     "Campaign",
+    "Curve",
     "Diagnosis",
     "ErrorTable",
     "Fit",
@@ -49,6 +55,7 @@ __all__ = [
     "Tolerances",
     "build",
     "bundled_campaign",
+    "choose_curve",
     "decouple",
     "diagnose",
     "fit",
@@ -62,6 +69,7 @@ __all__ = [
     "position_budget",
     "read_budget",
     "read_campaign",
+    "read_curve",
     "read_log",
     "read_ranges",
     "read_tolerances",
@@ -75,3 +83,12 @@ __all__ = [
     "write_campaign",
     "write_log",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what belongs to curves only when it is asked for."""
+    if name in ("Curve", "choose_curve", "read_curve"):
+        from hallsym import trajectory
+
+        return getattr(trajectory, name)
+    raise AttributeError(f"module 'hallsym' has no attribute {name!r}")

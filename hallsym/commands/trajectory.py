@@ -1,4 +1,4 @@
-"""`hallsym trajectory`: a curve for the machine to follow, from points or an expression, within a tolerance."""
+"""`hallsym trajectory`: a curve for the machine to follow, within a tolerance."""
 
 from argparse import Namespace
 from dataclasses import replace
@@ -29,26 +29,41 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "trajectory", run, "a curve through points or of an expression, with the error it makes",
-        "Make the curve that the machine follows: from points, or from the nominal curve as an expression. Tries\n"
-        "every method (Bernstein and trigonometric curves of high relative accuracy, Chebyshev nodes, splines,\n"
-        "least squares, rational functions) and says which holds the tolerance with the fewest numbers. Errors\n"
+        "Make the curve that the machine follows: from points, or from the nominal curve as an "
+        "expression. Tries\n"
+        "every method (Bernstein and trigonometric curves of high relative accuracy, Chebyshev nodes, "
+        "splines,\n"
+        "least squares, rational functions) and says which holds the tolerance with the fewest numbers. "
+        "Errors\n"
         "are bounded between the points where the curve is an expression, else estimated.", EPILOG,
     )  # fmt: skip
-    parser.add_argument("points_file", metavar="POINTS", nargs="?", help="points (.csv), or a saved curve (.json)")
+    parser.add_argument(
+        "points_file", metavar="POINTS", nargs="?", help="points (.csv), or a saved curve (.json)"
+    )
     parser.add_argument("--tolerance", metavar="LENGTH", help="largest error of the curve, such as 0.05um")
     group = parser.add_argument_group("nominal curve")
     group.add_argument("--curve", metavar="TEXT", help='such as "x = r*cos(t); y = r*sin(t)", in m and rad')
     group.add_argument("--range", metavar="NAME=A:B", help="parameter and its range: t=0:2*pi")
     group.add_argument(
-        "--value", action="append", default=[], metavar="NAME=NUMBER", help="a number of the curve: r=1mm (repeat)"
+        "--value",
+        action="append",
+        default=[],
+        metavar="NAME=NUMBER",
+        help="a number of the curve: r=1mm (repeat)",
     )
     group = parser.add_argument_group("method")
-    group.add_argument("--points", type=int, metavar="N", help="points taken from --curve (default: the fewest)")
-    group.add_argument("--nodes", help="where: equidistant, interior or chebyshev (default: what suits a method)")
+    group.add_argument(
+        "--points", type=int, metavar="N", help="points taken from --curve (default: the fewest)"
+    )
+    group.add_argument(
+        "--nodes", help="where: equidistant, interior or chebyshev (default: what suits a method)"
+    )
     group.add_argument("--basis", help="only this basis: bernstein or trigonometric")
     group.add_argument("--control", type=int, metavar="N", help="control points of a least-squares fit")
     group.add_argument("--method", help="only this method of the table, such as cubic")
-    group.add_argument("--rounding", metavar="LENGTH", help="what the digits of POINTS are worth, such as 1nm")
+    group.add_argument(
+        "--rounding", metavar="LENGTH", help="what the digits of POINTS are worth, such as 1nm"
+    )
     group = parser.add_argument_group("output")
     group.add_argument(
         "-o", "--output", action="append", default=[], metavar="FILE",
@@ -57,8 +72,12 @@ def add(sub: Any) -> None:
     group.add_argument("--duration", metavar="TIME", help="of a .csv: such as 10s")
     group.add_argument("--step", metavar="TIME", help="of a .csv: the clock, such as 1ms")
     group.add_argument("--steady", action="store_true", help="of a .csv: constant speed along the path")
-    group.add_argument("--chord", metavar="LENGTH", help="of G-code: G1 blocks within this distance of the curve")
-    group.add_argument("--feed", type=float, default=1.0, metavar="MM_S", help="of G-code in mm/s (default 1)")
+    group.add_argument(
+        "--chord", metavar="LENGTH", help="of G-code: G1 blocks within this distance of the curve"
+    )
+    group.add_argument(
+        "--feed", type=float, default=1.0, metavar="MM_S", help="of G-code in mm/s (default 1)"
+    )
     group.add_argument("--plots", metavar="FOLDER", help="save pictures of the curve and of its errors")
 
 
@@ -129,7 +148,11 @@ def _saved(options: Namespace) -> int:
         "written": [str(path) for path in written],
     }
     said = f"{curve.method}, {curve.control_points} control points"
-    say(options, record, lambda: "\n".join([said, _shape_text(record), *(f"wrote {path}" for path in written)]))
+    say(
+        options,
+        record,
+        lambda: "\n".join([said, _shape_text(record), *(f"wrote {path}" for path in written)]),
+    )
     return OK
 
 

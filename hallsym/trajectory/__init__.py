@@ -4,9 +4,10 @@ After Diaz-Perez et al., Micromachines 2019, 10(9), 597, doi:10.3390/mi10090597:
 collocation matrices are solved with high relative accuracy. Beside them stand Chebyshev nodes, splines, least
 squares and rational functions, and a table says which is best for the curve at hand.
 
-`basis`, `factorisation`, `orthogonal`: the bases, TNBDA and TNSolve, TNQR. `corner_cutting`, `forms`, `curve`: what
-a curve is. `nominal`, `intervals`, `jets`, `bounds`: expressions, and errors that are bounded. `methods`,
-`choose`, `leave_one_out`: which method. `polynomials`, `table`, `gcode`, `c_code`: export. `position_error`: Eq. (15).
+`basis`, `factorisation`, `orthogonal`: the bases, TNBDA and TNSolve, TNQR. `corner_cutting`, `forms`,
+`curve`: what a curve is. `nominal`, `intervals`, `jets`, `bounds`: expressions, and errors that are bounded.
+`methods`, `choose`, `leave_one_out`, `verb`: which method. `polynomials`, `export`, `c_code`: files.
+`position_error`: Eq. (15).
 """
 
 from hallsym.trajectory.basis import BERNSTEIN, Basis, trigonometric
@@ -19,6 +20,7 @@ from hallsym.trajectory.methods import METHODS, NODES, Method
 from hallsym.trajectory.nominal import Nominal, nominal
 from hallsym.trajectory.orthogonal import Orthogonal, orthogonalise
 from hallsym.trajectory.points import Points, points_of, read_points
+from hallsym.trajectory.verb import choose_curve
 
 __all__ = [
     "BERNSTEIN",
@@ -35,6 +37,7 @@ __all__ = [
     "Orthogonal",
     "Points",
     "bound",
+    "choose_curve",
     "factorise",
     "nominal",
     "of_nominal",

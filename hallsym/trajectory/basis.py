@@ -1,8 +1,8 @@
 """fg-Bernstein bases: u_k(t) = C(n, k) f(t)^k g(t)^(n-k), k = 0 .. n (Micromachines 2019, 10, 597, Eq. (7)).
 
-With f, g >= 0 and f/g strictly increasing, every collocation matrix of the basis is totally positive. All that
-the algorithms need of a basis is f, g and the differences W(t, s) = f(t) g(s) - f(s) g(t) for s < t, each
-computed without a subtraction that loses digits.
+With f, g >= 0 and f/g strictly increasing, every collocation matrix of the basis is totally positive. All
+that the algorithms need of a basis is f, g and the differences W(t, s) = f(t) g(s) - f(s) g(t) for s < t,
+each computed without a subtraction that loses digits.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class Basis:
     """A pair f, g on [start, stop] that spans, for every order n, n + 1 functions f^k g^(n-k).
 
     `difference(t, s)`: W(t, s) for s < t, to full relative accuracy. `rates`: (alpha, beta) where
-    f' = alpha f + beta g and g' = -beta f - alpha g; without them a curve has no derivatives. `shape`: D of the
-    trigonometric basis.
+    f' = alpha f + beta g and g' = -beta f - alpha g; without them a curve has no derivatives. `shape`: D of
+    the trigonometric basis.
     """
 
     name: str
@@ -107,7 +107,9 @@ def values(basis: Basis, t: Array) -> Values:
     if t.ndim != 1 or not len(t):
         raise InputError(f"Parameters of a curve must be a list of numbers; got shape {t.shape}.")
     if not np.isfinite(t).all():
-        raise InputError(f"Parameter {int(np.argmin(np.isfinite(t))) + 1} of the points is not a finite number.")
+        raise InputError(
+            f"Parameter {int(np.argmin(np.isfinite(t))) + 1} of the points is not a finite number."
+        )
     steps = np.diff(t)
     if (steps <= 0).any():
         k = int(np.argmax(steps <= 0))

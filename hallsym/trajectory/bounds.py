@@ -1,7 +1,7 @@
 """How far a curve is from the nominal one everywhere: bounded between the points, not sampled.
 
-The range is cut into parts. In each, the difference of both curves is its Taylor polynomial at the middle plus
-what that can miss, enclosed by interval arithmetic; parts that may hold the largest error are cut again.
+The range is cut into parts. In each, the difference of both curves is its Taylor polynomial at the middle
+plus what that can miss, enclosed by interval arithmetic; parts that may hold the largest error are cut again.
 """
 
 from __future__ import annotations
@@ -42,12 +42,13 @@ def bound(
 ) -> Bound:
     """Return the bound of the error of `curve` over its range, or over `span`.
 
-    `rel`: how close `at_most` shall come to `at_least`; refining ends sooner where the arithmetic of float64 is
-    all that is left. Raises `InputError` if other coordinates are stated or nothing can be bounded.
+    `rel`: how close `at_most` shall come to `at_least`; refining ends sooner where the arithmetic of float64
+    is all that is left. Raises `InputError` if other coordinates are stated or nothing can be bounded.
     """
     if curve.coordinates != nominal.coordinates:
         raise InputError(
-            f"The curve gives {', '.join(curve.coordinates)}, the nominal one {', '.join(nominal.coordinates)}."
+            f"The curve gives {', '.join(curve.coordinates)}, the nominal one "
+            f"{', '.join(nominal.coordinates)}."
         )
     first, last = span or (curve.start, curve.stop)
     edges = curve.parts(min(max(64, 4 * curve.control_points), 4096))
@@ -73,7 +74,8 @@ def bound(
         low, high = cuts[:-1].ravel(), cuts[1:].ravel()
     if not np.isfinite(settled):
         raise InputError(
-            "The error between the points cannot be bounded: the curve or its nominal expression has a pole, a "
+            "The error between the points cannot be bounded: the curve or its nominal expression has a "
+            "pole, a "
             "corner or a root of 0 in its range."
         )
     has_angle = len(curve.lengths) < len(curve.coordinates)
@@ -139,9 +141,7 @@ def is_polyline(curve: Curve) -> bool:
     return isinstance(curve.form, SplineForm) and curve.form.degree == 1
 
 
-def _from_chord(
-    curve: Curve, middle: Array, e: Array, slack: Array, powers: Array
-) -> tuple[Array, Array]:
+def _from_chord(curve: Curve, middle: Array, e: Array, slack: Array, powers: Array) -> tuple[Array, Array]:
     """Distance from the chord: the error across it, and along it only where it reaches beyond the ends."""
     inner, knots = curve.inner(middle), polyline_knots(curve)
     piece, way, long = chords(curve, inner)

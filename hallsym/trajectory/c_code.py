@@ -1,7 +1,8 @@
-"""A curve as C99 in float32: tables of Bezier pieces, de Casteljau's algorithm, and a proved bound of its error.
+"""A curve as C99 in float32: tables of Bezier pieces, de Casteljau's algorithm, and a proved bound of its
+error.
 
-No libm, no division, no memory but the stack. Each piece is stored about a point of its own, so that rounding is
-relative to the size of the piece and not to where it lies.
+No libm, no division, no memory but the stack. Each piece is stored about a point of its own, so that
+rounding is relative to the size of the piece and not to where it lies.
 """
 
 from __future__ import annotations
@@ -60,10 +61,14 @@ def c_code(curve: Curve, name: str = "curve") -> Code:
     Raises `InputError` for a name that C does not take, or a curve without polynomial pieces.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        raise InputError(f"A curve in C needs a name of small letters, digits and _, such as curve; got {name!r}.")
+        raise InputError(
+            f"A curve in C needs a name of small letters, digits and _, such as curve; got {name!r}."
+        )
     pieces = pieces_of(curve)
     if pieces.degree > MOST_DEGREE:
-        raise InputError(f"C takes curves up to degree {MOST_DEGREE}; this one has {pieces.degree}: take a spline.")
+        raise InputError(
+            f"C takes curves up to degree {MOST_DEGREE}; this one has {pieces.degree}: take a spline."
+        )
     tables = _tables(pieces)
     error = dict(zip(curve.coordinates, _errors(pieces, tables).tolist(), strict=True))
     guard, upper = f"{name.upper()}_H", name.upper()
@@ -160,8 +165,8 @@ def _tables(pieces: Pieces) -> _Tables:
 def _errors(pieces: Pieces, tables: _Tables) -> Array:
     """Bound of the error of each coordinate over all pieces.
 
-    A level of de Casteljau adds at most u (2 |r x| + |s y| + |result|) <= 3 u M; a parameter off by e moves the
-    point by e times the largest slope, on either side of a break.
+    A level of de Casteljau adds at most u (2 |r x| + |s y| + |result|) <= 3 u M; a parameter off by e moves
+    the point by e times the largest slope, on either side of a break.
     """
     degree, count = pieces.degree, len(pieces.control)
     most = np.abs(tables.control).astype(float).max(axis=1)  # (pieces, d)
@@ -172,7 +177,9 @@ def _errors(pieces: Pieces, tables: _Tables) -> Array:
     exact = np.diff(pieces.breaks) / (pieces.breaks[-1] - pieces.breaks[0])
     slope = degree * steps / exact[:, None]
     moved = np.zeros(1) if count == 1 else UNIT * (1.0 + 4 * exact[:, None])
-    around = np.maximum(slope, np.maximum(np.vstack([slope[1:], slope[-1:]]), np.vstack([slope[:1], slope[:-1]])))
+    around = np.maximum(
+        slope, np.maximum(np.vstack([slope[1:], slope[-1:]]), np.vstack([slope[:1], slope[:-1]]))
+    )
     return (table + levels + last + 2 * moved * around).max(axis=0) * (1 + 1e-6) + pieces.error
 
 

@@ -1,26 +1,26 @@
 """Every method side by side, and the one that holds a tolerance with the fewest numbers to store.
 
-Where the nominal curve is an expression, each method gets the fewest points with which it holds, and its error is
-bounded over the whole range. Where only points are given, the error is estimated by leaving out one at a time.
+Where the nominal curve is an expression, each method gets the fewest points with which it holds, and its
+error is bounded over the whole range. Where only points are given, the error is estimated by leaving out one
+at a time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.trajectory.bounds import Bound, bound, chords, is_polyline
+from hallsym.trajectory.bounds import Bound, bound
 from hallsym.trajectory.curve import Curve
 from hallsym.trajectory.forms import RationalForm
-from hallsym.trajectory.methods import METHODS, Method, nodes_named
+from hallsym.trajectory.methods import METHODS, Method
 from hallsym.trajectory.nominal import Nominal
+from hallsym.trajectory.target import Target, resolution
 
-Array = np.ndarray
 LINEAR_SEARCH = 64
 """Up to so many points every count is tried; above, the least is found by bisection."""
 MOST_FITTED = 40
@@ -72,7 +72,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """All candidates, and the one chosen: within the tolerance with the fewest numbers, else the most exact."""
+    """All candidates, and the best: within the tolerance with the fewest numbers, else most exact."""
 
     candidates: tuple[Candidate, ...]
     best: Candidate
@@ -110,69 +110,31 @@ class Choice:
 
 
 def best_of(candidates: Sequence[Candidate], tolerance: float | None) -> Candidate:
-    """Return the candidate to use; raises `InputError` if no method made a curve, or none holds `tolerance`."""
+    """Return the candidate to use; raises `InputError` if none was made, or none holds `tolerance`."""
     made = [c for c in candidates if c.curve is not None and np.isfinite(c.error_m)]
     if not made:
-        why = candidates[0].reason if candidates else "no method takes so few points."
-        raise InputError(why)
+        raise InputError(_why_none(candidates))
     if tolerance is None:
         return min(made, key=lambda c: c.error_m)
     held = [c for c in made if c.error_m <= tolerance]
     if not held:
         least = min(made, key=lambda c: c.error_m)
         raise InputError(
-            f"No curve holds {1e6 * tolerance:.4g} um: the nearest is {least.method.name} with {least.points} "
+            f"No curve holds {1e6 * tolerance:.4g} um: the nearest is {least.method.name} with "
+            f"{least.points} "
             f"points, {1e6 * least.error_m:.4g} um; give more points or allow a larger tolerance."
         )
     return min(held, key=lambda c: c.numbers)
 
 
-# -- of an expression ------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Target:
-    """A nominal curve with what its search needs again and again: points to compare with."""
-
-    nominal: Nominal
-
-    @cached_property
-    def grid(self) -> tuple[Array, Array]:
-        """Parameters in [0, 1], denser towards the ends, and the points there."""
-        u = np.unique(np.r_[np.linspace(0, 1, 1501), np.sin(np.linspace(0, np.pi / 2, 801)) ** 2])
-        return u, self.at(u)
-
-    def at(self, u: Array) -> Array:
-        """Return the nominal points at shares u of the range."""
-        n = self.nominal
-        return n(np.clip(n.start + u * (n.stop - n.start), n.start, n.stop))
-
-    def made(self, method: Method, nodes: str, count: int, control: int) -> Curve:
-        """Return the curve that a method makes of `count` points."""
-        u = nodes_named(nodes, count)
-        n = self.nominal
-        return Curve(method.make(u, self.at(u), control), n.start, n.stop, n.coordinates, method.name)
-
-    def sampled(self, curve: Curve, per_piece: int = 8) -> float:
-        """Largest error at the points compared: quick, and below the bound."""
-        pieces = len(curve.form.breaks()) + 1
-        if pieces > 150:
-            u = np.linspace(0, 1, pieces * per_piece + 1)
-            points = self.at(u)
-        else:
-            u, points = self.grid
-        a, b = curve.form.domain
-        inner = np.clip(a + u * (b - a), a, b)
-        e = (curve.form.evaluate(inner) - points)[:, curve.lengths]
-        if is_polyline(curve):
-            _, way, _ = chords(curve, inner)
-            e = e - way.T * np.sum(way.T * e, axis=1)[:, None]
-        return float(np.sqrt(np.sum(e * e, axis=1)).max())
-
-
-def resolution(points: Array) -> float:
-    """Return the least error that float64 can hold at such coordinates: one unit in the last place."""
-    return float(np.spacing(np.abs(points).max()))
+def _why_none(candidates: Sequence[Candidate]) -> str:
+    """Return the sentence for no curve at all: a method's own, else what the first one says."""
+    sentences = [c.reason for c in candidates if c.reason[:1].isupper()]
+    if sentences:
+        return sentences[0]
+    if not candidates:
+        return "No method is left: the options exclude each other."
+    return f"No method makes a curve of this; {candidates[0].method.name}: {candidates[0].reason.rstrip('.')}."
 
 
 def of_nominal(
@@ -191,7 +153,9 @@ def of_nominal(
     `control`: control points of least squares.
     """
     if tolerance is None and points is None:
-        raise InputError("Give a --tolerance, or the number of --points; without either there is nothing to choose.")
+        raise InputError(
+            "Give a --tolerance, or the number of --points; without either there is nothing to choose."
+        )
     target = Target(nominal)
     held = resolution(target.grid[1])
     if tolerance is not None and tolerance < 4 * held:
@@ -217,7 +181,12 @@ def _spacings(methods: Sequence[Method], nodes: str | None) -> Iterator[tuple[Me
 
 
 def _candidate(
-    target: Target, method: Method, nodes: str, tolerance: float | None, points: int | None, control: int | None
+    target: Target,
+    method: Method,
+    nodes: str,
+    tolerance: float | None,
+    points: int | None,
+    control: int | None,
 ) -> Candidate:
     try:
         if tolerance is None or (points is not None and (control is not None or not method.fitted)):
@@ -255,8 +224,8 @@ def _bounded(target: Target, method: Method, nodes: str, count: int, control: in
     found: Bound = bound(curve, target.nominal)
     known = Curve(
         curve.form, curve.start, curve.stop, curve.coordinates, method.name, found.at_most, "bounded",
-        {"curve": target.nominal.text, "values": dict(target.nominal.values), "nodes": nodes, "points": count},
-    )  # fmt: skip
+        {"curve": target.nominal.text, "values": dict(target.nominal.values), "nodes": nodes, "points":
+        count}, )  # fmt: skip
     return Candidate(method, nodes, count, known, found.at_most, found.at_least, "", found.rotation_rad)
 
 
@@ -308,17 +277,25 @@ def _notes(rows: Sequence[Candidate]) -> tuple[str, ...]:
     found = {(c.method.name, c.nodes): c for c in rows if c.curve is not None}
     notes = []
     hra, lu = found.get(("bernstein", "equidistant")), found.get(("bernstein-lu", "equidistant"))
-    if hra and lu and hra.points == lu.points and hra.error_m > 0.9 * lu.error_m:
+    both = hra and lu and hra.points == lu.points and (lu.at_least_m or 0) > 0.5 * lu.error_m
+    if both and hra and lu and hra.error_m > 0.9 * lu.error_m:
+        rest = "solving the equations more exactly than their points are rounded cannot help."
         notes.append(
-            f"high relative accuracy gains nothing here: {1e6 * hra.error_m:.3g} um with it, "
-            f"{1e6 * lu.error_m:.3g} um by LU; the points are rounded, and that is not undone by solving exactly."
+            f"high relative accuracy gains nothing over LU here ({1e6 * hra.error_m:.3g} um and "
+            f"{1e6 * lu.error_m:.3g} um): {rest}"
         )
-    odd = [c.points for c in rows if c.curve is not None and c.method.name == "trigonometric" and c.points % 2 == 0]
-    if odd:
-        notes.append(
-            f"trigonometric curves of an even number of control points ({odd[0]}) do not contain constants: "
-            "they change when the origin moves."
-        )
+    notes += moved_by_the_origin(rows)
     return tuple(notes)
 
 
+def moved_by_the_origin(rows: Sequence[Candidate]) -> list[str]:
+    """Say which trigonometric curves have an even number of control points, which is an odd order."""
+    made = [c for c in rows if c.curve is not None and c.method.name.startswith("trigonometric")]
+    even = sorted({c.control_points for c in made if c.control_points % 2 == 0})
+    if not even:
+        return []
+    counts = " and ".join(map(str, even))
+    return [
+        f"trigonometric curves of an even number of control points ({counts}) do not contain constants: they "
+        "change when the origin moves."
+    ]

@@ -75,8 +75,8 @@ class FgForm:
     def taylor(self, middle: Array, half: Array, order: int) -> tuple[Array, Array]:
         """Return Taylor coefficients (order, S, d) at the middles, and a bound of everything else (S, d).
 
-        The bound, of what they miss within `half` of the middle, counts the terms left out (a derivative is at
-        most its largest control point times the largest sum of the basis) and the rounding of those kept.
+        The bound, of what they miss within `half` of the middle, counts the terms left out (a derivative is
+        at most its largest control point times the largest sum of the basis) and the rounding of those kept.
         """
         form, terms = self, []
         most = self.basis.largest(self.order)

@@ -176,7 +176,9 @@ def read_curve(path: str | Path) -> Curve:
         return curve_from_dict(raw)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         what = " ".join(str(error).split()).rstrip(".")
-        raise InputError(f"Curve {path} is damaged ({what}); make it again with 'hallsym trajectory'.") from None
+        raise InputError(
+            f"Curve {path} is damaged ({what}); make it again with 'hallsym trajectory'."
+        ) from None
 
 
 def curve_from_dict(raw: Mapping[str, Any]) -> Curve:

@@ -37,8 +37,8 @@ def times(duration_s: float, step_s: float) -> Array:
 def at_times(curve: Curve, t_s: Array, duration_s: float, *, steady: bool = False) -> Mapping[str, Array]:
     """Return x_m, y_m, rz_rad of the curve at times (samples,), 0 where it has no such coordinate.
 
-    It runs from start to stop in `duration_s`, at constant speed of the parameter, or along the path (`steady`).
-    Before and after it stands still. This is what a campaign follows.
+    It runs from start to stop in `duration_s`, at constant speed of the parameter, or along the path
+    (`steady`). Before and after it stands still. This is what a campaign follows.
     """
     if not 0 < duration_s < np.inf:
         raise InputError(f"The duration of a curve must be a positive number of seconds; got {duration_s!r}.")
@@ -83,7 +83,9 @@ def chord_points(curve: Curve, chord_m: float) -> Array:
     rate = curve.rate
     if not isinstance(curve.form, FgForm | SplineForm):
         pieces = pieces_of(curve)  # the same polynomial in a form whose derivatives are quickly bounded
-        curve = Curve(FgForm(BERNSTEIN, pieces.control[0]), curve.start, curve.stop, curve.coordinates, curve.method)
+        curve = Curve(
+            FgForm(BERNSTEIN, pieces.control[0]), curve.start, curve.stop, curve.coordinates, curve.method
+        )
         rate = curve.rate
     if isinstance(curve.form, SplineForm) and curve.form.degree == 1:
         return curve.parts(1)
@@ -102,7 +104,8 @@ def chord_points(curve: Curve, chord_m: float) -> Array:
 
 
 def gcode(curve: Curve, *, chord_m: float | None = None, feed_m_s: float = 1e-3) -> str:
-    """Return G-code in mm: G1 blocks within a chord error, or without one G5 or G5.2 blocks of the curve itself.
+    """Return G-code in mm: G1 blocks within a chord error, or without one G5 or G5.2 blocks of the curve
+    itself.
 
     G5 (cubic pieces) takes splines of degree 3 in a plane; G5.2 (NURBS of one piece) takes Bernstein curves.
     Both as LinuxCNC reads them. Raises `InputError` for other curves without a chord error.
@@ -111,11 +114,14 @@ def gcode(curve: Curve, *, chord_m: float | None = None, feed_m_s: float = 1e-3)
     axes = [names[name] for name in curve.coordinates if name in names]
     if not 0 < feed_m_s < np.inf:
         raise InputError(f"The feed must be a positive speed; got {feed_m_s!r} m/s.")
-    error = "not known" if curve.max_error_m is None else f"{1e6 * curve.max_error_m:.4g} um, {curve.error_kind}"
+    error = (
+        "not known" if curve.max_error_m is None else f"{1e6 * curve.max_error_m:.4g} um, {curve.error_kind}"
+    )
     turning = [name for name in curve.coordinates if name not in names]
     head = [
         f"(hallsym trajectory: {curve.method}, {curve.control_points} control points)",
-        f"(error of the curve: {error}; rounding adds at most {500 * 10.0**-DIGITS * len(axes) ** 0.5 * 2:.2g} um)",
+        f"(error of the curve: {error}; rounding adds at most "
+        f"{500 * 10.0**-DIGITS * len(axes) ** 0.5 * 2:.2g} um)",
         *([f"({', '.join(turning)} cannot be written as G-code: left out)"] if turning else []),
     ]
     start = ["G21 G90 G17", f"G0 {_block(axes, 1e3 * curve(curve.start)[0, curve.lengths])}"]
@@ -143,11 +149,14 @@ def _curved(curve: Curve) -> list[str]:
         lines = []
         for p in control:
             (i, j), (a, b) = p[1] - p[0], p[2] - p[3]
-            lines.append(f"G5 I{_digits(i)} J{_digits(j)} P{_digits(a)} Q{_digits(b)} {_block(['X', 'Y'], p[3])}")
+            lines.append(
+                f"G5 I{_digits(i)} J{_digits(j)} P{_digits(a)} Q{_digits(b)} {_block(['X', 'Y'], p[3])}"
+            )
         return lines
     if len(control) > 1:
         raise InputError(
-            f"A spline of degree {pieces.degree} has no G-code block; take --method cubic for G5, or --chord for G1."
+            f"A spline of degree {pieces.degree} has no G-code block; take --method cubic for G5, or "
+            f"--chord for G1."
         )
     rest = [f"{_block(['X', 'Y'], p)} P1" for p in control[0][1:]]
     return [f"G5.2 P1 L{pieces.degree + 1}", *rest, "G5.3"]

@@ -1,9 +1,10 @@
 """Bidiagonal factorisation of fg-Bernstein collocation matrices, and solving with it.
 
-A[i, j] = C(n, j-1) f_i^(j-1) g_i^(n-j+1) is described by the multipliers of its Neville elimination, the pivots,
-and the multipliers of the elimination of its transpose (Eq. (10)). They are products and quotients of f, g and
-W, so each has a relative error of a few n u, however ill-conditioned A is (TNBDA). Solving applies the
-elimination step by step (TNSolve): a step subtracts from all rows at once, so it is one numpy sweep.
+A[i, j] = C(n, j-1) f_i^(j-1) g_i^(n-j+1) is described by the multipliers of its Neville elimination, the
+pivots, and the multipliers of the elimination of its transpose (Eq. (10)). They are products and quotients
+of f, g and W, so each has a relative error of a few n u, however ill-conditioned A is (TNBDA). Solving
+applies the elimination step by step (TNSolve): a step subtracts from all rows at once, so it is one numpy
+sweep.
 
 Products of a thousand factors leave the range of float64: mantissas and exponents are kept apart. g^n would
 multiply the rounding error of g by n: g and its powers are computed in numpy's longdouble.
@@ -59,9 +60,10 @@ class Factors:
             return np.stack([self.solve(one) for one in right.T], axis=1)
         b, part = right.copy(), np.empty(self.columns - 1)
         above, below = b[:-1], b[1:]
-        for multipliers in self.lower[:-1]:
-            np.multiply(multipliers, above, part)
-            np.subtract(below, part, below)
+        with np.errstate(over="ignore", invalid="ignore"):  # solve_upper refuses what is not finite
+            for multipliers in self.lower[:-1]:
+                np.multiply(multipliers, above, part)
+                np.subtract(below, part, below)
         return solve_upper(self.pivot, self.exponent, self.upper, b)
 
 
@@ -104,8 +106,7 @@ def factorise(basis: Basis, t: Array, columns: int | None = None) -> Factors:
     w = basis.difference(v.t, v.t[before])
     w[:, 0] = 1.0
     g = basis.g(v.t.astype(np.longdouble))
-    lower = _lower(g, v.g, w, before)
-    lower *= valid[:, 1:]
+    lower = np.where(valid[:, 1:], _lower(g, v.g, w, before), 0.0)
     pivot, exponent = _pivots(g[:columns], w[:-1, :columns], valid[:-1, :columns])
     ratio = v.f[: columns - 1] / v.g[: columns - 1]
     return Factors(lower, pivot, exponent, ratio[:, None] * weights)
@@ -134,7 +135,8 @@ def _lower(g: Array, rounded: Array, w: Array, before: Array) -> Array:
     out *= powers[::-1].astype(float)
     out *= rounded[before[:, 1:]] / rounded[:-1]
     exponent += power
-    return np.ldexp(out, exponent)
+    with np.errstate(over="ignore"):
+        return np.ldexp(out, exponent)
 
 
 def _pivots(g: Array, w: Array, valid: Array) -> tuple[Array, Array]:

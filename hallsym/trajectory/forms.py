@@ -62,8 +62,8 @@ class SplineForm:
     def taylor(self, middle: Array, half: Array, order: int) -> tuple[Array, Array]:
         """Return Taylor coefficients (order, S, d) at the middles and a bound of what they miss (S, d).
 
-        Within a piece a spline is a polynomial: what is missed is the terms beyond `order`, bounded by control
-        points, and rounding: de Boor's algorithm takes convex combinations, degree of them, 5 u each.
+        Within a piece a spline is a polynomial: what is missed is the terms beyond `order`, bounded by
+        control points, and rounding: de Boor's algorithm takes convex combinations, degree of them, 5 u each.
         """
         form, terms = self, []
         missed = np.zeros((len(middle), self.control.shape[1]))
@@ -125,7 +125,9 @@ class ChebyshevForm:
     def derivative(self) -> ChebyshevForm:
         """Return the derivative by t, given by its values at the same nodes."""
         c = 2 * np.polynomial.chebyshev.chebder(self.coefficients)
-        return ChebyshevForm(np.polynomial.chebyshev.chebval(2 * self.nodes - 1, c).T.reshape(self.control.shape))
+        return ChebyshevForm(
+            np.polynomial.chebyshev.chebval(2 * self.nodes - 1, c).T.reshape(self.control.shape)
+        )
 
     def taylor(self, middle: Array, half: Array, order: int) -> tuple[Array, Array]:
         """Return Taylor coefficients (order, S, d) at the middles and a bound of what they miss (S, d).
@@ -246,6 +248,7 @@ def barycentric(t: Array, nodes: Array, points: Array, weights: Array) -> Array:
         row, node = np.nonzero(distance == 0)
         distance[row] = 1.0
         shares = weights / distance
-        out[first : first + BLOCK] = (shares @ points) / shares.sum(axis=1)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):  # a pole is infinite
+            out[first : first + BLOCK] = (shares @ points) / shares.sum(axis=1)[:, None]
         out[first + row] = points[node]
     return out

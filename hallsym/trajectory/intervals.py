@@ -9,7 +9,7 @@ import numpy as np
 
 Array = np.ndarray
 SLACK = 2.0**-50
-"""Relative widening of library functions: numpy's differ from the true value by a few units in the last place."""
+"""Relative widening of library functions: numpy's err by a few units in the last place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,21 +36,28 @@ class Interval:
         return np.maximum(np.maximum(self.low, -self.high), 0.0)
 
     def __add__(self, other: Interval) -> Interval:
+        """Enclose the sum."""
         return _out(self.low + other.low, self.high + other.high)
 
     def __sub__(self, other: Interval) -> Interval:
+        """Enclose the difference."""
         return _out(self.low - other.high, self.high - other.low)
 
     def __neg__(self) -> Interval:
+        """Return the negative."""
         return Interval(-self.high, -self.low)
 
     def __mul__(self, other: Interval) -> Interval:
+        """Enclose the product."""
         with np.errstate(invalid="ignore", over="ignore"):
             a, b = self.low * other.low, self.low * other.high
             c, d = self.high * other.low, self.high * other.high
-        return _out(np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d)))
+        return _out(
+            np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
+        )
 
     def __truediv__(self, other: Interval) -> Interval:
+        """Enclose the quotient; everything where the divisor may be 0."""
         holds_zero = (other.low <= 0) & (other.high >= 0)
         one = np.where(holds_zero, 1.0, other.low), np.where(holds_zero, 1.0, other.high)
         inverse = _out(1 / one[1], 1 / one[0])
@@ -72,7 +79,9 @@ def _out(low: Array, high: Array) -> Interval:
     return Interval(low, high)
 
 
-def rising(function: Callable[[Array], Array], x: Interval, low: float = -np.inf, high: float = np.inf) -> Interval:
+def rising(
+    function: Callable[[Array], Array], x: Interval, low: float = -np.inf, high: float = np.inf
+) -> Interval:
     """Return the range of a function that increases, defined on [low, high]; everything where x leaves it."""
     inside = (x.low >= low) & (x.high <= high)
     with np.errstate(all="ignore"):

@@ -1,7 +1,7 @@
 """Taylor coefficients of a function over intervals of its argument, each enclosed in an interval.
 
-A `Jet` holds x(t0), x'(t0), x''(t0)/2, ... for every t0 of an interval. The recurrences are those of automatic
-differentiation (Griewank and Walther, Evaluating Derivatives, SIAM 2008, Section 13.2).
+A `Jet` holds x(t0), x'(t0), x''(t0)/2, ... for every t0 of an interval. The recurrences are those of
+automatic differentiation (Griewank and Walther, Evaluating Derivatives, SIAM 2008, Section 13.2).
 """
 
 from __future__ import annotations
@@ -36,20 +36,26 @@ class Jet:
         return Jet((first, *(zero for _ in self.terms[1:])))
 
     def __add__(self, other: Jet) -> Jet:
+        """Return the sum."""
         return Jet(tuple(a + b for a, b in zip(self.terms, other.terms, strict=True)))
 
     def __sub__(self, other: Jet) -> Jet:
+        """Return the difference."""
         return Jet(tuple(a - b for a, b in zip(self.terms, other.terms, strict=True)))
 
     def __neg__(self) -> Jet:
+        """Return the negative."""
         return Jet(tuple(-a for a in self.terms))
 
     def __mul__(self, other: Jet) -> Jet:
+        """Return the product."""
         a, b = self.terms, other.terms
         return Jet(tuple(_sum([a[i] * b[k - i] for i in range(k + 1)]) for k in range(len(a))))
 
     def __truediv__(self, other: Jet) -> Jet:
-        b, out = other.terms, []
+        """Return the quotient."""
+        b = other.terms
+        out: list[Interval] = []
         for k, a in enumerate(self.terms):
             rest = _less(a, [b[i] * out[k - i] for i in range(1, k + 1)])
             out.append(rest / b[0])

@@ -1,7 +1,7 @@
 """Which curve to put through points of which nothing else is known: errors estimated by leaving points out.
 
-Each inner point is left out, the curve is made of the others, and its distance from that point is an error. An
-interpolating curve then has a gap twice as wide, so that this is more than the error between the points.
+Each inner point is left out, the curve is made of the others, and its distance from that point is an error.
+An interpolating curve then has a gap twice as wide, so that this is more than the error between the points.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.trajectory.basis import basis_named
-from hallsym.trajectory.choose import MOST_FITTED, Candidate, Choice, best_of, resolution
+from hallsym.trajectory.choose import MOST_FITTED, Candidate, Choice, best_of, moved_by_the_origin
 from hallsym.trajectory.corner_cutting import FgForm
 from hallsym.trajectory.curve import Curve, Form
 from hallsym.trajectory.factorisation import factorise
 from hallsym.trajectory.methods import METHODS, Method, inside
 from hallsym.trajectory.orthogonal import orthogonalise
 from hallsym.trajectory.points import Points
+from hallsym.trajectory.target import resolution
 
 Array = np.ndarray
 SIZES = (2, 3, 4, 6, 8, 11, 16, 22, 31, MOST_FITTED)
@@ -47,19 +48,23 @@ def of_points(
             )
         if tolerance < 4 * resolution(points.points):
             raise InputError(
-                f"A tolerance of {1e6 * tolerance:.3g} um is below what float64 can hold of these coordinates, "
+                f"A tolerance of {1e6 * tolerance:.3g} um is below what float64 can hold of these "
+                f"coordinates, "
                 f"{4e6 * resolution(points.points):.3g} um."
             )
     rows = []
     for method in methods:
         progress(method.words)
         rows.append(_candidate(points, method, tolerance, control))
-    notes = ["errors are estimated by leaving out one point at a time; the points themselves are taken as right."]
+    notes = [
+        "errors are estimated by leaving out one point at a time; the points themselves are taken as right."
+    ]
     made = [row.method for row in rows if row.curve is not None and not row.method.fitted]
     fewer = sorted({m.left_out for m in made if m.left_out < len(points.t) - 2})
     if fewer:
         counts = " or ".join(map(str, fewer))
         notes.append(f"of {len(points.t) - 2} inner points {counts} were left out, evenly spread.")
+    notes += moved_by_the_origin(rows)
     return Choice(tuple(rows), best_of(rows, tolerance), tolerance, "estimated", tuple(notes))
 
 
@@ -84,13 +89,13 @@ def _candidate(points: Points, method: Method, tolerance: float | None, control:
         return Candidate(method, "given", count, None, np.inf, reason=str(error))
     lengths = [k for k, name in enumerate(points.coordinates) if name.endswith("_m")]
     turning = [k for k in range(len(points.coordinates)) if k not in lengths]
-    error = float(np.sqrt(np.sum(errors[:, lengths] ** 2, axis=1)).max())
+    worst = float(np.sqrt(np.sum(errors[:, lengths] ** 2, axis=1)).max())
     curve = Curve(
-        form, float(points.t[0]), float(points.t[-1]), points.coordinates, method.name, error, "estimated",
+        form, float(points.t[0]), float(points.t[-1]), points.coordinates, method.name, worst, "estimated",
         {"points": count, "file": points.name},
     )  # fmt: skip
     rotation = float(np.abs(errors[:, turning]).max()) if turning else None
-    return Candidate(method, "given", count, curve, error, rotation_rad=rotation)
+    return Candidate(method, "given", count, curve, worst, rotation_rad=rotation)
 
 
 def _left_out(points: Points, method: Method) -> Array:
@@ -107,7 +112,9 @@ def _left_out(points: Points, method: Method) -> Array:
     return np.array(errors)
 
 
-def _fitted(points: Points, method: Method, tolerance: float | None, control: int | None) -> tuple[Form, Array]:
+def _fitted(
+    points: Points, method: Method, tolerance: float | None, control: int | None
+) -> tuple[Form, Array]:
     """Return the least-squares curve and its errors at left-out points, r/(1 - leverage).
 
     `control` control points; else the fewest within the tolerance, else as many as err least.

@@ -1,7 +1,8 @@
 """The methods that make a curve of points: one tuple, and each is one function of its points.
 
-`make(u, points, control)`: parameters (N,) in [0, 1], points (N, d), number of control points of a least-squares
-fit. HRA stands for high relative accuracy: solved by the bidiagonal factors of the collocation matrix.
+`make(u, points, control)`: parameters (N,) in [0, 1], points (N, d), number of control points of a
+least-squares fit. HRA stands for high relative accuracy: solved by the bidiagonal factors of the collocation
+matrix.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ NODES: dict[str, Callable[[int], Array]] = {
 class Method:
     """How points become a curve; `nodes`: the spacings tried where points may be chosen.
 
-    `least`, `most`: counts of points it is tried with. `fitted`: least squares, with control points of its own
-    number. `anywhere`: takes points at any parameters. `left_out`: how many are left out to estimate its error.
+    `least`, `most`: counts of points it is tried with. `fitted`: least squares, with control points of its
+    own number. `anywhere`: takes points at any parameters. `left_out`: how many are left out to estimate its
+    error.
     """
 
     name: str
@@ -104,7 +106,8 @@ def rational(u: Array, points: Array, control: int = 0) -> Form:
             for p, s in zip(points.T, size, strict=True)
         ]
     parts = [
-        (a.support_points, a.support_values, a.weights) if a else (u[:1], np.zeros(1), np.ones(1)) for a in found
+        (a.support_points, a.support_values, a.weights) if a else (u[:1], np.zeros(1), np.ones(1))
+        for a in found
     ]
     order = [np.argsort(z) for z, _, _ in parts]
     return RationalForm(*(tuple(part[k][o] for part, o in zip(parts, order, strict=True)) for k in range(3)))
@@ -116,7 +119,9 @@ METHODS: tuple[Method, ...] = (
     Method("trigonometric", "trigonometric, HRA", partial(interpolated, "trigonometric"), BOTH),
     Method("bernstein-lu", "Bernstein, LU", by_elimination),
     Method("bernstein-ls", "Bernstein, least squares, HRA", partial(fitted, "bernstein"), fitted=True),
-    Method("trigonometric-ls", "trigonometric, least squares, HRA", partial(fitted, "trigonometric"), fitted=True),
+    Method(
+        "trigonometric-ls", "trigonometric, least squares, HRA", partial(fitted, "trigonometric"), fitted=True
+    ),
     Method("chebyshev", "Chebyshev, barycentric", polynomial, ("chebyshev",), anywhere=False),
     Method("linear", "polyline", partial(spline, 1, False), most=50_000),
     Method("cubic", "cubic spline", partial(spline, 3, False), least=4, most=20_000),

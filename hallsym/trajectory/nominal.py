@@ -1,7 +1,7 @@
 """The curve as it should be, given by expressions: "x = r*(t - sin(t)); y = r*(1 - cos(t))".
 
-Text becomes CasADi expressions: names, numbers, + - * / ** and the functions below, nothing else. Evaluating it
-over intervals gives what its derivatives can be between two parameters.
+Text becomes CasADi expressions: names, numbers, + - * / ** and the functions below, nothing else. Evaluating
+it over intervals gives what its derivatives can be between two parameters.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class Nominal:
         if not np.isfinite(points).all():
             row, k = np.argwhere(~np.isfinite(points))[0]
             raise InputError(
-                f"The curve's {self.coordinates[k][: self.coordinates[k].rindex('_')]} is not a finite number at "
+                f"The curve's {self.coordinates[k][: self.coordinates[k].rindex('_')]} is not a finite "
+                f"number at "
                 f"{self.parameter} = {t[row]:.9g}; change the expression or its range."
             )
         return points
@@ -66,8 +67,8 @@ class Nominal:
 def nominal(text: str, span: tuple[str, str, str], values: Mapping[str, float] | None = None) -> Nominal:
     """Return the curve that `text` states over `span`, the parameter's name and its first and last value.
 
-    `text`: assignments separated by ";" or line breaks; x, y, z are lengths in m, rx, ry, rz angles in rad, any
-    other name is a helper for the lines after it. Raises `InputError` for whatever else it holds.
+    `text`: assignments separated by ";" or line breaks; x, y, z are lengths in m, rx, ry, rz angles in rad,
+    any other name is a helper for the lines after it. Raises `InputError` for whatever else it holds.
     """
     name, numbers = span[0], dict(CONSTANTS) | dict(values or {})
     if name in numbers or name in FUNCTIONS or name in COORDINATES or not name.isidentifier():
@@ -95,7 +96,9 @@ def nominal(text: str, span: tuple[str, str, str], values: Mapping[str, float] |
         raise InputError(f"Value {unused[0]!r} is not used by the curve; take it out or correct its name.")
     coordinates = [key for key in COORDINATES if key in assigned]
     if not {"x", "y", "z"} & set(coordinates):
-        raise InputError("A curve must give at least one of x, y and z, such as 'x = r*cos(t); y = r*sin(t)'.")
+        raise InputError(
+            "A curve must give at least one of x, y and z, such as 'x = r*cos(t); y = r*sin(t)'."
+        )
     function = ca.Function("curve", [parameter], [ca.vertcat(*(assigned[key] for key in coordinates))])
     named = tuple(COORDINATES[key] for key in coordinates)
     return Nominal(function, named, ends[0], ends[1], text.strip(), dict(values or {}), name)
@@ -157,7 +160,9 @@ def _build(node: ast.expr, known: Mapping[str, ca.SX], used: set[str], text: str
             return known[name]
         case ast.Name(id=name):
             hint = f"; give it with --value {name}=..." if name.isidentifier() else ""
-            raise InputError(f"Name {name!r} in {shortened(text)} is not known{nearest(name, [*known])}{hint}.")
+            raise InputError(
+                f"Name {name!r} in {shortened(text)} is not known{nearest(name, [*known])}{hint}."
+            )
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
             return _BINARY[type(op)](_build(left, known, used, text), _build(right, known, used, text))
         case ast.UnaryOp(op=ast.USub(), operand=operand):

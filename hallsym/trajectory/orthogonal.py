@@ -1,8 +1,9 @@
 """QR of a collocation matrix from its bidiagonal factors (TNQR), and least squares with it.
 
-The leftmost elementary factor [[1, 0], [x, 1]] is a rotation times U = [[r, x/r], [0, 1/r]], r = sqrt(1 + x^2).
-U is passed through the factors to its right until the diagonal takes it up, and its last entry through the
-upper factors. Every step adds, multiplies and divides positive numbers: R is as accurate as the factors were.
+The leftmost elementary factor [[1, 0], [x, 1]] is a rotation times U = [[r, x/r], [0, 1/r]], r = sqrt(1 +
+x^2). U is passed through the factors to its right until the diagonal takes it up, and its last entry through
+the upper factors. Every step adds, multiplies and divides positive numbers: R is as accurate as the factors
+were.
 """
 
 from __future__ import annotations

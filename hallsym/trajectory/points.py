@@ -20,7 +20,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points (N, d) in SI at increasing parameters t (N,); `rounding`: half a last digit of the lengths [m]."""
+    """Points (N, d) in SI at increasing parameters t (N,); `rounding`: half a last digit [m]."""
 
     t: Array
     points: Array
@@ -48,7 +48,8 @@ def points_of(
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != len(coordinates) or len(points) < 2:
         raise InputError(
-            f"{name.capitalize()} must be at least 2 rows of {', '.join(coordinates)}; got shape {points.shape}."
+            f"{name.capitalize()} must be at least 2 rows of {', '.join(coordinates)}; got shape "
+            f"{points.shape}."
         )
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0, 0])
@@ -58,11 +59,15 @@ def points_of(
         steps = np.linalg.norm(np.diff(points[:, lengths], axis=0), axis=1)
         if (steps == 0).any():
             k = int(np.argmax(steps == 0))
-            raise InputError(f"Points {k + 1} and {k + 2} of {name} are the same; take one out or give a column t.")
+            raise InputError(
+                f"Points {k + 1} and {k + 2} of {name} are the same; take one out or give a column t."
+            )
         t = np.r_[0.0, np.cumsum(steps)]
     t = np.asarray(t, float)
     if t.shape != (len(points),) or not np.isfinite(t).all():
-        raise InputError(f"Parameters of {name} must be one finite number for each of its {len(points)} points.")
+        raise InputError(
+            f"Parameters of {name} must be one finite number for each of its {len(points)} points."
+        )
     if (np.diff(t) <= 0).any():
         k = int(np.argmax(np.diff(t) <= 0))
         what = "repeats" if t[k] == t[k + 1] else "is less than"
@@ -101,7 +106,9 @@ def read_points(path: str | Path) -> Points:
     lengths = [k for k in order if columns[k][0].endswith("_m")]
     if not lengths:
         raise InputError(f"Points file {path} must have at least one of the columns x, y, z, such as x_um.")
-    table = np.array([[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in rows_of(rows)])
+    table = np.array(
+        [[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in rows_of(rows)]
+    )
     parameter = [k for k, c in enumerate(columns) if c[0] == "t"]
     step = max(columns[k][1] * _step([row[k] for row in rows[1:]]) for k in lengths)
     return points_of(
@@ -136,7 +143,9 @@ def _cell(row: list[str], k: int, number: int, names: list[str], path: Path) -> 
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"Point {number} of {path} must have a finite number for {names[k]}; its line is {row}.")
+        raise InputError(
+            f"Point {number} of {path} must have a finite number for {names[k]}; its line is {row}."
+        )
     return value
 
 

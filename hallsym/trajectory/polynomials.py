@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import comb, factorial
 
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.trajectory.basis import BERNSTEIN
 from hallsym.trajectory.corner_cutting import FgForm
 from hallsym.trajectory.curve import Curve
 from hallsym.trajectory.factorisation import factorise
-from hallsym.trajectory.basis import BERNSTEIN
 from hallsym.trajectory.forms import ChebyshevForm, SplineForm, chebyshev_nodes
 
 Array = np.ndarray
@@ -56,7 +57,8 @@ def pieces_of(curve: Curve) -> Pieces:
     if isinstance(form, ChebyshevForm):
         if len(form.control) > 60:
             raise InputError(
-                f"A polynomial of degree {len(form.control) - 1} has no Bernstein form that float64 can hold; "
+                f"A polynomial of degree {len(form.control) - 1} has no Bernstein form that float64 can "
+                f"hold; "
                 "take fewer points or a spline."
             )
         control = factorise(BERNSTEIN, chebyshev_nodes(len(form.control))).solve(form.control)
@@ -84,8 +86,8 @@ def _checked(curve: Curve, breaks: Array, control: Array) -> Pieces:
     breaks = curve.start + (breaks - a) / (b - a) * (curve.stop - curve.start)
     breaks[0], breaks[-1] = curve.start, curve.stop
     made = Pieces(breaks, control)
-    t = np.concatenate([np.linspace(p, q, 9)[:-1] for p, q in zip(breaks[:-1], breaks[1:], strict=True)])
+    t = np.concatenate([np.linspace(p, q, 9)[:-1] for p, q in pairwise(breaks.tolist())])
     if len(control) == 1:
-        t = np.linspace(*breaks, 1001)
+        t = np.linspace(breaks[0], breaks[-1], 1001)
     error = np.abs(made.evaluate(t) - curve(t))[:, curve.lengths].max()
     return Pieces(breaks, control, float(2 * error))

@@ -1,4 +1,4 @@
-"""What a curve costs the position: e_position = e_stage + e_trajectory (Eq. (15)), and how many points it is worth."""
+"""What a curve costs the position, e_position = e_stage + e_trajectory (Eq. (15)), and its worth."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def worth(
 
 
 def enough(rows: Sequence[Worth], stage_m: float, share: float = 0.02) -> Worth | None:
-    """Return the first count whose curve adds at most `share` to the uncertainty of the stage; None if no one."""
+    """Return the first count whose curve adds at most `share` to the uncertainty of the stage, or None."""
     if not 0 < share < inf:
         raise InputError(f"The share that a curve may add must be positive; got {share!r}.")
     return next((row for row in rows if row.expanded_m <= stage_m * (1 + share)), None)

@@ -15,12 +15,15 @@ def choice_text(choice: Choice) -> str:
     lines += [_line(row, widths) + (f"  {c.reason}" if c.reason else "") for row, c in
               zip(rows, choice.candidates, strict=True)]  # fmt: skip
     best = choice.best
-    within = "" if choice.tolerance_m is None else f", within the tolerance of {1e6 * choice.tolerance_m:.4g} um"
+    within = (
+        "" if choice.tolerance_m is None else f", within the tolerance of {1e6 * choice.tolerance_m:.4g} um"
+    )
     why = "the most exact" if choice.tolerance_m is None else "fewest numbers to store"
     how = "bounded over the whole range" if choice.kind == "bounded" else "estimated by leaving points out"
     lines.append("")
     lines.append(
-        f"{best.method.words}, {best.nodes} nodes: {best.control_points} control points, error {_um(best)} um "
+        f"{best.method.words}, {best.nodes} nodes: {best.control_points} control points, error "
+        f"{_um(best)} um "
         f"({how}){within}; {why}."
     )
     if best.rotation_rad is not None:
@@ -44,4 +47,6 @@ def _um(c: Candidate) -> str:
 
 def _line(cells: tuple[str, ...], widths: list[int]) -> str:
     left = [cell.ljust(w) for cell, w in zip(cells[:3], widths[:3], strict=True)]
-    return "  ".join([*left, *(cell.rjust(w) for cell, w in zip(cells[3:], widths[3:], strict=True))]).rstrip()
+    return "  ".join(
+        [*left, *(cell.rjust(w) for cell, w in zip(cells[3:], widths[3:], strict=True))]
+    ).rstrip()

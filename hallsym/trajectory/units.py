@@ -38,7 +38,7 @@ def scaled(text: str) -> float | None:
 
 
 def column(name: str) -> tuple[str, float] | None:
-    """Return the SI name of a column and the factor to it: `x_um` gives ("x_m", 1e-6); None without a unit."""
+    """Return SI name and factor of a column: `x_um` gives ("x_m", 1e-6); None without a unit."""
     stem, _, unit = name.strip().rpartition("_")
     if not stem or unit not in UNITS:
         return None
