@@ -103,7 +103,7 @@ class Curve:
     def at_length(self, s: Array) -> Array:
         """Return the parameters at lengths of path `s` from the start, within [0, length]."""
         edges, lengths = self.arc_lengths()
-        s = np.clip(np.asarray(s, float), 0.0, lengths[-1])
+        s = np.clip(np.atleast_1d(np.asarray(s, float)), 0.0, lengths[-1])
         t = np.interp(s, lengths, edges)
         x, w = np.polynomial.legendre.leggauss(8)
         for _ in range(3):  # Newton, within the part between two edges

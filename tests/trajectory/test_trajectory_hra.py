@@ -124,7 +124,9 @@ def test_a_thousand_control_points_neither_overflow_nor_underflow():
         p = mpmath.binomial(n, i - 1) * g[i - 1] ** (n - i + 1)
         for k in range(1, i):
             p *= (exactly[i - 1] - exactly[k - 1]) / g[k - 1]
-        assert abs(mpmath.ldexp(mpmath.mpf(factors.pivot[i - 1]), int(factors.exponent[i - 1])) / p - 1) < 1e-12
+        assert (
+            abs(mpmath.ldexp(mpmath.mpf(factors.pivot[i - 1]), int(factors.exponent[i - 1])) / p - 1) < 1e-12
+        )
     factors = factorise(BERNSTEIN, chebyshev_nodes(1000))
     assert np.isfinite(factors.lower).all() and np.isfinite(factors.upper).all()
     with pytest.raises(InputError, match="at most 1000 control points"):
@@ -144,7 +146,9 @@ def test_a_basis_of_the_user():
     p = np.column_stack([np.cosh(t), np.sinh(3 * t)])  # in the span of order 6
     form = FgForm(basis, factorise(basis, t).solve(p))
     fine = np.linspace(-1, 1, 101)
-    assert form.evaluate(fine) == pytest.approx(np.column_stack([np.cosh(fine), np.sinh(3 * fine)]), abs=1e-13)
+    assert form.evaluate(fine) == pytest.approx(
+        np.column_stack([np.cosh(fine), np.sinh(3 * fine)]), abs=1e-13
+    )
     slope = np.column_stack([np.sinh(fine), 3 * np.cosh(3 * fine)])
     assert form.derivative().evaluate(fine) == pytest.approx(slope, abs=1e-11)
 
@@ -171,4 +175,6 @@ def test_bad_parameters():
     with pytest.raises(InputError, match="as many points"):
         factorise(BERNSTEIN, np.array([0.1, 0.2, 0.3]), 2).solve(np.ones(3))
     with pytest.raises(InputError, match="larger than float64"):
-        factorise(BERNSTEIN, np.linspace(0, 1, 1000)).solve(np.random.default_rng(0).normal(size=1000) * 1e200)
+        factorise(BERNSTEIN, np.linspace(0, 1, 1000)).solve(
+            np.random.default_rng(0).normal(size=1000) * 1e200
+        )
