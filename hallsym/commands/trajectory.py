@@ -56,7 +56,8 @@ def add(sub: Any) -> None:
         "--points", type=int, metavar="N", help="points taken from --curve (default: the fewest)"
     )
     group.add_argument(
-        "--nodes", help="where: equidistant, interior or chebyshev (default: what suits a method)"
+        "--nodes",
+        help="equidistant, interior or chebyshev (default: what suits; of one method equidistant)",
     )
     group.add_argument("--basis", help="only this basis: bernstein or trigonometric")
     group.add_argument("--control", type=int, metavar="N", help="control points of a least-squares fit")
@@ -166,7 +167,7 @@ def _from_curve(options: Namespace) -> "tuple[Choice, Any]":
     curve = nominal(options.curve, read_span(options.range), dict(pairs))
     choice = of_nominal(
         curve, _tolerance(options), points=options.points, control=options.control, methods=_methods(options),
-        nodes=options.nodes, progress=progress_of(options),
+        nodes=_nodes(options), progress=progress_of(options),
     )  # fmt: skip
     return choice, curve
 
@@ -183,6 +184,12 @@ def _from_points(options: Namespace) -> "tuple[Choice, Any]":
         progress=progress_of(options),
     )  # fmt: skip
     return choice, points
+
+
+def _nodes(options: Namespace) -> str | None:
+    """Return the spacing asked for; of one stated method equidistant, of all of them whatever suits."""
+    stated = options.basis or (options.method and options.method != "chebyshev")
+    return options.nodes or ("equidistant" if stated else None)
 
 
 def _tolerance(options: Namespace) -> float | None:

@@ -27,7 +27,7 @@ from hallsym.plots.style import (
 )
 from hallsym.trajectory import Choice, Curve, Nominal, Points
 from hallsym.trajectory.bounds import chords, is_polyline
-from hallsym.trajectory.choose import Candidate
+from hallsym.trajectory.candidate import Candidate
 from hallsym.trajectory.corner_cutting import FgForm
 from hallsym.trajectory.forms import SplineForm
 from hallsym.trajectory.target import Target

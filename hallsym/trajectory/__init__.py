@@ -6,13 +6,14 @@ squares and rational functions, and a table says which is best for the curve at 
 
 `basis`, `factorisation`, `orthogonal`: the bases, TNBDA and TNSolve, TNQR. `corner_cutting`, `forms`,
 `curve`: what a curve is. `nominal`, `intervals`, `jets`, `bounds`: expressions, and errors that are bounded.
-`methods`, `choose`, `leave_one_out`, `verb`: which method. `polynomials`, `export`, `c_code`: files.
-`position_error`: Eq. (15).
+`methods`, `candidate`, `choose`, `leave_one_out`, `notes`, `verb`: which method. `polynomials`, `export`,
+`c_code`: files. `position_error`: Eq. (15).
 """
 
 from hallsym.trajectory.basis import BERNSTEIN, Basis, trigonometric
 from hallsym.trajectory.bounds import Bound, bound
-from hallsym.trajectory.choose import Candidate, Choice, of_nominal
+from hallsym.trajectory.candidate import Candidate, Choice
+from hallsym.trajectory.choose import of_nominal
 from hallsym.trajectory.curve import Curve, read_curve
 from hallsym.trajectory.factorisation import Factors, factorise
 from hallsym.trajectory.leave_one_out import of_points

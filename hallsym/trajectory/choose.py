@@ -8,17 +8,17 @@ at a time.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.trajectory.bounds import Bound, bound
+from hallsym.trajectory.candidate import Candidate, Choice, best_of
 from hallsym.trajectory.curve import Curve
 from hallsym.trajectory.forms import RationalForm
-from hallsym.trajectory.methods import METHODS, Method
+from hallsym.trajectory.methods import METHODS, Method, nodes_named
 from hallsym.trajectory.nominal import Nominal
+from hallsym.trajectory.notes import beyond_the_points, of_accuracy
 from hallsym.trajectory.target import Target, resolution
 
 LINEAR_SEARCH = 64
@@ -27,114 +27,6 @@ MOST_FITTED = 40
 """Largest number of control points tried in least squares."""
 FITTED_POINTS = 201
 """Points of a least-squares fit to an expression, unless stated."""
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One method on one spacing of points: its curve and error, or the reason why there is none.
-
-    `error_m`: upper bound, or estimate; `at_least_m`: what it certainly reaches, None of an estimate.
-    """
-
-    method: Method
-    nodes: str
-    points: int
-    curve: Curve | None
-    error_m: float
-    at_least_m: float | None = None
-    reason: str = ""
-    rotation_rad: float | None = None
-
-    @property
-    def control_points(self) -> int:
-        """Number of control points, or of values."""
-        return 0 if self.curve is None else self.curve.control_points
-
-    @property
-    def numbers(self) -> int:
-        """How many numbers a controller has to store."""
-        return 0 if self.curve is None else self.curve.form.numbers
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the row as a record."""
-        return {
-            "method": self.method.name,
-            "nodes": self.nodes,
-            "points": self.points,
-            "control_points": self.control_points,
-            "numbers": self.numbers,
-            "max_error_m": self.error_m if np.isfinite(self.error_m) else None,
-            "at_least_m": self.at_least_m,
-            "max_error_rad": self.rotation_rad,
-            "reason": self.reason,
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """All candidates, and the best: within the tolerance with the fewest numbers, else most exact."""
-
-    candidates: tuple[Candidate, ...]
-    best: Candidate
-    tolerance_m: float | None
-    kind: str  # "bounded" or "estimated"
-    notes: tuple[str, ...] = ()
-
-    @property
-    def curve(self) -> Curve:
-        """The chosen curve."""
-        assert self.best.curve is not None
-        return self.best.curve
-
-    def meets(self, candidate: Candidate) -> bool:
-        """Whether a candidate holds the tolerance; True where none is stated."""
-        limit = np.inf if self.tolerance_m is None else self.tolerance_m
-        return candidate.curve is not None and candidate.error_m <= limit
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the choice as a record."""
-        return {
-            "method": self.best.method.name,
-            "nodes": self.best.nodes,
-            "points": self.best.points,
-            "control_points": self.best.control_points,
-            "max_error_m": self.best.error_m if np.isfinite(self.best.error_m) else None,
-            "at_least_m": self.best.at_least_m,
-            "max_error_rad": self.best.rotation_rad,
-            "error_kind": self.kind,
-            "tolerance_m": self.tolerance_m,
-            "within_tolerance": None if self.tolerance_m is None else self.meets(self.best),
-            "methods": [c.to_dict() for c in self.candidates],
-            "notes": list(self.notes),
-        }
-
-
-def best_of(candidates: Sequence[Candidate], tolerance: float | None) -> Candidate:
-    """Return the candidate to use; raises `InputError` if none was made, or none holds `tolerance`."""
-    made = [c for c in candidates if c.curve is not None and np.isfinite(c.error_m)]
-    if not made:
-        raise InputError(_why_none(candidates))
-    if tolerance is None:
-        return min(made, key=lambda c: c.error_m)
-    held = [c for c in made if c.error_m <= tolerance]
-    if not held:
-        least = min(made, key=lambda c: c.error_m)
-        raise InputError(
-            f"No curve holds {1e6 * tolerance:.4g} um: the nearest is {least.method.name} with "
-            f"{least.points} "
-            f"points, {1e6 * least.error_m:.4g} um; give more points or allow a larger tolerance."
-        )
-    return min(held, key=lambda c: c.numbers)
-
-
-def _why_none(candidates: Sequence[Candidate]) -> str:
-    """Return the sentence for no curve at all: a method's own, else what the first one says."""
-    sentences = [c.reason for c in candidates if c.reason[:1].isupper()]
-    if sentences:
-        return sentences[0]
-    if not candidates:
-        return "No method is left: the options exclude each other."
-    return f"No method makes a curve of this; {candidates[0].method.name}: {candidates[0].reason.rstrip('.')}."
 
 
 def of_nominal(
@@ -169,7 +61,8 @@ def of_nominal(
         rows.append(_candidate(target, method, spacing, tolerance, points, control))
     if control is not None and not any(method.fitted for method in methods):
         raise InputError("--control belongs to least squares; choose bernstein-ls or trigonometric-ls.")
-    return Choice(tuple(rows), best_of(rows, tolerance), tolerance, "bounded", _notes(rows))
+    best = best_of(rows, tolerance)
+    return Choice(tuple(rows), best, tolerance, "bounded", (*beyond_the_points(best), *of_accuracy(rows)))
 
 
 def _spacings(methods: Sequence[Method], nodes: str | None) -> Iterator[tuple[Method, str]]:
@@ -226,7 +119,13 @@ def _bounded(target: Target, method: Method, nodes: str, count: int, control: in
         curve.form, curve.start, curve.stop, curve.coordinates, method.name, found.at_most, "bounded",
         {"curve": target.nominal.text, "values": dict(target.nominal.values), "nodes": nodes, "points":
         count}, )  # fmt: skip
-    return Candidate(method, nodes, count, known, found.at_most, found.at_least, "", found.rotation_rad)
+    between = None
+    if nodes == "interior":
+        u = nodes_named(nodes, count)[[0, -1]] * (curve.stop - curve.start) + curve.start
+        between = bound(curve, target.nominal, (float(u[0]), float(u[1]))).at_most
+    return Candidate(
+        method, nodes, count, known, found.at_most, found.at_least, "", found.rotation_rad, between
+    )  # fmt: skip
 
 
 def _least(
@@ -270,32 +169,3 @@ def _first(holds: Callable[[int], bool], least: int, most: int) -> int:
         middle = (low + high) // 2
         low, high = (low, middle) if holds(middle) else (middle, high)
     return high
-
-
-def _notes(rows: Sequence[Candidate]) -> tuple[str, ...]:
-    """Say what the high relative accuracy of the solution is worth for these points."""
-    found = {(c.method.name, c.nodes): c for c in rows if c.curve is not None}
-    notes = []
-    hra, lu = found.get(("bernstein", "equidistant")), found.get(("bernstein-lu", "equidistant"))
-    both = hra and lu and hra.points == lu.points and (lu.at_least_m or 0) > 0.5 * lu.error_m
-    if both and hra and lu and hra.error_m > 0.9 * lu.error_m:
-        rest = "solving the equations more exactly than their points are rounded cannot help."
-        notes.append(
-            f"high relative accuracy gains nothing over LU here ({1e6 * hra.error_m:.3g} um and "
-            f"{1e6 * lu.error_m:.3g} um): {rest}"
-        )
-    notes += moved_by_the_origin(rows)
-    return tuple(notes)
-
-
-def moved_by_the_origin(rows: Sequence[Candidate]) -> list[str]:
-    """Say which trigonometric curves have an even number of control points, which is an odd order."""
-    made = [c for c in rows if c.curve is not None and c.method.name.startswith("trigonometric")]
-    even = sorted({c.control_points for c in made if c.control_points % 2 == 0})
-    if not even:
-        return []
-    counts = " and ".join(map(str, even))
-    return [
-        f"trigonometric curves of an even number of control points ({counts}) do not contain constants: they "
-        "change when the origin moves."
-    ]

@@ -13,11 +13,13 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.trajectory.basis import basis_named
-from hallsym.trajectory.choose import MOST_FITTED, Candidate, Choice, best_of, moved_by_the_origin
+from hallsym.trajectory.candidate import Candidate, Choice, best_of
+from hallsym.trajectory.choose import MOST_FITTED
 from hallsym.trajectory.corner_cutting import FgForm
 from hallsym.trajectory.curve import Curve, Form
 from hallsym.trajectory.factorisation import factorise
 from hallsym.trajectory.methods import METHODS, Method, inside
+from hallsym.trajectory.notes import moved_by_the_origin
 from hallsym.trajectory.orthogonal import orthogonalise
 from hallsym.trajectory.points import Points
 from hallsym.trajectory.target import resolution

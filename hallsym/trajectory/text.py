@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hallsym.trajectory.choose import Candidate, Choice
+from hallsym.trajectory.candidate import Candidate, Choice
 
 
 def choice_text(choice: Choice) -> str:

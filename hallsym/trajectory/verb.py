@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hallsym.trajectory.choose import Choice, of_nominal
+from hallsym.trajectory.candidate import Choice
+from hallsym.trajectory.choose import of_nominal
 from hallsym.trajectory.leave_one_out import of_points
 from hallsym.trajectory.methods import METHODS, method_named
 from hallsym.trajectory.nominal import Nominal, nominal, read_span

@@ -109,16 +109,31 @@ def test_what_cannot_be_bounded_is_said():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("x = __import__('os')", "Function '__import__'"), ("x = t.real", "may hold only"), ("x = [t]", "may hold"),
-        ("x = t if t else 1", "may hold only"), ("x = lambda: 1", "may hold only"), ("x = 'a'", "may hold only"),
-        ("x = True", "may hold only"), ("x = (t := 3)", "may hold only"), ("x = sni(t)", "did you mean 'sin'"),
-        ("x = sin(t, t)", "Function 'sin'"), ("x = q*t", "--value q="), ("y", "must be like"),
-        ("x = t; x = t", "twice"), ("x = t; h = 3*t", "'h' is not used"), ("x = t^2", r"\*\* for a power"),
-        ("rz = t", "at least one of x, y and z"), ("x = t = 3", "not an expression"), ("x =", "not an expression"),
-        ("x = " + "(" * 4000, "not an expression"), ("x = " + "t+" * 6000, "10000 characters"),
-        ("x = 1e400*t", "not a finite number"), ("sin = t", "already has"), ("x = " + "-" * 3000 + "t", "."),
+        ("x = __import__('os')", "Function '__import__'"),
+        ("x = t.real", "may hold only"),
+        ("x = [t]", "may hold"),
+        ("x = t if t else 1", "may hold only"),
+        ("x = lambda: 1", "may hold only"),
+        ("x = 'a'", "may hold only"),
+        ("x = True", "may hold only"),
+        ("x = (t := 3)", "may hold only"),
+        ("x = sni(t)", "did you mean 'sin'"),
+        ("x = sin(t, t)", "Function 'sin'"),
+        ("x = q*t", "--value q="),
+        ("y", "must be like"),
+        ("x = t; x = t", "twice"),
+        ("x = t; h = 3*t", "'h' is not used"),
+        ("x = t^2", r"\*\* for a power"),
+        ("rz = t", "at least one of x, y and z"),
+        ("x = t = 3", "not an expression"),
+        ("x =", "not an expression"),
+        ("x = " + "(" * 4000, "not an expression"),
+        ("x = " + "t+" * 6000, "10000 characters"),
+        ("x = 1e400*t", "not a finite number"),
+        ("sin = t", "already has"),
+        ("x = " + "-" * 3000 + "t", "."),
     ],
-)  # fmt: skip
+)
 def test_only_expressions_are_taken(text, said):
     with pytest.raises(InputError, match=said) as caught:
         nominal(text, ("t", "0", "1"))(np.array([0.5]))

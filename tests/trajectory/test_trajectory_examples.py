@@ -1,4 +1,4 @@
-"""Four paths within their tolerances: a spiral and a raster by points, a gear tooth and a Lissajous by expressions."""
+"""Four paths within their tolerances: a spiral and a raster by points, a gear tooth and a Lissajous."""
 
 from pathlib import Path
 

@@ -160,7 +160,7 @@ def test_what_has_no_g_code():
         gcode(through("quintic", 12))
     with pytest.raises(InputError, match="not made of polynomials"):
         gcode(through("trigonometric", 9))
-    with pytest.raises(InputError, match="has no derivatives|not made of polynomials"):
+    with pytest.raises(InputError, match=r"has no derivatives|not made of polynomials"):
         gcode(through("aaa", 14), chord_m=1e-7)
     with pytest.raises(InputError, match="blocks; at most"):
         gcode(through("cubic", 12), chord_m=1e-18)
@@ -189,7 +189,7 @@ def test_at_constant_speed_equal_times_are_equal_ways():
     t = np.linspace(0, 2, 41)
     found = at_times(curve, t, 2.0, steady=True)
     step = np.hypot(np.diff(found["x_m"]), np.diff(found["y_m"]))
-    assert step == pytest.approx(np.full(40, 8e-3 / 40), rel=2e-3)
+    assert step == pytest.approx(np.full(40, 8e-3 / 40), rel=5e-3)  # chords
     assert not found["rz_rad"].any()
     waits = at_times(curve, np.array([-1.0, 3.0]), 2.0)
     assert waits["x_m"] == pytest.approx([0, 2e-3 * np.pi], abs=1e-12)

@@ -111,7 +111,8 @@ def test_r_has_full_accuracy_where_householder_loses_half_the_digits():
 def test_a_thousand_control_points_neither_overflow_nor_underflow():
     n, t = 999, np.linspace(0, 1, 1000)
     factors = factorise(BERNSTEIN, t)
-    assert np.isfinite(factors.lower).all() and np.isfinite(factors.upper).all()
+    assert np.isfinite(factors.lower).all()
+    assert np.isfinite(factors.upper).all()
     assert ((factors.pivot >= 0.5) & (factors.pivot < 1)).all()
     exactly = [mpmath.mpf(float(v)) for v in t]
     g = [1 - v for v in exactly]
@@ -128,7 +129,8 @@ def test_a_thousand_control_points_neither_overflow_nor_underflow():
             abs(mpmath.ldexp(mpmath.mpf(factors.pivot[i - 1]), int(factors.exponent[i - 1])) / p - 1) < 1e-12
         )
     factors = factorise(BERNSTEIN, chebyshev_nodes(1000))
-    assert np.isfinite(factors.lower).all() and np.isfinite(factors.upper).all()
+    assert np.isfinite(factors.lower).all()
+    assert np.isfinite(factors.upper).all()
     with pytest.raises(InputError, match="at most 1000 control points"):
         factorise(BERNSTEIN, chebyshev_nodes(1001))
 
@@ -156,7 +158,8 @@ def test_a_basis_of_the_user():
 def refused(basis: Basis, t, columns=None) -> str:
     with pytest.raises(InputError) as caught:
         factorise(basis, np.array(t, float), columns)
-    assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith(".")
     return str(caught.value)
 
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from hallsym.budget import read_budget
 from hallsym.published import table
 from hallsym.trajectory import METHODS, bound, of_nominal, points_of
-from hallsym.trajectory.choose import best_of
+from hallsym.trajectory.candidate import best_of
 from hallsym.trajectory.leave_one_out import of_points
 from hallsym.trajectory.methods import method_named
 from hallsym.trajectory.position_error import allowed, along, enough, expanded, position_error, worth
@@ -22,7 +22,8 @@ ROOT = Path(__file__).parents[2]
     ("basis", "count", "first", "second"),
     [
         ("bernstein", 7, 20.18, 5.03), ("bernstein", 9, 1.260, 0.223), ("bernstein", 11, 0.0533, 0.0073),
-        ("trigonometric", 7, 17.85, 5.605), ("trigonometric", 9, 3.953, 0.934), ("trigonometric", 11, 0.944, 0.179),
+        ("trigonometric", 7, 17.85, 5.605), ("trigonometric", 9, 3.953, 0.934),
+        ("trigonometric", 11, 0.944, 0.179),
     ],
 )  # fmt: skip
 def test_table_3(basis, count, first, second):
