@@ -145,11 +145,13 @@ def _pivots(g: Array, w: Array, valid: Array) -> tuple[Array, Array]:
     mantissa, power = np.frexp(np.where(valid, w, 1.0))
     mantissa, more = np.frexp(np.multiply.reduce(mantissa, axis=0))
     exponent = np.add.reduce(power, axis=0) + more
-    choose, two = np.frexp(np.arange(columns - 1, 0, -1) / np.arange(1, columns) / g[:-1])
-    choose, more = np.frexp(np.r_[1.0, np.multiply.accumulate(choose)])
+    order = np.arange(columns - 1, -1, -1, dtype=np.int32)
+    ratio, two = np.frexp(order[:-1] / (columns - order[:-1]) / g[:-1])  # C(n, k)/C(n, k - 1) = (n - k + 1)/k
+    choose = np.ones(columns, ratio.dtype)
+    np.multiply.accumulate(ratio, out=choose[1:])
+    choose, more = np.frexp(choose)
     exponent += more
     exponent[1:] += np.add.accumulate(two)
     base, two = np.frexp(g)
-    order = np.arange(columns - 1, -1, -1)
     mantissa, power = np.frexp((mantissa * choose * base**order).astype(float))
     return mantissa, exponent + power + two * order
