@@ -112,7 +112,7 @@ def _enough(method: Method, count: int) -> None:
 
 def _bounded(target: Target, method: Method, nodes: str, count: int, control: int) -> Candidate:
     curve = target.made(method, nodes, count, control)
-    if isinstance(curve.form, RationalForm) and target.sampled(curve) > 1e-3:
+    if isinstance(curve.form, RationalForm) and target.sampled(curve) > np.ptp(target.grid[1], axis=0).max():
         raise InputError("The rational function has a pole in the range.")
     found: Bound = bound(curve, target.nominal)
     known = Curve(

@@ -75,7 +75,7 @@ def _candidate(points: Points, method: Method, tolerance: float | None, control:
     refused = ""
     if not method.anywhere:
         refused = "needs points at nodes of its own; give the curve as an expression"
-    elif not method.fitted and count > method.most:
+    elif count > method.most:
         refused = f"not tried with more than {method.most} points"
     elif count < method.least + 1:
         refused = f"needs at least {method.least + 1} points to leave one out"

@@ -118,9 +118,15 @@ METHODS: tuple[Method, ...] = (
     Method("bernstein", "Bernstein, HRA", partial(interpolated, "bernstein"), BOTH),
     Method("trigonometric", "trigonometric, HRA", partial(interpolated, "trigonometric"), BOTH),
     Method("bernstein-lu", "Bernstein, LU", by_elimination),
-    Method("bernstein-ls", "Bernstein, least squares, HRA", partial(fitted, "bernstein"), fitted=True),
     Method(
-        "trigonometric-ls", "trigonometric, least squares, HRA", partial(fitted, "trigonometric"), fitted=True
+        "bernstein-ls", "Bernstein, least squares, HRA", partial(fitted, "bernstein"), most=5000, fitted=True
+    ),
+    Method(
+        "trigonometric-ls",
+        "trigonometric, least squares, HRA",
+        partial(fitted, "trigonometric"),
+        most=5000,
+        fitted=True,
     ),
     Method("chebyshev", "Chebyshev, barycentric", polynomial, ("chebyshev",), anywhere=False),
     Method("linear", "polyline", partial(spline, 1, False), most=50_000),
