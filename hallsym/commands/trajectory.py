@@ -29,13 +29,11 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "trajectory", run, "a curve through points or of an expression, with the error it makes",
-        "Make the curve that the machine follows: from points, or from the nominal curve as an "
-        "expression. Tries\n"
-        "every method (Bernstein and trigonometric curves of high relative accuracy, Chebyshev nodes, "
-        "splines,\n"
-        "least squares, rational functions) and says which holds the tolerance with the fewest numbers. "
-        "Errors\n"
-        "are bounded between the points where the curve is an expression, else estimated.", EPILOG,
+        "Make the curve that the machine follows: from points, or from the nominal curve as an expression.\n"
+        "Tries every method (Bernstein and trigonometric curves of high relative accuracy, Chebyshev nodes,\n"
+        "splines, least squares, rational functions) and says which holds the tolerance with the fewest\n"
+        "numbers. Errors are bounded between the points where the curve is an expression, else estimated.",
+        EPILOG,
     )  # fmt: skip
     parser.add_argument(
         "points_file", metavar="POINTS", nargs="?", help="points (.csv), or a saved curve (.json)"

@@ -75,8 +75,7 @@ def bound(
     if not np.isfinite(settled):
         raise InputError(
             "The error between the points cannot be bounded: the curve or its nominal expression has a "
-            "pole, a "
-            "corner or a root of 0 in its range."
+            "pole, a corner or a root of 0 in its range."
         )
     has_angle = len(curve.lengths) < len(curve.coordinates)
     return Bound(best, settled, where, angle if has_angle else None)

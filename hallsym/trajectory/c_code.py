@@ -1,5 +1,4 @@
-"""A curve as C99 in float32: tables of Bezier pieces, de Casteljau's algorithm, and a proved bound of its
-error.
+"""A curve as C99 in float32: tables of Bezier pieces, de Casteljau's algorithm, a proved error bound.
 
 No libm, no division, no memory but the stack. Each piece is stored about a point of its own, so that
 rounding is relative to the size of the piece and not to where it lies.

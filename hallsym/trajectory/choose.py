@@ -1,8 +1,6 @@
 """Every method side by side, and the one that holds a tolerance with the fewest numbers to store.
 
-Where the nominal curve is an expression, each method gets the fewest points with which it holds, and its
-error is bounded over the whole range. Where only points are given, the error is estimated by leaving out one
-at a time.
+Each method gets the fewest points with which it holds, and its error is bounded over the whole range.
 """
 
 from __future__ import annotations

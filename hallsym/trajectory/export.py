@@ -104,8 +104,7 @@ def chord_points(curve: Curve, chord_m: float) -> Array:
 
 
 def gcode(curve: Curve, *, chord_m: float | None = None, feed_m_s: float = 1e-3) -> str:
-    """Return G-code in mm: G1 blocks within a chord error, or without one G5 or G5.2 blocks of the curve
-    itself.
+    """Return G-code in mm: G1 blocks within a chord error, or G5 or G5.2 blocks of the curve itself.
 
     G5 (cubic pieces) takes splines of degree 3 in a plane; G5.2 (NURBS of one piece) takes Bernstein curves.
     Both as LinuxCNC reads them. Raises `InputError` for other curves without a chord error.
@@ -156,7 +155,7 @@ def _curved(curve: Curve) -> list[str]:
     if len(control) > 1:
         raise InputError(
             f"A spline of degree {pieces.degree} has no G-code block; take --method cubic for G5, or "
-            f"--chord for G1."
+            "--chord for G1."
         )
     rest = [f"{_block(['X', 'Y'], p)} P1" for p in control[0][1:]]
     return [f"G5.2 P1 L{pieces.degree + 1}", *rest, "G5.3"]

@@ -3,8 +3,7 @@
 A[i, j] = C(n, j-1) f_i^(j-1) g_i^(n-j+1) is described by the multipliers of its Neville elimination, the
 pivots, and the multipliers of the elimination of its transpose (Eq. (10)). They are products and quotients
 of f, g and W, so each has a relative error of a few n u, however ill-conditioned A is (TNBDA). Solving
-applies the elimination step by step (TNSolve): a step subtracts from all rows at once, so it is one numpy
-sweep.
+applies the elimination step by step (TNSolve): a step is one numpy sweep over all rows.
 
 Products of a thousand factors leave the range of float64: mantissas and exponents are kept apart. g^n would
 multiply the rounding error of g by n: g and its powers are computed in numpy's longdouble.

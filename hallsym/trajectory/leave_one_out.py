@@ -51,8 +51,7 @@ def of_points(
         if tolerance < 4 * resolution(points.points):
             raise InputError(
                 f"A tolerance of {1e6 * tolerance:.3g} um is below what float64 can hold of these "
-                f"coordinates, "
-                f"{4e6 * resolution(points.points):.3g} um."
+                f"coordinates, {4e6 * resolution(points.points):.3g} um."
             )
     rows = []
     for method in methods:

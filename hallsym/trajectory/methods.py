@@ -1,8 +1,7 @@
 """The methods that make a curve of points: one tuple, and each is one function of its points.
 
-`make(u, points, control)`: parameters (N,) in [0, 1], points (N, d), number of control points of a
-least-squares fit. HRA stands for high relative accuracy: solved by the bidiagonal factors of the collocation
-matrix.
+`make(u, points, control)`: parameters (N,) in [0, 1], points (N, d), control points of a least-squares
+fit. HRA is high relative accuracy: solved by the bidiagonal factors of the collocation matrix.
 """
 
 from __future__ import annotations
@@ -40,8 +39,7 @@ class Method:
     """How points become a curve; `nodes`: the spacings tried where points may be chosen.
 
     `least`, `most`: counts of points it is tried with. `fitted`: least squares, with control points of its
-    own number. `anywhere`: takes points at any parameters. `left_out`: how many are left out to estimate its
-    error.
+    own number. `anywhere`: takes points at any parameters. `left_out`: how many, to estimate errors.
     """
 
     name: str

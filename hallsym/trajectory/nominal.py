@@ -54,8 +54,7 @@ class Nominal:
             row, k = np.argwhere(~np.isfinite(points))[0]
             raise InputError(
                 f"The curve's {self.coordinates[k][: self.coordinates[k].rindex('_')]} is not a finite "
-                f"number at "
-                f"{self.parameter} = {t[row]:.9g}; change the expression or its range."
+                f"number at {self.parameter} = {t[row]:.9g}; change the expression or its range."
             )
         return points
 

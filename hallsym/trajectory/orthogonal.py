@@ -2,8 +2,7 @@
 
 The leftmost elementary factor [[1, 0], [x, 1]] is a rotation times U = [[r, x/r], [0, 1/r]], r = sqrt(1 +
 x^2). U is passed through the factors to its right until the diagonal takes it up, and its last entry through
-the upper factors. Every step adds, multiplies and divides positive numbers: R is as accurate as the factors
-were.
+the upper factors. Steps add, multiply and divide positive numbers: R is as accurate as the factors.
 """
 
 from __future__ import annotations

@@ -48,8 +48,7 @@ def points_of(
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != len(coordinates) or len(points) < 2:
         raise InputError(
-            f"{name.capitalize()} must be at least 2 rows of {', '.join(coordinates)}; got shape "
-            f"{points.shape}."
+            f"The {name} must be at least 2 rows of {', '.join(coordinates)}; got shape {points.shape}."
         )
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0, 0])

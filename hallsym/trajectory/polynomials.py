@@ -57,8 +57,7 @@ def pieces_of(curve: Curve) -> Pieces:
         if len(form.control) > 60:
             raise InputError(
                 f"A polynomial of degree {len(form.control) - 1} has no Bernstein form that float64 can "
-                f"hold; "
-                "take fewer points or a spline."
+                "hold; take fewer points or a spline."
             )
         control = factorise(BERNSTEIN, chebyshev_nodes(len(form.control))).solve(form.control)
         return _checked(curve, np.array([0.0, 1.0]), control[None])

@@ -23,8 +23,7 @@ def choice_text(choice: Choice) -> str:
     lines.append("")
     lines.append(
         f"{best.method.words}, {best.nodes} nodes: {best.control_points} control points, error "
-        f"{_um(best)} um "
-        f"({how}){within}; {why}."
+        f"{_um(best)} um ({how}){within}; {why}."
     )
     if best.rotation_rad is not None:
         lines.append(f"largest error of an angle: {1e6 * best.rotation_rad:.4g} urad")

@@ -26,8 +26,7 @@ def choose_curve(
     method: str | None = None,
     nodes: str | None = None,
 ) -> Choice:
-    """Return every method's curve for `source` and the one that holds `tolerance` [m] with the fewest
-    numbers.
+    """Return each method's curve for `source`, and the best: within `tolerance` [m], the fewest numbers.
 
     `source`: an expression with its `span`, such as "t=0:2*pi", and `values` in SI; a CSV file of points; or
     points (N, 2) in m. `points`, `nodes`: how many are taken of an expression, and where. `control`: control
