@@ -1,7 +1,9 @@
 """`hallsym trajectory`: a curve for the machine to follow, within a tolerance."""
 
 from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,7 +91,7 @@ def run(options: Namespace) -> int:
 
     choice, data = _from_curve(options) if options.curve else _from_points(options)
     curve = choice.curve
-    written = [path for name in options.output for path in _write(curve, Path(name), options)]
+    written = _write(curve, options)
     if options.plots:
         from hallsym.plots.trajectory import save_trajectory
 
@@ -137,7 +139,7 @@ def _saved(options: Namespace) -> int:
         if getattr(options, name):
             raise InputError(f"--{name} is for making a curve; {options.points_file} is made already.")
     curve = read_curve(options.points_file)
-    written = [path for name in options.output for path in _write(curve, Path(name), options)]
+    written = _write(curve, options)
     record = {
         "method": curve.method,
         "control_points": curve.control_points,
@@ -210,26 +212,39 @@ def _methods(options: Namespace) -> "tuple[Method, ...]":
     return tuple(m for m in METHODS if m.fitted) if options.control else METHODS
 
 
-def _write(curve: "Curve", path: Path, options: Namespace) -> list[Path]:
-    """Write one output; its suffix says which."""
+def _write(curve: "Curve", options: Namespace) -> list[Path]:
+    """Write the outputs, none if one of them cannot be made; returns the files written."""
+    paths = [Path(name) for name in options.output]
+    ready = [_made(curve, path, options) for path in paths]
+    for write in ready:
+        write()
+    headers = [path.with_suffix(".h") for path in paths if path.suffix.lower() == ".c"]
+    return [*paths, *headers]
+
+
+def _made(curve: "Curve", path: Path, options: Namespace) -> Callable[[], object]:
+    """Make one output, as its suffix says; returns what writes it."""
     from hallsym.files import atomic_write
     from hallsym.trajectory.c_code import c_code
-    from hallsym.trajectory.export import gcode, write_table
+    from hallsym.trajectory.export import gcode, times, write_table
     from hallsym.trajectory.units import quantity
 
     kind = path.suffix.lower()
+    if kind == ".c":
+        code = c_code(curve, path.stem)
+        return partial(code.save, path)
     if kind == ".json":
-        curve.save(path)
-    elif kind == ".c":
-        return c_code(curve, path.stem).save(path)
-    elif kind == ".csv":
-        duration = quantity(options.duration, "--duration", "s")
-        step = quantity(options.step, "--step", "s")
-        write_table(curve, path, duration_s=duration, step_s=step, steady=options.steady)
-    else:
-        chord = quantity(options.chord, "--chord", "m") if options.chord else None
-        atomic_write(path, gcode(curve, chord_m=chord, feed_m_s=1e-3 * options.feed))
-    return [path]
+        return partial(curve.save, path)
+    if kind == ".csv":
+        clock = {
+            "duration_s": quantity(options.duration, "--duration", "s"),
+            "step_s": quantity(options.step, "--step", "s"),
+        }
+        times(**clock)  # refuses a clock of too many steps
+        return partial(write_table, curve, path, **clock, steady=options.steady)
+    chord = quantity(options.chord, "--chord", "m") if options.chord else None
+    text = gcode(curve, chord_m=chord, feed_m_s=1e-3 * options.feed)
+    return partial(atomic_write, path, text)
 
 
 def _shape(curve: "Curve") -> dict[str, Any]:

@@ -40,9 +40,9 @@ def of_nominal(
     """Return every method's curve for an expression, each with its bounded error.
 
     Give `tolerance` [m], `points`, or both; `points`: the count for every method instead of the least.
-    `control`: control points of least squares.
+    `control`: control points of least squares, of 201 points unless stated.
     """
-    if tolerance is None and points is None:
+    if tolerance is None and points is None and control is None:
         raise InputError(
             "Give a --tolerance, or the number of --points; without either there is nothing to choose."
         )

@@ -37,6 +37,18 @@ def test_table_4_and_what_its_ends_hide(capsys):
     assert "where it grows to 0.260" in " ".join(record["notes"])
 
 
+def test_control_points_alone_fit_201_points(capsys):
+    record = json.loads(run(capsys, *CYCLOID, "--control", 11, "--json"))
+    assert (record["method"], record["points"], record["control_points"]) == ("bernstein-ls", 201, 11)
+    assert record["max_error_m"] == pytest.approx(0.0131e-6, rel=0.01)
+
+
+def test_nothing_is_written_if_one_output_cannot_be(capsys, tmp_path):
+    words = ("--points", 9, "--basis", "trigonometric", "-o", tmp_path / "a.json", "-o", tmp_path / "a.c")
+    assert "not made of polynomials" in run(capsys, *CYCLOID, *words, code=2)
+    assert not list(tmp_path.iterdir())
+
+
 def test_everything_is_written(capsys, tmp_path):
     files = [tmp_path / name for name in ("c.json", "c.ngc", "c.c", "c.csv")]
     outputs = [word for file in files for word in ("-o", file)]
