@@ -109,7 +109,7 @@ def _check(options: Namespace) -> None:
     if (options.points_file is None) == (options.curve is None):
         raise InputError("Give either a file of POINTS or the nominal --curve.")
     for name in ("range", "value", "points", "nodes"):
-        if getattr(options, name) and not options.curve:
+        if getattr(options, name) not in (None, []) and not options.curve:
             raise InputError(f"--{name} belongs to --curve; {options.points_file} is a file.")
     if options.curve and not options.range:
         raise InputError("--curve needs the range of its parameter, such as --range t=0:2*pi.")
@@ -208,8 +208,8 @@ def _methods(options: Namespace) -> "tuple[Method, ...]":
     if options.basis:
         basis_named(options.basis)
         found = tuple(m for m in METHODS if m.name in (options.basis, f"{options.basis}-ls"))
-        return tuple(m for m in found if m.fitted) if options.control else found
-    return tuple(m for m in METHODS if m.fitted) if options.control else METHODS
+        return tuple(m for m in found if m.fitted) if options.control is not None else found
+    return tuple(m for m in METHODS if m.fitted) if options.control is not None else METHODS
 
 
 def _write(curve: "Curve", options: Namespace) -> list[Path]:

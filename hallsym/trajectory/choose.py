@@ -46,6 +46,7 @@ def of_nominal(
         raise InputError(
             "Give a --tolerance, or the number of --points; without either there is nothing to choose."
         )
+    check_counts(points, control)
     target = Target(nominal)
     held = resolution(target.grid[1])
     if tolerance is not None and tolerance < 4 * held:
@@ -61,6 +62,13 @@ def of_nominal(
         raise InputError("--control belongs to least squares; choose bernstein-ls or trigonometric-ls.")
     best = best_of(rows, tolerance)
     return Choice(tuple(rows), best, tolerance, "bounded", (*beyond_the_points(best), *of_accuracy(rows)))
+
+
+def check_counts(points: int | None, control: int | None) -> None:
+    """Refuse numbers of points and control points that make no curve."""
+    for count, least, what in ((points, 2, "points"), (control, 1, "control points")):
+        if count is not None and count < least:
+            raise InputError(f"A curve needs at least {least} {what}; {count} asked for.")
 
 
 def _spacings(methods: Sequence[Method], nodes: str | None) -> Iterator[tuple[Method, str]]:

@@ -14,7 +14,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.trajectory.basis import basis_named
 from hallsym.trajectory.candidate import Candidate, Choice, best_of
-from hallsym.trajectory.choose import MOST_FITTED
+from hallsym.trajectory.choose import MOST_FITTED, check_counts
 from hallsym.trajectory.corner_cutting import FgForm
 from hallsym.trajectory.curve import Curve, Form
 from hallsym.trajectory.factorisation import factorise
@@ -41,6 +41,7 @@ def of_points(
 
     Raises `InputError` for a tolerance [m] below the rounding of the points or of float64.
     """
+    check_counts(None, control)
     if tolerance is not None:
         if tolerance < points.rounding:
             raise InputError(
