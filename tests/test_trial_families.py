@@ -155,7 +155,7 @@ def test_an_effect_of_the_family_is_named():
 def test_the_waves_of_an_error_over_x_are_counted():
     """Nobody knows the effect: the error has three waves per period of x, and goes with the place in it."""
     model = ARRAY.models[0]()
-    bare = replace(model, family=replace(ARRAY, effects=(), catalogue=()))
+    bare = replace(model, family=replace(ARRAY, effects=()))
     found = hallsym.diagnose(recorded(second_harmonic(model), HARMONIC), bare, holdout=[2])
     assert (found.verdict, found.ranked) == ("unexplained", ())
     largest = max(found.waves, key=lambda w: w.model)
