@@ -30,6 +30,8 @@ from hallsym.model import Combination, Model, Parameter, Signals, Step
 
 FAMILY = "rotary"
 DEFAULT = "rotary"
+LOWERING = "angle"
+"""Kind of decoder that C is generated for (`hallsym.codegen.lowering`)."""
 POSE = ("angle_rad",)
 REFERENCES = ("angle_ref_rad",)
 STATE: tuple[str, ...] = ()

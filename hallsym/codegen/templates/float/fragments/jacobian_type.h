@@ -1,0 +1,6 @@
+
+/** Slopes of the pose by the readings. */
+typedef struct
+{
+    @SLOPE_MEMBERS@
+} decoupler_jacobian_t;
