@@ -18,7 +18,7 @@ import numpy as np
 
 from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import Decoupler, flag_bit
-from hallsym.codegen.entries import short
+from hallsym.codegen.entries import short, unit
 from hallsym.codegen.templates import MARK, filled, tree
 
 VERSION = 1
@@ -44,7 +44,7 @@ def mix(x: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """An entry of the table as C holds it: a number () or a row (n,), little-endian, and what the header says."""
+    """An entry of the table as C holds it: a number () or a row (n,), little-endian; `note`: for the header."""
 
     name: str
     values: np.ndarray
@@ -58,9 +58,20 @@ class Stored:
         return f"{C_TYPES[self.values.dtype.str[1:]]} {self.name}{size}; /**< {self.note} */"
 
 
+@dataclass(frozen=True)
+class Port:
+    """An input or output of the generated functions: its C type and name, unit, and the SI value of 1."""
+
+    column: str
+    type: str
+    member: str
+    unit: str
+    scale: float = 1.0
+
+
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Listed vectors: `inputs` (n_inputs, s), `held` those brought back into the box, `status` (s,), `pose`
+    """Listed vectors: `inputs` (n_inputs, s), `held` those brought back into the box [SI], `status` (s,), `pose`
     (n_pose, s) of the model in double.
     """
 
@@ -85,10 +96,7 @@ class Backend(ABC):
     hashed: ClassVar[tuple[int, int]]
     """Samples in the short and the long hash of the self-test."""
     batch: ClassVar[int] = BATCH
-    outside: ClassVar[str]
-    """What the header says of an input whose bit is set."""
-
-    # -- the arithmetic ------------------------------------------------------------------------------------
+    """Random samples that are drawn at a time."""
 
     @property
     @abstractmethod
@@ -104,6 +112,27 @@ class Backend(ABC):
     @abstractmethod
     def error_bound(self) -> Mapping[str, float]:
         """Bound of |computed - model| [SI] by pose column: rounding, approximations, everything."""
+
+    @abstractmethod
+    def summary(self) -> dict[str, Any]:
+        """Return what the record of a generation says of this arithmetic alone."""
+
+    # -- the arithmetic ------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def inputs(self) -> Sequence[Port]:
+        """Readings, then state."""
+
+    @property
+    @abstractmethod
+    def outputs(self) -> Sequence[Port]:
+        """Pose coordinates."""
+
+    @property
+    def limited(self) -> Sequence[str]:
+        """Inputs that have a range."""
+        return self.decoupler.inputs
 
     @property
     @abstractmethod
@@ -124,19 +153,15 @@ class Backend(ABC):
         """Return inputs (n_inputs, s) of numbered samples, as `sample` of test/selftest.c makes them."""
 
     @abstractmethod
-    def words(self, pose: np.ndarray) -> np.ndarray:
+    def _words(self, pose: np.ndarray) -> np.ndarray:
         """Return the 32 bits (n_pose, s) of a pose that the hash takes."""
 
     @abstractmethod
-    def rounded(self, inputs: np.ndarray) -> np.ndarray:
+    def _rounded(self, inputs: np.ndarray) -> np.ndarray:
         """Return inputs as numbers of this arithmetic."""
 
     @abstractmethod
-    def si(self, values: np.ndarray, columns: Sequence[str]) -> np.ndarray:
-        """Return numbers of this arithmetic (n, s) in SI."""
-
-    @abstractmethod
-    def chosen(self) -> np.ndarray:
+    def _chosen(self) -> np.ndarray:
         """Return the inputs (n_inputs, s) that the self-test lists."""
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +184,7 @@ class Backend(ABC):
         for first in range(0, count, BATCH):
             n = np.arange(first, min(first + BATCH, count), dtype=np.uint32)
             pose, status = self.step(self.sample(n))
-            for k, row in enumerate((status, *self.words(pose))):
+            for k, row in enumerate((status, *self._words(pose))):
                 total += int(mix(row ^ mix(n * width + np.uint32(k))).astype(np.uint64).sum())
         return total & 0xFFFFFFFF
 
@@ -169,19 +194,19 @@ class Backend(ABC):
         low, high = self.span
         for first in range(0, samples, self.batch):
             share = rng.random((len(low), min(self.batch, samples - first)))
-            inputs = self.rounded(low + (high - low) * share)
+            inputs = self._rounded(low + (high - low) * share)
             pose, status = self.step(inputs)
-            error = d.difference(self.si(pose, d.pose), d.exact(self.si(inputs, d.inputs)))
+            error = d.difference(_si(pose, self.outputs), d.exact(_si(inputs, self.inputs)))
             most = np.maximum(most, np.abs(error[:, status == 0]).max(axis=1, initial=0.0))
         return dict(zip(d.pose, most.tolist(), strict=True))
 
     @cached_property
     def vectors(self) -> Vectors:
         """The vectors of the self-test: where a flag says that there is no pose, what is computed."""
-        d, inputs = self.decoupler, self.chosen()
-        held = self.si(self.hold(inputs)[0], d.inputs)
+        d, inputs = self.decoupler, self._chosen()
+        held = _si(self.hold(inputs)[0], self.inputs)
         pose, status = self.step(inputs)
-        found, exact = self.si(pose, d.pose), d.exact(held)
+        found, exact = _si(pose, self.outputs), d.exact(held)
         if d.model.period:  # on the branch of what is computed
             exact = found - d.difference(found, exact)
         weak = status >= flag_bit(len(d.flags) - 1) if d.flags else np.zeros(len(status), bool)
@@ -191,18 +216,8 @@ class Backend(ABC):
 
     @property
     @abstractmethod
-    def coefficients(self) -> Sequence[Stored]:
-        """Coefficients and limits, in the order of the table."""
-
-    @property
-    @abstractmethod
-    def rows(self) -> Sequence[Stored]:
-        """Rows of numbers that steps look up, after the limits."""
-
-    @property
-    @abstractmethod
-    def zeros(self) -> Sequence[Stored]:
-        """What a reset adds to the pose, at the end of the table."""
+    def entries(self) -> Sequence[Stored]:
+        """Coefficients and limits, rows of numbers that steps look up, and zeros, in the order of the table."""
 
     @property
     @abstractmethod
@@ -210,8 +225,12 @@ class Backend(ABC):
         """CRC-32 over names, units and arithmetic: code and table belong together if it is the same."""
 
     @abstractmethod
-    def json_of_table(self) -> dict[str, Any]:
-        """Return what its JSON form says of the numbers."""
+    def _json(self) -> dict[str, Any]:
+        """Return what the JSON form of the table says of its numbers."""
+
+    @abstractmethod
+    def _literal(self, value: Any) -> str:
+        """Return a number of the table in C."""
 
     @property
     def head(self) -> tuple[tuple[str, int], ...]:
@@ -221,7 +240,7 @@ class Backend(ABC):
     @cached_property
     def covered(self) -> bytes:
         """The bytes that the CRC covers: not the zeros, which a reset changes."""
-        return b"".join(entry.values.tobytes() for entry in (*self.coefficients, *self.rows))
+        return b"".join(entry.values.tobytes() for entry in self.entries[: -len(self.decoupler.pose)])
 
     @property
     def crc(self) -> int:
@@ -232,7 +251,7 @@ class Backend(ABC):
     def binary(self) -> bytes:
         """The table as it lies in the flash of a little-endian controller."""
         head = struct.pack(f"<{len(self.head)}I", *(word for _, word in self.head))
-        return head + self.covered + b"".join(zero.values.tobytes() for zero in self.zeros)
+        return head + b"".join(entry.values.tobytes() for entry in self.entries)
 
     def json(self) -> str:
         """Return the table as a readable record."""
@@ -244,83 +263,84 @@ class Backend(ABC):
             "layout": f"0x{self.layout:08x}",
             "crc32": f"0x{self.crc:08x}",
             "type": self.type,
-            **self.json_of_table(),
+            **self._json(),
         }
         return json.dumps(record, indent=1) + "\n"
 
-    # -- C -------------------------------------------------------------------------------------------------
+    def _values(self) -> list[str]:
+        """The table as an initializer in C."""
+        rows = []
+        for name, word in self.head:
+            rows.append(f"    .{name} = {f'0x{word:08X}' if name in ('layout', 'crc') else word}UL,")
+        for entry in self.entries:
+            remark = f" /* [{entry.unit}] */" if entry.unit else ""
+            if entry.values.ndim:
+                text = textwrap.wrap(", ".join(map(self._literal, entry.values.tolist())), 104)
+                rows += [f"    .{entry.name} = {{{remark}", *(f"        {line}" for line in text), "    },"]
+            else:
+                sign = "U" if entry.values.dtype.kind == "u" else ""
+                rows.append(f"    .{entry.name} = {self._literal(entry.values.item())}{sign},{remark}")
+        return rows
+
+    # -- files ---------------------------------------------------------------------------------------------
 
     @abstractmethod
-    def literal(self, value: Any) -> str:
-        """Return a number in C."""
-
-    def member(self, column: str) -> str:
-        """Return the C name of an input or output."""
-        return column
+    def _of_input(self, port: Port) -> dict[str, Any]:
+        """Return what templates of this arithmetic say of an input beyond `_inputs`."""
 
     @abstractmethod
-    def c_type(self, column: str) -> str:
-        """Return the C type of an input or output."""
+    def _of_output(self, port: Port) -> dict[str, Any]:
+        """Return what templates of this arithmetic say of an output beyond `_outputs`."""
+
+    def _inputs(self) -> list[dict[str, Any]]:
+        d, out = self.decoupler, []
+        for k, port in enumerate(self.inputs):
+            low, high = ends(d, port.column)
+            out.append({
+                **_record(k, port), "bit": bit(port.column), "mask": f"0x{1 << k:08X}UL",
+                "low": low, "high": high, "least": of_params(low), "greatest": of_params(high),
+                "lowest": f"{d.ends(port.column)[0]:.6g}", "highest": f"{d.ends(port.column)[1]:.6g}",
+                **self._of_input(port),
+            })  # fmt: skip
+        return out
+
+    def _outputs(self, errors: Mapping[str, float]) -> list[dict[str, Any]]:
+        out, found = [], self.bounds
+        for k, port in enumerate(self.outputs):
+            c = port.column
+            out.append({
+                **_record(k, port), "zero": f"zero_{short(c)}",
+                "lowest": f"{found.low[c]:.6g}", "highest": f"{found.high[c]:.6g}",
+                "error": _small(self.error_bound[c], c), "met": _small(errors[c], c), **self._of_output(port),
+            })  # fmt: skip
+        return out
 
     @abstractmethod
-    def note(self, column: str) -> str:
-        """Return what the header says of an output: its unit."""
-
-    def input_note(self, column: str) -> str:
-        """Return what the header says of an input: its unit first."""
-        return self.note(column)
-
-    @property
-    def limited(self) -> Sequence[str]:
-        """Inputs that have a range."""
-        return self.decoupler.inputs
-
-    @abstractmethod
-    def any_value(self, column: str) -> str:
-        """Return the C of an input of any bits, for CBMC."""
-
-    @abstractmethod
-    def outer(self, column: str) -> tuple[str, str] | None:
-        """Return C of the ends between which a prover is to see an output, or None."""
-
-    @abstractmethod
-    def summary(self) -> dict[str, Any]:
-        """Return what the record of a generation says of this arithmetic alone."""
-
-    @abstractmethod
-    def fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
-        """Return the fields of the templates of this arithmetic alone."""
+    def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+        """Return the fields of the templates that are not the same for every arithmetic."""
 
     def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
         """Return the files of the folder by path; `errors`: largest met, `notes`: on the calibration."""
-        fields = {**self._fields(), **self.fields(errors, notes)}
+        fields = self.fields(errors, notes)
         made: dict[str, str | bytes] = {name: filled(path, fields) for name, path in tree(self.tree).items()}
         return made | {"params/decoupler_params.json": self.json(), BINARY: self.binary}
 
-    def _fields(self) -> dict[str, Any]:
-        d = self.decoupler
-        bits = [
-            f"#define {bit(c)} 0x{1 << k:08X}UL /**< {c} {self.outside} */"
-            for k, c in enumerate(d.inputs)
-            if c in self.limited
-        ]
-        bits += [
-            f"#define DECOUPLER_{f.name} 0x{flag_bit(k):08X}UL /**< {f.meaning} */"
+    def fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+        """Return the fields of all templates."""
+        d, inputs, outputs = self.decoupler, self._inputs(), self._outputs(errors)
+        short_hash, long_hash = (f"0x{self.hash(n):08X}UL" for n in self.hashed)
+        flags = [
+            {"name": f.name, "mask": f"0x{flag_bit(k):08X}UL", "meaning": f.meaning}
             for k, f in enumerate(d.flags)
         ]
-        flags = " | ".join(f"DECOUPLER_{f.name}" for f in d.flags)
-        wanted = [
-            f"wanted |= ((in.{c} >= {low}) && (in.{c} <= {high})) ? 0U : {bit(c)};"
-            for c in self.limited
-            for low, high in [of_params(*ends(d, c))]
-        ]
-        bounded = [
-            f'__CPROVER_assert((out.{c} >= {low}) && (out.{c} <= {high}), "{c} bounded");'
-            for c in d.pose
-            for low, high in filter(None, [self.outer(c)])
-        ]
-        short_hash, long_hash = (f"0x{self.hash(n):08X}UL" for n in self.hashed)
+        raised = sum(flag_bit(k) for k in range(len(d.flags)))
         return {
+            "in": inputs,
+            "limited": [i for i in inputs if i["column"] in self.limited],
+            "out": outputs,
+            "bounded": [o for o in outputs if "outer_low" in o],
+            "flag": flags,
+            "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
             "model": d.model.name,
             "family": d.model.family,
             "sha256": self.record["calibration_sha256"],
@@ -331,51 +351,33 @@ class Backend(ABC):
             "inputs": len(d.inputs),
             "pose": len(d.pose),
             "width": len(d.pose) + 1,
-            "first": self.coefficients[0].name,
-            "last": self.zeros[0].name,
-            "bits": bits or [""],
-            "table": [f"uint32_t {name}; /**< 0 */" for name, _ in self.head[3:]]
-            + [e.member for e in (*self.coefficients, *self.rows, *self.zeros)],
-            "in": [f"{self.c_type(c)} {self.member(c)}; /**< {self.input_note(c)} */" for c in d.inputs],
-            "out": [f"{self.c_type(c)} {self.member(c)}; /**< {self.note(c)} */" for c in d.pose],
+            "first": self.entries[0].name,
+            "last": self.entries[-len(d.pose)].name,
+            "table": [f"uint32_t {n}; /**< 0 */" for n, _ in self.head[3:]]
+            + [e.member for e in self.entries],
             "values": self._values(),
-            "without_flags": f" & ~({flags})" if d.flags else "",
-            "status_or_flags": self.flag_status,
-            "any_inputs": [f"in.{self.member(c)} = {self.any_value(c)};" for c in d.inputs],
-            "wanted": wanted,
-            "pose_bounded": bounded,
+            "without_flags": f" & ~({' | '.join(f'DECOUPLER_{f.name}' for f in d.flags)})" if d.flags else "",
+            "status_or_flags": f"status == 0 || status == 0x{raised:08X}" if d.flags else "status == 0",
             "vectors": self.vectors.inputs.shape[1],
+            "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
             "hash_short": short_hash,
             "hash_long": long_hash,
+            **self._fields(errors, notes),
         }
 
-    @property
-    def flag_status(self) -> str:
-        """The status of inputs in the box, for a prover: 0, or all flags."""
-        raised = sum(flag_bit(k) for k in range(len(self.decoupler.flags)))
-        return f"status == 0 || status == 0x{raised:08X}" if raised else "status == 0"
 
-    def _values(self) -> list[str]:
-        """The table as an initializer in C."""
-        rows = [f"    .{name} = {_word(name, value)}," for name, value in self.head]
-        for entry in (*self.coefficients, *self.rows, *self.zeros):
-            remark = f" /* [{entry.unit}] */" if entry.unit else ""
-            if entry.values.ndim:
-                text = ", ".join(map(self.literal, entry.values.tolist()))
-                rows += [f"    .{entry.name} = {{{remark}", *wrapped(text), "    },"]
-            else:
-                sign = "U" if entry.values.dtype.kind == "u" else ""
-                rows.append(f"    .{entry.name} = {self.literal(entry.values.item())}{sign},{remark}")
-        return rows
+def _si(values: np.ndarray, ports: Sequence[Port]) -> np.ndarray:
+    """Return numbers of an arithmetic (n, s) in SI."""
+    return values.astype(float) * np.array([[port.scale] for port in ports])
 
 
-def _word(name: str, value: int) -> str:
-    return f"0x{value:08X}UL" if name in ("layout", "crc") else f"{value}UL"
+def _record(k: int, port: Port) -> dict[str, Any]:
+    cast = "(uint32_t)" if port.type == "uint32_t" else ""
+    return {**vars(port), "name": short(port.column), "number": k + 1, "index": k, "cast": cast}
 
 
-def wrapped(text: str) -> list[str]:
-    """Return the lines of a row of numbers in an initializer."""
-    return [f"        {line}" for line in textwrap.wrap(text, 104)]
+def _small(value: float, column: str) -> str:
+    return f"{value * 1e9:.3g} n{unit(column)}" if value > 1e-13 else f"{value:.2g} {unit(column)}"
 
 
 def ends(d: Decoupler, column: str) -> tuple[str, str]:
@@ -386,9 +388,9 @@ def ends(d: Decoupler, column: str) -> tuple[str, str]:
     return f"p->low_{name}", f"p->high_{name}"
 
 
-def of_params(*texts: str) -> tuple[str, ...]:
-    """Return C texts with the entries taken from the constant table."""
-    return tuple(text.replace("p->", "decoupler_params.") for text in texts)
+def of_params(text: str) -> str:
+    """Return C with the entries taken from the constant table."""
+    return text.replace("p->", "decoupler_params.")
 
 
 def bit(column: str) -> str:

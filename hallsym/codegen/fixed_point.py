@@ -8,8 +8,7 @@ import numpy as np
 
 from hallsym.codegen import binary_angle as turns
 from hallsym.codegen.decoupler import Decoupler
-from hallsym.codegen.entries import short, unit
-from hallsym.codegen.templates import Fields, lines_of
+from hallsym.codegen.templates import lines_of
 
 FRAGMENTS = "q31/fragments/"
 UNSIGNED = ("angle", "turn")
@@ -133,39 +132,12 @@ class Program:
         a, b = value[line.a], value[line.b]
         return turns.angle_of(a, b, line.i) if line.operation == "angle" else (a + b) & turns.MASK
 
-    def unit(self, column: str) -> float:
-        """Return the SI value of the last bit of an input or output."""
-        if column in self.angles:
-            return turns.UNIT
-        return 2.0 ** -(self.inputs[column] if column in self.inputs else self.outputs[column][1])
-
     @property
     def shifts(self) -> bool:
         """Whether numbers with a sign are shifted right."""
         return any(
             line.operation in ("mul", "right", "angle", "look") or line.i or line.j for line in self.lines
         )
-
-    def scale(self, column: str) -> str:
-        """Return what the last bit of an input or output is, for a reader."""
-        if column in self.angles:
-            return "2^-32 turn"
-        e = self.inputs[column] if column in self.inputs else self.outputs[column][1]
-        return f"2^-{e} {unit(column)}"
-
-    @property
-    def exponents(self) -> dict[str, int]:
-        """Of inputs and outputs that are no binary angles."""
-        found = {**self.inputs, **{c: e for c, (_, e) in self.outputs.items()}}
-        return {c: e for c, e in found.items() if c not in self.angles}
-
-    def member(self, column: str) -> str:
-        """Return the C name of an input or output: `angle_bam` of a binary angle."""
-        return f"{short(column)}_bam" if column in self.angles else column
-
-    def kind(self, column: str) -> str:
-        """Return the C type of an input or output."""
-        return "uint32_t" if column in self.angles else "int32_t"
 
     def c(self, names: Mapping[str, str]) -> list[str]:
         """Return the lines in C; `names` gives the text of inputs and table entries."""
@@ -206,7 +178,7 @@ def helpers(program: Program) -> list[str]:
         if line.operation == "angle":
             angles = [f"{t}U" for t in turns.ARCTANGENTS[: line.i]]
             rows = [", ".join(angles[k : k + 8]) for k in range(0, line.i, 8)]
-            fields: Fields = {"steps": line.i, "arctangents": ",\n        ".join(rows)}
+            fields: dict[str, Any] = {"steps": line.i, "arctangents": ",\n        ".join(rows)}
             called += lines_of(f"{FRAGMENTS}angle_of.c", fields)
     for array in program.arrays.values():
         called += _look_up(array)

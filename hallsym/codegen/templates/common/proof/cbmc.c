@@ -3,17 +3,17 @@
 #include "decoupler.h"
 #include "decoupler_params.h"
 
-@NONDET@(void);
+@ANY_TYPE@ nondet_@ANY@(void);
 
 int main(void)
 {
     decoupler_in_t in;
     decoupler_out_t out;
     uint32_t wanted = 0U;
-    @ANY_INPUTS@
+    in.@in.member@ = @in.cast@nondet_@ANY@();
     const uint32_t status = decoupler_step(&decoupler_params, &in, &out)@WITHOUT_FLAGS@;
-    @WANTED@
+    wanted |= ((in.@limited.member@ >= @limited.least@) && (in.@limited.member@ <= @limited.greatest@)) ? 0U : @limited.bit@;
     __CPROVER_assert(status == wanted, "status is 0 iff every input is in the box");
-    @POSE_BOUNDED@
+    __CPROVER_assert((out.@bounded.member@ >= @bounded.outer_low@) && (out.@bounded.member@ <= @bounded.outer_high@), "@bounded.column@ bounded");
     return 0;
 }

@@ -2,5 +2,5 @@
 /** Slopes of the pose by the readings. */
 typedef struct
 {
-    @SLOPE_MEMBERS@
+    @REAL@ @slope.name@; /**< [@slope.unit@] d @slope.of@ / d @slope.by@ */
 } decoupler_jacobian_t;

@@ -1,12 +1,12 @@
-@BEFORE@
+const @out.type@ before_@out.name@ = p->@out.zero@;
 decoupler_out_t seen;
-@CLEAR@
+p->@out.zero@ = @ZERO@;
 status = decoupler_step(p, in, &seen);
 if (status == 0U)
 {
-    @ADD_ZEROS@
+    p->@out.zero@ = pose->@out.member@ - seen.@out.member@;
 }
 else
 {
-    @RESTORE@
+    p->@out.zero@ = before_@out.name@;
 }

@@ -20,7 +20,8 @@ extern "C" {
 
 /** @name Status of decoupler_step(): 0, or the inputs that were brought back into their range */
 /** @{ */
-@BITS@
+#define @in.bit@ @in.mask@ /**< @in.column@ outside its range, or not finite */
+#define DECOUPLER_@flag.name@ @flag.mask@ /**< @flag.meaning@ */
 #define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose not within @KNOWN@ */
 /** @} */
 
@@ -46,13 +47,13 @@ typedef struct
 /** Input of one sample. */
 typedef struct
 {
-    @IN@
+    @in.type@ @in.member@; /**< [@in.unit@] @in.kind@ */
 } decoupler_in_t;
 
 /** Decoupled pose. */
 typedef struct
 {
-    @OUT@
+    @out.type@ @out.member@; /**< [@out.unit@] */
 } decoupler_out_t;
 @JACOBIAN_TYPE@
 

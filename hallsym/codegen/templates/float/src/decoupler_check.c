@@ -55,7 +55,8 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     const uint8_t *bytes = (const uint8_t *)p;
     uint32_t found = 0U;
     uint32_t bad = 0U;
-    @NOT_FINITE@
+    bad += not_finite(p->@entry.name@);
+    @ROWS_FINITE@
     if (p->version != DECOUPLER_VERSION)
     {
         found |= DECOUPLER_BAD_VERSION;

@@ -20,8 +20,8 @@ static int zero_works(void)
     decoupler_out_t pose;
     decoupler_out_t out;
     int good = 1;
-    @REST@
-    @POSE_AT_KNOWN@
+    in.@in.member@ = @in.rest@;
+    pose.@out.member@ = at_known;
     if ((decoupler_zero(&table, &in, &pose) != 0U) || (decoupler_step(&table, &in, &out) != 0U) ||
         @NOT_BACK@)
     {

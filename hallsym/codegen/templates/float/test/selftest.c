@@ -59,7 +59,7 @@ static @REAL@ input(uint32_t n, uint32_t k, @REAL@ low, @REAL@ high)
 
 static void sample(uint32_t n, decoupler_in_t *in)
 {
-    @SAMPLE@
+    in->@in.member@ = input(n, @in.number@U, @in.least@, @in.greatest@);
 }
 
 uint32_t decoupler_hash(uint32_t count)
@@ -71,7 +71,7 @@ uint32_t decoupler_hash(uint32_t count)
         decoupler_out_t out;
         sample(n, &in);
         total += mix(decoupler_step(&decoupler_params, &in, &out) ^ mix(n * @WIDTH@U));
-        @WORDS@
+        total += mix(word(out.@out.member@) ^ mix((n * @WIDTH@U) + @out.number@U));
     }
     return total;
 }
@@ -95,7 +95,9 @@ decoupler_selftest_t decoupler_selftest(void)
         decoupler_out_t out;
         @SLOPE_STEP@
         uint32_t failed = (decoupler_step(&decoupler_params, &wanted->in, &out) == wanted->status) ? 0U : 1U;
-        @COMPARE@
+        failed |= differs(out.@out.member@, wanted->pose[@out.index@], decoupler_bounds[@out.index@], &result.worst);
+        @SLOPE_STATUS@
+        failed |= differs(slopes.@slope.name@, wanted->slopes[@slope.index@], decoupler_slope_bounds[@slope.index@], &slope_worst);
         result.vectors++;
         result.failures += failed;
     }

@@ -21,13 +21,16 @@ extern "C" {
 
 /** @name Status of decoupler_step(): 0, or the inputs that were brought back into their range */
 /** @{ */
-@BITS@
+#define @limited.bit@ @limited.mask@ /**< @limited.column@ outside its range */
+#define DECOUPLER_@flag.name@ @flag.mask@ /**< @flag.meaning@ */
+@NO_BITS@
 @KNOWN_BIT@
 /** @} */
 
 /** @name Units of inputs and outputs */
 /** @{ */
-@SCALES@
+#define @scaled.macro@_EXPONENT @scaled.exponent@ /**< @scaled.column@ = value @scaled.unit@ */
+@RAD_PER_BAM@
 /** @} */
 
 /** @name Findings of decoupler_check(): 0, or what is wrong with a table */
@@ -51,13 +54,13 @@ typedef struct
 /** Input of one sample. */
 typedef struct
 {
-    @IN@
+    @in.type@ @in.member@; /**< [@in.unit@] */
 } decoupler_in_t;
 
 /** Decoupled pose. */
 typedef struct
 {
-    @OUT@
+    @out.type@ @out.member@; /**< [@out.unit@] */
 } decoupler_out_t;
 
 /** Decouple one sample; 0 if every input is within its range, else the bits of those that were brought back. */

@@ -2,12 +2,13 @@
 #include "decoupler.h"
 
 @HELPERS@
-@LIMITED@
+@LIMITS@
 uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
 {
     @STATUS@
     @HELD@
     @BODY@
+    out->@out.member@ = @out.line@;
     @FLAGS@
     return @RETURNED@;
 }

@@ -12,8 +12,8 @@ static int zero_works(void)
     decoupler_in_t in;
     decoupler_out_t pose;
     decoupler_out_t out;
-    @REST@
-    @AT_KNOWN@
+    in.@in.member@ = @in.rest@;
+    pose.@out.member@ = @out.at_known@;
     return (decoupler_zero(&table, &in, &pose) == 0U) && (decoupler_step(&table, &in, &out) == 0U) && @BACK@;
 }
 
