@@ -322,8 +322,14 @@ class Backend(ABC):
     def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
         """Return the files of the folder by path; `errors`: largest met, `notes`: on the calibration."""
         fields = self.fields(errors, notes)
-        made: dict[str, str | bytes] = {name: filled(path, fields) for name, path in tree(self.tree).items()}
+        made: dict[str, str | bytes] = {
+            name: filled(path, fields) for name, path in self._templates().items()
+        }
         return made | {"params/decoupler_params.json": self.json(), BINARY: self.binary}
+
+    def _templates(self) -> dict[str, str]:
+        """Return the template of each file."""
+        return dict(tree(self.tree))
 
     def fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         """Return the fields of all templates."""

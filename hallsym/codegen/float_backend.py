@@ -30,12 +30,17 @@ FRAGMENTS = "float/fragments/"
 class FloatBackend(FloatArithmetic):
     """Prints the files of one decoupler in float or double."""
 
-    def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
-        """Return the files; in double there are too many bit patterns to try, and Gappa is not asked."""
-        made = super().files(errors, notes)
+    def _templates(self) -> dict[str, str]:
+        """Not all bit patterns of a double can be tried."""
+        found = super()._templates()
         if self.real.size == 8:
-            del made["proof/exhaustive.c"]
-        elif straight(self.decoupler.steps):
+            del found["proof/exhaustive.c"]
+        return found
+
+    def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
+        """Return the files; Gappa's script is for float without branches."""
+        made = super().files(errors, notes)
+        if self.real.size == 4 and straight(self.decoupler.steps):
             made["proof/rounding.g"] = gappa(self.decoupler, self.real, self.bounds)
         return made
 

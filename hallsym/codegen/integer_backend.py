@@ -14,7 +14,7 @@ from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short
 from hallsym.codegen.fixed_point import Reciprocal, helpers
 from hallsym.codegen.integer_arithmetic import MOST, IntegerArithmetic
-from hallsym.codegen.templates import filled, lines_of
+from hallsym.codegen.templates import lines_of
 
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""
@@ -28,18 +28,14 @@ FRAGMENTS = "q31/fragments/"
 class IntegerBackend(IntegerArithmetic):
     """Prints the files of one integer program."""
 
-    def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
-        """Return the files; code without reciprocals is proved as a whole."""
-        made, p = super().files(errors, notes), self.program
-        if p.angles:
-            made["proof/eva.c"] = filled(f"{FRAGMENTS}eva_of_step.c", self.fields(errors, notes))
-        if self.reads_angle:  # the correction is no larger than an entry of its table
-            made["proof/exhaustive.c"] = filled(f"{FRAGMENTS}every_angle.c", {
-                "most": max((int(abs(a.values).max()) << a.shift for a in p.arrays.values()), default=0),
-                "read": self.inputs[0].member, "pose": self.outputs[0].member,
-                "shift": "decoupler_params.shift" if "shift" in p.unsigned else "0U",
-            })  # fmt: skip
-        return made
+    def _templates(self) -> dict[str, str]:
+        """Code without reciprocals is proved as a whole, and every angle that is read is tried."""
+        found = super()._templates()
+        if self.program.angles:
+            found["proof/eva.c"] = f"{FRAGMENTS}eva_of_step.c"
+        if self.reads_angle:
+            found["proof/exhaustive.c"] = f"{FRAGMENTS}every_angle.c"
+        return found
 
     def _of_input(self, port: Port) -> dict[str, Any]:
         d, c, rest = self.decoupler, port.column, 1000
@@ -228,7 +224,12 @@ class IntegerBackend(IntegerArithmetic):
             eva.append(f"//@ assert {short(c)}_bounded: {least} <= out_{short(c)} <= {most};")
         read = "every angle, through all of the code" if self.reads_angle else "range test, all bit patterns"
         tried = "range test, all bit patterns, and reciprocals, all divisors"
+        largest = max((int(abs(a.values).max()) << a.shift for a in p.arrays.values()), default=0)
         return {
+            "largest": largest,
+            "read": self.inputs[0].member,
+            "given": self.outputs[0].member,
+            "shift": "decoupler_params.shift" if "shift" in p.unsigned else "0U",
             "nan_included": "",
             "any": "int32",
             "any_type": "int32_t",

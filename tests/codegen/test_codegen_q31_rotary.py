@@ -77,10 +77,10 @@ def test_a_table_that_does_not_fit_is_refused():
 @pytest.mark.parametrize(("case", "accuracy"), CASES)
 def test_readings_of_the_model_give_its_angle_back(case, accuracy):
     source, fit = made(case, accuracy).backend, fit_of(case)
-    p, d = source.program, source.decoupler
+    p = source.program
     angle = np.random.default_rng(5).uniform(-pi, pi, 20_000)
     readings = on_arrays(fit.model.reading)(fit.values, [], [angle], [])[0]
-    units = np.array([[p.unit(c)] for c in d.inputs])
+    units = np.array([[port.scale] for port in source.inputs])
     pose, status = source.step(np.round(readings / units).astype(np.int64))
     off = turned(pose[0] * turns.UNIT - angle).max()
     assert not status.any()
@@ -107,7 +107,7 @@ def test_counts_that_are_shifted_are_angles():
 
 def test_no_magnet_has_a_bit_of_its_own():
     source = made("ellipse volts").backend
-    units = np.array([source.program.unit(c) for c in source.decoupler.inputs])
+    units = np.array([port.scale for port in source.inputs])
     center = np.array([ELLIPSE["Vy"], ELLIPSE["Vx"]])
     moved = np.array([[0.0, 0.0], [0.45, 0.0], [0.0, 0.55], [3.0, 0.0]])
     inputs = (center + moved).T / units[:, None]

@@ -8,7 +8,7 @@
 
 int main(void)
 {
-    const int64_t most = @MOST@;
+    const int64_t most = @LARGEST@;
     unsigned long bad = 0UL;
     decoupler_in_t in;
     decoupler_out_t out;
@@ -16,7 +16,7 @@ int main(void)
     do
     {
         const uint32_t status = decoupler_step(&decoupler_params, &in, &out);
-        const uint32_t moved = out.@POSE@ - in.@READ@ - @SHIFT@;
+        const uint32_t moved = out.@GIVEN@ - in.@READ@ - @SHIFT@;
         const int64_t by = (moved < 0x80000000U) ? (int64_t)moved : ((int64_t)moved - 4294967296);
         bad += ((status == 0U) && (by <= most) && (by >= -most)) ? 0UL : 1UL;
         in.@READ@++;
