@@ -62,7 +62,7 @@ def lowered(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, **options
     given = {name: value for name, value in options.items() if value is not None}
     for name in given.keys() - set(options_of(lowering)):
         raise InputError(
-            f"--{name} belongs to families that correct an angle; {model.name} of the family {model.family} is "
-            "decoded as exactly as float32 can: leave it out."
+            f"--{name} belongs to families that correct an angle; {model.name} of the family {model.family} "
+            "is decoded as exactly as float32 can: leave it out."
         )
     return lowering(model, p, weight, box, **given)
