@@ -5,23 +5,23 @@ import shlex
 from argparse import Namespace
 from typing import Any
 
+from hallsym.cli import OK
 from hallsym.cli.common import (
-    OK,
     command,
     log_options,
     model_options,
     open_log,
+    own_effects,
     own_option,
     progress_of,
     run_numbers,
     say,
 )
-from hallsym.diagnosis import load_effects, makes
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
+from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.engine import Examined, examine
-from hallsym.diagnosis.errors import errors_of
-from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import columns_of
@@ -38,7 +38,7 @@ from hallsym.report.text.diagnosis import diagnosis_text
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "diagnose", run, "where the gap lies, which effect makes it, how far it shrinks",
+        sub, "diagnose", run,
         "Fit a model on a log, find what it leaves above the noise, which effect explains it, and how\n"
         "far the gap shrinks once that effect is added, judged on held-out runs.",
         "examples:\n"
@@ -77,16 +77,16 @@ def run(options: Namespace) -> int:
     log = open_log(options, machine)
     name = options.model or default_model(log.meta)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
-    listed = load_effects(options.effects) if options.effects else ()
+    own = own_effects(options)
     if str(name).endswith(".json"):
-        model: Model | Fit = load_fit(name, makes(listed))
+        model: Model | Fit = load_fit(name, own)
     else:
         model = model_on(
             log,
             name,
             options.effect,
             parameters=machine.parameters,
-            own=makes(listed),
+            own=own,
             holdout=holdout,
             drop_bad=options.drop_bad,
         )
@@ -94,7 +94,7 @@ def run(options: Namespace) -> int:
         log,
         model,
         holdout=holdout,
-        effects=listed,
+        effects=tuple(own.values()),
         threshold=options.threshold,
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),

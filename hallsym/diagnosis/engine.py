@@ -11,13 +11,12 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym.diagnosis import split
+from hallsym.diagnosis import holdout_pieces
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
-from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit as fitting
 from hallsym.estimation.calibration import Fit
@@ -84,7 +83,6 @@ def examine(
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     began, say = perf_counter(), on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
-    kind = kind_of(model)
     whole = log
     log, pieces = _pieces(log, model) if holdout is None else (log, None)
     apart = pieces or _holdout(log, holdout)
@@ -93,9 +91,11 @@ def examine(
     log, result = _fitted(log, model, apart, drop_bad, say, "auto" if timed or not pieces else "none")
     wiring = result.wiring
     base = base_of(log, result)
-    base = replace(base, model=kind.direct(base.model), timed=timed)
+    base = replace(base, model=model.family.direct(base.model), timed=timed)
     runs = [r for r in base.log.runs if r not in apart]
-    search = Search(base, runs, (*kind.catalogue, *effects), level, floor_of(result, base.length_m), say)
+    search = Search(
+        base, runs, (*model.family.catalogue, *effects), level, floor_of(result, base.pose_weights), say
+    )
     search.run()
     said = report(search, log, result, apart, wiring, level, perf_counter() - began)
     if pieces:  # which the log on disk does not have
@@ -113,11 +113,11 @@ def _built(log: Log, model: str | Model | Fit | None) -> Model:
 
 def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...] | None]:
     """Take a recording of too few runs to pieces, where runs have nothing of their own."""
-    if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < split.FEWEST:
+    if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < holdout_pieces.FEWEST:
         return log, None
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=fitting.noise_of(log, model)), model)
-    return split.split(log, None if split.TIME in log.columns else _spikes(log, model))
+    return holdout_pieces.split(log, None if holdout_pieces.TIME in log.columns else _spikes(log, model))
 
 
 def _spikes(log: Log, model: Model) -> np.ndarray | None:
@@ -174,11 +174,15 @@ def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:
     if holdout is None:
         holdout = log.meta.holdout or log.runs[HOLD_EVERY // 2 :: HOLD_EVERY]
     if len(log.runs) < FEWEST_RUNS or len(log.runs) - len(set(holdout)) < 2 or not holdout:
-        short, many = log.rows < split.FEWEST, counted(len(log.runs), "run")
+        short, many = log.rows < holdout_pieces.FEWEST, counted(len(log.runs), "run")
         raise InputError(
             f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
             "(2 to fit and 1 to judge on at least); record more runs or "
-            + (f"at least {split.FEWEST} samples (it has {log.rows})." if short else "split a long one.")
+            + (
+                f"at least {holdout_pieces.FEWEST} samples (it has {log.rows})."
+                if short
+                else "split a long one."
+            )
         )
     return tuple(holdout)
 

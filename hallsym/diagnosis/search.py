@@ -6,25 +6,23 @@ from functools import partial
 
 import numpy as np
 
-from hallsym.diagnosis.cancelling import undone
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.change_points import MAX_SEGMENTS, instants, switched_runs
+from hallsym.diagnosis.collinearity import undone
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
-from hallsym.diagnosis.kinds import kind_of
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, bic_of, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.scores import Score, by_name, candidates, scores
-from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
-from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.survey import SEGMENT, Survey, survey
-from hallsym.diagnosis.switching import switched_runs
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey, survey
 from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import as_read
 from hallsym.estimation.gauss_newton import cost_near
 from hallsym.log import Log
-from hallsym.log.batches import remembered
+from hallsym.log.batches import batches, remembered
 from hallsym.model import Model
 
 REPEATS = 4
@@ -51,17 +49,16 @@ def base_of(log: Log, result: Fit) -> Base:
         zeros=dict(zip(cost.summary.runs, point.zeros, strict=True)),
         covariance=point.covariance.mean(axis=0),
         free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
-        length_m=log.meta.gap_length_scale_m or 0.35,
+        pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         apart=frozenset(result.log["holdout"]),
         sigma=sigma,
         keep=remembered(result.keep, wired.rows),
     )
 
 
-def floor_of(result: Fit, length_m: float) -> Floor:
+def floor_of(result: Fit, weights: np.ndarray) -> Floor:
     """Return the gap metric that noise alone leaves."""
-    floor = result.noise_floor.items()
-    metric = float(np.sqrt(sum((length_m * v if c.startswith("r") else v) ** 2 for c, v in floor)))
+    metric = float(np.linalg.norm(weights * np.array(list(result.noise_floor.values()))))
     return Floor(metric, all(s.source == "given" for s in result.noise.sigmas.values()))
 
 
@@ -71,21 +68,20 @@ def facts_of(base: Base, found: Survey) -> Facts:
     temperature = _mean(log, "temperature_degc") if "temperature_degc" in log.columns else None
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
-        step_s=found.step_s,
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
         temperature=temperature,
         extremes=_extremes(log, model),
         rails=rails_of(log, model),
         lines_hz=found.lines_hz,
+        lines_tried=max(1, round(sum(b - a for a, b in MAINS) * found.duration_s)),
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
         on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),
-        gains=tuple(float(base.p[k]) for k, name in enumerate(model.names) if name.startswith("eta_")),
     )
 
 
 def _mean(log: Log, column: str) -> float:
-    sums = [(b.data[column].sum(), len(b.data[column])) for b in log.blocks((column,))]
+    sums = [(b.data[column].sum(), len(b)) for b in batches(log, (column,))]
     return float(sum(s for s, _ in sums) / sum(n for _, n in sums))
 
 
@@ -93,8 +89,8 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
     """Return the extreme values of each channel that come again and again, exactly: its rails."""
     low, high = np.full(len(model.channels), np.inf), np.full(len(model.channels), -np.inf)
     at_low, at_high = np.zeros(len(low)), np.zeros(len(low))
-    for block in log.blocks(model.channels):
-        values = np.array([block.data[c] for c in model.channels])
+    for batch in batches(log, model.channels):
+        values = np.array(batch.columns(model.channels))
         lowest, highest = values.min(axis=1), values.max(axis=1)
         at_low = np.where(lowest < low, 0, at_low)
         at_high = np.where(highest > high, 0, at_high)
@@ -109,9 +105,8 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
 
 def _extremes(log: Log, model: Model) -> np.ndarray:
     """Quantiles of a sample of the readings, high and low in turn: rails that are tried."""
-    parts = [np.array([b.data[c] for c in model.channels])[:, :: max(1, log.rows // 50_000)]
-             for b in log.blocks(model.channels)]  # fmt: skip
-    values = np.hstack(parts)
+    step = max(1, log.rows // 50_000)
+    values = np.hstack([np.array(b.columns(model.channels))[:, ::step] for b in batches(log, model.channels)])
     return np.vstack([np.quantile(values, [a, 1 - a], axis=1) for a in (0.998, 0.99, 0.97, 0.93)])
 
 
@@ -160,7 +155,7 @@ class Search:
         self.scored: list[tuple[Refitted, list[Score]]] = []
         self.owner: dict[str, str] = {}
         self.survey = Survey()
-        self.most = kind_of(base.model).most
+        self.most = base.model.family.most_effects
 
     def run(self) -> None:
         """Add effects while they lower the gap metric by the threshold; then ask of each again.
@@ -212,7 +207,7 @@ class Search:
 
     def prune(self) -> None:
         """Where a gap remains, drop effects that only resemble what makes it: they leave its shape behind."""
-        rest = structure(self.now.base, self.runs)
+        rest = lack_of_fit(self.now.base, self.runs)
         seen = survey(self.now.base, frozenset(self.runs))
         gap = self.gap(self.now)
         if not remains(rest, slow_share(seen.variance, seen.fast), gap, self.floor, self.level):
@@ -221,7 +216,7 @@ class Search:
         for k, found in enumerate(self.found):
             others = [f.exact for j, f in enumerate(self.found) if j != k]
             without = self.rebuilt(others) if others else self.start
-            before = structure(without.base, self.runs)
+            before = lack_of_fit(without.base, self.runs)
             if used_up(before, self.gap(without), rest, gap) >= USED_UP:
                 kept.append(found)
         if len(kept) < len(self.found):
@@ -251,7 +246,7 @@ class Search:
             at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
             lambda e: self.keeps(e, at) and not undone(e.fit, at, self.start, self.owner),
         )  # fmt: skip
-        if kind_of(at.base.model).pairs:
+        if at.base.model.family.pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
         return exact, ranked
 

@@ -1,5 +1,8 @@
 """What a sensor is: the chain of links from pose to reading, its parameters, and what follows from them."""
 
+from hallsym.model.arguments import Facts
+from hallsym.model.effect import Effect, Variant, effect
+from hallsym.model.family import Example, Family, PoseMetric
 from hallsym.model.model import (
     LINKS,
     Combination,
@@ -11,4 +14,7 @@ from hallsym.model.model import (
     Symbols,
 )
 
-__all__ = ["LINKS", "Combination", "Inspection", "Model", "Parameter", "Signals", "Step", "Symbols"]
+__all__ = [
+    "LINKS", "Combination", "Effect", "Example", "Facts", "Family", "Inspection", "Model", "Parameter",
+    "PoseMetric", "Signals", "Step", "Symbols", "Variant", "effect",
+]  # fmt: skip

@@ -4,7 +4,6 @@ Independent facts: numpy's `where` and `abs` for what the C branches on; the bit
 """
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -26,10 +25,12 @@ from hallsym.codegen import (
     enclose,
     limits,
     lower,
-    lowering,
     pose_bounds,
 )
 from hallsym.log.noise import Noise, Sigma
+from hallsym.model import Family
+
+FOLDING = Family("folding", decoder=lambda *given: maker(*given))
 
 
 def folding() -> Model:
@@ -41,7 +42,7 @@ def folding() -> Model:
         s["reading"] = s["gain"] * s["displacement"]
 
     return Model(
-        name="folding", family="folding", pose=("x_m",), references=("x_ref_m",), state=(),
+        name="folding", family=FOLDING, pose=("x_m",), references=("x_ref_m",), state=(),
         channels=("hall_a_m", "hall_b_m"), parameters=(Parameter("g", 2.0, 0.5, 4.0, "1"),),
         steps=(("field", field),),
     )  # fmt: skip
@@ -69,9 +70,8 @@ def maker(model, p, weight, box):
 
 
 @pytest.fixture
-def fit(monkeypatch):
-    """A calibration of the family, which is registered while a test runs."""
-    monkeypatch.setattr(lowering, "FAMILIES", (SimpleNamespace(FAMILY="folding", LOWERING=maker),))
+def fit():
+    """A calibration of the family."""
     model = folding()
     noise = Noise({c: Sigma(5e-7, "given") for c in model.channels})
     return replace(

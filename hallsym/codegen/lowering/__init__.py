@@ -20,7 +20,6 @@ from hallsym.codegen.lowering.phase_curve import Curve
 from hallsym.codegen.lowering.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
-from hallsym.families import FAMILIES
 from hallsym.model import Model
 
 __all__ = [
@@ -36,10 +35,9 @@ KINDS: Mapping[str, Lowering] = {"linear": linear.decoupler, "angle": angle.deco
 
 
 def lowering_of(model: Model) -> Lowering:
-    """Return the lowering that the model's family names: one of `KINDS`, or a function of its own."""
-    family = next((f for f in FAMILIES if model.family == f.FAMILY), None)
-    named = getattr(family, "LOWERING", "linear")
-    return KINDS[named] if isinstance(named, str) else named
+    """Return the lowering of the model's family (`Family.decoder`): one of `KINDS`, or a function of its own."""
+    decoder = model.family.decoder
+    return KINDS[decoder] if isinstance(decoder, str) else decoder
 
 
 def options_of(lowering: Lowering) -> tuple[str, ...]:

@@ -1,0 +1,99 @@
+"""Decoded errors of two versions of a model on the same samples, block by block, and what differs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.diagnosis.base import Base
+from hallsym.estimation.decoding import columns_of, pose_errors
+from hallsym.log import Block
+from hallsym.log.batches import Weigh, batches
+from hallsym.log.derived import extended
+
+BLOCKS = 400
+"""Blocks that a log is cut into for resampling, none shorter than 50 samples."""
+RESAMPLED = 1000
+"""Times that blocks are drawn for an interval: the ends of 95 % are then those of 94 to 96 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class BlockErrors:
+    """Decoded errors by block of samples: `count` (b,), sums of `squares` (b, pose), `peak` (pose,).
+
+    `weights`: (pose,) of the pose metric.
+    """
+
+    pose: tuple[str, ...]
+    weights: np.ndarray
+    count: np.ndarray
+    squares: np.ndarray
+    peak: np.ndarray
+
+    def gap(self) -> dict[str, dict[str, float]]:
+        """Return rmse and peak per pose coordinate."""
+        rmse = np.sqrt(self.squares.sum(axis=0) / max(self.count.sum(), 1.0))
+        return {
+            "rmse": dict(zip(self.pose, rmse.tolist(), strict=True)),
+            "peak": dict(zip(self.pose, self.peak.tolist(), strict=True)),
+        }
+
+    @property
+    def sums(self) -> np.ndarray:
+        """Squares of each block in the pose metric."""
+        return np.asarray(self.squares @ self.weights**2)
+
+    @property
+    def metric(self) -> float:
+        """The gap metric: root of the summed mean squares in the pose metric."""
+        return float(np.sqrt(self.sums.sum() / max(self.count.sum(), 1.0)))
+
+
+Decode = Callable[[Block], np.ndarray]
+
+
+def errors_of(base: Base) -> Decode:
+    """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns."""
+    errors = pose_errors(base.model, np.diag(base.covariance))
+    return lambda block: errors(base.p, base.zeros_in(block.run), block.data)
+
+
+def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None) -> BlockErrors:
+    """Decode some runs and return their errors, see `errors_of`; `rows` of the log sets a block's size."""
+    model, wanted = base.model, set(runs)
+    size = max(50, rows // BLOCKS)
+    decode = errors_of(base)
+    count, squares, peak = [], [], np.zeros(len(model.pose))
+    for batch in batches(extended(base.log, model, base.sigma, base.values), columns_of(model)):
+        weights = batch.weights(keep)
+        for block, at in batch.parts():
+            if block.run not in wanted:
+                continue
+            error = decode(block)
+            if weights is not None:
+                error = error[:, weights[at] > 0]
+            for low in range(0, error.shape[1], size):
+                part = error[:, low : low + size]
+                count.append(part.shape[1])
+                squares.append((part**2).sum(axis=1))
+                peak = np.maximum(peak, np.abs(part).max(axis=1, initial=0.0))
+    return BlockErrors(
+        model.pose,
+        base.pose_weights,
+        np.array(count, float),
+        np.array(squares).reshape(-1, len(model.pose)),
+        peak,
+    )
+
+
+def interval(before: BlockErrors, after: BlockErrors, seed: int = 0) -> tuple[float, float]:
+    """95 % interval of 1 - after / before, from resampled blocks."""
+    rng = np.random.default_rng(seed)
+    a, b = before.sums, after.sums
+    if len(a) != len(b):
+        value = 1 - after.metric / before.metric
+        return value, value
+    pick = rng.integers(0, len(a), (RESAMPLED, len(a)))
+    ratio = np.sqrt(b[pick].sum(axis=1) / np.maximum(a[pick].sum(axis=1), 1e-300))
+    low, high = np.quantile(1 - ratio, [0.025, 0.975])
+    return float(low), float(high)
