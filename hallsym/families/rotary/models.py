@@ -28,6 +28,8 @@ from hallsym.families.rotary.waves import Wave, angle, cosine, sine
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step
 
+FAMILY = Family("rotary")
+"""Of these models; the package puts the whole record here, which lists them."""
 POSE = ("angle_rad",)
 REFERENCES = ("angle_ref_rad",)
 VOLTAGES, ANGLE = ("v_sin_v", "v_cos_v"), ("angle_rad",)
@@ -129,12 +131,6 @@ def rotary_meng(layout: tuple[Output, ...] | None = None) -> Model:
     return model.with_step("field", field, effect="quadratic_transfer")
 
 
-def _record() -> Family:
-    from hallsym.families.rotary import FAMILY  # it lists these models, so it is made after them
-
-    return FAMILY
-
-
 def _encoder(
     name: str,
     layout: tuple[Output, ...] | None,
@@ -154,7 +150,7 @@ def _encoder(
     decoded = channels == ANGLE
     return Model(
         name=name,
-        family=_record(),
+        family=FAMILY,
         pose=POSE,
         references=REFERENCES,
         state=(),
