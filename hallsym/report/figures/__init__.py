@@ -20,32 +20,25 @@ from hallsym.estimation.channel_assignment import as_read
 from hallsym.estimation.decoding import ErrorTable
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
-from hallsym.report.figures.by_setting import errors_by_setting, settings
+from hallsym.report.data import look_over
+from hallsym.report.figures.by_setting import errors_by_setting
 from hallsym.report.figures.errors import errors_before_after
 from hallsym.report.figures.estimates import COVERAGE, parameters
-from hallsym.report.figures.runs import measured, representative
+from hallsym.report.figures.runs import measured
 from hallsym.report.figures.saving import SUFFIXES, save_figures
 from hallsym.report.figures.style import DPI, STYLE, WIDTH
-from hallsym.report.figures.survey import Survey, look_over
-from hallsym.report.figures.trace import COLUMNS, Trace
 
 __all__ = [
-    "COLUMNS",
     "COVERAGE",
     "DPI",
     "STYLE",
     "SUFFIXES",
     "WIDTH",
-    "Survey",
-    "Trace",
     "errors_before_after",
     "errors_by_setting",
-    "look_over",
     "measured",
     "parameters",
-    "representative",
     "save_pictures",
-    "settings",
 ]
 
 

@@ -9,7 +9,6 @@ from scipy.sparse.csgraph import connected_components
 
 from hallsym.inference.verdict import TRADED
 from hallsym.report.figures.captions import broken, caption, height
-from hallsym.report.figures.names import MINUS
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -24,6 +23,7 @@ from hallsym.report.figures.style import (
     text_width,
 )
 from hallsym.report.figures.verdicts import by_verdict
+from hallsym.report.words import MINUS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.names import largest, name, scale
 from hallsym.report.figures.style import (
     AFTER,
     BLACK,
@@ -22,6 +21,7 @@ from hallsym.report.figures.style import (
     text_width,
 )
 from hallsym.report.figures.verdicts import LOOKS, present, shown
+from hallsym.report.words import largest, name, scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +62,7 @@ def _panel(ax: Axes, entries: list[ParameterReport], column: str, report: Identi
     percent = np.array([e.percent.worst[column] for e in entries])
     floor, together = (report.outputs[column][key] for key in ("noise_floor", "parameters_worst"))
     every = np.array([*sigma, *percent, floor, together])
-    factor, unit = scale(column, largest(every))
+    factor, unit = scale(column, largest(every), report.model.period)
     bands(ax, [(row - 0.5, row + 0.5) for row in range(0, len(entries), 2)], STRIPE, upright=False)
     least = LEAST * floor if floor > 0 else 0.0
     lined = every[np.isfinite(every) & (every > least)]

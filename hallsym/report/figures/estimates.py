@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.report.figures.names import MINUS, plus_minus
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -24,6 +23,7 @@ from hallsym.report.figures.style import (
     panels,
     text_width,
 )
+from hallsym.report.words import MINUS, plus_minus
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

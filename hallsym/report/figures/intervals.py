@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hallsym.inference.verdict import WEAK
-from hallsym.report.figures.captions import broken, caption, height, number, readable_unit
+from hallsym.report.figures.captions import broken, caption, height
 from hallsym.report.figures.estimates import ROW, beside, typeset
 from hallsym.report.figures.style import (
     BLACK,
@@ -23,6 +23,8 @@ from hallsym.report.figures.style import (
     text_width,
 )
 from hallsym.report.figures.verdicts import LOOKS, present, shown
+from hallsym.report.words import digits
+from hallsym.units import parameter_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,14 +79,14 @@ def in_words(entry: ParameterReport | CombinationReport) -> str:
     """Return the interval in the unit people read, or the verdict where there is none."""
     if entry.interval is None:
         return entry.verdict.word if hasattr(entry, "verdict") else ""
-    factor, unit = readable_unit(entry.unit)
+    factor, unit = parameter_unit(entry.unit, millimetres=True)
     low, high = factor * entry.interval.low, factor * entry.interval.high
     half, unit = 0.5 * (high - low), f" {unit}" if unit else ""
     if half == 0:
-        return f"{number(low, 0.0)}{unit}{_how(entry.interval)}"
+        return f"{digits(low, 0.0)}{unit}{_how(entry.interval)}"
     if not np.isfinite(half):
         half = factor * (entry.std or 0.0)
-    return f"{number(low, half)} to {number(high, half)}{unit}{_how(entry.interval)}"
+    return f"{digits(low, half)} to {digits(high, half)}{unit}{_how(entry.interval)}"
 
 
 def _how(interval: Interval) -> str:

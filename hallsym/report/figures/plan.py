@@ -10,7 +10,6 @@ import numpy as np
 
 from hallsym.experiment import Plan
 from hallsym.log import Log
-from hallsym.report.figures.names import largest, name, scale
 from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -26,6 +25,7 @@ from hallsym.report.figures.style import (
     log_axis,
     panels,
 )
+from hallsym.report.words import largest, name, scale
 from hallsym.simulation import Campaign
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def coverage(plan: Plan, other: Campaign | Log | None = None, other_name: str = 
     for line, pairs in zip(axes, rows, strict=True):
         for ax, (i, j) in zip(line, pairs, strict=False):
             both = np.array([largest(np.hstack([p[k] for p in planned + shown])) for k in (i, j)])
-            units = [scale(columns[k], most) for k, most in zip((i, j), both, strict=True)]
+            units = [scale(columns[k], most, model.period) for k, most in zip((i, j), both, strict=True)]
             draw = _settings if i >= len(model.pose) else _motion
             draw(ax, shown, (i, j), units, BEFORE, False)
             draw(ax, planned, (i, j), units, AFTER, True)

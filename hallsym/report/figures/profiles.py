@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.captions import broken, number, readable_unit
+from hallsym.report.figures.captions import broken
 from hallsym.report.figures.estimates import COVERAGE, typeset
 from hallsym.report.figures.style import (
     AFTER,
@@ -23,6 +23,8 @@ from hallsym.report.figures.style import (
     label_y,
     legend,
 )
+from hallsym.report.words import digits
+from hallsym.units import parameter_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,7 +99,7 @@ def ends_in_words(profile: Profile) -> str:
 
 def _title(profile: Profile, width: float) -> list[str]:
     """Name and unit of a quantity, at most `TITLE` lines, then how its ends came."""
-    _, unit = readable_unit(profile.quantity.unit)
+    _, unit = parameter_unit(profile.quantity.unit, millimetres=True)
     lines = broken(typeset(profile.quantity.name) + (f" [{unit}]" if unit else ""), width, "  ")
     if len(lines) > TITLE:
         lines = [*lines[: TITLE - 1], "  … " + lines[-1].strip()]
@@ -107,7 +109,7 @@ def _title(profile: Profile, width: float) -> list[str]:
 
 
 def _panel(ax: Axes, profile: Profile, std: float | None, interval: Interval | None) -> None:
-    factor, _ = readable_unit(profile.quantity.unit)
+    factor, _ = parameter_unit(profile.quantity.unit, millimetres=True)
     distinct, first = np.unique(profile.values, return_index=True)  # a bound may be met more than once
     low, high = _range(profile, std, interval)
     values, rises = replace(profile, values=distinct, rises=profile.rises[first]).curve()
@@ -170,7 +172,7 @@ def _ticks(ax: Axes, profile: Profile, factor: float, width: float) -> None:
     if len(places) > 1 and places[-1] - places[0] < 0.3 * width:
         places = [profile.value]
     half = 0.5 * factor * width
-    ax.set_xticks([factor * v for v in places], [number(factor * v, half) for v in places])
+    ax.set_xticks([factor * v for v in places], [digits(factor * v, half) for v in places])
 
 
 def _legend(figure: Figure, found: Sequence[Profile]) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from hallsym.estimation.identifiable import UNDETERMINED
 from hallsym.report.figures.captions import broken, caption, height
-from hallsym.report.figures.names import short, thinned
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -26,6 +25,7 @@ from hallsym.report.figures.style import (
     log_axis,
     panels,
 )
+from hallsym.report.words import short, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.names import short
+from hallsym.report.words import short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

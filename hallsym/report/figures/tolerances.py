@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.names import name
 from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -21,6 +20,7 @@ from hallsym.report.figures.style import (
     panels,
     text_width,
 )
+from hallsym.report.words import name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.names import MINUS, name, scale, setting, short, three
 from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import AFTER, FAINT, LINE, WIDTH, label_x, label_y, panels, text_width
 from hallsym.report.text.budget import unit_for
+from hallsym.report.words import MINUS, name, scale, setting, short, three
 from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.position import UncertaintyMap
 

@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from hallsym.report.figures.names import name as named_column
-from hallsym.report.figures.names import scale, three
 from hallsym.report.page import figures, parts
 from hallsym.report.page.diagnosis_record import (
     Record,
@@ -17,6 +15,8 @@ from hallsym.report.page.diagnosis_record import (
     source_of,
 )
 from hallsym.report.page.html import Markup, join, table, tag
+from hallsym.report.words import name as named_column
+from hallsym.report.words import scale, three
 
 
 def errors_title(record: Record) -> str:
