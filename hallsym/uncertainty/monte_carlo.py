@@ -39,13 +39,17 @@ Verdict = Literal["confirmed", "not confirmed", "undecided"]
 
 @dataclass(frozen=True)
 class Linear:
-    """What the linear budget says of one output: y, u(y) and the factor of its coverage interval."""
+    """What the linear budget says of one output: y, u(y) and the factor of its coverage interval.
+
+    `turns`: the output is an angle that goes round.
+    """
 
     quantity: str
     unit: str
     value: float
     std: float
     factor: float
+    turns: bool = False
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -310,7 +314,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
 
 def _linear(budget: Budget, level: float) -> Linear:
     factor = replace(budget, level=level).factor
-    return Linear(budget.quantity, budget.unit, budget.value or 0.0, budget.std, factor)
+    return Linear(budget.quantity, budget.unit, budget.value or 0.0, budget.std, factor, budget.turns)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 First-order propagation, JCGM 100 (10) and (13), with the exact slopes of `hallsym.model.influence`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
@@ -61,6 +61,7 @@ def position_budget(
             level=settings.level,
             correlation=None if correlation is None else _padded(correlation, len(rest)),
             value=float(pose[i]),
+            turns=column in fit.model.period,
         )
     return budgets
 
@@ -182,7 +183,7 @@ class UncertaintyMap:
     """U of every pose coordinate on a grid.
 
     `axes`: column -> values along it [SI], in the order of the grid's axes. `fixed`: where the other columns
-    stay. `expanded`: (n_pose, *grid), in the units of `pose`.
+    stay. `expanded`: (n_pose, *grid), in the units of `pose`. `turning`: columns that go round.
     """
 
     pose: tuple[str, ...]
@@ -190,6 +191,7 @@ class UncertaintyMap:
     fixed: Mapping[str, float]
     expanded: np.ndarray
     settings: Settings
+    turning: Collection[str] = ()
 
     def worst(self, coordinate: str) -> tuple[dict[str, float], float]:
         """Return where a coordinate is known worst, and its U there."""
@@ -239,7 +241,8 @@ def uncertainty_map(
     )
     flat = _spread(fit, pose, state, settings).expanded(settings, fit_degrees_of_freedom(fit))
     others = {c: float((fixed or {}).get(c, 0.0)) for c in (*model.pose, *model.state) if c not in lines}
-    return UncertaintyMap(model.pose, lines, others, flat.T.reshape(-1, *mesh[0].shape), settings)
+    U = flat.T.reshape(-1, *mesh[0].shape)
+    return UncertaintyMap(model.pose, lines, others, U, settings, model.period)
 
 
 def _line(model: Model, column: str, values: np.ndarray) -> np.ndarray:
@@ -258,7 +261,7 @@ class Recorded:
     """U over a recorded workspace, one entry per pose coordinate.
 
     `span`: column -> least and greatest value of pose and state. `rms`: root mean square of U, `worst`: its
-    largest value, `where`: the pose and state of that.
+    largest value, `where`: the pose and state of that. `turning`: columns that go round.
     """
 
     span: Mapping[str, tuple[float, float]]
@@ -266,6 +269,7 @@ class Recorded:
     worst: Mapping[str, float]
     where: Mapping[str, Mapping[str, float]]
     samples: int
+    turning: Collection[str] = ()
 
     def outside(self, at: Mapping[str, float]) -> list[str]:
         """Columns of `at` that lie beyond what was recorded by more than a hundredth of its span."""
@@ -320,4 +324,5 @@ def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
         worst=dict(zip(model.pose, worst.tolist(), strict=True)),
         where={c: dict(zip(names, where[i].tolist(), strict=True)) for i, c in enumerate(model.pose)},
         samples=count,
+        turning=model.period,
     )
