@@ -14,7 +14,7 @@ from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.log import Log, Noise
 from hallsym.log.noise import check_noise_keys
-from hallsym.report.text.budget import budget_text, comparison_text, position_words, recorded_text
+from hallsym.report.text import budget_text, comparison_text, position_words, recorded_text
 from hallsym.toml import column_of
 from hallsym.uncertainty import (
     Budget,
@@ -272,7 +272,7 @@ def _pictures(
     """Save the pictures asked for; returns the lines that say so."""
     if not options.plots:
         return []
-    from hallsym.report.figures.uncertainty import save_budget_pictures
+    from hallsym.report.figures import save_budget_pictures
 
     paths = save_budget_pictures(
         Path(options.plots), budgets, grid, worst=log is not None or grid is not None

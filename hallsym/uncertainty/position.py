@@ -17,11 +17,10 @@ from hallsym.estimation.covariance import FEW_RUNS
 from hallsym.log import Log
 from hallsym.log.batches import batches
 from hallsym.model import Model
+from hallsym.records import named
 from hallsym.uncertainty.gum import Budget, Source
-from hallsym.uncertainty.inputs import Slopes, check_fit, inputs, slopes
+from hallsym.uncertainty.inputs import Slopes, check_fit, independent_inputs, slopes
 from hallsym.uncertainty.settings import Settings
-
-__all__ = ["Recorded", "UncertaintyMap", "notes", "over_log", "place", "position_budget", "uncertainty_map"]
 
 POINTS, SLICES = 41, 5
 """Points along each planar axis of a map, and how many heights it shows, where only a span is given."""
@@ -47,7 +46,7 @@ def position_budget(
     check_fit(fit)
     pose, state = place(fit.model, at or {})
     found = slopes(fit, pose[:, None], state[:, None], settings)
-    listed = inputs(fit, settings)
+    listed = independent_inputs(fit, settings)
     by_input = [found.of(entry)[0] for entry in listed]  # (n_pose,) each
     budgets = {}
     for i, column in enumerate(fit.model.pose):
@@ -173,7 +172,7 @@ def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -
     found: Slopes = slopes(fit, pose, state, settings)
     from_fit = np.einsum("spj,spj->sp", found.parameters @ fit.covariance, found.parameters)
     total = from_fit.copy()
-    for entry in inputs(fit, settings):
+    for entry in independent_inputs(fit, settings):
         total += (entry.source.std * found.of(entry)) ** 2
     return _Spread(total, from_fit)
 
@@ -205,7 +204,7 @@ class UncertaintyMap:
         return {
             "axes": {c: v.tolist() for c, v in self.axes.items()},
             "fixed": dict(self.fixed),
-            "expanded_uncertainty": dict(zip(self.pose, self.expanded.tolist(), strict=True)),
+            "expanded_uncertainty": named(self.pose, self.expanded),
             "worst": {c: dict(zip(("at", "expanded_uncertainty"), self.worst(c), strict=True))
                       for c in self.pose},
         }  # fmt: skip
@@ -320,9 +319,9 @@ def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
     rms = np.sqrt(squares / count)
     return Recorded(
         span=dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True)),
-        rms=dict(zip(model.pose, rms.tolist(), strict=True)),
-        worst=dict(zip(model.pose, worst.tolist(), strict=True)),
-        where={c: dict(zip(names, where[i].tolist(), strict=True)) for i, c in enumerate(model.pose)},
+        rms=named(model.pose, rms),
+        worst=named(model.pose, worst),
+        where={c: named(names, where[i]) for i, c in enumerate(model.pose)},
         samples=count,
         turning=model.period,
     )

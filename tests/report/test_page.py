@@ -19,10 +19,21 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.log import Log, read_log
 from hallsym.report.data import Decoder, Tally, gather, run_series
-from hallsym.report.page import fit_page
-from hallsym.report.page.html import VOID, Markup, escape, table, tag
-from hallsym.report.page.series import ACROSS, UP, figure
-from hallsym.report.page.svg import Scale, decades, label, ticks
+from hallsym.report.page import (
+    ACROSS,
+    UP,
+    VOID,
+    Markup,
+    Scale,
+    decades,
+    escape,
+    figure,
+    fit_page,
+    label,
+    table,
+    tag,
+    ticks,
+)
 
 HOLDOUT = (2, 7, 12)
 

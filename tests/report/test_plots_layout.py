@@ -17,20 +17,22 @@ from matplotlib.text import Text
 from hallsym.errors import InputError
 from hallsym.inference import Identifiability
 from hallsym.inference.verdict import VERDICTS
-from hallsym.report.figures import DPI, STYLE, WIDTH
-from hallsym.report.figures.captions import broken
-from hallsym.report.figures.saving import save_figures
-from hallsym.report.figures.sensitivity import (
+from hallsym.report.figures import (
+    DPI,
+    LOOKS,
+    STYLE,
+    WIDTH,
+    broken,
     correlation,
     drawable,
     effects,
     intervals,
     profiles,
+    save_figures,
     save_sensitivity_pictures,
     spectrum,
+    text_width,
 )
-from hallsym.report.figures.style import text_width
-from hallsym.report.figures.verdicts import LOOKS
 from hallsym.report.words import digits
 
 PICTURES = {

@@ -18,6 +18,7 @@ from hallsym.report.figures.style import (
     LINE,
     SHADE,
     WIDTH,
+    key,
     legend,
     panels,
     text_width,
@@ -144,10 +145,8 @@ def _caption(report: Identifiability, boxed: bool) -> list[str]:
 
 
 def _legend(figure: Figure) -> None:
-    from matplotlib.lines import Line2D
-
     handles = [
-        Line2D([], [], ls="none", marker="s", ms=7, color=AFTER, label="correlated"),
-        Line2D([], [], ls="none", marker="s", ms=7, mfc="white", color=BEFORE, label="anticorrelated"),
+        key("correlated", ls="none", marker="s", ms=7, color=AFTER),
+        key("anticorrelated", ls="none", marker="s", ms=7, mfc="white", color=BEFORE),
     ]
     legend(figure, handles, "upper left", ncols=2)

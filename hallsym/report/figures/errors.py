@@ -20,6 +20,7 @@ from hallsym.report.figures.style import (
     LEFT,
     SHADE,
     bands,
+    key,
     label_x,
     label_y,
     legend,
@@ -156,16 +157,15 @@ def _campaign_axis(ax: Axes, fit: Fit, survey: Survey) -> None:
 
 
 def _campaign_legend(figure: Figure, fit: Fit, survey: Survey, solid: bool) -> None:
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     label = f"±{BAND:g} × noise floor (99.7 % of pure noise)"
-    handles: list[Any] = [Line2D([], [], color=BLACK, lw=0.7, ls=DASHED, label=label)]
+    handles: list[Any] = [key(label, color=BLACK, lw=0.7, ls=DASHED)]
     if solid:
-        handles.append(Line2D([], [], color=BLACK, lw=0.9, label="local rms"))
+        handles.append(key("local rms", color=BLACK, lw=0.9))
     if set(held_out(fit)) & set(survey.runs) and len(survey.runs) > 1:
         handles.append(Patch(facecolor=SHADE, label="held-out run"))
     if survey.n_rejected:
         label = f"rejected sample ({survey.n_rejected})"
-        handles.append(Line2D([], [], color=GREY, ls="none", marker="|", ms=6, label=label))
+        handles.append(key(label, color=GREY, ls="none", marker="|", ms=6))
     legend(figure, handles, "lower center", ncols=len(handles), columnspacing=1.4, handlelength=2.0)

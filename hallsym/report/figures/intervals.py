@@ -14,12 +14,12 @@ from hallsym.report.figures.style import (
     DASHED,
     GREY,
     LINE,
-    STRIPE,
-    bands,
+    key,
     label_x,
     legend,
     log_axis,
     panels,
+    stripes,
     text_width,
 )
 from hallsym.report.figures.verdicts import LOOKS, present, shown
@@ -61,7 +61,7 @@ def intervals(report: Identifiability) -> Figure:
     )  # fmt: skip
     place, share = axes[0]
     for ax in (place, share):
-        bands(ax, [(row - 0.5, row + 0.5) for row in range(0, len(entries), 2)], STRIPE, upright=False)
+        stripes(ax, len(entries))
         ax.tick_params("y", length=0)
     _places(place, entries, report)
     _shares(share, entries)
@@ -145,8 +145,7 @@ def _instead(report: Identifiability) -> list[str]:
 
 
 def _handles(entries: list[ParameterReport]) -> list[Line2D]:
-    from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], **LOOKS[word].point(), label=word) for word in present(entries)]
+    handles = [key(word, **LOOKS[word].point()) for word in present(entries)]
     weak = f"weak: 1/{1 / WEAK:.0f} of the bounds"
-    return [*handles, Line2D([], [], color=BLACK, lw=0.8, ls=DASHED, label=weak)]
+    return [*handles, key(weak, color=BLACK, lw=0.8, ls=DASHED)]

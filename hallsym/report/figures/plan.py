@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.experiment import Plan
 from hallsym.log import Log
 from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import (
@@ -19,6 +18,7 @@ from hallsym.report.figures.style import (
     FAINT,
     GREY,
     SHADE,
+    key,
     label_x,
     label_y,
     legend,
@@ -31,6 +31,8 @@ from hallsym.simulation import Campaign
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from hallsym.experiment import Plan
 
 POINTS = 240
 """Points of a path that are drawn."""
@@ -149,13 +151,11 @@ def _distinct(paths: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def _coverage_legend(figure: Figure, planned: int, recorded: int, other_name: str) -> None:
-    from matplotlib.lines import Line2D
-
     dot: dict[str, Any] = {"ls": "-", "marker": "o", "ms": 5.0}
-    handles = [Line2D([], [], color=AFTER, label=f"planned, {planned} runs", **dot)]
+    handles = [key(f"planned, {planned} runs", color=AFTER, **dot)]
     if recorded:
         look = dot | {"ls": "none", "mfc": "none"}
-        handles.append(Line2D([], [], color=BEFORE, label=f"{other_name}, {recorded} runs", **look))
+        handles.append(key(f"{other_name}, {recorded} runs", color=BEFORE, **look))
     legend(figure, handles, "upper center", ncols=2)
 
 

@@ -20,6 +20,7 @@ from hallsym.report.figures.style import (
     LIGHT,
     LINE,
     WIDTH,
+    key,
     label_y,
     legend,
 )
@@ -176,22 +177,16 @@ def _ticks(ax: Axes, profile: Profile, factor: float, width: float) -> None:
 
 
 def _legend(figure: Figure, found: Sequence[Profile]) -> None:
-    from matplotlib.lines import Line2D
-
     sides = {side.status for profile in found for side in (profile.lower, profile.upper)}
     rises = sorted({f"{profile.threshold:.3g}" for profile in found}, key=float)
     threshold = rises[0] if len(rises) == 1 else f"{rises[0]} to {rises[-1]}"
     handles = [
-        Line2D([], [], color=AFTER, marker=".", ms=3, label="profile of −2 log likelihood"),
-        Line2D([], [], color=BEFORE, ls=DASHED, label="normal approximation"),
-        Line2D([], [], color=BLACK, lw=0.7, ls=":", label=f"95 %: a rise of {threshold}"),
-        Line2D([], [], color=LIGHT, lw=3.5, label="interval reported"),
+        key("profile of −2 log likelihood", color=AFTER, marker=".", ms=3),
+        key("normal approximation", color=BEFORE, ls=DASHED),
+        key(f"95 %: a rise of {threshold}", color=BLACK, lw=0.7, ls=":"),
+        key("interval reported", color=LIGHT, lw=3.5),
     ]
     for status, marker, face in (("reached", "o", AFTER), ("at bound", "s", "white"), ("open", ">", AFTER)):
         if status in sides:
-            handles.append(
-                Line2D(
-                    [], [], ls="none", marker=marker, ms=4.5, color=AFTER, mfc=face, label=f"end: {status}"
-                )
-            )
+            handles.append(key(f"end: {status}", ls="none", marker=marker, ms=4.5, color=AFTER, mfc=face))
     legend(figure, handles, "upper left", ncols=4, columnspacing=1.4)

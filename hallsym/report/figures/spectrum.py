@@ -19,6 +19,7 @@ from hallsym.report.figures.style import (
     LINE,
     SHADE,
     WIDTH,
+    key,
     label_x,
     label_y,
     legend,
@@ -128,27 +129,18 @@ def _named(null: Sequence[NullDirection]) -> str:
 
 
 def _legend(figure: Figure, kinds: Sequence[str]) -> None:
-    from matplotlib.lines import Line2D
-
     words = {
         "determined": "determined",
         "left by this recording": "not determined by these data",
         "whatever is recorded": "not determined, whatever is recorded",
     }
     handles = [
-        Line2D([], [], ls="none", label=f"{words[kind]} ({kinds.count(kind)})", **look)
+        key(f"{words[kind]} ({kinds.count(kind)})", ls="none", **look)
         for kind, look in KINDS.items()
         if kind in kinds
     ]
     share = f"{100 * UNDETERMINED:g} %"
     handles.append(
-        Line2D(
-            [],
-            [],
-            color=BLACK,
-            lw=0.8,
-            ls=DASHED,
-            label=f"undetermined below: 1 sigma is {share} of the bounds",
-        )
+        key(f"undetermined below: 1 sigma is {share} of the bounds", color=BLACK, lw=0.8, ls=DASHED)
     )
     legend(figure, handles, "upper left", ncols=2)

@@ -11,13 +11,13 @@ import numpy as np
 from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import AFTER, FAINT, LINE, WIDTH, label_x, label_y, panels, text_width
 from hallsym.report.words import MINUS, largest, name, scale, setting, short, three
-from hallsym.uncertainty.gum import Budget
-from hallsym.uncertainty.position import UncertaintyMap
 from hallsym.units import fitting, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from hallsym.uncertainty import Budget, UncertaintyMap
 
 MOST_BARS = 12
 """Sources shown one by one; the others are one bar."""

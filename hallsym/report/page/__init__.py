@@ -8,5 +8,23 @@ bytes.
 
 from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.page.fit_page import fit_page
+from hallsym.report.page.html import VOID, Markup, escape, table, tag
+from hallsym.report.page.series import ACROSS, UP, figure
+from hallsym.report.page.svg import Scale, decades, label, ticks
 
-__all__ = ["diagnosis_page", "fit_page"]
+__all__ = [
+    "ACROSS",
+    "UP",
+    "VOID",
+    "Markup",
+    "Scale",
+    "decades",
+    "diagnosis_page",
+    "escape",
+    "figure",
+    "fit_page",
+    "label",
+    "table",
+    "tag",
+    "ticks",
+]

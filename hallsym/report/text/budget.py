@@ -5,9 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from hallsym.report.tables import grid
-from hallsym.uncertainty.gum import Budget, Source
-from hallsym.uncertainty.monte_carlo import Comparison
-from hallsym.uncertainty.position import Recorded
+from hallsym.uncertainty import Budget, Comparison, Recorded, Source
 from hallsym.units import UNITS, fitting, readable, reading_unit
 
 _SMALL = 5e-5

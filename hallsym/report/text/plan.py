@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from hallsym.experiment.comparison import Comparison
-from hallsym.experiment.design import Plan
-from hallsym.experiment.information import Worst
+from hallsym.experiment import Comparison, Plan, Worst
 from hallsym.report.tables import grid
 from hallsym.units import readable
 
