@@ -1,12 +1,11 @@
 """A machine file: the probes of a stage and changed parameters, as TOML."""
 
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hallsym.errors import InputError, nearest
 from hallsym.log import Meta
+from hallsym.toml import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,25 +27,7 @@ def read_machine(path: str | Path | None) -> Machine:
     """
     if path is None:
         return Machine(None, {})
-    path = Path(path)
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError:
-        raise InputError(f"Machine file {path} cannot be read; give the path of a TOML file.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"Machine file {path} is not valid TOML: {error}.") from None
-    for key in raw:
-        if key not in ("probes", "parameters"):
-            raise InputError(
-                f"Unknown key {key!r} in machine file {path}{nearest(key, ['probes', 'parameters'])}; "
-                "known are [[probes]] and [parameters.NAME]."
-            )
-    probes, parameters = raw.get("probes"), raw.get("parameters", {})
-    if probes is not None and not (isinstance(probes, list) and all(isinstance(p, dict) for p in probes)):
-        raise InputError(f"In machine file {path}, probes must be [[probes]] tables, one for each probe.")
-    for name, entry in parameters.items():
-        if not isinstance(entry, dict):
-            raise InputError(
-                f"In machine file {path}, {name} must be a table: [parameters.{name}] nominal = ..."
-            )
-    return Machine(probes, parameters)
+    file = Table.read(path, "Machine file", ("probes", "parameters"))
+    probes = [dict(probe.raw) for probe in file.tables("probes")] if "probes" in file else None
+    named = file.table("parameters")
+    return Machine(probes, {name: dict(named.table(name).raw) for name in named.raw})
