@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
     "cli", "report", "diagnosis", "codegen", "experiment", "uncertainty", "trajectory", "inference",
@@ -54,15 +52,16 @@ def package(name: str) -> str | None:
 SHARED = sorted(name for name in MODULES if name not in ("hallsym", "hallsym.__main__"))
 
 
-@pytest.mark.parametrize("name", SHARED)
-def test_imports_go_one_way(name: str) -> None:
-    own = package(name)
-    for other in imported(name):
-        theirs = package(other)
-        if own is None:  # what is flat, and the solvers, know no package
-            assert theirs is None, f"{name} imports {other}"
-        elif theirs is not None and theirs != own:
-            assert PACKAGES.index(own) < PACKAGES.index(theirs), f"{name} imports {other}"
+def test_imports_go_one_way() -> None:
+    wrong = []
+    for name in SHARED:
+        own = package(name)
+        for other in imported(name):
+            theirs = package(other)
+            up = own is None or PACKAGES.index(own) > PACKAGES.index(theirs) if theirs else False
+            if theirs != own and up:  # what is flat, and the solvers, know no package
+                wrong.append(f"{name} imports {other}")
+    assert wrong == []
 
 
 def test_solvers_know_nothing_of_sensors() -> None:
@@ -91,9 +90,9 @@ def test_every_package_is_one_that_the_layout_names() -> None:
     assert folders <= set(PACKAGES), folders - set(PACKAGES)
 
 
-@pytest.mark.parametrize("name", sorted(MODULES))
-def test_no_module_runs_away(name: str) -> None:
-    assert len(MODULES[name].read_text(encoding="utf-8").splitlines()) <= LONGEST
+def test_no_module_runs_away() -> None:
+    long = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in MODULES.items()}
+    assert {name: lines for name, lines in long.items() if lines > LONGEST} == {}
 
 
 def code_with_family_names(path: Path) -> list[str]:
@@ -111,9 +110,10 @@ def code_with_family_names(path: Path) -> list[str]:
     return [word for word in words if FAMILY_NAMES.search(word)]
 
 
-@pytest.mark.parametrize("name", [n for n in SHARED if package(n) != "families" and n.startswith("hallsym")])
-def test_shared_code_names_no_family(name: str) -> None:
-    assert code_with_family_names(MODULES[name]) == []
+def test_shared_code_names_no_family() -> None:
+    shared = [name for name in SHARED if package(name) != "families" and name.startswith("hallsym")]
+    named = {name: code_with_family_names(MODULES[name]) for name in shared}
+    assert {name: words for name, words in named.items() if words} == {}
 
 
 def test_only_public_names_are_there_to_tab_through() -> None:

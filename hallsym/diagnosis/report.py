@@ -108,7 +108,7 @@ def report(
         notes=tuple(dict.fromkeys((*result.notes, *left.notes, *said.notes))),
         seconds=seconds,
         versions=dict(result.versions),
-        waves=waves(start.model.family.waves, start, left.base if said.effects else None),
+        waves=waves(start, left.base if said.effects else None),
         next_step=next_step(
             result, said.effects, search, apart, bool(wiring and miswired(result.model, wiring))
         ),

@@ -24,7 +24,7 @@ from hallsym.log.derived import extended
 from hallsym.model import Model, Parameter
 from hallsym.model.derived import HALVES, rate, widest_half
 from hallsym.report.text.diagnosis import diagnosis_text
-from hallsym.simulation.campaign import paper_campaign
+from hallsym.simulation import paper_campaign
 
 SLOW = pytest.mark.slow
 NAMED = (
