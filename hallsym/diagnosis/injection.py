@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from hallsym.diagnosis.simulated_machine import Truth
+from hallsym.diagnosis.simulated_machine import SimulatedMachine
 from hallsym.diagnosis.words import gap_text, gap_unit
 
 ABSORBED = 0.02
@@ -52,7 +52,7 @@ class Sized:
     reason: str = ""
 
 
-def sized(truth: Truth, injection: Injection, ratio: float) -> Sized:
+def sized(truth: SimulatedMachine, injection: Injection, ratio: float) -> Sized:
     """Scale an injection until its noise-free gap with the floor is `ratio` times the floor."""
     wanted = truth.floor_m * float(np.sqrt(ratio**2 - 1))
     amount, slope, seen = min(injection.start, injection.most), 1.0, [(0.0, 0.0)]

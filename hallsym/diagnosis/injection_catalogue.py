@@ -8,9 +8,9 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.injection import Injection, Noisy, Size
 from hallsym.diagnosis.injection_faults import faults, rails
-from hallsym.diagnosis.normal_equations import tangents
+from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.scores import Trouble, candidates
-from hallsym.diagnosis.simulated_machine import Truth, goes_round, readings_of
+from hallsym.diagnosis.simulated_machine import SimulatedMachine, goes_round, readings_of
 from hallsym.model import Model
 
 HUM_HZ = 50.03
@@ -22,13 +22,13 @@ MANY = 10
 
 
 def injections(
-    truth: Truth, catalogue: Sequence[Effect], rng_of: Callable[[str], np.random.Generator]
+    truth: SimulatedMachine, catalogue: Sequence[Effect], rng_of: Callable[[str], np.random.Generator]
 ) -> tuple[list[Injection], dict[str, str]]:
     """Return everything that can be injected into this log, and why the others cannot."""
     facts = _facts(truth, rng_of("mount_slip"))
     tried, trouble = candidates(truth.base, catalogue, facts)
     reasons = _reasons(truth.base, catalogue, {key.split("|")[0] for key in tried}, trouble)
-    t = tangents(truth.base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
+    t = normal_equations(truth.base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
     strength = np.diag(t.output.sum(axis=0)) / t.count.sum()
     out = []
     for effect in catalogue:
@@ -66,7 +66,7 @@ def _reasons(
     return reasons
 
 
-def _facts(truth: Truth, rng: np.random.Generator) -> Facts:
+def _facts(truth: SimulatedMachine, rng: np.random.Generator) -> Facts:
     """What the injected effects are built from: one instant, one mains line."""
     base, t, run = truth.base, truth.columns["t_s"], truth.columns["run"]
     warm = truth.columns.get("temperature_degc")
@@ -91,7 +91,7 @@ def _facts(truth: Truth, rng: np.random.Generator) -> Facts:
 
 
 def _effect(
-    truth: Truth,
+    truth: SimulatedMachine,
     effect: Effect,
     variant: Variant,
     model: Model,

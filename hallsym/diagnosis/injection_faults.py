@@ -6,7 +6,7 @@ import numpy as np
 
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.injection import Injection, Noisy, Size
-from hallsym.diagnosis.simulated_machine import Truth, goes_round, unit_of
+from hallsym.diagnosis.simulated_machine import SimulatedMachine, goes_round, unit_of
 from hallsym.families.cordic import MOST_STEPS, cordic_angle, worst_of
 from hallsym.log.phase import wrapped
 
@@ -20,7 +20,7 @@ MOST_SHARE = 0.3
 """Share of stale or clipped samples beyond which a recording is no longer one."""
 
 
-def faults(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[Injection]:
+def faults(truth: SimulatedMachine, rng_of: Callable[[str], np.random.Generator]) -> list[Injection]:
     """Return faults of samples, and of the wiring where there are wires."""
     clean, speed = truth.clean, truth.speed
     K, n = clean.shape
@@ -56,7 +56,7 @@ def faults(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[I
     ]  # fmt: skip
 
 
-def rails(truth: Truth, effect: Effect) -> Injection:
+def rails(truth: SimulatedMachine, effect: Effect) -> Injection:
     """Return hard clipping; the amount is the share of the samples beyond the rail of each probe."""
     channels = truth.base.model.channels
 
@@ -75,7 +75,7 @@ def rails(truth: Truth, effect: Effect) -> Injection:
     return Injection(effect.name, effect.link, "both rails, hard", make, size, MOST_SHARE, 0.03)
 
 
-def _chip(truth: Truth) -> Injection:
+def _chip(truth: SimulatedMachine) -> Injection:
     """An angle computed with whole steps of CORDIC; the amount is its largest error [rad]."""
 
     def steps(amount: float) -> int:
@@ -95,7 +95,7 @@ def _chip(truth: Truth) -> Injection:
     return Injection("cordic_steps", "electronics", "whole steps", make, size, most, 2 * start)
 
 
-def _wiring(truth: Truth, rng_of: Callable[[str], np.random.Generator]) -> list[Injection]:
+def _wiring(truth: SimulatedMachine, rng_of: Callable[[str], np.random.Generator]) -> list[Injection]:
     """Two channels swapped, and one inverted."""
     clean, channels = truth.clean, truth.base.model.channels
     wires = rng_of("wiring")

@@ -14,7 +14,7 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.faults import Fault
-from hallsym.diagnosis.normal_equations import Products, eliminated, following
+from hallsym.diagnosis.normal_equations import Accumulator, eliminated, following
 from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.refit import inverse, solve
@@ -219,7 +219,7 @@ def _gathered(base: Base, tried: Mapping[str, Score]) -> Blocks:
     }
     models = [m for m, _ in candidates.values()]
     base = replace(base, log=_smoothed(base, models), keep=None)
-    work = Products(base, candidates)
+    work = Accumulator(base, candidates)
     runs = base.log.runs
     # a log of many runs has a block for each group of neighbours, one of few runs several blocks in each
     group = {run: k * min(FOLDS, len(runs)) // len(runs) for k, run in enumerate(runs)}

@@ -29,7 +29,7 @@ TOGETHER = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Tangents:
+class NormalEquations:
     """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
 
     `likelihood`, `output`: (units, c, c). `count`: (units,) samples. `runs`: the runs of each unit.
@@ -70,16 +70,16 @@ def _base_functions(model: Model) -> tuple[Function, Function]:
     return run, decoding_gain(model)
 
 
-def tangents(
+def normal_equations(
     base: Base,
     candidates: Mapping[str, tuple[Model, Sequence[str]]],
     on_rows: Callable[[int], None] | None = None,
-) -> Tangents:
+) -> NormalEquations:
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
     New parameters are taken at their nominal value, where they have no effect.
     """
-    work = Products(base, candidates)
+    work = Accumulator(base, candidates)
     for batch in work.batches(on_rows=on_rows):
         work.add(batch, batch.weights(base.keep))
     return work.result()
@@ -93,8 +93,8 @@ def following(M: np.ndarray, z: int) -> np.ndarray:
 def eliminated(M: np.ndarray, follow: np.ndarray) -> np.ndarray:
     """Return products (..., c - z, c - z) once the first z columns follow the others as `follow` says."""
     z = len(follow)
-    half = M[..., z:, :z] @ follow
-    return M[..., z:, z:] + half + half.swapaxes(-1, -2) + follow.T @ M[..., :z, :z] @ follow
+    half = (M[..., z:, :z] + 0.5 * follow.T @ M[..., :z, :z]) @ follow
+    return M[..., z:, z:] + half + half.swapaxes(-1, -2)
 
 
 @dataclass
@@ -107,7 +107,7 @@ class Stretch:
     size: float
 
 
-class Products:
+class Accumulator:
     """Accumulates the products of each run."""
 
     def __init__(
@@ -293,11 +293,11 @@ class Products:
         own = white[z:, z:] + white[z:, :z] @ follow  # what `eliminated` is where the same products say so
         return run, own, eliminated(out, follow), count
 
-    def result(self) -> Tangents:
+    def result(self) -> NormalEquations:
         """Return what has been gathered."""
         if self.done and len(self.follow) < self.begun:
             self.done[-1] = self._reduced(self.done[-1])
-        return Tangents(
+        return NormalEquations(
             np.array([w for _, w, _, _ in self.done]),
             np.array([o for _, _, o, _ in self.done]),
             np.array([c for *_, c in self.done]),
