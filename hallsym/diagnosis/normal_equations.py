@@ -1,15 +1,14 @@
-"""What every candidate effect does to the readings, to first order, as one small matrix per run.
+"""Normal equations of a model and of candidate effects, run by run.
 
 One pass over the log stacks, sample by sample, the columns [zeros | parameters | effects | residual]: the
-derivatives of the reading with respect to each, and what the model leaves. Per run only their products are
-kept, twice: weighted by the noise of the readings (what a fit minimises) and mapped to the decoded pose (what
-the gap metric measures). A run's zeros are eliminated at once. From these matrices any set of effects can be
-fitted, cross-validated and judged without reading the log again.
+derivatives of the reading with respect to each, and the residual of the model. Of each run only the products
+of these columns are kept, twice: weighted by the noise of the readings (what a fit minimises) and mapped to
+the decoded pose (what the gap metric measures). The zeros of a run are eliminated at once. With these
+matrices any set of effects can be fitted, cross-validated and judged without reading the log again.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -56,18 +55,14 @@ class NormalEquations:
 
 Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 """Runs, products for the likelihood, products in the output, samples."""
-Function = Callable[..., list[np.ndarray]]
 
 
-@lru_cache(maxsize=16)
-def _base_functions(model: Model) -> tuple[Function, Function]:
+def _reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
     s = model.symbols
     reading = s.full(s.reading)
-    both = [ca.densify(reading), ca.densify(ca.jacobian(reading, s.parameters))]
-    if len(model.zeros):
-        both.append(ca.densify(ca.jacobian(reading, s.zeros)))
-    run = on_arrays(ca.Function("base", [s.parameters, s.zeros, s.pose, s.state], both))
-    return run, decoding_gain(model)
+    parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
+    inputs = [s.parameters, s.zeros, s.pose, s.state]
+    return on_arrays(ca.Function("base", inputs, [ca.densify(part) for part in parts]))
 
 
 def normal_equations(
@@ -114,7 +109,9 @@ class Accumulator:
         self, base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
     ) -> None:
         self.base = base
-        self.read, self.gain = _base_functions(base.model)
+        model = base.model
+        self.read = model.remember("reading, derivatives", lambda: _reading_and_derivatives(model))
+        self.gain = decoding_gain(model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
         self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
