@@ -54,7 +54,7 @@ def add(sub: Any) -> None:
         "--solver",
         default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
-        "or the global stage: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
+        "or the global search: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
     )
     group.add_argument(
         "--loss", default="auto", help="auto (take out isolated spikes if there are any), none, reject, tukey"
@@ -64,7 +64,7 @@ def add(sub: Any) -> None:
         action="store_true",
         help="find channel order and signs instead of refusing wrong ones",
     )
-    group.add_argument("--seed", type=seed, default=0, help="of the global stage (default 0)")
+    group.add_argument("--seed", type=seed, default=0, help="of the global search (default 0)")
     log_options(parser)
 
 

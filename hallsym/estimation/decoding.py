@@ -48,7 +48,8 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
     weight = 1.0 / np.asarray(reading_variance)
 
     def decode(p: np.ndarray, zeros: np.ndarray, readings: list, states: list) -> np.ndarray:
-        return run(p, zeros, readings, states, weight)[0]
+        with np.errstate(all="ignore"):  # readings that no pose gives have none: nan
+            return run(p, zeros, readings, states, weight)[0]
 
     return decode
 

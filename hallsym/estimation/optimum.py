@@ -1,4 +1,4 @@
-"""Find the optimum of a likelihood on run statistics: global stage, IPOPT, and quick refits."""
+"""Find the optimum of a likelihood on run statistics: global search, IPOPT, and quick refits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,9 +13,9 @@ from hallsym.estimation.likelihood import Cost
 from hallsym.model import Model
 
 SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
-"""hybrid is SHTLBO, closed form, IPOPT; direct leaves the global stage out; the others replace SHTLBO."""
+"""hybrid is SHTLBO, closed form, IPOPT; direct leaves the global search out; the others replace SHTLBO."""
 BUDGET, SIZE, KEEP = 4040, 40, 3
-"""Evaluations and class size of the global stage; how many of its points are refined."""
+"""Evaluations and class size of the global search; how many of its points are refined."""
 WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
 """IPOPT's barrier for a start that is close already: 4 evaluations instead of 9."""
 SCREENED, ELSEWHERE = 100, 2
@@ -69,9 +69,9 @@ class Solution:
 def search(
     fitted: Cost, merged: Cost, first: np.ndarray, found: Determination, *, solver: str, seed: int
 ) -> Search:
-    """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global stage.
+    """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global search.
 
-    The global stage and its local refinements run on `merged`, where the zeros are projected out and the
+    The global search and its local refinements run on `merged`, where the zeros are projected out and the
     whole population is evaluated at once; IPOPT then refines the best of them on the exact cost.
     """
     free = np.array([k for k in range(len(first)) if k not in found.held], dtype=int)
@@ -116,7 +116,7 @@ def _elsewhere(problem: solvers.Problem, rng: np.random.Generator) -> np.ndarray
 
 
 def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
-    """Return the optimum of a re-weighted cost near `p`: Newton's method on the statistics, no global stage.
+    """Return the optimum of a re-weighted cost near `p`: Newton's method on the statistics, no global search.
 
     For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
     """

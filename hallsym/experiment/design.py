@@ -17,8 +17,8 @@ from hallsym.experiment.criteria import CRITERIA
 from hallsym.experiment.information import Worst
 from hallsym.experiment.ranges import Ranges
 from hallsym.experiment.study import Choice, Study, study
-from hallsym.families import build
-from hallsym.log import Log, Noise, check_log
+from hallsym.families import build, default_model
+from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.log.noise import check_noise_keys
 from hallsym.model import Model
 from hallsym.records import named
@@ -105,7 +105,7 @@ class Plan:
 
 def plan(
     ranges: Ranges,
-    model: str | Model = "stage31",
+    model: str | Model | None = None,
     values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     *,
@@ -133,7 +133,7 @@ def plan(
             f"Criterion must be one of {', '.join(CRITERIA)}; instead received {criterion!r}"
             f"{nearest(criterion, list(CRITERIA))}."
         )
-    model = build(model) if isinstance(model, str) else model
+    model = model if isinstance(model, Model) else build(model or default_model(Meta()))
     allowed = ranges.allowed(runs, minutes)
     sigma = _noise(model, ranges.noise if noise is None else noise)
     recorded, n_recorded = (None, 0) if after is None else _recorded(after, model, model.vector(values or {}))

@@ -66,9 +66,9 @@ class Family:
 
     `models`: makers, `default` the name of one (the first), `aliases`: other name -> name. `readings`: a
     regular expression of the columns it is read in. `about`: what a message calls a log of it, such as
-    "a beam (hall_a_m, ...; y_ref_m)". `from_meta(make, meta)`: the model for the layout, columns and nominal
-    values that a log states. `decoder`: how its pose is computed in C, a kind that `hallsym.codegen` knows or
-    a maker `(model, p, weight, box) -> Decoupler`.
+    "a beam (hall_a_m, ...; y_ref_m)", `noun`: what the machine is called ("beam"). `from_meta(make, meta)`:
+    the model for the layout, columns and nominal values that a log states. `decoder`: how its pose is
+    computed in C, a kind that `hallsym.codegen` knows or a maker `(model, p, weight, box) -> Decoupler`.
     """
 
     name: str
@@ -76,9 +76,12 @@ class Family:
     default: str = ""
     readings: str = r"(hall|col|v)_\w+"
     about: str = ""
+    noun: str = ""
     pose_metric: PoseMetric = PoseMetric()
     aliases: Mapping[str, str] = field(default_factory=dict)
     from_meta: Callable[[Maker, Any], Model] = _plain_from_meta
+    tables: tuple[str, ...] = ()
+    """Tables of a machine file and of meta.json that `from_meta` reads in `Meta.raw`, beside the probes."""
     effects: tuple[Any, ...] = ()
     """What a model may be extended by: records of `hallsym.model.Effect`; a diagnosis prefers the first."""
     words: Mapping[str, str] = field(default_factory=dict)

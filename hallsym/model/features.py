@@ -213,12 +213,13 @@ def _of_low_degree(model: Model, variables: ca.SX) -> bool:
 def _reproduces(features: Features) -> bool:
     """Check the expansion far from its centre: |u| or a step has derivatives, and is no polynomial."""
     model, rng = features.model, np.random.default_rng(0)
+    s, (variables, _) = model.symbols, features._variables
+    read = ca.Function("reading", [s.parameters, s.zeros, variables], [s.reading])
     for _ in range(3):
         p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
-        zeros, pose, state = (rng.standard_normal(len(n)) for n in (model.zeros, model.pose, model.state))
-        centre = np.asarray(features.variables(*(rng.standard_normal(len(n)) for n in (pose, state)))).ravel()
-        expected = np.asarray(model.reading(p, zeros, pose, state)).ravel()
-        f = features.values(pose, state, centre)[0]
+        zeros, at, centre = (rng.standard_normal(n) for n in (len(model.zeros), *[variables.numel()] * 2))
+        expected = np.asarray(read(p, zeros, at)).ravel()
+        f = np.prod((at - centre) ** features.exponents, axis=1)
         terms = np.asarray(features.coefficients(p, zeros, centre)) * f[:, None]
         if not np.all(np.abs(terms.sum(axis=0) - expected) <= 1e-9 * np.abs(terms).sum(axis=0)):
             return False

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hallsym import bundled_campaign, load_fit, write_log
+from hallsym import build, bundled_campaign, load_fit, write_log
 from hallsym.cli.main import main
 
 CASES = Path(__file__).parents[3] / "shared" / "cases"
@@ -362,6 +362,22 @@ def test_info_on_everything(capsys, written, tmp_path):
         assert code == 0
         assert word in out
         json.loads(run(capsys, *arguments, "--json")[1])
+
+
+@pytest.mark.parametrize("name", ["stage31", "model31", "rotary_meng"])
+def test_info_explains_a_model(capsys, name):
+    code, out, _ = run(capsys, "info", name)
+    assert code == 0
+    record = json.loads(run(capsys, "info", name, "--json")[1])
+    model = build(name)
+    assert [p["name"] for p in record["parameters"]] == list(model.names)
+    assert all(p["unit"] and p["meaning"] for p in (*record["parameters"], *record["zeros"]))
+    assert [p["column"] for p in record["pose"]] == list(model.pose)
+    assert "hysteresis" in record["can_take"]
+    assert not set(model.effects) & set(record["can_take"])
+    for entry in (*record["parameters"], *record["zeros"]):
+        assert entry["meaning"] in out
+    assert ("repeats every 6.28319 rad" in out) == bool(model.period)
 
 
 def test_demo_prints_the_papers_steps(capsys, tmp_path):

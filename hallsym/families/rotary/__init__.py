@@ -6,6 +6,7 @@ from hallsym.model import Example, Family, PoseMetric
 
 FAMILY = Family(
     name="rotary",
+    noun="encoder",
     about="an encoder (v_sin_v and v_cos_v, or angle_rad; angle_ref_rad)",
     readings=r"v_(sin|cos)_v|angle_rad",
     pose_metric=PoseMetric("rad"),
