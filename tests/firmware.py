@@ -15,8 +15,7 @@ import pytest
 
 import hallsym
 from hallsym import Fit, Model, Parameter
-from hallsym.codegen import Generated, Integers, generate_q31
-from hallsym.codegen.parts import Decoupler
+from hallsym.codegen import Decoupler, Generated, generate
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.families.stage import models as stage
@@ -100,9 +99,9 @@ def made(case: str, **variant: bool) -> Generated:
 
 
 @cache
-def integers(case: str) -> Integers:
+def integers(case: str) -> Generated:
     """Generated integers of a case, once per process."""
-    return generate_q31(CASES[case]())
+    return generate(CASES[case](), arithmetic="q31")
 
 
 def need(*tools: str) -> None:

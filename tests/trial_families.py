@@ -125,9 +125,10 @@ def late_readings(model):
 
 def lowered(model, p, weight, box):
     """The C of three sums near x = 0: the arctangent of x and the logarithm of z are odd series."""
+    from hallsym.codegen.parts import Decoupler, Margin, Step
+
     from hallsym.codegen.box import Box, limits
     from hallsym.codegen.entries import Entry
-    from hallsym.codegen.parts import Decoupler, Margin, Step
 
     v = model.named(p)
     inputs, columns = [ca.SX.sym(f"col_{k}") for k in range(3)], model.channels
@@ -189,6 +190,7 @@ ARRAY = Family(
     readings=r"col_\d+_v",
     pose_metric=PoseMetric("m"),
     effects=(second_harmonic, late_readings),
+    words={"x_ref_m": "x along the array"},
     decoder=lowered,
     example=Example(
         campaign={

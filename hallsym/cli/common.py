@@ -19,6 +19,7 @@ from hallsym.families.user import load_effects
 from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
 from hallsym.log.noise import check_noise_keys
 from hallsym.model import Effect, Model
+from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 
 
@@ -207,7 +208,7 @@ def truth_of(
         known = load_fit(options.values)
         if options.model and options.model != known.model.name:
             raise InputError(f"--values holds a {known.model.name}; leave --model out or give that name.")
-        return known.model, dict(zip(known.model.names, known.values.tolist(), strict=True))
+        return known.model, named(known.model.names, known.values)
     runs = campaign.runs if campaign else ()
     moved = {axis for run in runs for axis in (*run.setting, *run.motion)}
     model = build(

@@ -24,9 +24,9 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "info", run,
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a\n"
-        "campaign file. A model by name: its chain of links, parameters, zeros, effects it can take.\n"
-        "An effect by name: what it means, its numbers, its parameters, what recording separates it.\n"
-        "Without an argument: the models, effects and solvers there are.\n\n"
+        "campaign file. A model by name: its chain of links, parameters, zeros, effects it can take. An\n"
+        "effect by name: what it means, its numbers, the parameters it adds, what recording separates it\n"
+        "from others. Without an argument: the models, effects and solvers there are.\n\n"
         "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis",
     )  # fmt: skip
     parser.add_argument(

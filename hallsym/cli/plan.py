@@ -23,7 +23,8 @@ from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.report.text.plan import plan_text
+from hallsym.records import named
+from hallsym.report.text import plan_text
 from hallsym.simulation import (
     Campaign,
     is_the_papers,
@@ -99,7 +100,7 @@ def run(options: Namespace) -> int:
     if options.output:
         write_campaign(found.campaign, options.output, comment=_comment(found))
     if options.plots:
-        from hallsym.report.figures.plan import save_plan_pictures
+        from hallsym.report.figures import save_plan_pictures
 
         written += save_plan_pictures(found, options.plots, log or against, "recorded" if log else name)
     say(
@@ -124,7 +125,7 @@ def _truth(options: Namespace, machine: Machine, log: Log | None) -> tuple[Model
         where = options.values or ("Table 7" if machine.probes is None else "the machine file")
         return model, values, f"planned for the values of {where}; other values make other plans."
     fitted = fit(log, options.model, solver="direct", parameters=machine.parameters, effects=options.effect)
-    values = dict(zip(fitted.model.names, fitted.values.tolist(), strict=True))
+    values = named(fitted.model.names, fitted.values)
     return fitted.model, values, f"planned for values fitted to {log.name}."
 
 

@@ -21,6 +21,7 @@ from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.log.noise import check_noise_keys
 from hallsym.model import Model
+from hallsym.records import named
 from hallsym.simulation import Campaign
 
 FORMAT = "hallsym plan 1"
@@ -91,9 +92,9 @@ class Plan:
             "recorded_runs": self.recorded,
             "worst_before": None if self.before is None else vars(self.before),
             "worst": vars(self.after),
-            "std": dict(zip(self.names, self.std.tolist(), strict=True)),
-            "position_std": dict(zip(model.pose, self.position.tolist(), strict=True)),
-            "reference": {c: ranges.reference.get(c, 1e-6) for c in model.pose},
+            "std": named(self.names, self.std),
+            "position_std": named(model.pose, self.position),
+            "reference": named(model.pose, ranges.references(model.pose)),
             "comparison": self.comparison and self.comparison.to_dict(self.names, model.pose),
             "values": {n: float(v) for n, v in self.study.values.items()},
             "noise": dict(self.study.noise),

@@ -7,7 +7,7 @@ from typing import Any
 
 from hallsym.families import FAMILIES
 from hallsym.log import Meta
-from hallsym.toml import known, read_toml, table, tables
+from hallsym.toml import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +34,9 @@ def read_machine(path: str | Path | None) -> Machine:
     """
     if path is None:
         return Machine(None, {})
-    raw, where = read_toml(Path(path), "Machine file"), f"machine file {path}"
     own = [name for family in FAMILIES for name in family.tables]
-    known(raw, ("probes", "parameters", *own), where)
-    probes = [dict(entry) for entry in tables(raw["probes"], "probes", where)] if "probes" in raw else None
-    entries = table(raw.get("parameters", {}), "parameters", where)
-    parameters = {name: dict(table(entry, f"parameters.{name}", where)) for name, entry in entries.items()}
-    return Machine(probes, parameters, {name: raw[name] for name in own if name in raw})
+    file = Table.read(path, "Machine file", ("probes", "parameters", *own))
+    probes = [dict(probe.raw) for probe in file.tables("probes")] if "probes" in file else None
+    named = file.table("parameters")
+    parameters = {name: dict(named.table(name).raw) for name in named.raw}
+    return Machine(probes, parameters, {name: file.raw[name] for name in own if name in file})

@@ -74,7 +74,7 @@ def check_fit(fit: Fit) -> None:
         )
 
 
-def inputs(fit: Fit, settings: Settings) -> tuple[Input, ...]:
+def independent_inputs(fit: Fit, settings: Settings) -> tuple[Input, ...]:
     """Return every independent input that has an uncertainty, in the order of a budget table."""
     return tuple(i for i in _all_inputs(fit, settings.checked(fit.model)) if i.source.std > 0)
 

@@ -12,18 +12,18 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from hallsym.inference import Identifiability
-from hallsym.report.figures import STYLE
-from hallsym.report.figures.correlation import blocks
-from hallsym.report.figures.profiles import ends_in_words
-from hallsym.report.figures.sensitivity import (
+from hallsym.report.figures import (
+    LOOKS,
+    STYLE,
+    blocks,
     correlation,
     effects,
+    ends_in_words,
     intervals,
     profiles,
+    sorts,
     spectrum,
 )
-from hallsym.report.figures.spectrum import sorts
-from hallsym.report.figures.verdicts import LOOKS
 
 
 @pytest.fixture(autouse=True)

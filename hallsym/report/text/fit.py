@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from hallsym.errors import counted
 from hallsym.estimation import Fit
+from hallsym.report.data import parameter_rows
 from hallsym.report.tables import concise, error_rows, grid
 from hallsym.units import readable
 
@@ -41,39 +40,16 @@ def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parameter_text(fit: Fit) -> str:
-    """Return the parameter table: value(std), bounds, and what is to be said of it."""
-    rows = [["parameter", "value", "unit", "nominal", "bounds", ""]]
-    for k, p in enumerate(fit.model.parameters):
-        factor, unit = (180 / np.pi, "deg") if p.unit == "rad" else (1.0, p.unit)
-        std = fit.std[k] * factor if fit.determined[k] else None
-        value = (
-            concise(fit.values[k] * factor, std) if fit.determined[k] else f"({fit.values[k] * factor:.4g})"
-        )
-        bounds = "fixed" if p.width == 0 else f"{p.lower * factor:.4g} .. {p.upper * factor:.4g}"
-        rows.append([p.name, value, unit, f"{p.nominal * factor:.4g}", bounds, remark(fit, k)])
-    return _remarks_left(rows)
-
-
-def _remarks_left(rows: list[list[str]]) -> str:
-    body = grid([row[:-1] for row in rows]).split("\n")
-    return "\n".join(
-        f"{line}  {remark}".rstrip()
-        for line, remark in zip(body, [rows[0][-1], "", *(r[-1] for r in rows[1:])], strict=True)
-    )
-
-
-def remark(fit: Fit, k: int) -> str:
-    """Return what is to be said of parameter `k`; nothing where it is identifiable and inside its bounds."""
-    p = fit.model.parameters[k]
-    if p.width == 0:
-        return ""
-    if p.name in fit.at_bound:
-        return "at its bound"
-    if fit.determined[k]:
-        return ""
-    source = "any recording" if p.name in fit.structural else "this log"
-    ending = "fixed at its nominal value" if p.name in fit.held else "see the combinations"
-    return f"not identifiable from {source}; {ending}"
+    """Return the parameter table: value(std), bounds, and what is to be said of each, else what it means."""
+    head = ["parameter", "value", "unit", "nominal", "bounds"]
+    rows, last = [head], ["", ""]
+    for p in parameter_rows(fit):
+        value = concise(p.value, p.std) if p.determined else f"({p.value:.4g})"
+        bounds = "fixed" if p.fixed else f"{p.lower:.4g} .. {p.upper:.4g}"
+        rows.append([p.name, value, p.unit, f"{p.nominal:.4g}", bounds])
+        last.append(p.remark or p.meaning)
+    lines = grid(rows).split("\n")
+    return "\n".join(f"{line}  {words}".rstrip() for line, words in zip(lines, last, strict=True))
 
 
 def combination_text(fit: Fit) -> str:
