@@ -7,6 +7,7 @@ the package.
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -15,8 +16,8 @@ from hallsym.estimation.run_statistics import summarise
 from hallsym.families import build, published
 from hallsym.log import Block, Log, Noise, Sigma
 from hallsym.model import Model
-from hallsym.simulation.campaign import Campaign, paper_campaign
-from hallsym.simulation.machine import VERTICAL_NOISE, NoiseModel, simulate
+from hallsym.simulation import Campaign, NoiseModel, paper_campaign, simulate
+from hallsym.simulation.paper import VERTICAL_NOISE
 
 EPS = float(np.finfo(float).eps)
 TRUTH = published.values("table7_estimates")
@@ -127,7 +128,9 @@ def cost_on(log: Log, model: Model, sigma: Mapping[str, float] = SIGMAS) -> Cost
 
 
 class Chopped:
-    """A log whose blocks are handed over in pieces of the given sizes, in turn."""
+    """A log that streams: its blocks are handed over in pieces of the given sizes, in turn."""
+
+    table = SimpleNamespace(in_memory=False)
 
     def __init__(self, log: Log, sizes: Sequence[int]) -> None:
         self.log, self.sizes = log, sizes

@@ -4,8 +4,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+from hallsym.cli import OK
 from hallsym.cli.common import (
-    OK,
     command,
     log_options,
     model_options,
@@ -21,18 +21,23 @@ from hallsym.estimation.calibration import load_fit
 from hallsym.estimation.fit import fit, noise_of
 from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
 from hallsym.families.machine_file import Machine, read_machine
-from hallsym.families.stage.models import paper_layout
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.report.text.plan import plan_text
-from hallsym.simulation import machine as twin
-from hallsym.simulation.campaign import Campaign, paper_campaign, read_campaign, write_campaign
+from hallsym.simulation import (
+    Campaign,
+    is_the_papers,
+    paper_campaign,
+    read_campaign,
+    table8_noise,
+    write_campaign,
+)
 
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "plan", run, "choose what to record next, within your ranges and your time",
+        sub, "plan", run,
         "Choose vertical settings and trajectories that tell most about the parameters, from the ranges,\n"
         "frequencies and time that you state, and write them as a campaign file that a lab can follow and\n"
         "'hallsym simulate' runs. Compares the plan with the 57 runs of the paper's Table 6.",
@@ -134,15 +139,15 @@ def _noise(
     if options.values:
         known = load_fit(options.values).noise
         return {c: s.value for c, s in known.sigmas.items()}, f"noise as in {options.values}."
-    if model.layout == paper_layout():
-        return dict(twin.table8_noise(model, values).sigma), "noise that reproduces Table 8."
+    if is_the_papers(model):
+        return dict(table8_noise(model, values).sigma), "noise that reproduces Table 8."
     return None, ""
 
 
 def _against(options: Namespace, ranges: Ranges, model: Model) -> tuple[Campaign | None, str]:
     if options.compare:
         return read_campaign(options.compare), Path(options.compare).name
-    if model.layout == paper_layout():
+    if is_the_papers(model):
         return paper_campaign(ranges.step_s, ranges.seconds_per_run), "Table 6"
     return None, ""
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.ranking import Exact, distance
 from hallsym.diagnosis.record import FoundEffect, Separation
 from hallsym.diagnosis.scores import by_name
@@ -28,7 +27,7 @@ def groups_of(search: Search, inflation: float) -> tuple[list[tuple[str, ...]], 
         one = found.exact
         limit = _limit(one, inflation)
         rivals = _standing(found, inflation)
-        if kind_of(one.fit.base.model).pairs:  # parameters for which the log gives no reason make no rival
+        if one.fit.base.model.family.pairs:  # parameters for which the log gives no reason make no rival
             rivals = [r for r in rivals if r.bic - one.bic < REASON]
         close = [(r, distance(one.fit, r.fit)) for r in rivals]
         close = [(r, d) for r, d in close if d < limit][:3]

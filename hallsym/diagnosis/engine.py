@@ -12,12 +12,11 @@ from time import perf_counter
 import numpy as np
 
 from hallsym.diagnosis import split
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
-from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError, counted
 from hallsym.estimation import fit as fitting
 from hallsym.estimation.calibration import Fit
@@ -84,7 +83,6 @@ def examine(
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     began, say = perf_counter(), on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
-    kind = kind_of(model)
     whole = log
     log, pieces = _pieces(log, model) if holdout is None else (log, None)
     apart = pieces or _holdout(log, holdout)
@@ -93,9 +91,11 @@ def examine(
     log, result = _fitted(log, model, apart, drop_bad, say, "auto" if timed or not pieces else "none")
     wiring = result.wiring
     base = base_of(log, result)
-    base = replace(base, model=kind.direct(base.model), timed=timed)
+    base = replace(base, model=model.family.direct(base.model), timed=timed)
     runs = [r for r in base.log.runs if r not in apart]
-    search = Search(base, runs, (*kind.catalogue, *effects), level, floor_of(result, base.length_m), say)
+    search = Search(
+        base, runs, (*model.family.catalogue, *effects), level, floor_of(result, base.pose_weights), say
+    )
     search.run()
     said = report(search, log, result, apart, wiring, level, perf_counter() - began)
     if pieces:  # which the log on disk does not have

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.errors import BlockErrors, interval
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.holding import holding
@@ -9,7 +10,6 @@ from hallsym.diagnosis.price import price
 from hallsym.diagnosis.record import Estimate, FoundEffect
 from hallsym.diagnosis.search import Search
 from hallsym.diagnosis.sentences import blind_text, stuck_text
-from hallsym.diagnosis.tangent import Base
 from hallsym.estimation.channel_assignment import Wiring
 from hallsym.families.faults import FAULTS
 from hallsym.log import Log

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.errors import BlockErrors, block_errors
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
 from hallsym.diagnosis.found import cures
@@ -13,7 +14,6 @@ from hallsym.diagnosis.search import Search
 from hallsym.diagnosis.sentences import noise_held_gap
 from hallsym.diagnosis.structure import Structure, structure
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, UNSTRUCTURED, shaped, slow_share
 
 

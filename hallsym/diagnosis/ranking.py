@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.scores import Score, bic, by_name, candidates, scores
-from hallsym.diagnosis.tangent import Base
 
 CLOSE = 0.75
 """Effects that explain at least this part of what the best one explains are refitted exactly.
@@ -182,7 +182,7 @@ def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, inflatio
 
 def distance(a: Refitted, b: Refitted) -> float:
     """Whitened squared distance between what two fits leave: how far this log tells them apart."""
-    from hallsym.diagnosis.survey import pieces
+    from hallsym.diagnosis.residuals import pieces
 
     known = {run for unit in a.fitted for run in a.tangents.runs[unit]}
     total = 0.0

@@ -103,11 +103,11 @@ class Separation:
 
 @dataclass(frozen=True)
 class Waves:
-    """Amplitude [rad] of the error of an encoder that goes `per_turn` times round per turn, over all runs.
+    """Amplitude of the wave of error that repeats `per_turn` times per period of a coordinate, over all runs.
 
-    `designed`: of the encoder as it is meant to be, only its zero fitted; `model`: of the diagnosed model;
-    `after`: with the effects that were found, None where there are none. `causes`: effects of the catalogue
-    that make so many waves.
+    `designed`: of the nominal sensor, only its zeros fitted; `model`: of the diagnosed model; `after`: with
+    the effects that were found, None where there are none. SI. `causes`: effects of the catalogue that make
+    so many waves. `coordinate`: of a pose of several coordinates, the one that is periodic.
     """
 
     per_turn: int
@@ -115,6 +115,7 @@ class Waves:
     model: float
     after: float | None
     causes: tuple[str, ...]
+    coordinate: str = ""
 
     @property
     def absorbed(self) -> bool:
@@ -134,7 +135,7 @@ class Diagnosis:
     on held-out runs, see `size.sizes`. `shares`: what each coordinate, link, output, sensor, frequency and
     run takes of the excess by itself; empty where noise explains it.
     `next_step`: what `hallsym fit LOG` takes to fit the model with the effects found; empty without any.
-    `waves`: of an encoder, its error by waves per turn; empty for what does not turn.
+    `waves`: of each periodic coordinate, its error by waves per period.
     """
 
     verdict: str
@@ -167,7 +168,11 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""
-        return _plain(asdict(self))
+        record: dict[str, Any] = _plain(asdict(self))
+        for wave in record["waves"]:
+            if not wave["coordinate"]:
+                del wave["coordinate"]
+        return record
 
 
 def _plain(value: Any) -> Any:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.diagnosis.survey import pieces
-from hallsym.diagnosis.tangent import Base
-from hallsym.simulation.campaign import AtTimes, Run, multi_sine, sine
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.residuals import pieces
+from hallsym.simulation import AtTimes, Run, multi_sine, sine
 
 LONGEST = 2000
 """Samples of a simulated run, at most."""

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hallsym.diagnosis.alike import groups_of, ranked_names, smaller_findings
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.found import EITHER, closed, fault_record, found_effects, miswired, wiring_record
 from hallsym.diagnosis.holding import held
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.leftover import Leftover, leftover
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation
 from hallsym.diagnosis.search import Search
@@ -16,7 +16,6 @@ from hallsym.diagnosis.sentences import next_step, sentence, shapeless
 from hallsym.diagnosis.shape import unexplained
 from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, remains
 from hallsym.diagnosis.waves import waves
 from hallsym.diagnosis.where import Located, both, located
@@ -109,7 +108,7 @@ def report(
         notes=tuple(dict.fromkeys((*result.notes, *left.notes, *said.notes))),
         seconds=seconds,
         versions=dict(result.versions),
-        waves=waves(kind_of(start.model).waves, start, left.base if said.effects else None),
+        waves=waves(start, left.base if said.effects else None),
         next_step=next_step(
             result, said.effects, search, apart, bool(wiring and miswired(result.model, wiring))
         ),

@@ -6,10 +6,10 @@ from functools import partial
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.cancelling import undone
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, bic_of, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
@@ -18,13 +18,12 @@ from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey, survey
 from hallsym.diagnosis.switching import switched_runs
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import as_read
 from hallsym.estimation.gauss_newton import cost_near
 from hallsym.log import Log
-from hallsym.log.batches import remembered
+from hallsym.log.batches import batches, remembered
 from hallsym.model import Model
 
 REPEATS = 4
@@ -51,17 +50,16 @@ def base_of(log: Log, result: Fit) -> Base:
         zeros=dict(zip(cost.summary.runs, point.zeros, strict=True)),
         covariance=point.covariance.mean(axis=0),
         free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
-        length_m=log.meta.gap_length_scale_m or 0.35,
+        pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         apart=frozenset(result.log["holdout"]),
         sigma=sigma,
         keep=remembered(result.keep, wired.rows),
     )
 
 
-def floor_of(result: Fit, length_m: float) -> Floor:
+def floor_of(result: Fit, weights: np.ndarray) -> Floor:
     """Return the gap metric that noise alone leaves."""
-    floor = result.noise_floor.items()
-    metric = float(np.sqrt(sum((length_m * v if c.startswith("r") else v) ** 2 for c, v in floor)))
+    metric = float(np.linalg.norm(weights * np.array(list(result.noise_floor.values()))))
     return Floor(metric, all(s.source == "given" for s in result.noise.sigmas.values()))
 
 
@@ -84,7 +82,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
 
 
 def _mean(log: Log, column: str) -> float:
-    sums = [(b.data[column].sum(), len(b.data[column])) for b in log.blocks((column,))]
+    sums = [(b.data[column].sum(), len(b)) for b in batches(log, (column,))]
     return float(sum(s for s, _ in sums) / sum(n for _, n in sums))
 
 
@@ -92,8 +90,8 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
     """Return the extreme values of each channel that come again and again, exactly: its rails."""
     low, high = np.full(len(model.channels), np.inf), np.full(len(model.channels), -np.inf)
     at_low, at_high = np.zeros(len(low)), np.zeros(len(low))
-    for block in log.blocks(model.channels):
-        values = np.array([block.data[c] for c in model.channels])
+    for batch in batches(log, model.channels):
+        values = np.array(batch.columns(model.channels))
         lowest, highest = values.min(axis=1), values.max(axis=1)
         at_low = np.where(lowest < low, 0, at_low)
         at_high = np.where(highest > high, 0, at_high)
@@ -108,9 +106,8 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
 
 def _extremes(log: Log, model: Model) -> np.ndarray:
     """Quantiles of a sample of the readings, high and low in turn: rails that are tried."""
-    parts = [np.array([b.data[c] for c in model.channels])[:, :: max(1, log.rows // 50_000)]
-             for b in log.blocks(model.channels)]  # fmt: skip
-    values = np.hstack(parts)
+    step = max(1, log.rows // 50_000)
+    values = np.hstack([np.array(b.columns(model.channels))[:, ::step] for b in batches(log, model.channels)])
     return np.vstack([np.quantile(values, [a, 1 - a], axis=1) for a in (0.998, 0.99, 0.97, 0.93)])
 
 
@@ -159,7 +156,7 @@ class Search:
         self.scored: list[tuple[Refitted, list[Score]]] = []
         self.owner: dict[str, str] = {}
         self.survey = Survey()
-        self.most = kind_of(base.model).most
+        self.most = base.model.family.most_effects
 
     def run(self) -> None:
         """Add effects while they lower the gap metric by the threshold; then ask of each again.
@@ -250,7 +247,7 @@ class Search:
             at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
             lambda e: self.keeps(e, at) and not undone(e.fit, at, self.start, self.owner),
         )  # fmt: skip
-        if kind_of(at.base.model).pairs:
+        if at.base.model.family.pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)
         return exact, ranked
 

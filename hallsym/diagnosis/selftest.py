@@ -16,10 +16,9 @@ from hallsym.diagnosis import engine
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.injection import Injection, Sized, generator, injections, sized
-from hallsym.diagnosis.kinds import kind_of
 from hallsym.diagnosis.likeness import Likeness, likeness
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.search import base_of, facts_of
+from hallsym.diagnosis.search import base_of, facts_of, floor_of
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.thin import thinned
 from hallsym.diagnosis.truth import Truth, truth_of
@@ -141,7 +140,7 @@ def selftest(
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
     model = engine._built(log, model)
-    catalogue = (*kind_of(model).catalogue, *effects)
+    catalogue = (*model.family.catalogue, *effects)
     wanted = _wanted(names, catalogue)
     ratios = _ratios(ratios)
     if repeats < 1:
@@ -226,13 +225,11 @@ class _Bench:
         self.model, self.apart, self.level, self.own = result.model, apart, level, own
         self.catalogue, self.seed, self.say = catalogue, seed, say
         base = base_of(log, result)
-        base = replace(base, model=kind_of(base.model).direct(base.model))
+        base = replace(base, model=base.model.family.direct(base.model))
         say("thinning the log")
         short = thinned(base, rows)
         base = replace(base, log=short.log, keep=None)
-        floor = np.array(list(result.noise_floor.values()))
-        scale = [base.length_m if c.startswith("r") else 1.0 for c in result.noise_floor]
-        self.truth: Truth = truth_of(base, float(np.linalg.norm(scale * floor)))
+        self.truth: Truth = truth_of(base, floor_of(result, base.pose_weights).metric)
         self.thinning = short.text
         say("learning the noise")
         facts = facts_of(base, survey(base, frozenset(self.truth.runs)))

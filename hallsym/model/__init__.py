@@ -2,6 +2,7 @@
 
 from hallsym.model.arguments import Facts
 from hallsym.model.effect import Effect, Variant, effect
+from hallsym.model.family import Example, Family, PoseMetric
 from hallsym.model.model import (
     LINKS,
     Combination,
@@ -14,6 +15,19 @@ from hallsym.model.model import (
 )
 
 __all__ = [
-    "LINKS", "Combination", "Effect", "Facts", "Inspection", "Model", "Parameter", "Signals", "Step",
-    "Symbols", "Variant", "effect",
-]  # fmt: skip
+    "LINKS",
+    "Combination",
+    "Effect",
+    "Example",
+    "Facts",
+    "Family",
+    "Inspection",
+    "Model",
+    "Parameter",
+    "PoseMetric",
+    "Signals",
+    "Step",
+    "Symbols",
+    "Variant",
+    "effect",
+]

@@ -53,7 +53,7 @@ class Effect:
     its own. `unless`: effects that already contain it. `waves`: waves of error per turn that it makes, of
     a pose that turns. `possible(values)`: whether fitted parameters can belong to this cause. `inject`:
     how a self-test makes it, where not by its parameters. `diagnosed`: whether a diagnosis tries it.
-    `finish`: what a family does to each model with an effect.
+
     """
 
     name: str
@@ -69,7 +69,6 @@ class Effect:
     possible: Callable[[Mapping[str, float]], bool] = lambda values: True
     inject: Callable[..., Any] | None = None
     diagnosed: bool = True
-    finish: Callable[[Model], Model] = lambda model: model
 
     def __call__(self, model: Model, **numbers: Any) -> Model:
         """Return `model` with the effect; numbers count to the 9 digits that a calibration saves."""
@@ -98,7 +97,7 @@ class Effect:
                 raise InputError(
                     f"Effect {self.name} must return a Model; instead it returned {type(wide).__name__}."
                 )
-            wide = self.finish(wide)
+            wide = wide.family.short(wide)
             new = [effect for effect in wide.effects if effect not in model.effects]
             return replace(wide, texts={**wide.texts, **dict.fromkeys(new, text)})
 

@@ -10,20 +10,23 @@ from scipy.optimize import lsq_linear
 from twins import record, with_noise
 
 import hallsym
-from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects, user_effect
+from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.refit import inside_bounds, refit, with_model
 from hallsym.diagnosis.search import base_of, rails_of
 from hallsym.diagnosis.slips import instants
 from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.tangent import Base, tangents
+from hallsym.diagnosis.tangent import tangents
 from hallsym.families import effects
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.derived import extended
 from hallsym.model import Model, Parameter
 from hallsym.model.derived import HALVES, rate, widest_half
+from hallsym.model.effect import as_effect
 from hallsym.report.text.diagnosis import diagnosis_text
-from hallsym.simulation.campaign import paper_campaign
+from hallsym.simulation import paper_campaign
 
 SLOW = pytest.mark.slow
 NAMED = (
@@ -202,7 +205,7 @@ def test_a_users_effect_is_found_and_a_broken_one_stops_nothing() -> None:
         return 3
 
     log = machine("multisine", (inject,), seed=6, thin=6)
-    found = diagnose(log, effects=[user_effect(f) for f in (speed_gain, broken, nonsense)])
+    found = diagnose(log, effects=[as_effect(f) for f in (speed_gain, broken, nonsense)])
     assert (found.verdict, found.ranked[0]) == ("explained", "speed_gain")
     assert found.effects[0].parameters["speed_gain"].value == pytest.approx(5.0, rel=0.05)
     assert found.not_testable["broken"] == "raised ValueError: oops"
@@ -255,7 +258,7 @@ def test_tangents_predict_what_a_refit_finds() -> None:
     base = base_of(log, result)
     runs = [r for r in log.runs if r not in log.meta.holdout]
     start = refit(base, runs)
-    wide = effects("stage")["even_nonlinearity"](start.base.model)
+    wide = effects(STAGE_FAMILY)["even_nonlinearity"](start.base.model)
     new = [n for n in wide.names if n not in base.model.names]
     t = tangents(start.base, {"e": (wide, new)})
     M = t.likelihood[t.units(runs)].sum(axis=0)

@@ -15,20 +15,22 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import hallsym
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.chance import as_many, as_often, exceeds, student
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base, Products, tangents
+from hallsym.diagnosis.tangent import Products, tangents
 from hallsym.estimation.channel_assignment import rewired
 from hallsym.estimation.decoding import columns_of
 from hallsym.families import effects
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Block, Log
 from hallsym.log.batches import Batch, batches
 from hallsym.model import Facts
 
-CATALOGUE = tuple(e for e in effects("stage").values() if e.diagnosed)
+CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
 TESTED = 30
 
 

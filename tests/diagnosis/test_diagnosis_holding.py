@@ -11,6 +11,7 @@ from hallsym.diagnosis.holding import shrinks
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.residue import coordinates, residue
 from hallsym.families import effects
+from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.log import Log
 
 TURN = 2 * np.pi
@@ -30,7 +31,7 @@ def turn(seed=1, pattern=0.0, noise=1e-3, size=200, zero=0.0):
 
 def blocks(sums):
     sums = np.asarray(sums, dtype=float)
-    return BlockErrors(("angle_rad",), 1.0, np.full(len(sums), 10.0), sums[:, None], np.ones(1))
+    return BlockErrors(("angle_rad",), np.ones(1), np.full(len(sums), 10.0), sums[:, None], np.ones(1))
 
 
 def test_a_decrease_by_chance_is_uniform_and_a_real_one_is_certain():
@@ -56,7 +57,7 @@ def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
     """200 knots sample 100 waves at their crossings: the sine is 0 at each of them."""
     examined = examine(turn(pattern=1.5e-3), "rotary_ideal")
     base = examined.before
-    wide = effects("rotary")["reference_pole_pairs"](base.model, periods=(50, 100))
+    wide = effects(ROTARY_FAMILY)["reference_pole_pairs"](base.model, periods=(50, 100))
     fit = refit(with_model(base, wide), [r for r in base.log.runs if r not in base.apart])
     k = fit.base.model.names.index("reference_pole_pairs_100_sin")
     assert fit.base.p[k] == 0.0

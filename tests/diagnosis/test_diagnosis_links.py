@@ -8,21 +8,22 @@ from gap_twins import listed, machine
 from test_diagnosis_where import NOISES, base_on, stated
 from twins import record
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.errors import block_errors
 from hallsym.diagnosis.links import _smoothed
 from hallsym.diagnosis.scores import Score, candidates, scores
 from hallsym.diagnosis.search import facts_of
 from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.where import Located, both, located
 from hallsym.families import effects
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import LINKS, Effect, Model, Parameter
 from hallsym.model.arrays import on_arrays
 from hallsym.model.effect import as_effect
 
-CATALOGUE = tuple(e for e in effects("stage").values() if e.diagnosed)
+CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
 FEWER = ("odd_nonlinearity", "time_skew", "hysteresis", "reference_drift", "vertical_offset_coupling",
          "height_quadratic", "mains_hum", "first_order_lag")  # fmt: skip
 """Effects of every link, enough to tell them apart."""

@@ -15,7 +15,8 @@ from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.split import split
 from hallsym.diagnosis.words import shown
 from hallsym.errors import InputError
-from hallsym.families import build, effects
+from hallsym.families import effects
+from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary import models as rotary
 from hallsym.log import Log, Meta, Noise
@@ -24,7 +25,7 @@ from hallsym.model.derived import Stretch
 from hallsym.report.text import diagnosis as text
 from hallsym.report.text.diagnosis import diagnosis_text
 
-CATALOGUE = tuple(e for e in effects("rotary").values() if e.diagnosed)
+CATALOGUE = tuple(e for e in effects(ROTARY_FAMILY).values() if e.diagnosed)
 TURN = 2 * np.pi
 SIGMA = 6e-4
 SPEEDS = (3.0, -3.0, 12.0, -12.0, 60.0, -60.0, 150.0, -150.0)
@@ -276,7 +277,7 @@ def test_a_field_harmonic_is_its_waves_per_turn(order, waves):
 
 
 def test_a_low_pass_has_the_phase_and_amplitude_of_its_transfer_function():
-    model = rotary_effects.direct(effects("rotary")["first_order_lag"](rotary.rotary_ideal()))
+    model = rotary_effects.direct(effects(ROTARY_FAMILY)["first_order_lag"](rotary.rotary_ideal()))
     sine, cosine = readings(model, {"lag": 2e-3}, {"d1_angle_ref_rad": 150.0})
     turned = (cosine + 1j * sine) * np.exp(-1j * ANGLES)
     assert np.allclose(turned, 1 / (1 + 1j * 150.0 * 2e-3), atol=1e-12)
@@ -311,7 +312,7 @@ def test_direction_turns_over_after_a_reversal():
 
 @pytest.mark.parametrize("layout", [None, rotary.angle_only()], ids=["voltages", "angle"])
 def test_direct_reads_what_the_series_reads(layout):
-    model = effects("rotary")["gain_mismatch"](rotary.rotary_ideal(layout))
+    model = effects(ROTARY_FAMILY)["gain_mismatch"](rotary.rotary_ideal(layout))
     values = {"mismatch": 0.01, "zero": 0.3}
     assert np.allclose(
         readings(model, values), readings(rotary_effects.direct(model), values), rtol=0, atol=1e-9
@@ -345,15 +346,6 @@ def facts():
         100.0, ("t_s", "temperature_degc"), 22.0, np.array([[0.9, 0.9], [-0.9, -0.9]]),
         ((-0.9, 0.9), (-0.9, 0.9)), (50.0,), on_runs=(1, 2),
     )  # fmt: skip
-
-
-def test_a_fit_of_another_family_has_no_catalogue():
-    from dataclasses import replace
-
-    from hallsym.diagnosis.kinds import kind_of
-
-    with pytest.raises(InputError, match="only stage and rotary models have"):
-        kind_of(replace(build("rotary"), family="halbach"))
 
 
 @pytest.mark.slow

@@ -21,12 +21,13 @@ from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.separate import recorded, separation, with_readings
 from hallsym.families import effects
 from hallsym.families.mechanisms import Functions, following, port
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.report.text.diagnosis import WIDTH, diagnosis_text, p_text, separation_text
 
 NAMES = ("time_skew", "first_order_lag")
-STAGE = effects("stage")
+STAGE = effects(STAGE_FAMILY)
 TURN = 2 * np.pi
 
 

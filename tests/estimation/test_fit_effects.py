@@ -25,6 +25,7 @@ from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import nonlinearity, port
 from hallsym.families.play import stop_state
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Parameter
 from hallsym.report.text.diagnosis import diagnosis_text
@@ -42,7 +43,7 @@ NUMBERS = {
     "odd_nonlinearity": ("order=5",),
     "time_skew": ("per=probe",),
 }
-STAGE = {name: e for name, e in effects("stage").items() if e.diagnosed}
+STAGE = {name: e for name, e in effects(STAGE_FAMILY).items() if e.diagnosed}
 TEXTS = [
     *(n for n, e in STAGE.items() if not e.lacking(n)),
     *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v),
@@ -307,13 +308,13 @@ def test_a_parameter_at_its_bound_has_no_interval_and_is_said(tmp_path) -> None:
 
 def diagnose_only(log: Log, make):
     """Diagnose with one effect alone."""
-    from unittest.mock import patch
+    from dataclasses import replace
 
-    from hallsym.diagnosis.kinds import KINDS, Kind
     from hallsym.model.effect import as_effect
 
-    with patch.dict(KINDS, {"stage": Kind(())}):
-        return diagnose(log, "stage31", effects=[as_effect(make)])
+    model = build("stage31")
+    alone = replace(model, family=replace(model.family, effects=()))
+    return diagnose(log, alone, effects=[as_effect(make)])
 
 
 # -- the command line --------------------------------------------------------------------------------------

@@ -15,10 +15,12 @@ from hallsym.diagnosis.choose import model_on
 from hallsym.errors import InputError
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
+from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary.models import VOLTAGES, angle_only
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Meta, Noise, Sigma
 
-ROTARY = {name: e for name, e in effects("rotary").items() if e.diagnosed}
+ROTARY = {name: e for name, e in effects(ROTARY_FAMILY).items() if e.diagnosed}
 NUMBERS = {
     "eccentricity": ("form=curved", "form=chip", "direction_deg=30"),
     "magnet_tilt": ("form=chip",),
@@ -86,7 +88,7 @@ def test_every_effect_of_an_encoder_is_among_the_cases() -> None:
 
 
 def test_a_name_of_two_families_is_that_of_the_model() -> None:
-    shared = set(ROTARY) & set(effects("stage"))
+    shared = set(ROTARY) & set(effects(STAGE_FAMILY))
     assert {"time_skew", "saturation", "gain_temperature_drift", "hysteresis"} <= shared
     assert "d1_angle_ref_rad" in build("rotary", added=("time_skew",)).state
     assert "d1_x_ref_m" in build("stage31", added=("time_skew",)).state

@@ -180,7 +180,7 @@ def decoupled() -> Any:
         fit = hallsym.load_fit(path)
         function = hallsym.decouple(fit)
         k = 1 + np.arange(len(fit.model.channels))
-        level = 0.9 if fit.model.family == "rotary" else 1e-4
+        level = 0.9 if str(fit.model.family) == "rotary" else 1e-4
         poses = [
             function(level * np.cos(k * n), 1e-4 * np.sin(n + np.arange(len(fit.model.state))))
             for n in (1, 2, 3)

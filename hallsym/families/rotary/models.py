@@ -13,8 +13,8 @@ Voltages in V, angles in rad, flux density m in T. Valid for any number of turns
 distortions (offset, mismatch, phase, harmonics together) up to about 20 %.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
 from math import pi
 from typing import Any
@@ -26,13 +26,12 @@ from hallsym.errors import InputError, nearest
 from hallsym.families.rotary.checks import inspect
 from hallsym.families.rotary.waves import Wave, angle, cosine, sine
 from hallsym.log import Meta
-from hallsym.model import Combination, Model, Parameter, Signals, Step, effect
+from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
 
-FAMILY = "rotary"
-DEFAULT = "rotary"
+FAMILY = Family("rotary")
+"""Of these models; the package puts the whole record here, which lists them."""
 POSE = ("angle_rad",)
 REFERENCES = ("angle_ref_rad",)
-STATE: tuple[str, ...] = ()
 VOLTAGES, ANGLE = ("v_sin_v", "v_cos_v"), ("angle_rad",)
 TURN = 2 * pi
 K1, K2, K3 = 0.1896, 10.0, 0.0
@@ -64,24 +63,6 @@ def two_voltages() -> tuple[Output, ...]:
 def angle_only() -> tuple[Output, ...]:
     """Return the layout of a log with the decoded angle alone."""
     return tuple(map(Output, ANGLE))
-
-
-EXAMPLE: Mapping[str, Any] = {
-    "campaign": {
-        "step_s": 1e-3,
-        "run": [
-            {"duration_s": 1.0, "angle_rad": {"kind": "ramp", "rate": rate, "about": about}}
-            for rate, about in ((13.0, 0.0), (-13.0, 13.0), (40.0, 0.0), (-40.0, 40.0))
-        ],
-    },
-    "values": {
-        "Vx": 0.008943, "Vy": 0.000491, "Ax": 1.008607, "Ay": 0.994536, "beta": 0.000368, "m": 0.113,
-        "A": 1.0, "zero": 0.6,
-    },
-    "noise": {"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_rad": 3.5e-4, "angle_ref_rad": 2e-5},
-}  # fmt: skip
-"""What is simulated where nothing is said: two speeds in both directions, situation a of the paper's Table 2,
-and noise of 0.02 deg."""
 
 
 # -- models ----------------------------------------------------------------------------------------------
@@ -317,12 +298,8 @@ def zero_deviation(model: Model) -> Model:
 
     delta = Parameter("delta", 0.0, -0.2, 0.2, "rad", "zero of a run's reference beside the encoder's")
     wide = model.with_step("reference", step, effect="zero_deviation", zeros=(delta,))
+    wide = replace(wide, homes={"delta": POSE[0]})
     return wide.with_parameters({"zero": {"nominal": 0.0, "lower": 0.0, "upper": 0.0}})
-
-
-MODELS = (rotary_ideal, rotary, rotary_meng)
-EFFECTS = (harmonics, zero_deviation)
-ALIASES = {"ideal_arctan": "rotary_ideal", "ellipse": "rotary", "meng": "rotary_meng"}
 
 
 # -- a start in closed form ------------------------------------------------------------------------------
@@ -384,11 +361,6 @@ def _from_angle(p: Mapping[str, float], c: Mapping[str, np.ndarray]) -> dict[str
 
 
 # -- machines described by a log -------------------------------------------------------------------------
-
-
-def reads(columns: Sequence[str]) -> bool:
-    """Return whether a log with these columns can be an encoder's."""
-    return REFERENCES[0] in columns
 
 
 def from_meta(make: Callable[..., Model], meta: Meta) -> Model:

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from hallsym.errors import InputError
-from hallsym.families import EFFECTS, FAMILIES, effects
+from hallsym.families import FAMILIES, effects
 from hallsym.families.faults import FAULTS
-from hallsym.model import Effect, Model, Parameter, Variant
+from hallsym.model import Effect, Family, Model, Parameter, Variant
 from hallsym.model.arguments import REQUIRED, example_facts
 from hallsym.report.tables import grid
 
@@ -26,11 +26,11 @@ def effect_record(name: str) -> dict[str, Any]:
         return {
             "fault": name, "link": fault.link, "meaning": fault.meaning, "remedy": fault.remedy,
         }  # fmt: skip
-    named = [(family, e) for family, known in EFFECTS.items() for e in known if e.name == name]
-    return {"effect": name, "families": {family: _of_family(family, e) for family, e in named}}
+    having = [family for family in FAMILIES if name in effects(family)]
+    return {"effect": name, "families": {f.name: _of_family(f, effects(f)[name]) for f in having}}
 
 
-def _of_family(family: str, effect: Effect) -> dict[str, Any]:
+def _of_family(family: Family, effect: Effect) -> dict[str, Any]:
     model, variants = _tried(family, effect)
     wide = [v.make(model) for v in variants]
     old = {p.name for p in (*model.parameters, *model.zeros)}
@@ -49,10 +49,9 @@ def _of_family(family: str, effect: Effect) -> dict[str, Any]:
     }
 
 
-def _tried(family: str, effect: Effect) -> tuple[Model, list[Variant]]:
+def _tried(family: Family, effect: Effect) -> tuple[Model, list[Variant]]:
     """The first model of a family that can have the effect, and the variants of it."""
-    makers = next(f for f in FAMILIES if family == f.FAMILY)
-    models = sorted((make() for make in makers.MODELS), key=lambda m: m.name != makers.DEFAULT)
+    models = sorted((make() for make in family.models), key=lambda m: m.name != family.default)
     for model in models:
         variants = [] if effect.name in model.effects else effect.variants(model, example_facts(model))
         if variants:

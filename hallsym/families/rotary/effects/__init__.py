@@ -28,6 +28,7 @@ from hallsym.families.rotary.effects.mechanics import (
     off_axis,
     time_skew,
 )
+from hallsym.families.rotary.effects.parts import short
 from hallsym.families.rotary.effects.reference import (
     reference_eccentricity,
     reference_pole_pairs,
@@ -47,7 +48,8 @@ from hallsym.families.rotary.effects.transducer import (
 )
 
 EFFECTS = (
-    *rotary.EFFECTS,
+    rotary.harmonics,
+    rotary.zero_deviation,
     offset_error,
     uniform_stray_field,
     gain_mismatch,
@@ -72,10 +74,5 @@ EFFECTS = (
     reference_scale_error,
     reference_pole_pairs,
 )
-"""All effects of an encoder; a diagnosis prefers those that stand first where a log cannot tell two apart."""
-WAVES = {
-    n: tuple(e.name for e in EFFECTS if n in e.waves) for n in sorted({n for e in EFFECTS for n in e.waves})
-}
-"""Waves of angle error per turn, and the effects that make them to first order."""
 
-__all__ = ["EFFECTS", "WAVES", "direct", "direction", "field_harmonics", "off_axis"]
+__all__ = ["EFFECTS", "direct", "direction", "field_harmonics", "off_axis", "short"]

@@ -8,9 +8,9 @@ import casadi as ca
 from hallsym.errors import InputError
 from hallsym.families.faults import inject_rails
 from hallsym.families.mechanisms import LINE, P, at_frequency, clipping, rails
-from hallsym.families.rotary.effects.parts import READINGS, decodes, effect
+from hallsym.families.rotary.effects.parts import READINGS, decodes
 from hallsym.families.rotary.effects.transducer import gains_follow, offsets_follow
-from hallsym.model import Facts, Model, Parameter, Signals
+from hallsym.model import Facts, Model, Parameter, Signals, effect
 from hallsym.model.arguments import SHARE, Try, beside, found
 
 LEVELS = (0.95, 0.8, 0.65, 0.5)

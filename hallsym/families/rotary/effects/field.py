@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import casadi as ca
 
 from hallsym.families.mechanisms import P, column, following, free, in_runs
-from hallsym.families.rotary.effects.parts import MAGNET, REFERENCE, VOLTAGES, effect, harmonic
+from hallsym.families.rotary.effects.parts import MAGNET, REFERENCE, VOLTAGES, harmonic
 from hallsym.families.rotary.effects.transducer import offset
-from hallsym.model import Facts, Model, Signals
+from hallsym.model import Facts, Model, Signals, effect
 from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
 

@@ -17,11 +17,10 @@ from hallsym.families.rotary.effects.parts import (
     TURNED,
     ahead,
     decodes,
-    effect,
     free_ellipse,
     harmonic,
 )
-from hallsym.model import Facts, Model, Parameter, Signals
+from hallsym.model import Facts, Model, Parameter, Signals, effect
 from hallsym.model.arguments import ANY, one_of, searched
 from hallsym.model.derived import Computed, Stretch, rate
 

@@ -1,7 +1,6 @@
 """What effects of an encoder share: its ports, the harmonics of its field, and how they are declared."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import casadi as ca
 
@@ -10,7 +9,6 @@ from hallsym.families.rotary import models as rotary
 from hallsym.families.rotary.effects.direct import direct
 from hallsym.families.rotary.waves import Wave
 from hallsym.model import Facts, Model, Signals
-from hallsym.model import effect as declared
 
 (REFERENCE,) = rotary.REFERENCES
 SPEED = f"d1_{REFERENCE}"
@@ -37,10 +35,6 @@ def decodes(model: Model) -> bool:
 def short(model: Model) -> Model:
     """Return the model with atan2 itself where it has no run summaries anyway: the series would be long."""
     return direct(model) if decodes(model) and model.computed else model
-
-
-effect = partial(declared, finish=short)
-"""Make a function an effect of an encoder."""
 
 
 def with_voltages(value: object, model: Model, facts: Facts) -> bool:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import casadi as ca
 
 from hallsym.families.mechanisms import P, free
-from hallsym.families.rotary.effects.parts import TURNED, ahead, effect
-from hallsym.model import Model, Signals
+from hallsym.families.rotary.effects.parts import TURNED, ahead
+from hallsym.model import Model, Signals, effect
 from hallsym.model.arguments import Valid, searched
 
 STEEPEST = 0.3

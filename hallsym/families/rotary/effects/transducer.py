@@ -23,9 +23,8 @@ from hallsym.families.rotary.effects.parts import (
     VOLTAGES,
     amplitude,
     decodes,
-    effect,
 )
-from hallsym.model import Model, Parameter, Signals
+from hallsym.model import Model, Parameter, Signals, effect
 from hallsym.model.arguments import one_of
 from hallsym.model.derived import rate
 

@@ -34,7 +34,10 @@ from hallsym.families.stage.effects.transducer import (
 )
 
 EFFECTS = (
-    *stage.EFFECTS,
+    stage.zero_deviation,
+    stage.vertical_coupling,
+    stage.tied_vertical_coupling,
+    stage.exact_rotation,
     vertical_gain_coupling,
     height_quadratic,
     odd_nonlinearity,
@@ -57,4 +60,3 @@ EFFECTS = (
     reference_abbe_error,
     reference_drift,
 )
-"""All effects of the stage; a diagnosis prefers those that stand first where a log cannot tell two apart."""
