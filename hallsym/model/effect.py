@@ -190,18 +190,18 @@ class Effect:
 Decorated = Callable[[Callable[..., Model]], Effect]
 
 
-def effect(*, link: str, **about: Any) -> Decorated:
+def effect(*, link: str, name: str = "", meaning: str = "", **about: Any) -> Decorated:
     """Make a function `Model -> Model` an `Effect`; `about`: the fields of the record that are not usual.
 
-    Its meaning is the first line of the docstring.
+    Name and meaning are those of the function and of the first line of its docstring if they are not stated.
     """
     if link not in (*LINKS, "user"):
         raise InputError(f"Link of an effect must be one of {', '.join(LINKS)}; instead received {link!r}.")
 
     def decorate(function: Callable[..., Model]) -> Effect:
-        meaning = (function.__doc__ or "").strip().split("\n")[0]
-        name = function.__name__
-        return Effect(name, link, meaning, function, _numbers(name, function), **about)
+        called = name or function.__name__
+        first = (function.__doc__ or "").strip().split("\n")[0]
+        return Effect(called, link, meaning or first, function, _numbers(called, function), **about)
 
     return decorate
 

@@ -66,10 +66,7 @@ def saturation(
     ),
     axes_deg: float | None = beside("angle of the plates' axes there", default=0.0, instead=True),
 ) -> Model:
-    """Voltages stop at a rail.
-
-    Voltages stop at rails; where only the angle is read, before the angle is taken from them.
-    """
+    """Voltages stop at a rail."""
     if level is not None and axes_deg is not None:
         return clipped_angle(model, level, radians(axes_deg))
     if low_v is None or high_v is None or not len(low_v) == len(high_v) == 2:

@@ -14,6 +14,7 @@ from hallsym.model import Facts, Model, Signals
 SPEED = f"d1_{REFERENCE}"
 PLATES = ("sin", "cos")
 MAGNET = "a turn at each of several known angles of the stator (or the chip) against the magnet"
+LATE = "speeds so high that a low-pass lowers the amplitude, which a delay does not"
 TURNED = "a turn with the reference coupled at each of several other angles"
 
 

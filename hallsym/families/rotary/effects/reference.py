@@ -29,7 +29,7 @@ def reference_harmonics(model: Model, effect: str, orders: Sequence[int]) -> Mod
     new = tuple(
         q
         for n, row in zip(orders, names, strict=True)
-        for q in free(row, STEEPEST / n, "rad", f"{n} waves per turn of the error of the reference")
+        for q in free(dict.fromkeys(row, f"error of the reference, {n} per turn"), STEEPEST / n, "rad")
     )
     return model.with_step("reference", step, effect=effect, parameters=new)
 
@@ -47,7 +47,7 @@ def reference_scale_error(model: Model) -> Model:
     def step(s: Signals, p: P) -> None:
         ahead(s, -p["scale"] * s[model.pose[0]])
 
-    new = free(["scale"], 0.05, "1", "share by which a turn of the reference is long")
+    new = free({"scale": "share by which a turn of the reference is long"}, 0.05, "1")
     return model.with_step("reference", step, effect="reference_scale_error", parameters=new)
 
 
