@@ -15,8 +15,8 @@ class Base:
     """A fitted model on a log, as the fit left it or with effects added.
 
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
-    parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `apart`:
-    held-out runs; `timed`: whether the log holds time, and not a counter in its place.
+    parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `apart`: held-out runs;
+    `timed`: whether the log holds time, and not a counter in its place.
     """
 
     log: Log

@@ -11,7 +11,7 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym.diagnosis import split
+from hallsym.diagnosis import holdout_pieces
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.record import Diagnosis
@@ -113,11 +113,11 @@ def _built(log: Log, model: str | Model | Fit | None) -> Model:
 
 def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...] | None]:
     """Take a recording of too few runs to pieces, where runs have nothing of their own."""
-    if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < split.FEWEST:
+    if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < holdout_pieces.FEWEST:
         return log, None
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=fitting.noise_of(log, model)), model)
-    return split.split(log, None if split.TIME in log.columns else _spikes(log, model))
+    return holdout_pieces.split(log, None if holdout_pieces.TIME in log.columns else _spikes(log, model))
 
 
 def _spikes(log: Log, model: Model) -> np.ndarray | None:
@@ -174,11 +174,15 @@ def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:
     if holdout is None:
         holdout = log.meta.holdout or log.runs[HOLD_EVERY // 2 :: HOLD_EVERY]
     if len(log.runs) < FEWEST_RUNS or len(log.runs) - len(set(holdout)) < 2 or not holdout:
-        short, many = log.rows < split.FEWEST, counted(len(log.runs), "run")
+        short, many = log.rows < holdout_pieces.FEWEST, counted(len(log.runs), "run")
         raise InputError(
             f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
             "(2 to fit and 1 to judge on at least); record more runs or "
-            + (f"at least {split.FEWEST} samples (it has {log.rows})." if short else "split a long one.")
+            + (
+                f"at least {holdout_pieces.FEWEST} samples (it has {log.rows})."
+                if short
+                else "split a long one."
+            )
         )
     return tuple(holdout)
 

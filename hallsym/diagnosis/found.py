@@ -3,7 +3,7 @@
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.errors import BlockErrors, interval
+from hallsym.diagnosis.decoded_errors import BlockErrors, interval
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.holding import holding
 from hallsym.diagnosis.price import price

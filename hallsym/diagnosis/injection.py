@@ -10,9 +10,9 @@ from zlib import crc32
 
 import numpy as np
 
+from hallsym.diagnosis.normal_equations import tangents
 from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.tangent import tangents
-from hallsym.diagnosis.truth import Truth, goes_round, readings_of, unit_of
+from hallsym.diagnosis.simulated_machine import Truth, goes_round, readings_of, unit_of
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.families.faults import FAULTS, Draw, Injection, Noisy, Recording, RecordingFault, Size
 from hallsym.model import Effect, Facts, Model, Variant

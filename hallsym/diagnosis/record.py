@@ -48,7 +48,10 @@ class Statement:
 
     `share`: 0 to 1, on fitted runs; statements on coordinates count only what those before leave, so that
     their shares add up to at most 1. `held_out`: the same on held-out runs, with what was fitted on the
-    others; None where it is not asked.
+    others; None where it is not asked. `kind`: as of `Share`, of a frequency "mains", "motion" or "band". Of
+    a coordinate, `unit` is its unit, `period` that of ripples or of a place within a period, `waves` the
+    waves per period, `sensor` the channel that sees it above all. JSON holds the first six; `text` says the
+    rest.
     """
 
     by: str
@@ -57,6 +60,15 @@ class Statement:
     p_value: float
     text: str
     held_out: float | None = None
+    kind: str = "coordinate"
+    unit: str | None = None
+    period: float | None = None
+    waves: tuple[int, ...] = ()
+    sensor: str | None = None
+
+
+IN_WORDS = ("kind", "unit", "period", "waves", "sensor")
+"""Fields of a statement that its JSON has in `text` only."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +184,9 @@ class Diagnosis:
         for wave in record["waves"]:
             if not wave["coordinate"]:
                 del wave["coordinate"]
+        for statement in (*record["where"], *record["remaining"]):
+            for name in IN_WORDS:
+                del statement[name]
         return record
 
 

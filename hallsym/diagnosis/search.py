@@ -7,17 +7,16 @@ from functools import partial
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.cancelling import undone
+from hallsym.diagnosis.change_points import MAX_SEGMENTS, instants, switched_runs
+from hallsym.diagnosis.collinearity import undone
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, bic_of, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.scores import Score, by_name, candidates, scores
-from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
-from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey, survey
-from hallsym.diagnosis.switching import switched_runs
 from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import as_read
@@ -208,7 +207,7 @@ class Search:
 
     def prune(self) -> None:
         """Where a gap remains, drop effects that only resemble what makes it: they leave its shape behind."""
-        rest = structure(self.now.base, self.runs)
+        rest = lack_of_fit(self.now.base, self.runs)
         seen = survey(self.now.base, frozenset(self.runs))
         gap = self.gap(self.now)
         if not remains(rest, slow_share(seen.variance, seen.fast), gap, self.floor, self.level):
@@ -217,7 +216,7 @@ class Search:
         for k, found in enumerate(self.found):
             others = [f.exact for j, f in enumerate(self.found) if j != k]
             without = self.rebuilt(others) if others else self.start
-            before = structure(without.base, self.runs)
+            before = lack_of_fit(without.base, self.runs)
             if used_up(before, self.gap(without), rest, gap) >= USED_UP:
                 kept.append(found)
         if len(kept) < len(self.found):

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from hallsym.diagnosis import engine
+from hallsym.diagnosis.decimation import thinned
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.injection import Injection, Sized, generator, injections, sized
-from hallsym.diagnosis.likeness import Likeness, likeness
+from hallsym.diagnosis.noise_model import Likeness, likeness
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.search import base_of, facts_of, floor_of
+from hallsym.diagnosis.simulated_machine import Truth, truth_of
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.thin import thinned
-from hallsym.diagnosis.truth import Truth, truth_of
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
 from hallsym.families.faults import FAULTS

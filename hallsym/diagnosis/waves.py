@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.errors import errors_of
+from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.record import Waves
 from hallsym.estimation.decoding import columns_of
 from hallsym.log.batches import batches

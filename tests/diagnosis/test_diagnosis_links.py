@@ -9,13 +9,13 @@ from test_diagnosis_where import NOISES, base_on, stated
 from twins import record
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.errors import block_errors
+from hallsym.diagnosis.decoded_errors import block_errors
+from hallsym.diagnosis.gap_size import sizes
 from hallsym.diagnosis.links import _smoothed
+from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.scores import Score, candidates, scores
 from hallsym.diagnosis.search import facts_of
-from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.where import Located, both, located
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log

@@ -11,8 +11,8 @@ import pytest
 
 import hallsym
 from hallsym.diagnosis import diagnose
+from hallsym.diagnosis.holdout_pieces import split
 from hallsym.diagnosis.record import Estimate
-from hallsym.diagnosis.split import split
 from hallsym.diagnosis.words import shown
 from hallsym.errors import InputError
 from hallsym.families import effects

@@ -225,7 +225,7 @@ def _curve(rest: Mapping[str, Any]) -> list[str]:
 
 def _at(curve: Mapping[str, Any], k: int) -> str:
     factor, unit = UNITS.get(curve["unit"], (1.0, curve["unit"])) if curve["unit"] != "s" else (1.0, "s")
-    factor, unit = degrees_of(curve["unit"], curve["coordinate"]) or (factor, unit)
+    factor, unit = degrees_of(curve["unit"], curve["column"]) or (factor, unit)
     return f"{curve['grid'][k] * factor:.3g} {unit}".strip()
 
 
