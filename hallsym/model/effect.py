@@ -223,8 +223,9 @@ def _numbers(name: str, function: Callable[..., Model]) -> dict[str, Number]:
             raise InputError(
                 f"Argument {key} of effect {name} must have a default, such as searched(...) or a number."
             )
-        if kind is REQUIRED:
-            kind = float if isinstance(usual, Number) else type(usual)
+        if kind is REQUIRED:  # not annotated
+            values = [*usual.choices, 0.0] if isinstance(usual, Number) else [usual]
+            kind = type(values[0])
         kind = (
             next((k for k in get_args(kind) if k is not NoneType), kind)
             if NoneType in get_args(kind)
