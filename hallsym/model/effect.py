@@ -212,27 +212,26 @@ def as_effect(function: Callable[..., Model]) -> Effect:
 
 
 def _numbers(name: str, function: Callable[..., Model]) -> dict[str, Number]:
+    """The declared arguments, and plain defaults that a text can state: numbers and words."""
     arguments = list(inspect.signature(function).parameters)[1:]
-    if not arguments:
-        return {}
-    known = inspect.signature(function, eval_str=True).parameters
+    known = inspect.signature(function, eval_str=bool(arguments)).parameters
     out = {}
     for key in arguments:
-        usual, kind = known[key].default, known[key].annotation
+        usual, stated = known[key].default, known[key].annotation
         if usual is REQUIRED:
             raise InputError(
                 f"Argument {key} of effect {name} must have a default, such as searched(...) or a number."
             )
-        if kind is REQUIRED:  # not annotated
-            values = [*usual.choices, 0.0] if isinstance(usual, Number) else [usual]
-            kind = type(values[0])
-        kind = (
-            next((k for k in get_args(kind) if k is not NoneType), kind)
-            if NoneType in get_args(kind)
-            else kind
+        if not isinstance(usual, Number):
+            if type(usual) in (int, float, str):
+                out[key] = Number(key, lambda *_: [Try({})], usual, kind=type(usual))
+            continue
+        if stated is REQUIRED:
+            stated = type(next(iter(usual.choices), 0.0))
+        kinds = (
+            [k for k in get_args(stated) if k is not NoneType] if NoneType in get_args(stated) else [stated]
         )
-        plain = usual if isinstance(usual, Number) else Number(key, lambda *_: [Try({})], usual)
-        out[key] = replace(plain, kind=kind)
+        out[key] = replace(usual, kind=kinds[0])
     return out
 
 

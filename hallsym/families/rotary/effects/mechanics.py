@@ -14,9 +14,8 @@ from hallsym.families.rotary.effects.parts import (
     MAGNET,
     PLATES,
     REFERENCE,
-    SPEED,
     TURNED,
-    ahead,
+    add_ahead,
     decodes,
     free_ellipse,
     harmonic,
@@ -133,25 +132,23 @@ def time_skew(
 
     A multiplexed converter has one per plate.
     """
-    wide = model.with_columns(rate(REFERENCE))
+    speed = rate(REFERENCE)
     if per == "log":
-        delay = Parameter("delay", 0.0, -1.0, 1.0, "s", "delay of the readings")
-
-        def together(s: Signals, p: P) -> None:
-            ahead(s, -p["delay"] * s[SPEED])
-
-        return wide.with_step("reference", together, effect="time_skew", parameters=(delay,))
+        delay = free({"delay": "delay of the readings"}, 1.0, "s")
+        return add_ahead(
+            model, "time_skew", "reference", delay, lambda s, p: -p["delay"] * s[speed.name], speed
+        )
     if decodes(model):
         raise InputError(
             f"Model {model.name} reads the angle alone here; a delay per plate needs both voltages."
         )
-    new = tuple(Parameter(f"delay_{k}", 0.0, -1.0, 1.0, "s", f"delay of the {k} plate") for k in PLATES)
+    new = free({f"delay_{k}": f"delay of the {k} plate" for k in PLATES}, 1.0, "s")
 
     def step(s: Signals, p: P) -> None:
         for plate in PLATES:
-            s[f"v_{plate}"] = s[f"v_{plate}"].ahead(-p[f"delay_{plate}"] * s[SPEED])
+            s[f"v_{plate}"] = s[f"v_{plate}"].ahead(-p[f"delay_{plate}"] * s[speed.name])
 
-    return wide.with_step("transducer", step, effect="time_skew", parameters=new)
+    return model.with_columns(speed).with_step("transducer", step, effect="time_skew", parameters=new)
 
 
 @effect(
@@ -171,13 +168,8 @@ def hysteresis(
 
     It lags by a constant in the direction of motion: play, magnetic memory.
     """
-    column = direction(half_width_rad)
-
-    def step(s: Signals, p: P) -> None:
-        ahead(s, -p["play"] * s[column.name])
-
-    new = free({"play": "half the play"}, 0.5, "rad")
-    return model.with_columns(column).with_step("mechanics", step, effect="hysteresis", parameters=new)
+    column, new = direction(half_width_rad), free({"play": "half the play"}, 0.5, "rad")
+    return add_ahead(model, "hysteresis", "mechanics", new, lambda s, p: -p["play"] * s[column.name], column)
 
 
 def direction(width_rad: float) -> Computed:
