@@ -90,7 +90,7 @@ def start_2dof(model, coefficients):
     return model.vector(found)
 
 
-@effect(link="field")
+@effect(link="field", waves=(3,), separate="another height")
 def second_harmonic(model):
     """Second harmonic of the field, which arrays of unlike magnets have: three waves of error per period."""
     added = tuple(Parameter(n, 0.0, -0.5, 0.5, "1", "second harmonic over the first") for n in ("h2c", "h2s"))
@@ -107,7 +107,7 @@ def second_harmonic(model):
     return model.with_step("field", step, effect="second_harmonic", parameters=added)
 
 
-@effect(link="clock")
+@effect(link="clock", separate="several speeds", needs=("t_s",))
 def late_readings(model):
     """Readings that come later than the reference."""
     speed = rate("x_ref_m")

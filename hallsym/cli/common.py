@@ -237,7 +237,7 @@ def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dic
     other = [c for c in campaign.noise if c in (own or {}) and c not in columns]
     stated = {c: s for c, s in campaign.noise.items() if c not in other}
     check_noise_keys(stated, columns, "the campaign's [noise]")
-    found = {c: s.value for c, s in Noise.given(stated, columns).sigmas.items()}
+    found = Noise.given(stated, columns).std
     lacking = [c for c in model.channels if c not in found]
     if other and lacking:
         raise InputError(

@@ -23,7 +23,7 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
-from hallsym.report.tables import fit_text
+from hallsym.report.text.fit import fit_text
 
 
 def add(sub: Any) -> None:
@@ -116,7 +116,7 @@ def exit_code(result: Fit) -> int:
         what = ", ".join(result.undetermined_by_log)
         print(
             f"hallsym: this log does not determine {what} of {result.model.name}: "
-            "they are held or combined as the table says; record runs that move what they belong to.",
+            "they are fixed or combined as the table says; record runs that move what they belong to.",
             file=sys.stderr,
         )
         return NOT_DETERMINED

@@ -6,12 +6,13 @@ from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, noted, open_log, say
+from hallsym.estimation import LOSSES, SOLVERS, noise_of
 from hallsym.estimation.calibration import load_fit
-from hallsym.estimation.fit import LOSSES, SOLVERS, noise_of
 from hallsym.families import effects, models
 from hallsym.log import Log, check_log, spans
-from hallsym.report.tables import fit_text, grid
+from hallsym.report.tables import grid
 from hallsym.report.text.effect import effect_record, effect_text, is_explained
+from hallsym.report.text.fit import fit_text
 from hallsym.simulation import Campaign, read_campaign
 from hallsym.units import readable
 

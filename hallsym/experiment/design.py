@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
+from hallsym.estimation import noise_of
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.fit import noise_of
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.run_statistics import summarise
 from hallsym.experiment.comparison import Comparison, compare
@@ -157,7 +157,7 @@ def plan(
 def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
     columns = columns_of(model)
     check_noise_keys(noise, columns, "the plan")
-    sigmas = {c: s.value for c, s in Noise.given(noise, columns).sigmas.items()}
+    sigmas = Noise.given(noise, columns).std
     missing = [c for c in (*model.channels, *model.references) if c not in sigmas]
     if missing:
         raise InputError(
@@ -170,10 +170,9 @@ def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
 def _recorded(log: Log, model: Model, p: np.ndarray) -> tuple[np.ndarray, int]:
     """Information (n, n) of a log that was recorded, held-out runs left out, and its runs."""
     check_log(log, columns_of(model))
-    sigma = {c: s.value for c, s in noise_of(log, model, log.meta.holdout).sigmas.items()}
-    summary = summarise(log, model)
-    summary = summary.select([run for run in summary.runs if run not in log.meta.holdout])
-    return cost_of(summary, sigma).at(p).information(1.0).sum(axis=0), len(summary.runs)
+    sigma = noise_of(log, model, log.meta.holdout).std
+    cost = cost_of(summarise(log, model), sigma).without(log.meta.holdout)
+    return cost.information(p), len(cost.summary.runs)
 
 
 def _order(found: Study, choice: Choice) -> list[int]:

@@ -68,6 +68,31 @@ class Features:
         return on_arrays(ca.Function("slopes", [s.pose, s.state, centre], [ca.densify(jacobian)]))
 
     @cached_property
+    def slope_pairs(self) -> np.ndarray:
+        """Where products of two slopes with one column are not always 0: (column, i, j), i <= j, (3, pairs).
+
+        Features that carry zeros are left out: their slope with the state is a second-order weight, and
+        without it the weight of a residual does not depend on the zeros.
+        """
+        rows, columns = self._slope_sparsity.get_triplet()
+        moved: dict[int, list[int]] = {}
+        for row, column in sorted(zip(rows, columns, strict=True)):
+            if row >= self.n_zero:
+                moved.setdefault(column, []).append(row)
+        pairs = [
+            (column, i, j)
+            for column, features in sorted(moved.items())
+            for k, i in enumerate(features)
+            for j in features[k:]
+        ]
+        return np.array(pairs, dtype=int).reshape(-1, 3).T
+
+    @property
+    def _slope_sparsity(self) -> ca.Sparsity:
+        s = self.model.symbols
+        return ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state)).sparsity()
+
+    @cached_property
     def variables(self) -> ca.Function:
         """`(pose, state) -> pose, state and derived` variables, of which the features are monomials."""
         s = self.model.symbols

@@ -400,7 +400,7 @@ def test_the_installed_command_exits_with_the_code(tmp_path):
 
 
 def test_ctrl_c_in_the_global_stage_keeps_the_best_so_far(capsys, written, tmp_path, monkeypatch):
-    from hallsym.estimation.likelihood import Cost
+    from hallsym.estimation import Cost
 
     whole, calls = Cost.population, []
 

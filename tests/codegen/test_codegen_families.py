@@ -20,7 +20,7 @@ from hallsym.codegen.box import Box, box_of, limits
 from hallsym.codegen.entries import Entry
 from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.parts import Decoupler, Margin, Step
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log import Noise, Sigma
 from hallsym.model import Family
 
 FOLDING = Family("folding", decoder=lambda *given: maker(*given))

@@ -20,8 +20,7 @@ from hallsym.diagnosis.refit import inside_bounds, refit, with_model
 from hallsym.diagnosis.search import base_of, rails_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
-from hallsym.log import Log, Meta, Noise, Sigma
-from hallsym.log.derived import extended
+from hallsym.log import Log, Meta, Noise, Sigma, extended
 from hallsym.model import Model, Parameter
 from hallsym.model.derived import HALVES, rate, widest_half
 from hallsym.model.effect import as_effect

@@ -15,8 +15,7 @@ from twins import Chopped, record, with_noise
 from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.log import Log, read_log
 from hallsym.report.figures.survey import Decode
 from hallsym.report.page import fit_page, gather, run_series
@@ -109,7 +108,7 @@ def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
         assert f" {name} " in text
     for combination in fitted.combinations:
         assert combination.expression in text
-    assert text.count("no recording determines it") == len(fitted.structural)
+    assert text.count("not identifiable from any recording") == len(fitted.structural)
 
 
 def test_verdict_judges_by_held_out_runs_and_names_what_is_not_determined(page: str, fitted: Fit):

@@ -93,7 +93,7 @@ def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep:
     lengths = {run: [s for s in STRETCHES if s < sizes[run]] + [sizes[run]] for run in chosen}
     traces = {run: [Trace(n) for _ in lengths[run]] for run in chosen}
     zeros: dict[int, np.ndarray] = {}
-    sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
+    sigma = fit.noise.std
     wide = extended(log, model, sigma, model.named(fit.values))
     for block in wide.blocks((*columns_of(model), *(("t_s",) if timed else ())), size=SIZE):
         if block.run not in traces:

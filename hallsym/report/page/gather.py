@@ -87,7 +87,7 @@ def gather(
     columns = (*columns_of(first.model), *(("t_s",) if survey.time is not None else ()))
     traces: dict[int, Trace] = {}
     current, zeros = None, []
-    sigma = {c: s.value for c, s in first.noise.sigmas.items()}
+    sigma = first.noise.std
     wide = extended(log, first.model, sigma, first.model.named(first.values))
     for block in wide.blocks(columns, size=SIZE):
         if block.run != current:

@@ -13,7 +13,8 @@ from hallsym.report.figures.names import MINUS, largest, name, scale, three
 from hallsym.report.page import figures, maps
 from hallsym.report.page.cells import Cells
 from hallsym.report.page.html import Markup, facts, join, table, tag
-from hallsym.report.tables import concise, remark
+from hallsym.report.tables import concise
+from hallsym.report.text.fit import remark
 
 PLANES = (
     "Median and rms over the stroke. The area of a square is its size; how much a full cell is stands above. "
