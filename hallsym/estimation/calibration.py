@@ -17,6 +17,7 @@ from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
+from hallsym.model.effect import read_text
 
 FORMAT = "hallsym calibration 1"
 
@@ -230,7 +231,7 @@ def _from_dict(
         for n, (low, high) in raw["zero_bounds"].items()
     }
     probes = [dict(entry) for entry in raw["layout"]]
-    unknown = [name for name in raw.get("own_effects", ()) if name not in own]
+    unknown = [name for name in raw.get("own_effects", ()) if read_text(name)[0] not in own]
     if unknown:
         raise InputError(
             f"The calibration was fitted with {', '.join(unknown)}, an effect of your own; "
