@@ -5,7 +5,7 @@ the reading m gives
 
     pose = zero + D (m' - eta h),   m'_k = (m_k - offset_k) / phi_k,   D = (M^T W M)^-1 M^T W diag(1 / eta)
 
-which for the small-angle stage (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
+which for small angles (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
 deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. One entry of D per
 probe is folded into its gain, phi_k / D_ik, so that column k of D holds a 1: one product and one rounding
 less.
