@@ -19,7 +19,7 @@ from hallsym.codegen import Decoupler, Generated
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.families.stage import models as stage
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log import Noise, Sigma
 
 GOLDEN = Path(__file__).parent / "golden"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror", "-O2")

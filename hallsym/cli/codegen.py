@@ -15,7 +15,7 @@ from hallsym.codegen.folder import options_of
 from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.uncertainty.settings import column_value
+from hallsym.toml import column_of
 
 EPILOG = """\
 examples:
@@ -115,7 +115,7 @@ def _accuracy(given: str | None, fit: Fit) -> float | None:
     if given is None:
         return None
     key, _, value = given.partition("=")
-    _, factor = column_value(key, fit.model.pose, "--accuracy")
+    _, factor = column_of(key, fit.model.pose, "--accuracy")
     try:
         return float(value) * factor
     except ValueError:
@@ -130,7 +130,7 @@ def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
     known = (*fit.model.pose, *fit.model.state, *fit.model.channels)
     for text in given:
         key, _, value = text.partition("=")
-        column, factor = column_value(key, known, "--range")
+        column, factor = column_of(key, known, "--range")
         low, _, high = value.partition(":")
         try:
             ends = (float(low) * factor, float(high) * factor)

@@ -30,7 +30,8 @@ from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.log.derived import extended
 from hallsym.model import Model
-from hallsym.report.page import Version, diagnosis_page, gather
+from hallsym.report.data import Version, gather
+from hallsym.report.page import diagnosis_page
 from hallsym.report.text.comparison import comparison_text
 from hallsym.report.text.diagnosis import diagnosis_text
 
@@ -129,7 +130,7 @@ def _page(options: Namespace, seen: Examined) -> str:
     """The page of a diagnosis, with maps and series of what the model leaves, before and after."""
     first = seen.fit
     after = None if seen.after is None else _version(seen.after)
-    shown = gather(seen.before.log, {"before": first}, keep=first.keep, after=after)
+    shown = gather(seen.before.log, first, label="before", keep=first.keep, after=after)
     name = options.model or first.model.name
     command = shlex.join(["hallsym", "diagnose", options.log, "--model", name])
     return diagnosis_page(

@@ -115,7 +115,7 @@ def digest_of(fit: Fit) -> str:
         "model": fit.model.name,
         "effects": list(fit.model.effects),
         "parameters": dict(zip(fit.model.names, fit.values.tolist(), strict=True)),
-        "noise": {c: s.value for c, s in fit.noise.sigmas.items()},
+        "noise": fit.noise.std,
         "log": dict(fit.log),
     }
     return sha256(json.dumps(record, sort_keys=True).encode())

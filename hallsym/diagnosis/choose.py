@@ -10,7 +10,7 @@ from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.verdict import SURE
 from hallsym.errors import InputError
-from hallsym.estimation import fit as fitting
+from hallsym.estimation import fit
 from hallsym.estimation.calibration import Fit
 from hallsym.families import adapted, build, default_model, effect_named
 from hallsym.log import Log
@@ -43,7 +43,7 @@ def model_on(
         if ":" in text or not effect.lacking(text):
             model = effect.added(model, text)
             continue
-        known = fitting.fit(
+        known = fit(
             log, model, solver="direct", holdout=holdout, drop_bad=drop_bad, resolve_wiring=True,
             on_progress=on_progress,
         )  # fmt: skip

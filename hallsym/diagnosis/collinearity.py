@@ -18,7 +18,7 @@ times its former size and the gap that goes by which it may grow beside another.
 Causes that happen to oppose each other may make one of them larger than the whole, hardly twice."""
 
 
-def undone(fit: Refitted, beside: Refitted, start: Refitted, owner: Mapping[str, str]) -> bool:
+def cancelled(fit: Refitted, beside: Refitted, start: Refitted, owner: Mapping[str, str]) -> bool:
     """Return whether what `fit` has beyond the fit `beside` is undone by other parameters, or undoes others.
 
     `start`: the fit without any effect, whose parameters say what the machine deviates from its design by.

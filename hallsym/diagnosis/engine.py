@@ -18,7 +18,7 @@ from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
 from hallsym.errors import InputError, counted
-from hallsym.estimation import fit as fitting
+from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import logged_columns
 from hallsym.families import build, default_model
@@ -116,14 +116,14 @@ def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...] | None]:
     if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < holdout_pieces.FEWEST:
         return log, None
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
-    log = continuous(replace(log, noise=fitting.noise_of(log, model)), model)
+    log = continuous(replace(log, noise=noise_of(log, model)), model)
     return holdout_pieces.split(log, None if holdout_pieces.TIME in log.columns else _spikes(log, model))
 
 
 def _spikes(log: Log, model: Model) -> np.ndarray | None:
     """Which knots are spikes, judged where they are neighbours, as in their groups they are not."""
     try:
-        found = fitting.fit(log, model, solver="direct", resolve_wiring=True)
+        found = fit(log, model, solver="direct", resolve_wiring=True)
     except InputError:
         return None  # the fit of the groups says it of what is left
     if found.keep is None or found.source is None:
@@ -151,7 +151,7 @@ def _fitted(
     """Fit the model; samples that no fit can use are left out, which is then noted."""
 
     def fitted(source: Log, drop: bool) -> Fit:
-        return fitting.fit(
+        return fit(
             source, model, solver="direct", holdout=apart, loss=loss, resolve_wiring=True, drop_bad=drop,
             on_progress=say,
         )  # fmt: skip

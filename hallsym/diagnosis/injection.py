@@ -10,9 +10,9 @@ from zlib import crc32
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import tangents
+from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.simulated_machine import Truth, goes_round, readings_of, unit_of
+from hallsym.diagnosis.simulated_machine import SimulatedMachine, goes_round, readings_of, unit_of
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.families.faults import FAULTS, Draw, Injection, Noisy, Recording, RecordingFault, Size
 from hallsym.model import Effect, Facts, Model, Variant
@@ -39,7 +39,7 @@ class Sized:
     reason: str = ""
 
 
-def sized(truth: Truth, injection: Injection, ratio: float) -> Sized:
+def sized(truth: SimulatedMachine, injection: Injection, ratio: float) -> Sized:
     """Scale an injection until its noise-free gap with the floor is `ratio` times the floor."""
     wanted = truth.floor_m * float(np.sqrt(ratio**2 - 1))
     amount, slope, seen = min(injection.start, injection.most), 1.0, [(0.0, 0.0)]
@@ -78,12 +78,12 @@ def generator(seed: int, *names: str | int) -> np.random.Generator:
 
 
 def injections(
-    truth: Truth, catalogue: Sequence[Effect], draw: Draw
+    truth: SimulatedMachine, catalogue: Sequence[Effect], draw: Draw
 ) -> tuple[list[Injection], dict[str, str]]:
     """Return everything that can be injected into this log, and why the others cannot."""
     base = truth.base
     tried, trouble = candidates(base, catalogue, _facts(truth, draw("mount_slip")))
-    t = tangents(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
+    t = normal_equations(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
     strength = np.sqrt(np.maximum(np.diag(t.output.sum(axis=0)) / t.count.sum(), 0.0))
     recording = _recording(truth)
     reasons = {t.name: t.reason for t in trouble}
@@ -112,7 +112,7 @@ def injections(
     return out, reasons
 
 
-def _recording(truth: Truth) -> Recording:
+def _recording(truth: SimulatedMachine) -> Recording:
     return Recording(
         channels=truth.base.model.channels,
         clean=truth.clean,
@@ -125,7 +125,7 @@ def _recording(truth: Truth) -> Recording:
     )
 
 
-def _facts(truth: Truth, rng: np.random.Generator) -> Facts:
+def _facts(truth: SimulatedMachine, rng: np.random.Generator) -> Facts:
     """What the injected effects are built from: one instant, one mains line."""
     base, t, run = truth.base, truth.columns["t_s"], truth.columns["run"]
     warm = truth.columns.get("temperature_degc")
@@ -144,7 +144,7 @@ def _facts(truth: Truth, rng: np.random.Generator) -> Facts:
 
 
 def _effect(
-    truth: Truth,
+    truth: SimulatedMachine,
     variant: Variant,
     model: Model,
     new: Sequence[str],

@@ -48,9 +48,9 @@ class Statement:
 
     `share`: 0 to 1, on fitted runs; statements on coordinates count only what those before leave, so that
     their shares add up to at most 1. `held_out`: the same on held-out runs, with what was fitted on the
-    others; None where it is not asked. `kind`: as of `Share`, of a frequency "mains", "motion" or "band". Of
-    a coordinate, `unit` is its unit, `period` that of ripples or of a place within a period, `waves` the
-    waves per period, `sensor` the channel that sees it above all. JSON holds the first six.
+    others; None where it is not asked. `kind`: as of `Share`; of a frequency "mains", "motion" or "band". Of
+    a coordinate: its `unit`, the `period` of ripples or of a place within a period, the `waves` per period
+    and the `sensor` that sees it above all. JSON holds the first six; `text` says the rest.
     """
 
     by: str

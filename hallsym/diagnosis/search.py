@@ -8,7 +8,7 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.change_points import MAX_SEGMENTS, instants, switched_runs
-from hallsym.diagnosis.collinearity import undone
+from hallsym.diagnosis.collinearity import cancelled
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
@@ -39,7 +39,7 @@ shows."""
 def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
     wired = as_read(log, result.model, result.wiring)
-    sigma = {c: s.value for c, s in result.noise.sigmas.items()}
+    sigma = result.noise.std
     cost = cost_near(wired, result.model, result.values, sigma, result.keep)
     point = cost.at(result.values)
     return Base(
@@ -244,7 +244,7 @@ class Search:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
         exact = refitted(
             at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
-            lambda e: self.keeps(e, at) and not undone(e.fit, at, self.start, self.owner),
+            lambda e: self.keeps(e, at) and not cancelled(e.fit, at, self.start, self.owner),
         )  # fmt: skip
         if at.base.model.family.pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)

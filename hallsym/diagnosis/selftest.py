@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from hallsym.diagnosis import engine
-from hallsym.diagnosis.decimation import thinned
+from hallsym.diagnosis.decimation import decimated
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.injection import Injection, Sized, generator, injections, sized
-from hallsym.diagnosis.noise_model import Likeness, likeness
+from hallsym.diagnosis.noise_model import ResidualNoise, residual_noise
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.search import base_of, facts_of, floor_of
-from hallsym.diagnosis.simulated_machine import Truth, truth_of
+from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
@@ -227,13 +227,13 @@ class _Bench:
         base = base_of(log, result)
         base = replace(base, model=base.model.family.direct(base.model))
         say("thinning the log")
-        short = thinned(base, rows)
+        short = decimated(base, rows)
         base = replace(base, log=short.log, keep=None)
-        self.truth: Truth = truth_of(base, floor_of(result, base.pose_weights).metric)
+        self.truth: SimulatedMachine = machine_of(base, floor_of(result, base.pose_weights).metric)
         self.thinning = short.text
         say("learning the noise")
         facts = facts_of(base, survey(base, frozenset(self.truth.runs)))
-        self.noise: Likeness = likeness(base, catalogue, facts)
+        self.noise: ResidualNoise = residual_noise(base, catalogue, facts)
         self.reasons: dict[str, str] = {}
         self.forms: dict[str, str] = {}
         self.notes = [

@@ -27,7 +27,7 @@ from hallsym.codegen import (
     lower,
     pose_bounds,
 )
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log import Noise, Sigma
 from hallsym.model import Family
 
 FOLDING = Family("folding", decoder=lambda *given: maker(*given))

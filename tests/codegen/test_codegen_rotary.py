@@ -24,7 +24,7 @@ from hallsym.families import effects
 from hallsym.families.rotary import FAMILY
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary import models as rotary
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log import Noise, Sigma
 from hallsym.model.arrays import on_arrays
 
 ROTARY = effects(ROTARY_FAMILY)

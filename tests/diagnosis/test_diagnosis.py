@@ -14,14 +14,13 @@ from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.change_points import instants
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
-from hallsym.diagnosis.normal_equations import tangents
+from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import inside_bounds, refit, with_model
 from hallsym.diagnosis.search import base_of, rails_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
-from hallsym.log import Log, Meta, Noise, Sigma
-from hallsym.log.derived import extended
+from hallsym.log import Log, Meta, Noise, Sigma, extended
 from hallsym.model import Model, Parameter
 from hallsym.model.derived import HALVES, rate, widest_half
 from hallsym.model.effect import as_effect
@@ -260,7 +259,7 @@ def test_tangents_predict_what_a_refit_finds() -> None:
     start = refit(base, runs)
     wide = effects(STAGE_FAMILY)["even_nonlinearity"](start.base.model)
     new = [n for n in wide.names if n not in base.model.names]
-    t = tangents(start.base, {"e": (wide, new)})
+    t = normal_equations(start.base, {"e": (wide, new)})
     M = t.likelihood[t.units(runs)].sum(axis=0)
     linear = np.linalg.lstsq(M[:-1, :-1], M[:-1, -1], rcond=1e-12)[0]
     expected = M[-1, -1] - M[:-1, -1] @ linear
@@ -283,7 +282,7 @@ def test_many_runs_are_pooled_and_change_nothing_of_the_sums() -> None:
     short = Log.from_arrays(arrays, log.noise, replace(log.meta, holdout=tuple(range(5, 160, 23))))
     result = hallsym.fit(short, "stage31", solver="direct")
     base = base_of(short, result)
-    t = tangents(base, {})
+    t = normal_equations(base, {})
     assert len(t.runs) <= 2 * 64 + 1 < len(short.runs)
     assert sorted(run for unit in t.runs for run in unit) == sorted(short.runs)
     held = t.units(short.meta.holdout)

@@ -162,7 +162,7 @@ def test_angles_of_an_encoder_are_read_in_degrees():
     estimate = Estimate(np.radians(0.7), 1e-5, "rad")
     found = diagnose(machine(third))
     effect = replace(found.effects[0], parameters={"skewed": estimate})
-    shape = {"unit": "rad", "grid": [np.pi], "column": "angle_rad"}
+    shape = {"unit": "rad", "grid": [np.pi], "column": "angle_ref_rad"}
     assert "skewed 0.70000(57) deg" in text._parameters(effect, text.units_of(found))
     assert text._at(shape, 0) == "180 deg"
     stage = text.units_of(replace(found, noise_floor={"rz_rad": 1e-7}))

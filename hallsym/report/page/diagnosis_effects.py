@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hallsym.errors import counted
-from hallsym.report.figures.names import three
 from hallsym.report.page import figures
 from hallsym.report.page.diagnosis_record import (
     Record,
@@ -15,6 +14,7 @@ from hallsym.report.page.diagnosis_record import (
     percent,
 )
 from hallsym.report.page.html import Markup, items, join, table, tag
+from hallsym.report.words import three
 
 
 def effects_section(record: Record) -> Markup:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hallsym.report.figures.names import name as named_column
-from hallsym.report.figures.names import scale, three
 from hallsym.report.page import figures, parts
 from hallsym.report.page.diagnosis_record import (
     Record,
@@ -16,6 +14,8 @@ from hallsym.report.page.diagnosis_record import (
     source_of,
 )
 from hallsym.report.page.html import Markup, join, table, tag
+from hallsym.report.words import name as named_column
+from hallsym.report.words import scale, three
 from hallsym.units import readable
 
 

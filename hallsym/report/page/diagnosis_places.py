@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hallsym.report.figures.names import name as named_column
 from hallsym.report.page import curves, figures
 from hallsym.report.page.diagnosis_record import (
     Record,
@@ -13,6 +12,7 @@ from hallsym.report.page.diagnosis_record import (
     typeset,
 )
 from hallsym.report.page.html import Markup, join, table, tag
+from hallsym.report.words import name as named_column
 
 MOST = 12
 """Statements on where the gap lies that are drawn; all of them are in the table."""

@@ -7,8 +7,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hallsym.report.figures.names import MINUS
 from hallsym.report.text.diagnosis import p_text
+from hallsym.report.words import MINUS
 
 Record = Mapping[str, Any]
 

@@ -144,7 +144,7 @@ def effect_text(effects: tuple[FoundEffect, ...]) -> str:
 
 
 def units_of(d: Diagnosis) -> Mapping[str, tuple[float, str]]:
-    """How numbers of a diagnosis are shown: angles of an encoder in degrees, those of a stage in urad."""
+    """How numbers of a diagnosis are shown: angles that go round in degrees, small ones in urad."""
     factor, unit, _ = readable(next(iter(d.noise_floor), "x_m"))
     return UNITS | ({"rad": (factor, unit)} if unit == "deg" else {})
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit, noise_floor
 from hallsym.inference.evidence import Evidence, from_fit, from_plan
 from hallsym.inference.intervals import Interval, Intervals, intervals_of, profile_record
-from hallsym.inference.null import NullSpace, practical, structural
+from hallsym.inference.null_directions import NullSpace, practical, structural
 from hallsym.inference.verdict import Verdict, strongest, verdicts
 from hallsym.inference.workspace import Change, Slopes, slopes_over
 from hallsym.log import Log
@@ -53,15 +53,60 @@ class CombinationReport:
     interval: Interval
 
 
+@dataclass(frozen=True)
+class Output:
+    """1 sigma of one decoded pose coordinate, by the noise of a reading and by that of all parameters."""
+
+    noise_floor: float
+    parameters_rms: float
+    parameters_worst: float
+
+
+@dataclass(frozen=True, eq=False)
+class Offsets:
+    """The offsets that each run has of its own, its zero deviations; `values`, `std`: (runs, offsets)."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    runs: tuple[int, ...]
+    values: np.ndarray
+    std: np.ndarray
+
+    def sizes(self) -> dict[str, dict[str, Any]]:
+        """Return unit, rms, worst and standard uncertainty of each, over the runs."""
+        columns = zip(self.names, self.units, self.values.T, self.std.T, strict=True)
+        return {
+            name: {
+                "unit": unit,
+                "rms": float(np.sqrt(np.mean(v**2))),
+                "worst": float(np.abs(v).max()),
+                "std": float(np.sqrt(np.mean(s**2))),
+            }
+            for name, unit, v, s in columns
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return how many there are, their sizes and each of them."""
+        if not self.names:
+            return {"count": 0, "zeros": {}}
+        runs = zip(self.runs, self.values.tolist(), self.std.tolist(), strict=True)
+        return {
+            "count": self.values.size,
+            "zeros": self.sizes(),
+            "runs": {
+                str(run): {n: {"value": v, "std": s} for n, v, s in zip(self.names, row, own, strict=True)}
+                for run, row, own in runs
+            },
+        }
+
+
 @dataclass(frozen=True, eq=False)
 class Identifiability:
     """What `identify` returns.
 
     `correlation`: (n, n) of the estimates, nan where a parameter is not estimated. `spectrum`: singular
-    values of the scaled Jacobian, largest first: 1 means known to one bound width. `outputs`: per pose
-    coordinate the noise floor and what the parameters' uncertainty does to the decoded pose. `nuisance`: the
-    zero deviations.
-    `partial`: what could not be computed, and why.
+    values of the scaled Jacobian, largest first: 1 means known to one bound width. `outputs`: by pose
+    coordinate. `partial`: what could not be computed, and why.
     """
 
     evidence: Evidence
@@ -71,8 +116,8 @@ class Identifiability:
     practical: NullSpace
     correlation: np.ndarray
     spectrum: np.ndarray
-    outputs: Mapping[str, Mapping[str, float]]
-    nuisance: Mapping[str, Any]
+    outputs: Mapping[str, Output]
+    offsets: Offsets
     intervals: Intervals
     partial: tuple[str, ...]
     seconds: float
@@ -109,8 +154,8 @@ class Identifiability:
             ],
             "structural": _space(self.structural),
             "practical": _space(self.practical),
-            "outputs": {c: dict(entry) for c, entry in self.outputs.items()},
-            "nuisance": dict(self.nuisance),
+            "outputs": {c: vars(entry) for c, entry in self.outputs.items()},
+            "nuisance": self.offsets.to_dict(),
             "uncertainty": {"method": self.intervals.method, "reason": self.intervals.reason},
             "profiles": [profile_record(p) for p in self.intervals.profiles],
             "spectrum": self.spectrum.tolist(),
@@ -147,10 +192,10 @@ def identify(
     evidence = _evidence(known, on, values, noise, name)
     intervals = intervals_of(evidence, profiles=profiles, bootstrap=bootstrap, seed=seed, say=say)
     say("looking for null directions")
-    stated = [replace(c, std=intervals.std[c.expression]) for c in evidence.combinations]
+    stated = [replace(c, std=intervals.std[c.expression]) for c in evidence.uncertainty.combinations]
     always = structural(evidence.cost, evidence.found, stated)
     here = practical(evidence.cost, evidence.found, stated)
-    correlation = _correlation(evidence.covariance, evidence.determined)
+    correlation = _correlation(evidence.uncertainty.covariance, evidence.uncertainty.determined)
     words = verdicts(evidence, always, here, correlation)
     slopes = slopes_over(evidence.workspace, evidence.cost, evidence.p)
     parameters = tuple(
@@ -168,7 +213,7 @@ def identify(
         correlation=correlation,
         spectrum=_spectrum(evidence),
         outputs=_outputs(evidence, slopes),
-        nuisance=_nuisance(evidence),
+        offsets=_offsets(evidence),
         intervals=intervals,
         partial=intervals.failures,
         seconds=perf_counter() - began,
@@ -188,8 +233,8 @@ def _evidence(
         raise InputError("A model by itself determines nothing: give a campaign, or fit a log first.")
     if isinstance(known, Fit):
         model = known.model
-        values = values or dict(zip(model.names, known.values.tolist(), strict=True))
-        noise = noise or {c: s.value for c, s in known.noise.sigmas.items()}
+        values = values or model.named(known.values)
+        noise = noise or known.noise.std
     else:
         model, values = known, values or {}
         noise = noise or dict(on.noise or table8_noise(model, values).sigma)
@@ -231,54 +276,28 @@ def _parameter(
 
 def _spectrum(evidence: Evidence) -> np.ndarray:
     """Singular values of the Jacobian with parameters in bound widths and readings in standard deviations."""
-    point, scale = evidence.cost.at(evidence.p), evidence.found.scale
+    scale = evidence.found.scale
     open_ = np.array([p.width > 0 for p in evidence.model.parameters])
-    information = np.tensordot(evidence.cost.weights, point.information(1.0), axes=1) * np.outer(scale, scale)
+    information = evidence.information * np.outer(scale, scale)
     values = np.linalg.eigvalsh(information[np.ix_(open_, open_)])[::-1]
     return np.sqrt(np.maximum(values, 0.0))
 
 
-def _outputs(evidence: Evidence, slopes: Slopes) -> dict[str, dict[str, float]]:
-    spread = slopes.spread(evidence.covariance)
-    return {
-        c: {
-            "noise_floor": float(evidence.noise_floor[c]),
-            "parameters_rms": spread.rms[c],
-            "parameters_worst": spread.worst[c],
-        }
-        for c in evidence.model.pose
-    }
+def _outputs(evidence: Evidence, slopes: Slopes) -> dict[str, Output]:
+    spread, floor = slopes.spread(evidence.uncertainty.covariance), noise_floor(evidence.cost, evidence.p)
+    return {c: Output(float(floor[c]), spread.rms[c], spread.worst[c]) for c in evidence.model.pose}
 
 
-def _nuisance(evidence: Evidence) -> dict[str, Any]:
-    """The zero deviations: how many, how large, how certain, and each of them."""
+def _offsets(evidence: Evidence) -> Offsets:
     cost, model, p = evidence.cost, evidence.model, evidence.p
-    if not model.zeros:
-        return {"count": 0, "zeros": {}}
-    summary, point = cost.summary, cost.at(p)
-    gain = np.array([model.zero_scale(p, s) for s in summary.first_state])
-    delta = point.zeros * gain  # (31): delta = d phi(0)
-    variance = np.diagonal(point.zero_covariance(evidence.covariance), axis1=1, axis2=2)
+    names, units = tuple(z.name for z in model.zeros), tuple(z.unit for z in model.zeros)
+    if not names:
+        return Offsets((), (), cost.summary.runs, np.zeros((0, 0)), np.zeros((0, 0)))
+    gain = np.array([model.zero_scale(p, s) for s in cost.summary.first_state])
+    point = cost.at(p)
+    variance = np.diagonal(point.zero_covariance(evidence.uncertainty.covariance), axis1=1, axis2=2)
     std = np.sqrt(np.maximum(variance, 0.0)) * np.abs(gain)
-    names = [z.name for z in model.zeros]
-    return {
-        "count": int(delta.size),
-        "zeros": {
-            name: {
-                "unit": model.zeros[k].unit,
-                "rms": float(np.sqrt(np.mean(delta[:, k] ** 2))),
-                "worst": float(np.abs(delta[:, k]).max()),
-                "std": float(np.sqrt(np.mean(std[:, k] ** 2))),
-            }
-            for k, name in enumerate(names)
-        },
-        "runs": {
-            str(run): {
-                n: {"value": float(d), "std": float(s)} for n, d, s in zip(names, row, own, strict=True)
-            }
-            for run, row, own in zip(summary.runs, delta, std, strict=True)
-        },
-    }
+    return Offsets(names, units, cost.summary.runs, point.zeros * gain, std)  # (31): delta = d phi(0)
 
 
 def _entry(entry: ParameterReport) -> dict[str, Any]:

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
-from hallsym.log.batches import SIZE, Weigh
-from hallsym.log.derived import extended
-from hallsym.report.figures.names import LEVEL, largest, name, scale, setting, short
+from hallsym.log.batches import Weigh
+from hallsym.report.data import COLUMNS, Survey, Trace, decoded, held_out, representative
 from hallsym.report.figures.style import (
     AFTER,
     BLACK,
@@ -25,8 +23,7 @@ from hallsym.report.figures.style import (
     legend,
     panels,
 )
-from hallsym.report.figures.survey import Decode, Survey, held_out
-from hallsym.report.figures.trace import COLUMNS, Trace
+from hallsym.report.words import LEVEL, largest, name, scale, setting, short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,8 +41,9 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> F
     traces = _run_traces(log, fit, survey, chosen, keep)
     n, rows = len(model.pose), len(model.pose) + 1
     figure, axes = panels(rows, len(chosen), 1.16, top=0.42, bottom=0.62, sharex="col", sharey="row")
-    scales = [scale(model.pose[k], _largest(traces, range(1 + k, 1 + 3 * n, n))) for k in range(n)]
-    scales.append(scale(model.channels[0], _largest(traces, range(1 + 3 * n, traces[0].low.shape[0]))))
+    every = [range(1 + k, 1 + 3 * n, n) for k in range(n)] + [range(1 + 3 * n, len(traces[0].low))]
+    columns = (*model.pose, model.channels[0])
+    scales = [scale(c, _largest(traces, k), model.period) for c, k in zip(columns, every, strict=True)]
     for ax, word, (_, unit) in zip(axes[:, 0], (*map(name, model.pose), "reading"), scales, strict=True):
         label_y(ax, f"{word} [{unit}]")
     timed = survey.time is not None
@@ -57,7 +55,7 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> F
     for column, (run, trace) in enumerate(zip(chosen, traces, strict=True)):
         x = trace.low[0] - trace.low[0][0] if timed else trace.samples
         for k in range(n):
-            for series, (label, look) in zip(range(1 + k, 1 + 3 * n, n), looks, strict=True):
+            for series, (label, look) in zip(every[k], looks, strict=True):
                 at, y = trace.line(series, x)
                 axes[k, column].plot(at, scales[k][0] * y, label=label, **look)
         for k, channel in enumerate(model.channels):
@@ -71,45 +69,27 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> F
     return figure
 
 
-def representative(survey: Survey, most: int = 3) -> list[int]:
-    """Return up to `most` runs: for each pose coordinate the first in which it moves (nearly) most."""
-    chosen: list[int] = []
-    for travel in survey.travel.T:
-        run = survey.runs[int(np.argmax(travel >= 0.9 * travel.max()))]
-        if run not in chosen:
-            chosen.append(run)
-    return sorted(chosen[:most], key=survey.runs.index)
-
-
 def _run_traces(log: Log, fit: Fit, survey: Survey, chosen: Sequence[int], keep: Weigh | None) -> list[Trace]:
     """Trace each chosen run from its start, as far as its motion can still be seen.
 
-    Series: time, reference, designed pose, fitted pose, readings.
+    Series: time, reference, pose by nominal parameters, fitted pose, readings.
     """
-    model, decode = fit.model, Decode(fit)
-    timed = survey.time is not None
-    n = 1 + 3 * len(model.pose) + len(model.channels)
+    model = fit.model
     sizes = dict(zip(survey.runs, np.diff(survey.edges), strict=True))
     lengths = {run: [s for s in STRETCHES if s < sizes[run]] + [sizes[run]] for run in chosen}
+    n = 1 + 3 * len(model.pose) + len(model.channels)
     traces = {run: [Trace(n) for _ in lengths[run]] for run in chosen}
-    zeros: dict[int, np.ndarray] = {}
-    sigma = {c: s.value for c, s in fit.noise.sigmas.items()}
-    wide = extended(log, model, sigma, model.named(fit.values))
-    for block in wide.blocks((*columns_of(model), *(("t_s",) if timed else ())), size=SIZE):
-        if block.run not in traces:
-            if len(zeros) == len(traces):
+    seen: set[int] = set()
+    for part in decoded(log, fit, keep):
+        run = part.block.run
+        if run not in traces:
+            if len(seen) == len(traces):
                 break
             continue
-        if block.run not in zeros:
-            zeros[block.run] = decode.zeros(block.run, np.array([block.data[c][0] for c in model.state]))
-        reference = [block.data[c] for c in model.references]
-        readings = [block.data[c] for c in model.channels]
-        values = np.vstack([*reference, *decode(block, zeros[block.run]), *readings])
-        if keep is not None:
-            values[:, ~(keep(block) > 0)] = np.nan
-        time = block.data["t_s"] if timed else np.zeros(values.shape[1])
-        values = np.vstack([time, *values])
-        for length, trace in zip(lengths[block.run], traces[block.run], strict=True):
+        seen.add(run)
+        values = np.vstack([part.reference, part.nominal, part.fitted, part.rows(model.channels)])
+        values = np.vstack([part.time, np.where(part.kept, values, np.nan)])
+        for length, trace in zip(lengths[run], traces[run], strict=True):
             if trace.count < length:
                 trace.add(values[:, : length - trace.count])
     most = survey.travel.max(axis=0)
@@ -131,7 +111,7 @@ def _run_title(fit: Fit, survey: Survey, run: int, trace: Trace) -> str:
     what = "held out" if run in held_out(fit) else ""
     where = ""
     if len(fit.model.state) and not np.any(survey.drift[k] > 20 * LEVEL):
-        where = setting(fit.model.state, survey.state[k], 5 * LEVEL, units=True)
+        where = setting(fit.model.state, survey.state[k], 5 * LEVEL, units=True, turning=fit.model.period)
     part = ""
     if trace.count < survey.edges[k + 1] - survey.edges[k]:
         seconds = trace.high[0, -1] - trace.low[0, 0]

@@ -6,10 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import SIGMAS, Chopped, cost_on, record, true_model, with_noise
 
-from hallsym.estimation.identifiable import determine
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.optimum import refit
-from hallsym.estimation.run_statistics import Summary, summarise
+from hallsym.estimation import RunStatistics, cost_of, determine, refit, summarise
 from hallsym.log import Log
 
 EXACT_STATE = {**SIGMAS, "z_m": 0.0, "rx_rad": 0.0, "ry_rad": 0.0}
@@ -28,11 +25,11 @@ def model():
     return true_model()
 
 
-def value(summary: Summary, p: np.ndarray, sigma=EXACT_STATE) -> float:
+def value(summary: RunStatistics, p: np.ndarray, sigma=EXACT_STATE) -> float:
     return cost_of(summary, sigma).at(p).value
 
 
-def gram(summary: Summary) -> np.ndarray:
+def gram(summary: RunStatistics) -> np.ndarray:
     return np.swapaxes(summary.triangles, 1, 2) @ summary.triangles
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,8 @@ class Cells:
     `by`: what the cells are along, with the unit of `edges`. `median`, `rms`: (n_pose, cells), nan in an
     empty cell; `count`: (cells,). Cells have `edges` (cells + 1,) or, where they are no numbers, `labels`;
     `marked` are held out. Over two coordinates `across` holds the edges of the second, `up` its name, and
-    cell `i + columns * j` lies at column i, row j.
+    cell `i + columns * j` lies at column i, row j. `turning`: coordinates that go round, see
+    `hallsym.units.readable`.
     """
 
     by: str
@@ -32,6 +33,7 @@ class Cells:
     marked: tuple[int, ...] = ()
     up: str = ""
     across: Sequence[float] | np.ndarray = ()
+    turning: Collection[str] | None = None
 
 
 class Tally:

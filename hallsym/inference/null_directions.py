@@ -1,4 +1,4 @@
-"""Null directions in words: which parameters cannot be told apart, and what is determined instead."""
+"""Null directions: which parameters cannot be told apart, and which combinations of them are identifiable."""
 
 import re
 from collections.abc import Sequence
@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.estimation.calibration import CombinationEstimate
-from hallsym.estimation.identifiable import Determination, echelon, feature_scale, structural_null
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation import CombinationEstimate, Cost, Determination, feature_scale, structural_null
+from hallsym.estimation.identifiable import echelon
 
 NAMED = 0.05
 """Parameters that move less than this part of the leading one along a direction are not named with it."""
