@@ -51,6 +51,9 @@ if TYPE_CHECKING:
     from hallsym.simulation import simulate_blocks as simulate_blocks
     from hallsym.simulation import table8_noise as table8_noise
     from hallsym.simulation import write_campaign as write_campaign
+    from hallsym.trajectory import Curve as Curve
+    from hallsym.trajectory import choose_curve as choose_curve
+    from hallsym.trajectory import read_curve as read_curve
     from hallsym.uncertainty import Budget as Budget
     from hallsym.uncertainty import Source as Source
     from hallsym.uncertainty import position_budget as position_budget
@@ -75,6 +78,7 @@ _PUBLIC = {
         "Campaign", "NoiseModel", "bundled_campaign", "paper_campaign", "read_campaign", "simulate",
         "simulate_blocks", "table8_noise", "write_campaign",
     ),
+    "hallsym.trajectory": ("Curve", "choose_curve", "read_curve"),
     "hallsym.uncertainty": ("Budget", "Source", "position_budget", "read_budget", "uncertainty_map"),
     "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
 }  # fmt: skip

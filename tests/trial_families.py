@@ -9,8 +9,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis import user_effect
-from hallsym.model import Example, Family, Model, Parameter, PoseMetric
+from hallsym.model import Example, Family, Model, Parameter, PoseMetric, effect
 from hallsym.model.derived import rate
 
 LENGTH = 0.03
@@ -91,6 +90,7 @@ def start_2dof(model, coefficients):
     return model.vector(found)
 
 
+@effect(link="field", waves=(3,), separate="another height")
 def second_harmonic(model):
     """Second harmonic of the field, which arrays of unlike magnets have: three waves of error per period."""
     added = tuple(Parameter(n, 0.0, -0.5, 0.5, "1", "second harmonic over the first") for n in ("h2c", "h2s"))
@@ -107,6 +107,7 @@ def second_harmonic(model):
     return model.with_step("field", step, effect="second_harmonic", parameters=added)
 
 
+@effect(link="clock", separate="several speeds", needs=("t_s",))
 def late_readings(model):
     """Readings that come later than the reference."""
     speed = rate("x_ref_m")
@@ -133,7 +134,6 @@ ARRAY = Family(
     readings=r"col_\d+_v",
     pose_metric=PoseMetric("m"),
     effects=(second_harmonic, late_readings),
-    catalogue=(user_effect(second_harmonic), user_effect(late_readings)),
     words={"x_ref_m": "x along the array"},
     example=Example(
         campaign={

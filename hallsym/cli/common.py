@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import COMMANDS
-from hallsym.diagnosis.user import load_effects, makes
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
+from hallsym.families.user import load_effects
 from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
 from hallsym.log.noise import check_noise_keys
-from hallsym.model import Model
+from hallsym.model import Effect, Model
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 
 
@@ -92,9 +92,9 @@ def own_option(parser: ArgumentParser) -> None:
     parser.add_argument("--effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
 
 
-def own_effects(options: Namespace) -> dict[str, Callable[[Model], Model]]:
+def own_effects(options: Namespace) -> dict[str, Effect]:
     """Return the user's own effects by name; none without a file."""
-    return makes(load_effects(options.effects)) if options.effects else {}
+    return {e.name: e for e in load_effects(options.effects)} if options.effects else {}
 
 
 def open_log(options: Namespace, machine: Machine | None = None) -> Log:

@@ -11,6 +11,7 @@ from hallsym.estimation.calibration import load_fit
 from hallsym.families import effects, models
 from hallsym.log import Log, check_log, spans
 from hallsym.report.tables import grid
+from hallsym.report.text.effect import effect_record, effect_text, is_explained
 from hallsym.report.text.fit import fit_text
 from hallsym.simulation import Campaign, read_campaign
 from hallsym.units import readable
@@ -21,10 +22,14 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "info", run,
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a\n"
-        "campaign file. Without a file: the models, effects and solvers there are.",
+        "campaign file. An effect by name: what it means, its numbers, the parameters it adds, what\n"
+        "recording separates it from others. Without a file: the models, effects and solvers there are.",
     )  # fmt: skip
     parser.add_argument(
-        "file", metavar="FILE", nargs="?", help="log, calibration (.json) or campaign (.toml)"
+        "file",
+        metavar="FILE",
+        nargs="?",
+        help="log, calibration (.json), campaign (.toml), or the name of an effect, such as hysteresis",
     )
     log_options(parser)
 
@@ -34,11 +39,14 @@ def run(options: Namespace) -> int:
     if options.file is None:
         record: dict[str, Any] = {
             "models": {name: _first_line(make) for name, make in models().items()},
-            "effects": {name: _first_line(make) for name, make in effects().items()},
+            "effects": {name: effect.meaning for name, effect in effects().items()},
             "solvers": list(SOLVERS),
             "losses": list(LOSSES),
         }
         say(options, record, lambda: _listing(record))
+    elif is_explained(options.file):
+        record = effect_record(options.file)
+        say(options, record, lambda: effect_text(record))
     elif options.file.endswith(".json"):
         known = load_fit(options.file)
         say(options, known.to_dict(), lambda: fit_text(known))

@@ -14,7 +14,6 @@ import numpy as np
 from hallsym.diagnosis import holdout_pieces
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect
-from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
@@ -95,7 +94,7 @@ def examine(
     base = replace(base, model=model.family.direct(base.model), timed=timed)
     runs = [r for r in base.log.runs if r not in apart]
     search = Search(
-        base, runs, (*catalogue_of(model), *effects), level, floor_of(result, base.pose_weights), say
+        base, runs, (*model.family.catalogue, *effects), level, floor_of(result, base.pose_weights), say
     )
     search.run()
     said = report(search, log, result, apart, wiring, level, perf_counter() - began)

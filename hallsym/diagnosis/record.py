@@ -50,7 +50,7 @@ class Statement:
     their shares add up to at most 1. `held_out`: the same on held-out runs, with what was fitted on the
     others; None where it is not asked. `kind`: as of `Share`, of a frequency "mains", "motion" or "band". Of
     a coordinate, `unit` is its unit, `period` that of ripples or of a place within a period, `waves` the
-    waves per period, `sensor` the channel that sees it above all. JSON holds the first six; `text` says the rest.
+    waves per period, `sensor` the channel that sees it above all. JSON holds the first six.
     """
 
     by: str

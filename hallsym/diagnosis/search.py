@@ -16,7 +16,7 @@ from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, bic_of, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.scores import Score, by_name, candidates, scores
-from hallsym.diagnosis.survey import SEGMENT, Survey, survey
+from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey, survey
 from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import as_read
@@ -68,16 +68,15 @@ def facts_of(base: Base, found: Survey) -> Facts:
     temperature = _mean(log, "temperature_degc") if "temperature_degc" in log.columns else None
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
-        step_s=found.step_s,
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
         temperature=temperature,
         extremes=_extremes(log, model),
         rails=rails_of(log, model),
         lines_hz=found.lines_hz,
+        lines_tried=max(1, round(sum(b - a for a, b in MAINS) * found.duration_s)),
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
         on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),
-        gains=tuple(float(base.p[k]) for k, name in enumerate(model.names) if name.startswith("eta_")),
     )
 
 

@@ -80,9 +80,7 @@ class Family:
     aliases: Mapping[str, str] = field(default_factory=dict)
     from_meta: Callable[[Maker, Any], Model] = _plain_from_meta
     effects: tuple[Any, ...] = ()
-    """What a model may be extended by: functions `Model -> Model`."""
-    catalogue: tuple[Any, ...] | None = None
-    """Effects that a diagnosis searches (`hallsym.diagnosis.effect.Effect`)."""
+    """What a model may be extended by: records of `hallsym.model.Effect`; a diagnosis prefers the first."""
     words: Mapping[str, str] = field(default_factory=dict)
     """What a person calls a column, where its name does not say it: `z_m` -> "height Z"."""
     together: str = ""
@@ -90,12 +88,8 @@ class Family:
     example: Example | None = None
     endless: tuple[str, ...] = ()
     """Pose coordinates that can move on and on in one direction, as a shaft turns."""
-    waves: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
-    """Waves of the error per period of the first periodic coordinate -> effects that make them."""
     direct: Callable[[Model], Model] = _itself
     """The same model in the form that is cheapest to evaluate sample by sample."""
-    short: Callable[[Model], Model] = _itself
-    """The same model in a form that many effects do not blow up."""
     pairs: bool = False
     """Whether a diagnosis holds a flexible effect against pairs of plain ones."""
     most_effects: int = 3
@@ -105,6 +99,17 @@ class Family:
     def __str__(self) -> str:
         """Return the name, which messages use."""
         return self.name
+
+    @property
+    def catalogue(self) -> tuple[Any, ...]:
+        """Effects that a diagnosis tries."""
+        return tuple(e for e in self.effects if e.diagnosed)
+
+    @property
+    def waves(self) -> dict[int, tuple[str, ...]]:
+        """Waves of the error per period of the first periodic coordinate -> effects that make them."""
+        orders = sorted({n for e in self.effects for n in e.waves})
+        return {n: tuple(e.name for e in self.effects if n in e.waves) for n in orders}
 
     @cached_property
     def axes(self) -> tuple[str, ...]:

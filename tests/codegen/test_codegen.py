@@ -27,8 +27,7 @@ from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.printer import DOUBLE, FLOAT
 from hallsym.codegen.vectors import Emulator, mix, worst
 from hallsym.errors import InputError
-from hallsym.families import effects
-from hallsym.families.stage import effects as stage_effects
+from hallsym.families import adapted, effects
 from hallsym.model.arrays import on_arrays
 
 
@@ -232,6 +231,11 @@ def test_one_sided_ranges_keep_both_ends():
 # -- refusals --------------------------------------------------------------------------------------------
 
 
+def stated(text):
+    """An effect as `--effect` takes it."""
+    return lambda model: adapted(model, (text,), {})
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -243,7 +247,7 @@ def test_one_sided_ranges_keep_both_ends():
             "not finite",
         ),
         (
-            lambda f: with_effect(stage_effects.gain_drift("warm", *stage_effects.settling(9.0))),
+            lambda f: with_effect(stated("gain_time_drift:settling_s=9")),
             "computed from a whole log",
         ),
     ],
@@ -257,14 +261,15 @@ def test_a_calibration_that_a_controller_cannot_trust_is_refused(change, says):
 @pytest.mark.parametrize(
     ("name", "effect"),
     [
-        ("time_skew", stage_effects.delayed("time_skew", True)),
-        ("first_order_lag", stage_effects.delayed("first_order_lag", False)),
-        ("hysteresis", stage_effects.hysteresis(1e-5)),
-        ("mains_hum", stage_effects.mains_hum(50.0)),
-        ("creep", stage_effects.offset_drift("creep", *stage_effects.powers_of_time(60.0, 2))),
+        ("time_skew", "time_skew"),
+        ("first_order_lag", "first_order_lag:per=probe"),
+        ("hysteresis", "hysteresis:half_width_m=1e-5"),
+        ("mains_hum", "mains_hum:frequency_hz=50"),
+        ("offset_time_drift", "offset_time_drift:duration_s=60,degree=2"),
     ],
 )
 def test_effects_with_a_history_are_refused_by_name(name, effect):
+    effect = stated(effect)
     with pytest.raises(InputError, match=rf"with .*{name} needs \w.* from a whole log") as error:
         generate(with_effect(effect, 1e-3))
     assert str(error.value).count(". ") == 0
@@ -273,13 +278,13 @@ def test_effects_with_a_history_are_refused_by_name(name, effect):
 @pytest.mark.parametrize(
     ("effect", "says"),
     [
-        (stage_effects.clipping([-4e-4] * 3, [4e-4] * 3), "no polynomial of pose and state"),
-        (stage_effects.cross_axis_sensitivity(list(stage_effects.CROSS)), "spread too far"),
+        ("saturation:low_m=-4e-4/-4e-4/-4e-4,high_m=4e-4/4e-4/4e-4", "no polynomial of pose and state"),
+        ("cross_axis_sensitivity:order=3", "spread too far"),
     ],
 )
 def test_effects_that_have_no_bounded_c_are_refused(effect, says):
     with pytest.raises(InputError, match=says):
-        generate(with_effect(effect, 0.01))
+        generate(with_effect(stated(effect), 0.01))
 
 
 @pytest.mark.parametrize(
@@ -297,7 +302,7 @@ def test_every_effect_without_a_history_has_its_c(name):
 
 
 def test_a_logged_temperature_is_one_more_input():
-    fit = with_effect(stage_effects.gain_drift("warm", *stage_effects.temperature(20.0)), 1e-3)
+    fit = with_effect(stated("gain_temperature_drift:mean_degc=20"), 1e-3)
     code = generate(fit, ranges={"temperature_degc": (15.0, 30.0)})
     assert "DECOUPLER_TEMPERATURE" in str(code.files["include/decoupler.h"])
     assert any(e.name == "gain_hall_a_temperature" and e.unit == "1/degC" for e in code.source.d.table)

@@ -21,12 +21,14 @@ from hallsym.codegen.checks import notes_of
 from hallsym.codegen.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.codegen.vectors import Emulator, worst
 from hallsym.errors import InputError
+from hallsym.families import effects
 from hallsym.families.rotary import FAMILY
-from hallsym.families.rotary import effects as rotary_effects
+from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary import models as rotary
 from hallsym.log import Noise, Sigma
 from hallsym.model.arrays import on_arrays
 
+ROTARY = effects(ROTARY_FAMILY)
 ELLIPSE = {"Vx": 0.02, "Vy": -0.03, "Ax": 1.02, "Ay": 0.99, "beta": 0.02, "zero": 2.9}
 PAPER = {k: v for k, v in FAMILY.example.values.items() if k != "A"}
 WAVES = {"h3c": 2e-3, "h3s": -1e-3, "h4c": 3e-3, "h8s": 1e-3}
@@ -36,7 +38,7 @@ CASES = {
     "meng": (rotary.rotary_meng, PAPER),
     "harmonics": (lambda layout: rotary.harmonics(rotary.rotary(layout)), {**ELLIPSE, **WAVES}),
     "eccentric": (
-        lambda layout: rotary_effects.off_axis("eccentricity", 0.3)(rotary.rotary(layout)),
+        lambda layout: ROTARY["eccentricity"](rotary.rotary(layout), direction_deg=np.degrees(0.3)),
         {**ELLIPSE, "eccentricity_both_re": 0.01, "eccentricity_both_im": -0.02, "eccentricity_chip": 0.015},
     ),
 }
@@ -294,16 +296,16 @@ def test_compilers_warn_of_nothing_and_the_self_test_runs_every_branch(case, for
 
 
 def warm(model):
-    return rotary_effects.gain_drift("warm", *rotary_effects.temperature(20.0))(model)
+    return ROTARY["gain_temperature_drift"](model, mean_degc=20.0)
 
 
 def test_what_c_cannot_hold_is_refused_in_one_sentence():
     base = rotary.rotary(LAYOUTS["volts"])
     fit = calibrated(base, ELLIPSE)
     for model, said in (
-        (warm(base), "depend on the angle alone; rotary with warm needs temperature_degc"),
-        (rotary_effects.reference_harmonics("stepper", [50])(base), "errors of its reference"),
-        (rotary_effects.time_skew(base), "computed from a whole log"),
+        (warm(base), "depend on the angle alone; rotary with gain_temperature_drift needs temperature_degc"),
+        (ROTARY["reference_pole_pairs"](base), "errors of its reference"),
+        (ROTARY["time_skew"](base), "computed from a whole log"),
     ):
         with pytest.raises(InputError, match=said):
             hallsym.generate(calibrated(model, ELLIPSE))
@@ -323,7 +325,8 @@ def test_what_c_cannot_hold_is_refused_in_one_sentence():
 
 
 def test_a_clipped_channel_needs_too_many_waves():
-    model = rotary_effects.clipping([-1.0, -1.0], [0.6, 0.6])(rotary.rotary(LAYOUTS["volts"]))
+    rails = {"low_v": [-1.0, -1.0], "high_v": [0.6, 0.6]}
+    model = ROTARY["saturation"](rotary.rotary(LAYOUTS["volts"]), **rails)
     values = {**ELLIPSE, "clipped_sin": 1.0, "clipped_cos": 1.0}
     with pytest.raises(InputError, match=r"(more than 32 waves|too large to be undone)"):
         hallsym.generate(calibrated(model, values))

@@ -14,18 +14,19 @@ from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, engine
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.decimation import thinned
-from hallsym.diagnosis.injection import Injection, generator, sized
-from hallsym.diagnosis.injection_catalogue import injections
-from hallsym.diagnosis.injection_faults import ages
+from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.noise_model import likeness
 from hallsym.diagnosis.search import base_of, facts_of
 from hallsym.diagnosis.selftest import NONE, RATIOS, SelfTest, selftest
 from hallsym.diagnosis.simulated_machine import Truth, readings_of, truth_of
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
+from hallsym.families import effects
+from hallsym.families.faults import ages
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.report.text.selftest import selftest_text
 
+CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
 FLOOR = 1.4e-6
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from hallsym.families.parts import P
+from hallsym.families.mechanisms import P
 from hallsym.families.rotary import models as rotary
 from hallsym.families.rotary.waveforms import waveform
 from hallsym.families.rotary.waves import cosine, sine
