@@ -1,4 +1,4 @@
-"""What a curve costs the position, e_position = e_machine + e_curve (Eq. (15)), and what control points are worth.
+"""What a curve costs the position, e_position = e_machine + e_curve (Eq. (15)), and what points are worth.
 
 The article's e_stage is the error of the machine that follows the curve, its e_trajectory that of the curve.
 As uncertainties the two add in squares.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +22,8 @@ from hallsym.trajectory.nominal import Nominal, nominal
 Array = np.ndarray
 SHARE = 0.02
 """What a curve may add to the uncertainty of the machine before more control points are worth having."""
-ROWS = 8
-"""How many numbers of points `worth_of` tries."""
+ROWS, FEW = 8, 30
+"""How many numbers of points `worth_of` tries: one by one up to `FEW`, else from a third of its own."""
 
 
 def position_error(machine_m: Array | float, curve_m: Array | float) -> Array:
@@ -69,6 +70,64 @@ def worth(
     return tuple(rows)
 
 
+@dataclass(frozen=True, eq=False)
+class CurveCost:
+    """What a curve adds to the expanded uncertainty of the machine that follows it.
+
+    `machine_m`, `total_m`: without and with the curve [m], coverage factor `coverage`. `rows`: what other
+    numbers of control points are worth, empty for a curve made of points.
+    """
+
+    curve: Curve
+    machine_m: float
+    total_m: float
+    coverage: float
+    rows: tuple[Worth, ...]
+
+    @property
+    def growth_m(self) -> float:
+        """What the curve adds [m]."""
+        return self.total_m - self.machine_m
+
+    @property
+    def allowed_m(self) -> float:
+        """Error of a curve that adds 2 % [m]."""
+        return allowed(self.machine_m, coverage=self.coverage)
+
+    @property
+    def enough(self) -> Worth | None:
+        """The fewest control points whose curve adds at most 2 %, None where that is not known."""
+        return enough(self.rows, self.machine_m)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record for JSON, SI."""
+        found = self.enough
+        return {
+            "method": self.curve.method,
+            "control_points": self.curve.control_points,
+            "max_error_m": self.curve.max_error_m,
+            "error_kind": self.curve.error_kind,
+            "coverage_factor": self.coverage,
+            "expanded_without_curve_m": self.machine_m,
+            "expanded_with_curve_m": self.total_m,
+            "growth_m": self.growth_m,
+            "allowed_error_m": self.allowed_m,
+            "enough_control_points": None if found is None else found.control_points,
+            "worth": [vars(row) for row in self.rows],
+        }
+
+
+def curve_cost(curve: Curve, machine_m: float, coverage: float = 2.0) -> CurveCost:
+    """Return what a curve costs a machine of expanded uncertainty `machine_m` [m], and what points are worth.
+
+    Raises `InputError` for a curve whose error is not known.
+    """
+    if curve.max_error_m is None:
+        raise InputError("The curve does not state its error; make it with 'hallsym trajectory', which does.")
+    total = float(expanded(machine_m, curve.max_error_m, coverage))
+    return CurveCost(curve, machine_m, total, coverage, worth_of(curve, machine_m, coverage))
+
+
 def worth_of(curve: Curve, machine_m: float, coverage: float = 2.0) -> tuple[Worth, ...]:
     """Return the value of control points for a curve made of an expression, by its own method and nodes.
 
@@ -79,12 +138,13 @@ def worth_of(curve: Curve, machine_m: float, coverage: float = 2.0) -> tuple[Wor
         return ()
     source, method, nodes = found
     own = curve.control_points if method.fitted else int(curve.source["points"])
-    counts = np.unique(np.geomspace(max(own // 3, method.least + 1, 3), own, ROWS - 2).round().astype(int))
+    least = max(own - ROWS + 3 if own <= FEW else own // 3, method.least, 3)
+    counts = {round(n) for n in np.geomspace(least, own, ROWS - 2).tolist()} if least < own else {own}
     errors: dict[int, float] = {}
-    for count in (*counts.tolist(), own + 1, own + 2):
-        asked = {"points": None, "control": count} if method.fitted else {"points": count, "control": None}
+    for count in sorted(counts | {own + 1, own + 2}):
+        points, control = (None, count) if method.fitted else (count, None)
         try:
-            best = of_nominal(source, methods=[method], nodes=nodes, **asked).best
+            best = of_nominal(source, points=points, control=control, methods=[method], nodes=nodes).best
         except InputError:  # a count of which the method makes no curve
             continue
         errors[best.control_points] = best.error_m
