@@ -133,7 +133,7 @@ def _page(options: Namespace, seen: Examined) -> str:
     name = options.model or first.model.name
     command = shlex.join(["hallsym", "diagnose", options.log, "--model", name])
     return diagnosis_page(
-        seen.diagnosis.to_dict(),
+        seen.diagnosis,
         maps=shown.maps,
         after=shown.after,
         series=shown.series,

@@ -11,10 +11,10 @@ import numpy as np
 
 from hallsym.diagnosis.chance import beyond, statistic_at
 from hallsym.diagnosis.cordic import cordic
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.survey import Survey, pieces
 from hallsym.diagnosis.tangent import Base
-from hallsym.diagnosis.verdict import SURE
 from hallsym.estimation.outliers import residuals
 from hallsym.log import Block, Log
 from hallsym.log.batches import Weigh
@@ -67,7 +67,7 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     """
 
     def certain(p: float) -> bool:
-        return p * tested < SURE
+        return p * tested < POLICY.certain
 
     out = []
     variance = max(found.variance, 1e-12)

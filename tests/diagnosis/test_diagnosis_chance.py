@@ -19,7 +19,7 @@ from hallsym.diagnosis.chance import as_many, as_often, exceeds, student
 from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
 from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.search import base_of
+from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.tangent import Base, Products, tangents

@@ -10,9 +10,9 @@ from twins import record
 
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.errors import block_errors
+from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.links import _smoothed
 from hallsym.diagnosis.scores import Score, candidates, scores
-from hallsym.diagnosis.search import facts_of
 from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey

@@ -12,7 +12,7 @@ from twins import SIGMAS, record
 
 import hallsym
 from hallsym.diagnosis.residue import Coordinate, Residue, hats, knots
-from hallsym.diagnosis.search import base_of
+from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.shape import shape, unexplained
 from hallsym.diagnosis.smooth import FineMap, Smooth, chance_of_signs, own_gains
 from hallsym.diagnosis.spectrum import Spectrum
