@@ -7,6 +7,7 @@ the package.
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -127,7 +128,9 @@ def cost_on(log: Log, model: Model, sigma: Mapping[str, float] = SIGMAS) -> Cost
 
 
 class Chopped:
-    """A log whose blocks are handed over in pieces of the given sizes, in turn."""
+    """A log that streams: its blocks are handed over in pieces of the given sizes, in turn."""
+
+    table = SimpleNamespace(in_memory=False)
 
     def __init__(self, log: Log, sizes: Sequence[int]) -> None:
         self.log, self.sizes = log, sizes

@@ -1,34 +1,21 @@
-"""The commands of the command line, one file each: `add(sub)` describes it, `run(options)` carries it out."""
+"""The command line: one file a command, `add(sub)` describes it and `run(options)` carries it out."""
 
-from hallsym.cli import (
-    budget,
-    codegen,
-    demo,
-    diagnose,
-    evaluate,
-    fit,
-    info,
-    plan,
-    report,
-    selftest,
-    sensitivity,
-    simulate,
-    tolerances,
-)
+COMMANDS = {
+    "demo": "the paper's calibration on the bundled campaign",
+    "fit": "calibrate a model on a log",
+    "evaluate": "errors of a saved calibration on another log",
+    "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
+    "selftest": "what 'no gap' on this log is worth: effects injected, diagnosed blind",
+    "report": "one HTML page of a saved calibration",
+    "sensitivity": "what a log, or a plan, determines of each parameter",
+    "budget": "uncertainty of the decoded position, or any budget by the GUM",
+    "codegen": "C for the controller",
+    "plan": "choose what to record next, within your ranges and your time",
+    "tolerances": "which tolerance of the machine is worth money, before any data",
+    "simulate": "write the log a known machine would record",
+    "info": "what a log, calibration or campaign file holds; or what hallsym knows",
+}
+"""Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 
-COMMANDS = (
-    demo,
-    fit,
-    evaluate,
-    diagnose,
-    selftest,
-    report,
-    sensitivity,
-    budget,
-    codegen,
-    plan,
-    tolerances,
-    simulate,
-    info,
-)
-"""In the order of `hallsym --help`."""
+OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED = 0, 2, 3, 4
+"""Exit codes, as `hallsym --help` explains them."""

@@ -8,17 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.cli.common import (
-    NOT_DETERMINED,
-    OK,
-    assignment,
-    command,
-    log_options,
-    noted,
-    open_log,
-    say,
-    seed,
-)
+from hallsym.cli import NOT_DETERMINED, OK
+from hallsym.cli.common import assignment, command, log_options, noted, open_log, say, seed
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.log import Log, Noise
@@ -54,7 +45,7 @@ examples:
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "budget", run, "uncertainty of the decoded position, or any budget by the GUM",
+        sub, "budget", run,
         "Say what a decoded position is known to: fit, Hall noise, vertical sensors, reference, ADC and\n"
         "zeroing, propagated through the model; or work out a budget stated in a TOML file.", EPILOG,
     )  # fmt: skip

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.cli.common import NOT_DETERMINED, OK, command, noted, say
+from hallsym.cli import NOT_DETERMINED, OK
+from hallsym.cli.common import command, noted, say
 from hallsym.codegen import Generated, Integers, generate, generate_q31
 from hallsym.codegen.folder import options_of
 from hallsym.codegen.rotary_correction import KINDS
@@ -29,7 +30,7 @@ then: make -C firmware check qemu count misra prove
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "codegen", run, "C for the controller",
+        sub, "codegen", run,
         "Write the decoupler of a calibration as a folder of C99: no heap, no libm, same bits everywhere,\n"
         "with a parameter table that a recalibration replaces, a self-test and proofs.", EPILOG,
     )  # fmt: skip

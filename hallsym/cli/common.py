@@ -9,10 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from hallsym.cli import COMMANDS
 from hallsym.diagnosis.user import load_effects, makes
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.families import build, example, model_for
+from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
@@ -21,15 +22,13 @@ from hallsym.model import Model
 from hallsym.simulation import machine as twin
 from hallsym.simulation.campaign import Campaign, campaign_from, paper_campaign, read_campaign
 
-OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED = 0, 2, 3, 4
-
 
 def command(
-    sub: Any, name: str, run: Callable[[Namespace], int], help: str, description: str, epilog: str = ""
+    sub: Any, name: str, run: Callable[[Namespace], int], description: str, epilog: str = ""
 ) -> ArgumentParser:
     """Add a sub-command that `run(options)` carries out; it has `--json`."""
     parser = sub.add_parser(
-        name, help=help, description=description, epilog=epilog,
+        name, help=COMMANDS[name], description=description, epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.set_defaults(run=run)
@@ -184,11 +183,11 @@ def campaign_of(options: Namespace) -> Campaign:
         value = getattr(options, name)
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"--{name} must be a positive number of seconds; instead received {value:g}.")
-    own = example(build(options.model)) if options.model and options.campaign is None else {}
+    own = build(options.model).family.example if options.model and options.campaign is None else None
     if own:
         if options.step or options.duration:
             raise InputError("--step and --duration belong to the paper's campaign of the stage.")
-        return campaign_from(own["campaign"], f"example of {options.model}")
+        return campaign_from(own.campaign, f"example of {options.model}")
     if options.campaign is None:
         return paper_campaign(options.step or 2e-3, options.duration or 1.0)
     if options.step or options.duration:
@@ -218,9 +217,9 @@ def truth_of(
         added=tuple(options.effect),
         parameters=machine.parameters,
     )
-    own = example(model)
-    paper_values = published_values("table7_estimates") if machine.probes is None and not own else {}
-    paper_values = paper_values | own.get("values", {})
+    own = model.family.example
+    paper_values = published_values("table7_estimates") if machine.probes is None and own is None else {}
+    paper_values = paper_values | dict(own.values if own else {})
     given = {name: entry["nominal"] for name, entry in machine.parameters.items() if "nominal" in entry}
     return model, {n: v for n, v in (paper_values | given).items() if n in model.names}
 
@@ -230,7 +229,7 @@ def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dic
 
     A file may state the noise of every form in which a family is read (two voltages, or an angle).
     """
-    own = example(model).get("noise")
+    own = model.family.example.noise if model.family.example else None
     if not campaign.noise and own:
         return {c: s for c, s in own.items() if c in (*model.channels, *model.references)}
     if not campaign.noise:

@@ -4,15 +4,15 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import paper
-from hallsym.cli.common import OK, command, progress_of, save_fit_pictures, say
+from hallsym.cli import OK, paper
+from hallsym.cli.common import command, progress_of, save_fit_pictures, say
 from hallsym.report.tables import fit_text
 
 
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "demo", run, "the paper's calibration on the bundled campaign",
+        sub, "demo", run,
         "Calibrate the bundled 6-DOF stage campaign as Chen et al. (Sensors 2016, 16, 872) do: designed\n"
         "parameters, Model (30), Model (31), each beside the paper's own error table.",
     )  # fmt: skip

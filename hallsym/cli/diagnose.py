@@ -5,8 +5,8 @@ import shlex
 from argparse import Namespace
 from typing import Any
 
+from hallsym.cli import OK
 from hallsym.cli.common import (
-    OK,
     command,
     log_options,
     model_options,
@@ -17,11 +17,11 @@ from hallsym.cli.common import (
     say,
 )
 from hallsym.diagnosis import load_effects, makes
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
 from hallsym.diagnosis.engine import Examined, examine
 from hallsym.diagnosis.errors import errors_of
-from hallsym.diagnosis.tangent import Base
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import columns_of
@@ -38,7 +38,7 @@ from hallsym.report.text.diagnosis import diagnosis_text
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "diagnose", run, "where the gap lies, which effect makes it, how far it shrinks",
+        sub, "diagnose", run,
         "Fit a model on a log, find what it leaves above the noise, which effect explains it, and how\n"
         "far the gap shrinks once that effect is added, judged on held-out runs.",
         "examples:\n"

@@ -3,7 +3,8 @@
 from argparse import Namespace
 from typing import Any
 
-from hallsym.cli.common import OK, command, log_options, noted, open_log, own_effects, own_option, say
+from hallsym.cli import OK
+from hallsym.cli.common import command, log_options, noted, open_log, own_effects, own_option, say
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.channel_assignment import as_read, rewired
@@ -17,7 +18,7 @@ from hallsym.report.tables import error_rows
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "evaluate", run, "errors of a saved calibration on another log",
+        sub, "evaluate", run,
         "Decode a log with a saved calibration and tabulate the errors against its reference. The zero\n"
         "deviations of each run are estimated from that run: a reset is a reset.",
     )  # fmt: skip

@@ -4,10 +4,8 @@ import sys
 from argparse import Namespace
 from typing import Any
 
+from hallsym.cli import NOT_CONVERGED, NOT_DETERMINED, OK
 from hallsym.cli.common import (
-    NOT_CONVERGED,
-    NOT_DETERMINED,
-    OK,
     command,
     log_options,
     model_options,
@@ -31,7 +29,7 @@ from hallsym.report.tables import fit_text
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "fit", run, "calibrate a model on a log",
+        sub, "fit", run,
         "Calibrate a model on a log of Hall readings beside a reference. Prints errors before and after,\n"
         "parameters with standard uncertainties in parentheses (on the last two digits), and what the data\n"
         "determine instead of parameters they cannot tell apart.",

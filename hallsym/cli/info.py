@@ -4,7 +4,8 @@ from argparse import Namespace
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hallsym.cli.common import OK, command, log_options, noted, open_log, say
+from hallsym.cli import OK
+from hallsym.cli.common import command, log_options, noted, open_log, say
 from hallsym.estimation.calibration import load_fit
 from hallsym.estimation.fit import LOSSES, SOLVERS, noise_of
 from hallsym.families import effects, models
@@ -17,7 +18,7 @@ from hallsym.units import readable
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "info", run, "what a log, calibration or campaign file holds; or what hallsym knows",
+        sub, "info", run,
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a\n"
         "campaign file. Without a file: the models, effects and solvers there are.",
     )  # fmt: skip

@@ -3,10 +3,10 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
 
-from hallsym.cli import COMMANDS
-from hallsym.cli.common import BAD_INPUT, NOT_CONVERGED, OK
+from hallsym.cli import BAD_INPUT, COMMANDS, NOT_CONVERGED, OK
 from hallsym.errors import InputError
 
 EPILOG = """\
@@ -26,7 +26,8 @@ examples:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code. Bad input gives one sentence on stderr and 2."""
-    parser = _parser()
+    words = sys.argv[1:] if arguments is None else arguments
+    parser = _parser(next((word for word in words if not word.startswith("-")), None))
     options = parser.parse_args(arguments)
     if options.command is None:
         parser.print_help()
@@ -44,8 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return NOT_CONVERGED
 
 
-def _parser() -> argparse.ArgumentParser:
-
+def _parser(called: str | None) -> argparse.ArgumentParser:
+    """Return the parser with the options of the command that is called; the others are only listed."""
     parser = argparse.ArgumentParser(
         prog="hallsym",
         description="From a log of Hall readings beside a reference to a calibrated position sensor.",
@@ -54,6 +55,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"hallsym {version('hallsym')}")
     sub = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
-    for command in COMMANDS:
-        command.add(sub)
+    for name, what in COMMANDS.items():
+        if name == called:
+            import_module(f"hallsym.cli.{name}").add(sub)
+        else:
+            sub.add_parser(name, help=what)
     return parser

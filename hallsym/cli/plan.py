@@ -4,8 +4,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+from hallsym.cli import OK
 from hallsym.cli.common import (
-    OK,
     command,
     log_options,
     model_options,
@@ -32,7 +32,7 @@ from hallsym.simulation.campaign import Campaign, paper_campaign, read_campaign,
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "plan", run, "choose what to record next, within your ranges and your time",
+        sub, "plan", run,
         "Choose vertical settings and trajectories that tell most about the parameters, from the ranges,\n"
         "frequencies and time that you state, and write them as a campaign file that a lab can follow and\n"
         "'hallsym simulate' runs. Compares the plan with the 57 runs of the paper's Table 6.",

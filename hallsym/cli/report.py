@@ -5,7 +5,8 @@ from argparse import Namespace
 from dataclasses import replace
 from typing import Any
 
-from hallsym.cli.common import OK, command, log_options, open_log, own_effects, own_option, say
+from hallsym.cli import OK
+from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, say
 from hallsym.estimation.calibration import load_fit
 from hallsym.estimation.channel_assignment import as_read
 from hallsym.estimation.decoding import logged_columns
@@ -17,7 +18,7 @@ from hallsym.report.page import fit_page
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "report", run, "one HTML page of a saved calibration",
+        sub, "report", run,
         "Write one self-contained HTML page of a calibration and a log: verdict, errors against the noise\n"
         "floor, maps of the error, series to zoom, parameters. It opens from disk without a network.\n"
         "The log is the one that was fitted, or another one of the same machine.",

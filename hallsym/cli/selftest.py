@@ -4,9 +4,8 @@ import json
 from argparse import ArgumentTypeError, Namespace
 from typing import Any
 
+from hallsym.cli import NOT_CONVERGED, OK
 from hallsym.cli.common import (
-    NOT_CONVERGED,
-    OK,
     command,
     log_options,
     model_options,
@@ -28,7 +27,7 @@ from hallsym.report.text.selftest import selftest_text
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "selftest", run, "what 'no gap' on this log is worth: effects injected, diagnosed blind",
+        sub, "selftest", run,
         "Fit a model, take it and the recorded motion as the truth, inject each effect of the catalogue at\n"
         "several sizes with noise like the log's own, diagnose blind, and say which would be found, from\n"
         "which size on, and which would be taken for another. Takes minutes; Ctrl-C keeps what was done.",

@@ -5,9 +5,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import (
-    NOT_DETERMINED,
-    OK,
     command,
     levels,
     log_options,
@@ -23,7 +22,7 @@ from hallsym.cli.common import (
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import load_fit
 from hallsym.estimation.fit import fit
-from hallsym.families import build, example
+from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.inference import Identifiability, identify
@@ -37,7 +36,7 @@ PAPER = "the paper's campaign"
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "sensitivity", run, "what a log, or a plan, determines of each parameter",
+        sub, "sensitivity", run,
         "Say per parameter what the data determine: value, standard uncertainty, 95 % interval, strongest\n"
         "correlations, what it does to the decoded pose, and a verdict: determined, weak, at bound, not\n"
         "determined (and what is instead), no effect. Null directions are named, those that no recording\n"
@@ -124,12 +123,12 @@ def _planned(options: Namespace) -> Identifiability:
         raise InputError("Give a log or --plan, not both: a plan is what is not recorded yet.")
     if options.beside:
         raise InputError("--beside compares models on a log; a plan has none.")
-    own = example(build(options.model)) if options.model and not options.plan else {}
+    own = build(options.model).family.example if options.model and not options.plan else None
     campaign = read_campaign(options.plan) if options.plan else paper_campaign()
     name = Path(options.plan).name if options.plan else PAPER
     if own:
         name = f"the example of {options.model}"
-        campaign = campaign_from(own["campaign"], name)
+        campaign = campaign_from(own.campaign, name)
     if options.calibration is not None:
         known = load_fit(options.calibration, own_effects(options))
         noise = levels(campaign, known.model, {}) if campaign.noise else None

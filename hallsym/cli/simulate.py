@@ -3,17 +3,8 @@
 from argparse import Namespace
 from typing import Any
 
-from hallsym.cli.common import (
-    OK,
-    campaign_of,
-    command,
-    levels,
-    model_options,
-    progress_of,
-    say,
-    seed,
-    truth_of,
-)
+from hallsym.cli import OK
+from hallsym.cli.common import campaign_of, command, levels, model_options, progress_of, say, seed, truth_of
 from hallsym.families.machine_file import read_machine
 from hallsym.log import LogWriter
 from hallsym.simulation import machine as twin
@@ -22,7 +13,7 @@ from hallsym.simulation import machine as twin
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "simulate", run, "write the log a known machine would record",
+        sub, "simulate", run,
         "Simulate a campaign of a machine with known parameters: the paper's by default (Table 6 settings,\n"
         "sines at 1 Hz, 2 ms clock, Table A1 deviations, noise that reproduces Table 8), or any from TOML.",
     )  # fmt: skip

@@ -4,7 +4,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli.common import OK, campaign_of, command, model_options, say, seed
+from hallsym.cli import OK
+from hallsym.cli.common import campaign_of, command, model_options, say, seed
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.log import Meta
@@ -13,7 +14,7 @@ from hallsym.log import Meta
 def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
-        sub, "tolerances", run, "which tolerance of the machine is worth money, before any data",
+        sub, "tolerances", run,
         "Draw machines with every parameter in its tolerance, read them with the designed decoder, and say\n"
         "how much of the error each tolerance makes: fall of the rms error if it is exact or halved, Sobol\n"
         "indices with 95 % intervals, and what a calibration would remove. Needs SALib:\n"

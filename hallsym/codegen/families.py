@@ -19,10 +19,10 @@ from hallsym.model import Model
 
 Maker = Callable[..., Decoupler]
 
-MAKERS: Mapping[str, Maker] = {"rotary": rotary.decoupler}
-"""Maker by family. Families that are not here have readings gain * displacement + offset, as the stage."""
-OPTIONS: Mapping[str, tuple[str, ...]] = {"rotary": ("accuracy", "correction")}
-"""What a family's maker takes beyond that, by keyword."""
+MAKERS: Mapping[str, Maker] = {"linear": chain.decoupler, "angle": rotary.decoupler}
+"""Maker by kind of decoder (`Family.decoder`): readings gain * displacement + offset, or an arctangent."""
+OPTIONS: Mapping[str, tuple[str, ...]] = {"angle": ("accuracy", "correction")}
+"""What a maker takes beyond that, by keyword."""
 
 
 def decoupler(fit: Fit, box: Box, options: Mapping[str, Any] | None = None) -> Decoupler:
@@ -38,10 +38,12 @@ def made(
 
     `options`: those of its family that are given, by name (`OPTIONS`); raises `InputError` for others.
     """
+    decoder = model.family.decoder
     for name in options or {}:
-        if name not in OPTIONS.get(model.family, ()):
+        if callable(decoder) or name not in OPTIONS.get(decoder, ()):
             raise InputError(
-                f"--{name} belongs to families that correct an angle ({', '.join(OPTIONS)}); {model.name} of "
-                f"the family {model.family} is decoded as exactly as float32 can: leave it out."
+                f"--{name} belongs to families that correct an angle; {model.name} of the family "
+                f"{model.family} is decoded as exactly as float32 can: leave it out."
             )
-    return MAKERS.get(model.family, chain.decoupler)(model, p, weight, box, **(options or {}))
+    maker = decoder if callable(decoder) else MAKERS[decoder]
+    return maker(model, p, weight, box, **(options or {}))

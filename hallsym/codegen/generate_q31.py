@@ -109,7 +109,7 @@ def _unseen(
     fit: Fit, ranges: Mapping[str, tuple[float, float]] | None, options: Mapping[str, Any]
 ) -> Mapping[str, Any]:
     """Return options for the float code, of which an encoder's integers take the model and the box alone."""
-    if fit.model.family not in OPTIONS:
+    if fit.model.family.decoder not in OPTIONS:
         return options
     for column in ranges or {}:
         if column in fit.model.channels and column in fit.model.period:

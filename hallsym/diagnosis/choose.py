@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.kinds import kind_of
+from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.ranking import refitted
 from hallsym.diagnosis.scores import candidates, scores
@@ -42,7 +42,7 @@ def model_on(
         model = build(model or default_model(log.meta), meta=log.meta)
     model = adapted(model, (), _known(model, parameters))
     for text in effects:
-        if (own and text in own) or ":" in text or not lacking(text, model.family):
+        if (own and text in own) or ":" in text or not lacking(text, model.family.name):
             model = adapted(model, (text,), {}, own)
             continue
         known = fitting.fit(
@@ -61,7 +61,7 @@ def _known(model: Model, parameters: Mapping[str, Mapping[str, Any]] | None) -> 
 
 def _shown(log: Log, known: Fit, text: str) -> Model:
     """The model of a fit with one effect, in the form that its residual shows best."""
-    effect = next(e for e in kind_of(known.model).catalogue if e.name == text)
+    effect = next(e for e in catalogue_of(known.model) if e.name == text)
     base = base_of(log, known)
     apart = set(known.log["holdout"])
     runs = [r for r in base.log.runs if r not in apart]
@@ -73,6 +73,6 @@ def _shown(log: Log, known: Fit, text: str) -> Model:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(
             f"Effect {effect.name} cannot be found in {log.name}: {reason}; give its numbers as "
-            f"{effect.name}:{lacking(text, known.model.family)[0]}=..., or leave it out."
+            f"{effect.name}:{lacking(text, known.model.family.name)[0]}=..., or leave it out."
         )
     return adapted(known.model, (exact[0].score.variant.text,), {})

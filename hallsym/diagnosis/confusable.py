@@ -56,7 +56,7 @@ def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[E
     """Return the effects that the log cannot tell from the one selected, each with its squared distance."""
     one = selected.exact
     rivals = _not_excluded(setup, selected, inflation)
-    if setup.kind.pairs:  # parameters for which the log gives no reason make no rival
+    if setup.base.model.family.pairs:  # parameters for which the log gives no reason make no rival
         rivals = [r for r in rivals if r.bic - one.bic < setup.policy.reason]
     close = [(r, distance(one.fit, r.fit)) for r in rivals]
     limit = _limit(setup, one, inflation)

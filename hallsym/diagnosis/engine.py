@@ -17,16 +17,16 @@ from time import perf_counter
 import numpy as np
 
 from hallsym.diagnosis import split
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.findings import findings
-from hallsym.diagnosis.kinds import kind_of
+from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.selection import select
 from hallsym.diagnosis.setup import Setup, base_of, floor_of
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.validation import validate
 from hallsym.diagnosis.verdict import decide
 from hallsym.errors import InputError, counted
@@ -121,7 +121,7 @@ def prepare(
     """Fit the model on the fit runs: what every stage of a diagnosis, and a self-test, starts from."""
     say = on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
-    kind, level, whole = kind_of(model), _threshold(log, threshold, policy), log
+    level, whole = _threshold(log, threshold, policy), log
     pieces = None
     if holdout is None:
         log, pieces = _pieces(log, model, policy)
@@ -134,14 +134,13 @@ def prepare(
     return Setup(
         log=log,
         fit=result,
-        base=replace(base, model=kind.direct(base.model), timed=timed),
+        base=replace(base, model=model.family.direct(base.model), timed=timed),
         runs=[r for r in base.log.runs if r not in held],
         holdout=held,
         threshold=level,
         split=bool(pieces),
-        floor=floor_of(result, base.length_m),
-        catalogue=(*kind.catalogue, *effects),
-        kind=kind,
+        floor=floor_of(result, base.pose_weights),
+        catalogue=(*catalogue_of(model), *effects),
         policy=policy,
         say=say,
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.base import Base
 from hallsym.estimation.decoding import columns_of, pose_errors
 from hallsym.log import Block
 from hallsym.log.batches import Weigh, batches
@@ -19,10 +19,13 @@ RESAMPLED = 1000
 
 @dataclass(frozen=True, eq=False)
 class BlockErrors:
-    """Decoded errors by block of samples: `count` (b,), sums of `squares` (b, pose), `peak` (pose,)."""
+    """Decoded errors by block of samples: `count` (b,), sums of `squares` (b, pose), `peak` (pose,).
+
+    `weights`: (pose,) of the pose metric.
+    """
 
     pose: tuple[str, ...]
-    length_m: float
+    weights: np.ndarray
     count: np.ndarray
     squares: np.ndarray
     peak: np.ndarray
@@ -37,13 +40,12 @@ class BlockErrors:
 
     @property
     def sums(self) -> np.ndarray:
-        """Squares of each block with rotation as length."""
-        scale = np.array([self.length_m if c.startswith("r") else 1.0 for c in self.pose])
-        return self.squares @ scale**2
+        """Squares of each block in the pose metric."""
+        return np.asarray(self.squares @ self.weights**2)
 
     @property
     def metric(self) -> float:
-        """The gap metric: root of the summed mean squares, rotation as length [m]."""
+        """The gap metric: root of the summed mean squares in the pose metric."""
         return float(np.sqrt(self.sums.sum() / max(self.count.sum(), 1.0)))
 
 
@@ -52,8 +54,8 @@ Decode = Callable[[Block], np.ndarray]
 
 def errors_of(base: Base) -> Decode:
     """Return `block -> (n_pose, samples)` errors of the decoded pose; the block needs the model's columns."""
-    errors, none = pose_errors(base.model, np.diag(base.covariance)), np.zeros(len(base.model.zeros))
-    return lambda block: errors(base.p, base.zeros.get(block.run, none), block.data)
+    errors = pose_errors(base.model, np.diag(base.covariance))
+    return lambda block: errors(base.p, base.zeros_in(block.run), block.data)
 
 
 def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None) -> BlockErrors:
@@ -77,7 +79,7 @@ def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None)
                 peak = np.maximum(peak, np.abs(part).max(axis=1, initial=0.0))
     return BlockErrors(
         model.pose,
-        base.length_m,
+        base.pose_weights,
         np.array(count, float),
         np.array(squares).reshape(-1, len(model.pose)),
         peak,

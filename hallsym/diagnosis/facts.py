@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.survey import SEGMENT, Survey
 from hallsym.diagnosis.switching import switched_runs
-from hallsym.diagnosis.tangent import Base
 from hallsym.log import Log
+from hallsym.log.batches import batches
 from hallsym.model import Model
 
 QUANTILES = (0.998, 0.99, 0.97, 0.93)
@@ -36,7 +37,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
 
 
 def _mean(log: Log, column: str) -> float:
-    sums = [(b.data[column].sum(), len(b.data[column])) for b in log.blocks((column,))]
+    sums = [(b.data[column].sum(), len(b)) for b in batches(log, (column,))]
     return float(sum(s for s, _ in sums) / sum(n for _, n in sums))
 
 
@@ -44,8 +45,8 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
     """Return lowest and highest value of each channel where it repeats exactly; -inf and inf where not."""
     low, high = np.full(len(model.channels), np.inf), np.full(len(model.channels), -np.inf)
     at_low, at_high = np.zeros(len(low)), np.zeros(len(low))
-    for block in log.blocks(model.channels):
-        values = np.array([block.data[c] for c in model.channels])
+    for batch in batches(log, model.channels):
+        values = np.array(batch.columns(model.channels))
         lowest, highest = values.min(axis=1), values.max(axis=1)
         at_low = np.where(lowest < low, 0, at_low)
         at_high = np.where(highest > high, 0, at_high)
@@ -61,6 +62,5 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
 def _extremes(log: Log, model: Model) -> np.ndarray:
     """Return quantiles of the readings, high and low in turn: (2 n_quantiles, n_channels)."""
     thin = max(1, log.rows // SAMPLED)
-    blocks = log.blocks(model.channels)
-    values = np.hstack([np.array([b.data[c] for c in model.channels])[:, ::thin] for b in blocks])
+    values = np.hstack([np.array(b.columns(model.channels))[:, ::thin] for b in batches(log, model.channels)])
     return np.vstack([np.quantile(values, [a, 1 - a], axis=1) for a in QUANTILES])

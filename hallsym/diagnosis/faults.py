@@ -9,12 +9,13 @@ from math import factorial
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.chance import beyond, statistic_at
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Estimate
-from hallsym.diagnosis.survey import Survey, pieces
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.residuals import pieces
+from hallsym.diagnosis.survey import Survey
 from hallsym.estimation.outliers import residuals
 from hallsym.log import Block, Log
 from hallsym.log.batches import Weigh
@@ -143,7 +144,7 @@ def _steps(channels: Sequence[str], steps: np.ndarray) -> str:
 def without_tail(base: Base) -> Weigh:
     """Return weights 0 for samples that are far off the model, on top of those left out already."""
     residual = residuals(base.model, base.p, base.zeros)
-    whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
+    whiten = base.whiten
 
     def weigh(block: Block) -> np.ndarray:
         distance = ((whiten @ residual(block)) ** 2).sum(axis=0)
@@ -168,7 +169,7 @@ def wiring_p(base: Base, log: Log, runs: Sequence[int]) -> float:
     wanted = frozenset(runs)
     scores: dict[int, float] = {}
     noise: dict[int, float] = {}
-    whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
+    whiten = base.whiten
     for now, was in zip(pieces(base, wanted), pieces(replace(base, log=log), wanted), strict=True):
         moved = (whiten @ (was.readings - now.readings)) * now.used
         scores[now.run] = scores.get(now.run, 0.0) + float((moved * was.residual).sum())

@@ -4,11 +4,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.injection import Injection, Noisy, Size
 from hallsym.diagnosis.injection_faults import faults, rails
 from hallsym.diagnosis.scores import Trouble, candidates
-from hallsym.diagnosis.tangent import Base, tangents
+from hallsym.diagnosis.tangent import tangents
 from hallsym.diagnosis.truth import Truth, goes_round, readings_of
 from hallsym.model import Model
 

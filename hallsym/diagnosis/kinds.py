@@ -1,40 +1,13 @@
-"""How each family of sensors is diagnosed: its catalogue, and where on it a residual may live."""
-
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+"""The effects that a diagnosis searches in a family."""
 
 from hallsym.diagnosis import rotary_catalogue, stage_catalogue
 from hallsym.diagnosis.effect import Effect
-from hallsym.errors import InputError
-from hallsym.families.rotary import effects as rotary_effects
 from hallsym.model import Model
 
-
-@dataclass(frozen=True, eq=False)
-class Kind:
-    """What a family gives to the diagnosis: the effects it may have.
-
-    `direct`: the model as it is cheapest to evaluate. `pairs`: whether a flexible effect is held against
-    pairs of plain ones (`plainer.plain_pairs`). `most`: effects that are added at most. `waves`: of a pose
-    that turns, waves of error per turn -> effects that make them.
-    """
-
-    catalogue: tuple[Effect, ...]
-    direct: Callable[[Model], Model] = lambda model: model
-    pairs: bool = False
-    most: int = 3
-    waves: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+_CATALOGUES = {"stage": stage_catalogue.CATALOGUE, "rotary": rotary_catalogue.CATALOGUE}
 
 
-KINDS = {
-    "stage": Kind(stage_catalogue.CATALOGUE),
-    "rotary": Kind(rotary_catalogue.CATALOGUE, rotary_effects.direct, True, 6, rotary_catalogue.WAVES),
-}
-
-
-def kind_of(model: Model) -> Kind:
-    """Return how `model` is diagnosed; raises `InputError` for a family that cannot be yet."""
-    if model.family not in KINDS:
-        known = " and ".join(KINDS)
-        raise InputError(f"Model {model.name} has no catalogue of effects yet; only {known} models have.")
-    return KINDS[model.family]
+def catalogue_of(model: Model) -> tuple[Effect, ...]:
+    """Return the effects that may explain what `model` leaves; none for a family that states none."""
+    own = model.family.catalogue
+    return _CATALOGUES.get(model.family.name, ()) if own is None else own

@@ -10,12 +10,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.tangent import Base, Products
-from hallsym.estimation.decoding import columns_of
-from hallsym.log.batches import batches
-from hallsym.log.derived import extended
+from hallsym.diagnosis.tangent import Products
 
 ORDERS = 12
 """Highest order of the autoregression that is tried."""
@@ -80,17 +78,11 @@ def _autocorrelation(base: Base, catalogue: Sequence[Effect], facts: Facts) -> t
     """Autocorrelation (ORDERS + 1,) and variance of the whitened residual, and how many values it is from."""
     tried, _ = candidates(base, catalogue, facts)
     plain = {key: (model, new) for key, (_, _, model, new) in tried.items()}
-    model = base.model
-    for wide, _ in plain.values():
-        model = model.with_columns(*wide.computed)
-    log = extended(base.log, model, base.sigma, base.values)
-    wanted = (*columns_of(base.model), *(c for m, _ in plain.values() for c in columns_of(m)))
-    columns = tuple(dict.fromkeys(wanted))
     work = Products(base, plain)
 
     def whitened() -> Iterator[np.ndarray]:
         """Columns [parameters | effects | residual] of each block, (c, K, samples), its zeros taken out."""
-        for batch in batches(log, columns):
+        for batch in work.batches():
             A = work.whitened(batch, None)
             for _, at in batch.parts():
                 W = A[:, :, at].reshape(len(A), -1)

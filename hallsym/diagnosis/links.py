@@ -7,22 +7,23 @@ does, a lag of the transducer can nearly do too. So beside each share stands wha
 take up.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.marginal import LEAST, LEVEL, Found
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.refit import inverse, solve
 from hallsym.diagnosis.residue import BLOCKS, FEWEST, FOLDS, SHORTEST, Residue, moved
-from hallsym.diagnosis.scores import Score, by_name
+from hallsym.diagnosis.scores import NIL, Score, by_name
 from hallsym.diagnosis.smooth import chance_of_signs
-from hallsym.diagnosis.tangent import Base, Products
+from hallsym.diagnosis.tangent import Products, eliminated, following
 from hallsym.diagnosis.words import percent
 from hallsym.estimation.decoding import columns_of
-from hallsym.log import Log
+from hallsym.log import Block, Log
 from hallsym.log.batches import batches
 from hallsym.log.derived import extended
 from hallsym.model import LINKS, Model
@@ -69,7 +70,9 @@ def of_links(base: Base, scored: Sequence[Score], r: Residue, faults: Sequence[F
         said.append((link, best))
     top = max((b.alone for _, b in said if b.p_value < LEVEL), default=0.0)
     named = [(link, b) for link, b in said if b.worth(top)]
-    return rows, [_statement(link, b) for link, b in sorted(named, key=lambda x: (-x[1].alone, -x[1].only))]
+    # of links that take up the same the first of the chain stands first, whatever the rounding
+    named.sort(key=lambda x: (-round(x[1].alone, 6), -round(x[1].only, 6)))
+    return rows, [_statement(link, b) for link, b in named]
 
 
 @dataclass(frozen=True)
@@ -167,8 +170,9 @@ class Blocks:
         order = np.unique(run, return_inverse=True)[1] % PARTS
         self.folds = []
         for k in np.unique(order):
-            train, (test,) = _without(M[order != k].sum(axis=0), own, M[order == k].sum(axis=0)[None])
-            self.folds.append((train, test))
+            known = M[order != k].sum(axis=0)
+            train, (test,) = _without(known, own, M[order == k].sum(axis=0)[None])
+            self.folds.append((train, test, np.diag(known)[own:]))
         self.known: dict[tuple[str, ...], float] = {(): 0.0}
 
     def at(self, names: Sequence[str]) -> np.ndarray:
@@ -182,8 +186,10 @@ class Blocks:
         if key not in self.known:
             at = self.at(key)
             pick, total = np.append(at, -1), 0.0
-            for train, test in self.folds:
-                theta = solve(train[np.ix_(pick, pick)], np.arange(len(at)))
+            for train, test, raw in self.folds:
+                seen = np.flatnonzero(np.diag(train)[at] > NIL * raw[at])
+                theta = np.zeros(len(at))
+                theta[seen] = solve(train[np.ix_(pick, pick)], seen)
                 theta = np.clip(theta, self.bounds[0][at], self.bounds[1][at])
                 total += float(2 * theta @ test[at, -1] - theta @ test[np.ix_(at, at)] @ theta)
             self.known[key] = total
@@ -199,8 +205,8 @@ class Blocks:
 
 def _without(total: np.ndarray, own: int, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return products with the first `own` columns taken out as `total` says: of `total` and of `parts`."""
-    through = np.vstack([-inverse(total[:own, :own]) @ total[:own, own:], np.eye(len(total) - own)])
-    return through.T @ total @ through, through.T @ parts @ through
+    follow = -inverse(total[:own, :own]) @ total[:own, own:]
+    return eliminated(total, follow), eliminated(parts, follow)
 
 
 def _gathered(base: Base, tried: Mapping[str, Score]) -> Blocks:
@@ -214,47 +220,21 @@ def _gathered(base: Base, tried: Mapping[str, Score]) -> Blocks:
     runs = base.log.runs
     # a log of many runs has a block for each group of neighbours, one of few runs several blocks in each
     group = {run: k * min(FOLDS, len(runs)) // len(runs) for k, run in enumerate(runs)}
-    size = max(SHORTEST, -(-base.log.rows // BLOCKS)) if len(runs) < FEWEST else base.log.rows
+    length = max(SHORTEST, -(-base.log.rows // BLOCKS)) if len(runs) < FEWEST else base.log.rows
     sums: dict[tuple[int, int], np.ndarray] = {}
     count: dict[tuple[int, int], float] = {}
-    for run, parts in _by_run(base, work, models, size):
-        for part, (M, n) in _reduced(parts, work.z).items():
-            key = group[run], part
-            sums[key], count[key] = sums.get(key, 0) + M, count.get(key, 0.0) + n
+    for run in work.stretches(length):
+        follow = following(np.sum([s.products for s in run], axis=0), work.z)
+        for part, s in enumerate(run):
+            key = group[s.run], part
+            sums[key] = sums.get(key, 0) + eliminated(s.products, follow)
+            count[key] = count.get(key, 0.0) + s.size
     keys = sorted(sums)
     span = {k: v for k, v in work.span.items() if k not in work.slopes.spoiled}
     return Blocks(
         np.array([sums[k] for k in keys]), np.array([count[k] for k in keys]), np.array([k[0] for k in keys]),
         span, _bounds(candidates),
     )  # fmt: skip
-
-
-Parts = dict[int, tuple[np.ndarray, float]]
-"""Products of each stretch of a run, and how many readings it holds."""
-
-
-def _by_run(base: Base, work: Products, models: Sequence[Model], size: int) -> Iterator[tuple[int, Parts]]:
-    wide = base.model
-    for model in models:
-        wide = wide.with_columns(*model.computed)
-    columns = tuple(dict.fromkeys(c for m in (base.model, *models) for c in columns_of(m)))
-    run, seen, parts = -1, 0, Parts()
-    for batch in batches(extended(base.log, wide, base.sigma, base.values), columns):
-        white = work.whitened(batch, None)
-        for block, at in batch.parts():
-            if block.run != run:
-                if parts:
-                    yield run, parts
-                run, seen, parts = block.run, 0, {}
-            here = white[:, :, at]
-            place = (seen + np.arange(here.shape[2])) // size
-            for part in np.unique(place):
-                rows = here[:, :, place == part].reshape(len(here), -1)
-                before, n = parts.get(int(part), (np.zeros((len(rows),) * 2), 0.0))
-                parts[int(part)] = before + rows @ rows.T, n + rows.shape[1]
-            seen += here.shape[2]
-    if parts:
-        yield run, parts
 
 
 def _smoothed(base: Base, models: Sequence[Model]) -> Log:
@@ -273,21 +253,22 @@ def _smoothed(base: Base, models: Sequence[Model]) -> Log:
     fitted = [run for run in base.log.runs if run not in base.apart]
     most = max(FEW, round(ROOM / base.log.rows * len(base.log.runs)))
     chosen = set(fitted[:: max(1, -(-len(fitted) // most))])
-    read, none = on_arrays(model.reading), np.zeros(len(model.zeros))
-    out: dict[int, dict[str, list[np.ndarray]]] = {}
-    for block in log.blocks((*kept, *columns_of(model.with_columns(*smooth)))):
-        rows = out.setdefault(block.run, {c: [] for c in (*kept, *(s.name for s in smooth))})
-        if block.run in chosen and sum(map(len, rows["t_s"])) < ROOM / len(chosen) + SHORTEST:
-            for c, values in rows.items():
-                values.append(block.data[c])
+    read = on_arrays(model.reading)
+    held = dict.fromkeys((*kept, *columns_of(model.with_columns(*smooth))))
+    out: dict[int, list[Block]] = {run: [] for run in fitted if run in chosen}
+    for batch in batches(log, tuple(held)):
+        for block in batch.blocks:
+            before = out.get(block.run)
+            if before is not None and sum(len(b.data["t_s"]) for b in before) < ROOM / len(chosen) + SHORTEST:
+                before.append(block)
     columns: dict[str, list[np.ndarray]] = {}
-    for run in sorted(chosen, key=fitted.index):
-        data = {c: np.concatenate(v) for c, v in out.pop(run).items()}
+    for run, blocks in out.items():
+        data = {c: np.concatenate([block.data[c] for block in blocks]) for c in held}
         old = [data[c] for c in model.references]
         new = [
             moved(data[s.name], base.sigma.get(c, 0.0)) for s, c in zip(smooth, model.references, strict=True)
         ]
-        states, zeros = [data[c] for c in model.state], base.zeros.get(run, none)
+        states, zeros = [data[c] for c in model.state], base.zeros_in(run)
         shift = read(base.p, zeros, new, states)[0] - read(base.p, zeros, old, states)[0]
         data |= dict(zip(model.references, new, strict=True))
         data |= {c: data[c] + row for c, row in zip(model.channels, shift, strict=True)}
@@ -296,16 +277,6 @@ def _smoothed(base: Base, models: Sequence[Model]) -> Log:
         columns.setdefault("run", []).append(np.full(len(data["t_s"]), run))
     joined = {c: np.concatenate(v) for c, v in columns.items()}
     return Log.from_arrays(joined, base.log.noise, base.log.meta, base.log.name)
-
-
-def _reduced(parts: Mapping[int, tuple[np.ndarray, float]], z: int) -> dict[int, tuple[np.ndarray, float]]:
-    """Let the zeros of a run follow everything else, as all its parts together say."""
-    if not parts or not z:
-        return dict(parts)
-    total = np.sum([M for M, _ in parts.values()], axis=0)
-    follow = -np.linalg.lstsq(total[:z, :z], total[:z, z:], rcond=1e-12)[0]
-    through = np.vstack([follow, np.eye(len(total) - z)])
-    return {k: (through.T @ M @ through, n) for k, (M, n) in parts.items()}
 
 
 def _bounds(candidates: Mapping[str, tuple[Model, list[str]]]) -> tuple[np.ndarray, np.ndarray]:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.diagnosis.survey import pieces
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.residuals import pieces
 from hallsym.simulation.campaign import AtTimes, Run, multi_sine, sine
 
 LONGEST = 2000

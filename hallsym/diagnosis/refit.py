@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.tangent import Base, Tangents, tangents
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.tangent import Tangents, tangents
 from hallsym.model import Model
 
 STEPS = 8

@@ -75,7 +75,7 @@ def report(
         notes=_notes(setup, found, quiet),
         seconds=seconds,
         versions=dict(setup.fit.versions),
-        waves=waves(setup.kind.waves, found.start.base, found.base if named else None),
+        waves=waves(setup.base.model.family.waves, found.start.base, found.base if named else None),
         next_step=() if quiet else next_step(setup, found),
     )
 

@@ -4,15 +4,14 @@ At most `ROOM` samples are held, evenly thinned, so that memory does not grow wi
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.residuals import pieces
 from hallsym.diagnosis.spectrum import Spectrum
-from hallsym.diagnosis.survey import pieces
-from hallsym.diagnosis.tangent import Base
 from hallsym.model.arrays import on_arrays
-from hallsym.model.derived import campaign_time, rate, run_time
 from hallsym.units import readable
 
 ROOM = 60_000
@@ -79,14 +78,12 @@ class Residue:
 def residue(base: Base, runs: Sequence[int]) -> Residue | None:
     """Return what `base` leaves on `runs`; None where no sample of them counts."""
     model, wanted = base.model, frozenset(runs)
-    extra = [rate(c, order) for order in (0, 1, 2) for c in model.references]
-    wide = replace(base, model=model.with_columns(*extra, campaign_time(), run_time()))
-    read, none = on_arrays(model.reading), np.zeros(len(model.zeros))
-    back = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(base.covariance)).T)
+    read = on_arrays(model.reading)
+    back = np.linalg.inv(base.whiten)
     stride = max(1, -(-base.log.rows // ROOM))
     out: dict[str, list[np.ndarray]] = {}
     spectrum = Spectrum()
-    for piece in pieces(wide, wanted):
+    for piece in pieces(base, wanted):
         spectrum.add(piece)
         at = np.flatnonzero(piece.used)[::stride]
         data = {c: v[at] for c, v in piece.data.items()}
@@ -96,7 +93,7 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
                 data["turning_rad_s"] = data[f"d1_{c}"]
             data[f"d0_{c}"] = moved(data[f"d0_{c}"], base.sigma.get(c, 0.0))
         smooth = [data[f"d0_{c}"] for c in model.references]
-        (felt,) = read(base.p, base.zeros.get(piece.run, none), smooth, [data[c] for c in model.state])
+        (felt,) = read(base.p, base.zeros_in(piece.run), smooth, [data[c] for c in model.state])
         rows = {"residual": back @ piece.residual[:, at], "speed": back @ piece.speed[:, at], "felt": felt}
         for name, values in {**data, **rows, "run": np.full(len(at), piece.run)}.items():
             out.setdefault(name, []).append(values)
@@ -106,13 +103,12 @@ def residue(base: Base, runs: Sequence[int]) -> Residue | None:
     run = joined.pop("run")
     spread = np.asarray(model.noise_gain(base.p, [float(joined[c].mean()) for c in model.state], base.weight))
     fold, block, part = _blocks(run)
-    length = np.array([base.length_m if _unit(c) == "rad" else 1.0 for c in model.pose])
     made = {c.name for c in model.computed}
     logged = tuple(c for c in model.state if c not in made)
     return Residue(
         model.channels, model.pose, model.references, logged, run, joined.pop("residual"),
         joined.pop("felt"), joined.pop("speed"), joined,
-        np.linalg.inv(base.covariance), fold, block, part, spread, length, base.sigma, spectrum,
+        np.linalg.inv(base.covariance), fold, block, part, spread, base.pose_weights, base.sigma, spectrum,
         base.timed,
     )  # fmt: skip
 

@@ -223,15 +223,3 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("reference_pole_pairs", "reference", "pattern of the pole pairs of a stepper used as reference",
            _pole_pattern, f"micro-steps or another reference; or {REFERENCE}"),
 )  # fmt: skip
-
-WAVES: Mapping[int, tuple[str, ...]] = {
-    1: ("offset_error", "uniform_stray_field", "eccentricity", "magnet_tilt", "reference_eccentricity"),
-    2: ("gain_mismatch", "orthogonality_error", "eccentricity", "magnet_tilt"),
-    3: ("even_nonlinearity",),
-    4: (THIRD, "field_saturation", "odd_nonlinearity", "saturation"),
-    8: ("saturation",),
-    12: ("saturation",),
-    re.FULL_STEPS: ("reference_pole_pairs",),
-    2 * re.FULL_STEPS: ("reference_pole_pairs",),
-}
-"""Waves of angle error per turn, and what makes them to first order; even non-linearity also makes one."""

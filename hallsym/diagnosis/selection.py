@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.cancelling import undone
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap import remains, slow_share, used_up
@@ -15,7 +16,6 @@ from hallsym.diagnosis.scores import Score, by_name, candidates, scores
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class _Search:
 
     def grow(self) -> None:
         """Add effects while they lower the gap metric by the threshold."""
-        for count in range(len(self.found), self.setup.kind.most + 1):
+        for count in range(len(self.found), self.setup.base.model.family.most_effects + 1):
             beside = f" beside {count}" if count else ""
             self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
             worth = partial(self.worth, beside=count)
@@ -154,7 +154,7 @@ class _Search:
         A first effect that is certain is taken up from half the threshold on: it may be worth more on the
         holdout runs, which decide.
         """
-        if beside == self.setup.kind.most:
+        if beside == self.setup.base.model.family.most_effects:
             return False
         level = self.setup.threshold
         certain = score.corrected(self.setup.tested) < self.policy.certain
@@ -180,7 +180,7 @@ class _Search:
         for c in tried.values():
             self.owner |= dict.fromkeys(c.new, c.effect.name)
         exact = refitted(at.base, ranked, self.runs, facts, worth, lambda e: self.stands(e, at), self.policy)
-        if self.setup.kind.pairs:
+        if self.setup.base.model.family.pairs:
             exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
         return exact
 

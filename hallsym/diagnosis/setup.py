@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.faults import KINDS
-from hallsym.diagnosis.kinds import Kind
 from hallsym.diagnosis.policy import Policy
-from hallsym.diagnosis.tangent import Base
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import Wiring, as_read
 from hallsym.estimation.gauss_newton import cost_near
@@ -44,7 +43,6 @@ class Setup:
     split: bool
     floor: Floor
     catalogue: tuple[Effect, ...]
-    kind: Kind
     policy: Policy
     say: Callable[[str], None]
 
@@ -80,15 +78,14 @@ def base_of(log: Log, result: Fit) -> Base:
         zeros=dict(zip(cost.summary.runs, point.zeros, strict=True)),
         covariance=point.covariance.mean(axis=0),
         free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
-        length_m=log.meta.gap_length_scale_m or 0.35,
+        pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         apart=frozenset(result.log["holdout"]),
         sigma=sigma,
         keep=remembered(result.keep, wired.rows),
     )
 
 
-def floor_of(result: Fit, length_m: float) -> Floor:
-    """Return the gap metric that noise alone leaves."""
-    floor = result.noise_floor.items()
-    metric = float(np.sqrt(sum((length_m * v if c.startswith("r") else v) ** 2 for c, v in floor)))
+def floor_of(result: Fit, weights: np.ndarray) -> Floor:
+    """Return the gap metric that noise alone leaves; `weights`: (n_pose,) of the pose metric."""
+    metric = float(np.linalg.norm(weights * np.array(list(result.noise_floor.values()))))
     return Floor(metric, all(s.source == "given" for s in result.noise.sigmas.values()))

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.refit import inverse
 from hallsym.diagnosis.survey import SEGMENT
-from hallsym.diagnosis.tangent import Base, Products
+from hallsym.diagnosis.tangent import Products, Stretch, eliminated, following
 
 MAX_SEGMENTS = 1200
 """Stretches that a log is cut into at most; a slip may be at the start of each."""
@@ -27,82 +28,73 @@ def instants(base: Base, runs: Sequence[int], rows: int) -> tuple[tuple[int, flo
     ]
     if len(places) < len(names):
         return ()
-    segments = _segments(base, set(runs), max(SEGMENT, -(-rows // MAX_SEGMENTS)))
+    length = max(SEGMENT, -(-rows // MAX_SEGMENTS))
+    stretches = [run for run in Products(base).stretches(length) if run[0].run in set(runs)]
     return tuple(
-        _best(segments, k, column, len(base.model.zeros), base.apart) for k, column in enumerate(places)
+        _best(stretches, k, column, len(base.model.zeros), base.apart) for k, column in enumerate(places)
     )
 
 
-def _segments(base: Base, runs: set[int], size: int) -> list[tuple[int, float, np.ndarray]]:
-    """Run, first time and products of each stretch of `size` samples, zeros still among the columns."""
-    out = []
-    for run, start, white in Products(base).segments(size):
-        if run in runs:
-            out.append((run, start, white))
-    return out
-
-
 def _best(
-    segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z: int, apart: frozenset[int]
+    stretches: Sequence[Sequence[Stretch]], k: int, column: int, z: int, apart: frozenset[int]
 ) -> tuple[int, float]:
     """Instant at which a step of probe k's gain and offset lowers the squares of the fitted runs most.
 
     Where those leave open on which side of it a held-out run lies, that run says it of itself, like its zero
     deviation. Within a held-out run there is no instant: nothing that is fitted would know its offset.
     """
-    runs = {run for run, _, _ in segments}
-    gains = _gains(segments, k, column, z, runs - apart)
+    runs = {run[0].run for run in stretches}
+    gains = _gains(stretches, k, column, z, runs - apart)
     most = max((gain for _, gain in gains), default=0.0)
     equal = {t for t, gain in gains if gain >= most * (1 - SAME)}
     if len(equal) > 1:
-        gains = [(t, gain) for t, gain in _gains(segments, k, column, z, runs) if t in equal]
+        gains = [(t, gain) for t, gain in _gains(stretches, k, column, z, runs) if t in equal]
     return k, max(gains, key=lambda g: g[1])[0] if gains else 0.0
 
 
 def _gains(
-    segments: list[tuple[int, float, np.ndarray]], k: int, column: int, z: int, counted: set[int]
+    stretches: Sequence[Sequence[Stretch]], k: int, column: int, z: int, counted: set[int]
 ) -> list[tuple[float, float]]:
     """Every instant with what a step lowers the squares of the `counted` runs by."""
-    by_run: dict[int, list[tuple[int, float, np.ndarray]]] = {}
-    for segment in segments:
-        by_run.setdefault(segment[0], []).append(segment)
-    stacks = {run: np.array([s[2] for s in parts]) for run, parts in by_run.items()}
-    wholes = {run: M.sum(axis=0) for run, M in stacks.items()}
-    zeros = {run: np.linalg.pinv(M[:z, :z], rcond=1e-12, hermitian=True) for run, M in wholes.items()}
-    reduced = {run: _reduced(M, zeros[run], z) * (run in counted) for run, M in wholes.items()}
-    total = np.sum(list(reduced.values()), axis=0)
+    stacks = [np.array([s.products for s in run]) for run in stretches]
+    wholes = [M.sum(axis=0) for M in stacks]
+    follows = [following(M, z) for M in wholes]
+    reduced = [
+        eliminated(M, follow) * (run[0].run in counted)
+        for run, M, follow in zip(stretches, wholes, follows, strict=True)
+    ]
+    total = np.sum(reduced, axis=0)
     n = len(total) - 1
     JJ = inverse(total[:n, :n])
     after, out = np.zeros_like(total), []
-    for run in reversed(by_run):
-        parts = by_run[run]
-        if run in counted and len(parts) > 1:
-            late = np.cumsum(stacks[run][:0:-1], axis=0)
-            gains = _gain(total, JJ, *_split(wholes[run], zeros[run], late, after, k, column))
-            out += list(zip((p[1] for p in parts[:0:-1]), gains.tolist(), strict=True))
-        after = after + reduced[run]
+    for run, stack, whole, follow, own in reversed(
+        list(zip(stretches, stacks, wholes, follows, reduced, strict=True))
+    ):
+        if run[0].run in counted and len(run) > 1:
+            late = np.cumsum(stack[:0:-1], axis=0)
+            gains = _gain(total, JJ, *_split(whole, follow, late, after, k, column))
+            out += list(zip((s.start_s for s in run[:0:-1]), gains.tolist(), strict=True))
+        after = after + own
         # between runs: the offset is the zero's
         step = after[None, :, [column]], after[None, [column], [column]][..., None]
-        out.append((parts[0][1], float(_gain(total, JJ, *step)[0])))
+        out.append((run[0].start_s, float(_gain(total, JJ, *step)[0])))
     return out
 
 
-def _reduced(M: np.ndarray, zeros: np.ndarray, z: int) -> np.ndarray:
-    return M[z:, z:] - M[z:, :z] @ zeros @ M[:z, z:]
-
-
 def _split(
-    whole: np.ndarray, zeros: np.ndarray, late: np.ndarray, after: np.ndarray, k: int, column: int
+    whole: np.ndarray, follow: np.ndarray, late: np.ndarray, after: np.ndarray, k: int, column: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Products of the two step columns (gain, offset) with the others and each other, for many instants.
 
-    `late`: (instants, c, c) products of what of the run comes after; `zeros`: inverse of those of its zeros.
+    `late`: (instants, c, c) products of what of the run comes after; `follow`: how its zeros follow.
     """
-    z = len(zeros)
+    z = len(follow)
     pick = [z + column, k]
-    through = zeros @ late[:, :z, :][:, :, pick]
-    cross = late[:, z:, :][:, :, pick] - whole[z:, :z] @ through
-    own = late[:, pick, :][:, :, pick] - late[:, pick, :][:, :, :z] @ through
+    cross = late[:, z:, :][:, :, pick] + follow.T @ late[:, :z, :][:, :, pick]
+    own = late[:, pick, :][:, :, pick]
+    through = np.linalg.lstsq(whole[:z, :z], np.hstack(list(late[:, :z, :][:, :, pick])), rcond=1e-12)[0]
+    through = through.reshape(z, len(late), 2).swapaxes(0, 1)
+    own = own - late[:, pick, :][:, :, :z] @ through
     cross[:, :, 0] += after[:, column]
     own[:, 0, 0] += after[column, column]
     return cross, own

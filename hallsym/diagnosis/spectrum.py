@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import median_filter
 
-from hallsym.diagnosis.survey import Piece
+from hallsym.diagnosis.residuals import Piece
 
 LINE = 0.01
 """Power of the motion, over that of its strongest line, from which on a frequency counts as its own."""

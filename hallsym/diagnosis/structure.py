@@ -13,13 +13,12 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.predicted import Shape, gained, judged, shape, solved
-from hallsym.diagnosis.survey import Piece, pieces
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.residuals import Piece, pieces
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.model.arrays import on_arrays
-from hallsym.model.derived import rate
 
 FOLDS = 13
 """Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
@@ -67,9 +66,8 @@ class Structure:
 def structure(base: Base, runs: Sequence[int]) -> Structure:
     """Hold the generic families against what `base` leaves on `runs`."""
     known = frozenset(runs)
-    rates = tuple(rate(c, order) for order in (0, 2, 3) for c in base.model.references)
     work = _Work(base, _ranges(base, known), len(known))
-    for piece in pieces(base, known, rates):
+    for piece in pieces(base, known):
         work.add(piece)
     return work.finish()
 
@@ -78,8 +76,7 @@ def _ranges(base: Base, runs: frozenset[int]) -> dict[str, tuple[float, float]]:
     """Middle and half range of every logged column and rate, from a sample of the log."""
     low: dict[str, float] = {}
     high: dict[str, float] = {}
-    rates = tuple(rate(c, order) for order in (2, 3) for c in base.model.references)
-    for piece in pieces(base, runs, rates):
+    for piece in pieces(base, runs):
         columns = piece.data | {c: piece.readings[k] for k, c in enumerate(base.model.channels)}
         for c, values in columns.items():
             low[c] = min(low.get(c, np.inf), float(values.min(initial=np.inf)))
@@ -117,8 +114,7 @@ class _Work:
         model = base.model
         self.gain, self.spread = on_arrays(model.gain), decoding_gain(model)
         self.read = on_arrays(model.reading)
-        self.unwhiten = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(base.covariance)).T)
-        self.scale = np.where(np.arange(len(model.pose)) == 2, base.length_m, 1.0)
+        self.unwhiten = np.linalg.inv(base.whiten)
         self.E = len(model.pose)
         self.turning = all(c in model.period for c in model.references)
         self.waves = int(np.clip(runs // 3, 3, 12))
@@ -161,9 +157,8 @@ class _Work:
                 smooth = np.full(len(smooth), smooth.mean() if len(smooth) else 0.0)
                 data |= {f"d{k}_{c}": np.zeros(len(smooth)) for k in (1, 2, 3)}
             data[c] = smooth
-        zeros = base.zeros.get(piece.run, np.zeros(len(model.zeros)))
         pose, state = ([data[c] for c in columns] for columns in (model.references, model.state))
-        (expected,) = self.read(base.p, zeros, pose, state)
+        (expected,) = self.read(base.p, base.zeros_in(piece.run), pose, state)
         return replace(piece, data=data, readings=expected)
 
     def _of(self, by: str, size: int) -> _Products:
@@ -179,7 +174,7 @@ class _Work:
         (gain,) = self.spread(base.p, pose, state, base.weight)
         K = len(model.channels)
         D = gain.reshape(K, self.E, -1)
-        return np.einsum("kis,ks->is", D, self.unwhiten @ piece.residual) * self.scale[:, None]
+        return np.einsum("kis,ks->is", D, self.unwhiten @ piece.residual) * base.pose_weights[:, None]
 
     def _unit(self, piece: Piece, column: str) -> np.ndarray:
         middle, half = self.ranges[column]

@@ -4,20 +4,14 @@ One pass over the log, block by block. The findings here are no effects that a m
 has no equation), or the searched numbers that effects start from (a mains frequency, the instant of a slip).
 """
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 from scipy.ndimage import median_filter
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.chance import as_many, as_often, exceeds, statistic_at, student
-from hallsym.diagnosis.tangent import Base
-from hallsym.estimation.decoding import columns_of
-from hallsym.log.batches import batches
-from hallsym.log.derived import extended
-from hallsym.model.arrays import on_arrays
-from hallsym.model.derived import Computed, rate
+from hallsym.diagnosis.residuals import Piece, pieces
 
 MAINS = ((46.0, 54.0), (56.0, 64.0))
 """Bands [Hz] in which mains lines are looked for."""
@@ -41,22 +35,6 @@ BINS = 12
 """Bins of speed in which the scatter of the samples is measured, each of as many samples."""
 WHOLE, MOSTLY = 0.02, 0.95
 """How near to whole, in steps, the distance of two readings must be, and how many of them, for ADC steps."""
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """A stretch of one run: times, whitened residual (K, samples), its slope with time shift, readings.
-
-    `data` holds the model's columns and the rates of the reference; `used` says which samples count.
-    """
-
-    run: int
-    t: np.ndarray
-    residual: np.ndarray
-    speed: np.ndarray
-    readings: np.ndarray
-    used: np.ndarray
-    data: dict[str, np.ndarray]
 
 
 @dataclass(eq=False)
@@ -104,42 +82,6 @@ class Survey:
     stale_p: float = 1.0
     jitter_p: float = 1.0
     step_p: float = 1.0
-
-
-def pieces(base: Base, runs: frozenset[int], extra: Sequence[Computed] = ()) -> Iterator[Piece]:
-    """Yield the whitened residual of some runs with what moves it, and `extra` columns."""
-    model = base.model
-    s = model.symbols
-    reading = s.full(s.reading)
-    axes = [rate(c) for c in model.references]
-    velocity = ca.SX.sym("velocity", len(axes))
-    slope = ca.jacobian(reading, s.pose) @ velocity
-    inputs = [s.parameters, s.zeros, s.pose, s.state, velocity]
-    function = ca.Function("survey", inputs, [ca.densify(reading), ca.densify(slope)])
-    run = on_arrays(function)
-    log = extended(base.log, model.with_columns(*axes, *extra), base.sigma, base.values)
-    made = [a.name for a in (*axes, *extra)]
-    wanted = (*columns_of(model), *made, "t_s", "temperature_degc")
-    columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
-    whiten = np.linalg.cholesky(np.linalg.inv(base.covariance)).T
-    for batch in batches(log, columns):
-        weights = batch.weights(base.keep)
-        own = np.array([base.zeros.get(b.run, np.zeros(len(model.zeros))) for b in batch.blocks])
-        zeros = np.repeat(own, np.diff(batch.edges), axis=0).T
-        names = [a.name for a in axes]
-        expected, moved = run(
-            base.p, zeros, batch.columns(model.references), batch.columns(model.state), batch.columns(names)
-        )
-        readings = np.array(batch.columns(model.channels))
-        residual = whiten @ (readings - expected)
-        speed = whiten @ moved
-        for block, at in batch.parts():
-            if block.run in runs:
-                used = np.ones(at.stop - at.start, bool) if weights is None else weights[at] > 0
-                data = {c: v[at] for c, v in batch.data.items()}
-                yield Piece(
-                    block.run, data["t_s"], residual[:, at], speed[:, at], readings[:, at], used, data
-                )
 
 
 def survey(base: Base, runs: frozenset[int]) -> Survey:

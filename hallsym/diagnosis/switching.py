@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hallsym.diagnosis.survey import pieces
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.residuals import pieces
 
 FEWEST = 4
 """Runs that two levels must be told from."""

@@ -14,10 +14,10 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.slopes import Slopes
 from hallsym.estimation.decoding import columns_of, decoding_gain
-from hallsym.log import Log
-from hallsym.log.batches import Batch, Weigh, batches
+from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -26,38 +26,6 @@ UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
 TOGETHER = 16
 """Blocks whose products are made in one call: a matrix each, of some 0.5 MB with the whole catalogue."""
-
-
-@dataclass(frozen=True, eq=False)
-class Base:
-    """A fitted model on a log: what all tangents are taken at.
-
-    `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
-    parameters that the fit moves; `length_m`: what turns rotation into length in the gap metric; `apart`:
-    held-out runs; `timed`: whether the log holds time, and not a counter in its place.
-    """
-
-    log: Log
-    model: Model
-    p: np.ndarray
-    zeros: Mapping[int, np.ndarray]
-    covariance: np.ndarray
-    free: tuple[int, ...]
-    length_m: float
-    apart: frozenset[int]
-    sigma: Mapping[str, float]
-    keep: Weigh | None = None
-    timed: bool = True
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Parameters by name."""
-        return self.model.named(self.p)
-
-    @property
-    def weight(self) -> np.ndarray:
-        """1 / variance of each channel's reading, for decoding with more probes than coordinates."""
-        return 1.0 / np.diag(self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,21 +80,31 @@ def tangents(
     New parameters are taken at their nominal value, where they have no effect.
     """
     work = Products(base, candidates)
-    log = extended(
-        base.log, _with_rules(base.model, [m for m, _ in candidates.values()]), base.sigma, base.values
-    )
-    columns = tuple(
-        dict.fromkeys(c for m in (base.model, *(m for m, _ in candidates.values())) for c in columns_of(m))
-    )
-    for batch in batches(log, columns, on_rows):
+    for batch in work.batches(on_rows=on_rows):
         work.add(batch, batch.weights(base.keep))
     return work.result()
 
 
-def _with_rules(model: Model, others: Sequence[Model]) -> Model:
-    for other in others:
-        model = model.with_columns(*other.computed)
-    return model
+def following(M: np.ndarray, z: int) -> np.ndarray:
+    """Return how the first z columns follow the others in least squares, (z, c - z), from products (c, c)."""
+    return -np.asarray(np.linalg.lstsq(M[:z, :z], M[:z, z:], rcond=1e-12)[0])
+
+
+def eliminated(M: np.ndarray, follow: np.ndarray) -> np.ndarray:
+    """Return products (..., c - z, c - z) once the first z columns follow the others as `follow` says."""
+    z = len(follow)
+    half = M[..., z:, :z] @ follow
+    return M[..., z:, z:] + half + half.swapaxes(-1, -2) + follow.T @ M[..., :z, :z] @ follow
+
+
+@dataclass
+class Stretch:
+    """Products (c, c) of consecutive samples of a run: `size` readings from `start_s` [s of the log] on."""
+
+    run: int
+    start_s: float
+    products: np.ndarray
+    size: float
 
 
 class Products:
@@ -139,6 +117,7 @@ class Products:
         self.read, self.gain = _base_functions(base.model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
+        self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
         own = self.z + self.n
         self.size = own + self.slopes.columns + 1
         self.span = {"": slice(0, self.n)}
@@ -146,17 +125,24 @@ class Products:
         self.near = np.array([*range(own), self.size - 1])
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
-        self.scale = np.where(np.arange(len(base.model.pose)) == 2, base.length_m, 1.0)
         self.run: int | None = None
         self.done: list[Unit] = []
         self.order: list[int] = []
         self.begun = 0
         self.follow: list[np.ndarray] = []
 
+    def batches(self, *further: str, on_rows: Callable[[int], None] | None = None) -> Iterator[Batch]:
+        """Yield the log with the columns that the model and its candidates read, and `further` ones."""
+        base, wide = self.base, self.base.model
+        for model in self.models:
+            wide = wide.with_columns(*model.computed)
+        columns = dict.fromkeys((*(c for m in self.models for c in columns_of(m)), *further))
+        yield from batches(extended(base.log, wide, base.sigma, base.values), tuple(columns), on_rows)
+
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
         near, D = self._near(batch, weights)
-        rows = self.slopes.rows(batch, self._zeros(batch), weights)
+        rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
         metric = np.einsum("iks,ils->kls", D, D)
         for first, last in batch.groups(TOGETHER):
             lay = batch.layout(first, last)
@@ -211,11 +197,6 @@ class Products:
             if k != j:
                 M[:, to[:, None], at] += P.swapaxes(1, 2)
 
-    def _zeros(self, batch: Batch) -> np.ndarray:
-        """Zero deviations of every sample, (zeros, samples)."""
-        own = np.array([self.base.zeros.get(b.run, np.zeros(self.z)) for b in batch.blocks])
-        return np.repeat(own, np.diff(batch.edges), axis=0).T
-
     def _near(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Columns of zeros, parameters and residual, (own + 1, K, samples), and what maps them to the pose.
 
@@ -225,7 +206,7 @@ class Products:
         samples, K, own = len(batch), len(model.channels), self.z + self.n
         pose, state = batch.columns(model.references), batch.columns(model.state)
         A = np.empty((own + 1, K, samples))
-        reading, *slopes = self.read(base.p, self._zeros(batch), pose, state)
+        reading, *slopes = self.read(base.p, self.base.zeros_of(batch), pose, state)
         A[self.z : own] = slopes[0].reshape(-1, K, samples)[list(base.free)]
         if self.z:
             A[: self.z] = slopes[1].reshape(-1, K, samples)
@@ -233,7 +214,7 @@ class Products:
         if weights is not None:
             A *= np.sqrt(weights)
         (spread,) = self.gain(base.p, pose, state, base.weight)
-        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * self.scale[:, None, None]
+        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * base.pose_weights[:, None, None]
         return A, D
 
     def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
@@ -241,22 +222,34 @@ class Products:
         near, _ = self._near(batch, weights)
         A = np.zeros((self.size, *near.shape[1:]))
         A[self.near] = near
-        for k, rows in enumerate(self.slopes.rows(batch, self._zeros(batch), weights)):
+        for k, rows in enumerate(self.slopes.rows(batch, self.base.zeros_of(batch), weights)):
             A[self.z + self.n + self.slopes.column[k], k] = rows
         return np.einsum("jk,cks->cjs", self.whiten, A)
 
-    def segments(self, size: int) -> Iterator[tuple[int, float, np.ndarray]]:
-        """Yield run, first time [s since the log began] and products of each stretch of `size` samples."""
-        origin: float | None = None
-        log = extended(self.base.log, self.base.model, self.base.sigma, self.base.values)
-        for batch in batches(log, (*columns_of(self.base.model), "t_s")):
+    def stretches(self, length: int) -> Iterator[list[Stretch]]:
+        """Yield the stretches of `length` samples of each run; zeros are the first columns."""
+        run: list[Stretch] = []
+        seen, origin = 0, None
+        for batch in self.batches("t_s"):
             white = self.whitened(batch, batch.weights(self.base.keep))
             t = batch.data["t_s"]
             origin = float(t[0]) if origin is None else origin
             for block, part in batch.parts():
-                for low in range(part.start, part.stop, size):
-                    here = white[:, :, low : min(low + size, part.stop)].reshape(len(white), -1)
-                    yield block.run, float(t[low]) - origin, here @ here.T
+                if run and run[0].run != block.run:
+                    yield run
+                    run, seen = [], 0
+                edges = range(part.start - seen % length, part.stop, length)
+                for low, high in ((max(e, part.start), min(e + length, part.stop)) for e in edges):
+                    here = white[:, :, low:high].reshape(len(white), -1)
+                    products = here @ here.T
+                    if (seen + low - part.start) % length:  # goes on from the block before
+                        run[-1].products += products
+                        run[-1].size += here.shape[1]
+                    else:
+                        run.append(Stretch(block.run, float(t[low]) - origin, products, here.shape[1]))
+                seen += part.stop - part.start
+        if run:
+            yield run
 
     def _gather(self, run: int, white: np.ndarray, out: np.ndarray, count: float) -> None:
         if run != self.run:
@@ -294,12 +287,11 @@ class Products:
         if z == 0:
             self.follow.append(np.zeros((0, self.size)))
             return entry
-        follow = -np.linalg.lstsq(white[:z, :z], white[:z, z:], rcond=1e-12)[0]
+        follow = following(white, z)
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
         self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        half = out[z:, :z] @ follow
-        half += half.T + follow.T @ out[:z, :z] @ follow
-        return run, white[z:, z:] + white[z:, :z] @ follow, out[z:, z:] + half, count
+        own = white[z:, z:] + white[z:, :z] @ follow  # what `eliminated` is where the same products say so
+        return run, own, eliminated(out, follow), count
 
     def result(self) -> Tangents:
         """Return what has been gathered."""

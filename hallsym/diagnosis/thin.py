@@ -6,7 +6,7 @@ from itertools import islice
 
 import numpy as np
 
-from hallsym.diagnosis.tangent import Base
+from hallsym.diagnosis.base import Base
 from hallsym.log import Log
 from hallsym.log.derived import extended
 from hallsym.model.derived import rate
@@ -72,7 +72,6 @@ def _coarsest(base: Base) -> int:
     model, squares = base.model, np.zeros(2)
     axes = [[rate(c, order) for c in model.references] for order in (1, 2)]
     log = extended(base.log, model.with_columns(*axes[0], *axes[1]), base.sigma, base.values)
-    scale = [base.length_m if c.startswith("r") else 1.0 for c in model.references]
     steps = []
     for block in islice(log.blocks(("t_s", *(a.name for row in axes for a in row))), 64):
         t = block.data["t_s"]
@@ -80,7 +79,8 @@ def _coarsest(base: Base) -> int:
             steps.append(float(np.median(np.diff(t))))
         for k, row in enumerate(axes):
             squares[k] += sum(
-                float(((f * block.data[a.name]) ** 2).sum()) for f, a in zip(scale, row, strict=True)
+                float(((f * block.data[a.name]) ** 2).sum())
+                for f, a in zip(base.pose_weights, row, strict=True)
             )
     step = float(np.median(steps)) if steps else 1.0
     fastest = float(np.sqrt(squares[1] / max(squares[0], 1e-300))) / (2 * np.pi)

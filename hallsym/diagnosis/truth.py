@@ -6,18 +6,18 @@ The recorded reference, vertical state, time and temperature are taken as the tr
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.refit import solve
-from hallsym.diagnosis.tangent import Base, tangents
+from hallsym.diagnosis.residuals import pieces
+from hallsym.diagnosis.tangent import tangents
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log, Noise, Sigma
-from hallsym.log.batches import Batch, batches
+from hallsym.log.batches import batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-from hallsym.model.derived import rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,31 +72,16 @@ def readings_of(base: Base, model: Model, p: np.ndarray) -> np.ndarray:
     log = extended(base.log, model, base.sigma, base.values)
     parts = []
     for batch in batches(log, columns_of(model)):
-        zeros = _zeros(base, batch)
-        parts.append(run(p, zeros, batch.columns(model.references), batch.columns(model.state))[0])
+        parts.append(
+            run(p, base.zeros_of(batch), batch.columns(model.references), batch.columns(model.state))[0]
+        )
     return np.hstack(parts)
-
-
-def _zeros(base: Base, batch: Batch) -> np.ndarray:
-    own = np.array([base.zeros.get(b.run, np.zeros(len(base.model.zeros))) for b in batch.blocks])
-    return np.repeat(own, np.diff(batch.edges), axis=0).T
 
 
 def _speed(base: Base) -> np.ndarray:
     """Velocity of the readings along the smoothed motion, (K, rows) in m/s."""
-    model, s = base.model, base.model.symbols
-    axes = [rate(c) for c in model.references]
-    velocity = ca.SX.sym("velocity", len(axes))
-    moved = ca.jacobian(s.full(s.reading), s.pose) @ velocity
-    run = on_arrays(ca.Function("moved", [s.parameters, s.zeros, s.pose, s.state, velocity],
-                                [ca.densify(moved)]))  # fmt: skip
-    log = extended(base.log, model.with_columns(*axes), base.sigma, base.values)
-    names = [a.name for a in axes]
-    parts = [
-        run(base.p, _zeros(base, b), b.columns(model.references), b.columns(model.state), b.columns(names))[0]
-        for b in batches(log, (*columns_of(model), *names))
-    ]
-    return np.hstack(parts)
+    back = np.linalg.inv(base.whiten)
+    return np.hstack([back @ piece.speed for piece in pieces(base, frozenset(base.log.runs))])
 
 
 def unit_of(truth: Truth) -> str:

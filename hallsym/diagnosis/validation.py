@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
@@ -15,7 +16,6 @@ from hallsym.diagnosis.selection import Selected, Selection
 from hallsym.diagnosis.setup import Floor, Setup
 from hallsym.diagnosis.structure import Structure, structure
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.errors import errors_of
 from hallsym.diagnosis.record import Waves
-from hallsym.diagnosis.tangent import Base
 from hallsym.estimation.decoding import columns_of
 from hallsym.log.batches import batches
 from hallsym.log.derived import extended

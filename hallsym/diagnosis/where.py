@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.links import of_links
@@ -28,7 +29,6 @@ from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.residue import Residue, coordinates, residue
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.smooth import NO_ORDER, Curve, FineMap, Smooth, own_gains, predicted
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.units import readable
 

@@ -12,11 +12,11 @@ from hallsym.errors import InputError
 from hallsym.estimation.decoding import ErrorTable
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
-from hallsym.families import build, known_effect
+from hallsym.families import build, known_effect, plain
 from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
-from hallsym.model import Model
+from hallsym.model import Family, Model
 
 FORMAT = "hallsym calibration 1"
 
@@ -124,7 +124,7 @@ class Fit:
             "model": model.name,
             "effects": list(model.effects),
             "added": list(added_effects(model)),
-            "own_effects": [e for e in added_effects(model) if not known_effect(e)],
+            "own_effects": [e for e in added_effects(model) if not known_effect(e, model.family)],
             "parameters": parameters,
             "combinations": [vars(c) for c in self.combinations],
             "errors": dict(self.error_rows),
@@ -160,10 +160,14 @@ class Fit:
         atomic_write(Path(path), (text + "\n").encode())
 
 
-def load_fit(path: str | Path, own: Mapping[str, Callable[[Model], Model]] | None = None) -> Fit:
+def load_fit(
+    path: str | Path,
+    own: Mapping[str, Callable[[Model], Model]] | None = None,
+    families: Sequence[Family] = (),
+) -> Fit:
     """Read a calibration that `Fit.save` wrote. Raises `InputError` for a missing or foreign file.
 
-    `own`: the user's effects by name, if it was fitted with any.
+    `own`: the user's effects by name, if it was fitted with any; `families`: the user's families.
     """
     path = Path(path)
     try:
@@ -182,14 +186,16 @@ def load_fit(path: str | Path, own: Mapping[str, Callable[[Model], Model]] | Non
             f"File {path} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
         )
     try:
-        return _from_dict(raw, own or {})
+        return _from_dict(raw, own or {}, families)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"Calibration {path} is incomplete ({error!r}); fit the log again.") from None
 
 
-def _from_dict(raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model]]) -> Fit:
+def _from_dict(
+    raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model]], families: Sequence[Family]
+) -> Fit:
     entries = raw["parameters"]
     changes = {
         n: {"nominal": e["nominal"], "lower": _bound(e["lower"], -1), "upper": _bound(e["upper"], 1)}
@@ -206,7 +212,8 @@ def _from_dict(raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model
             f"The calibration was fitted with {', '.join(unknown)}, an effect of your own; "
             "give the file that defines it: --effects my_effects.py."
         )
-    model = build(raw["model"], meta=Meta(probes=probes), added=tuple(raw["added"]), own=own)
+    added = tuple(raw["added"])
+    model = build(raw["model"], meta=Meta(probes=probes), added=added, own=own, families=families)
     model = model.with_parameters(changes)
     names = model.names
     column = {k: np.array([_float(entries[n][k]) for n in names]) for k in ("value", "std")}
@@ -242,8 +249,7 @@ def _from_dict(raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model
 
 def added_effects(model: Model) -> Sequence[str]:
     """Return the effects that `model` has beyond those its name stands for, with their numbers."""
-    base = build(model.name, meta=Meta(probes=[dict(p.entry) for p in model.layout])).effects
-    new = [model.texts.get(effect, effect) for effect in model.effects[len(base) :]]
+    new = [model.texts.get(effect, effect) for effect in model.effects[len(plain(model).effects) :]]
     return list(dict.fromkeys(new))
 
 

@@ -1,40 +1,41 @@
-"""The kinds of sensor: one file per family, its effects beside it, only physics. Looked up here by name."""
+"""The kinds of sensor: one folder per family, only physics. Models and effects are looked up here by name."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import recipes
-from hallsym.families.rotary import models as rotary
-from hallsym.families.stage import models as stage
+from hallsym.families import recipes, rotary, stage
 from hallsym.log import Meta
 from hallsym.log.limits import is_moving
-from hallsym.model import Model
+from hallsym.model import Family, Model
 
-FAMILIES = (stage, rotary)
-"""Adding a family: one file with MODELS, EFFECTS, ALIASES and `from_meta`, and its name here."""
-
-
-def models() -> dict[str, Callable[..., Model]]:
-    """Return every model by name, aliases included."""
-    named = {make.__name__: make for family in FAMILIES for make in family.MODELS}
-    return named | {alias: named[name] for family in FAMILIES for alias, name in family.ALIASES.items()}
+FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY)
+"""Families whose models and effects have names on the command line; shared code asks `Model.family`."""
 
 
-def effects(family: str | None = None) -> dict[str, Callable[[Model], Model]]:
-    """Return every effect by name: of one family, or of all; a name in several acts as the model's does."""
+def models(families: Sequence[Family] = ()) -> dict[str, Callable[..., Model]]:
+    """Return every model by name, aliases included; `families`: more than hallsym's own."""
+    every = (*FAMILIES, *families)
+    named = {make.__name__: make for family in every for make in family.models}
+    return named | {alias: named[name] for family in every for alias, name in family.aliases.items()}
+
+
+def effects(*families: Family) -> dict[str, Callable[[Model], Model]]:
+    """Return every effect by name, of some families or of all.
+
+    A name that several families have acts as that of the model it is applied to.
+    """
     out: dict[str, Callable[[Model], Model]] = {}
-    for f in FAMILIES:
-        if family in (None, f.FAMILY):
-            known = {effect.__name__: effect for effect in f.EFFECTS}
-            known |= {name: _later(name, forms[0]) for name, forms in recipes.recipes_of(f.FAMILY).items()}
-            out = known | out
+    for f in families or FAMILIES:
+        known = {effect.__name__: effect for effect in f.effects}
+        known |= {name: _later(name, forms[0]) for name, forms in recipes.recipes_of(f.name).items()}
+        out = known | out
     return out
 
 
-def known_effect(text: str) -> bool:
-    """Return whether an effect, named with or without numbers, is one of hallsym's own."""
-    return recipes.read(text)[0] in effects()
+def known_effect(text: str, family: Family) -> bool:
+    """Return whether an effect, named with or without numbers, is one of a family's own."""
+    return recipes.read(text)[0] in effects(family)
 
 
 def _later(name: str, form: Callable[..., Callable[[Model], Model]]) -> Callable[[Model], Model]:
@@ -54,17 +55,19 @@ def build(
     added: tuple[str, ...] = (),
     parameters: Mapping[str, Mapping[str, Any]] | None = None,
     own: Mapping[str, Callable[[Model], Model]] | None = None,
+    families: Sequence[Family] = (),
 ) -> Model:
     """Return the model called `name` for the machine that `meta` describes.
 
     `meta`: probe layout and nominal values of a log folder. `added`: effects by name, with their numbers
     where they have some (`hallsym.families.recipes`). `parameters`: changed nominal values and bounds,
-    `{"H1x": {"lower": .1}}`. `own`: the user's effects by name. Raises `InputError` that lists known names.
+    `{"H1x": {"lower": .1}}`. `own`: the user's effects by name; `families`: the user's families. Raises
+    `InputError` that lists known names.
     """
-    known = models()
+    known = models(families)
     if name not in known:
         raise _unknown("Model", name, known)
-    family = next(f for f in FAMILIES if known[name] in f.MODELS)
+    family = next(f for f in (*FAMILIES, *families) if f.maker(name))
     return adapted(family.from_meta(known[name], meta or Meta()), added, parameters or {}, own)
 
 
@@ -75,29 +78,23 @@ def default_model(meta: Meta) -> str:
     """
     if meta.columns and not meta.base_model and not any(map(is_moving, meta.columns)):
         raise InputError(
-            f"The log's columns ({', '.join(meta.columns)}) are neither a stage (hall_a_m, ..., x_ref_m) "
-            "nor an encoder (v_sin_v and v_cos_v, or angle_rad; angle_ref_rad); map columns with --column, "
-            "or name the model with --model."
+            f"The log's columns ({', '.join(meta.columns)}) are neither "
+            f"{' nor '.join(f.about for f in FAMILIES)}; map columns with --column, or name the model with "
+            "--model."
         )
-    fitting = (f.DEFAULT for f in FAMILIES if f.reads(meta.columns))
-    return meta.base_model or next(fitting, FAMILIES[0].DEFAULT)
+    fitting = [f for f in FAMILIES if f.refers(meta.columns)]
+    sure = [f for f in fitting if f.reads(meta.columns)]
+    return meta.base_model or (sure or fitting or FAMILIES)[0].model_of(meta.columns)
 
 
 def axes() -> tuple[str, ...]:
-    """Return every coordinate and state that a campaign can move."""
-    return tuple(dict.fromkeys(axis for f in FAMILIES for axis in (*f.POSE, *f.STATE)))
+    """Return every coordinate and state that a campaign of a named family can move."""
+    return tuple(dict.fromkeys(axis for f in FAMILIES for axis in f.axes))
 
 
 def model_for(moved: Collection[str]) -> str:
     """Return the model to simulate where none is named: that of the first family with the axes moved."""
-    fitting = (f.DEFAULT for f in FAMILIES if {*f.POSE, *f.STATE}.issuperset(moved))
-    return next(fitting, FAMILIES[0].DEFAULT)
-
-
-def example(model: Model) -> Mapping[str, Any]:
-    """Return what is simulated of a family by default: campaign, values and noise; may be empty."""
-    family = next((f for f in FAMILIES if model.family == f.FAMILY), None)
-    return getattr(family, "EXAMPLE", {})
+    return next((f.default for f in FAMILIES if set(moved) <= set(f.axes)), FAMILIES[0].default)
 
 
 def adapted(
@@ -115,12 +112,12 @@ def adapted(
 def plain(model: Model) -> Model:
     """Return the model without the effects beyond those that its name stands for; bounds and nominals stay.
 
-    A model of no family here has no plain form and is returned as it is.
+    A model without a maker in its family has no plain form and is returned as it is.
     """
-    known = models()
-    if model.name not in known:
+    make = model.family.maker(model.name)
+    if make is None:
         return model
-    base = known[model.name](model.layout)
+    base = make(model.layout)
     mine = {p.name: p for p in (*model.parameters, *model.zeros)}
     kept = [mine[p.name] for p in (*base.parameters, *base.zeros) if p.name in mine]
     return base.with_parameters(
@@ -130,10 +127,8 @@ def plain(model: Model) -> Model:
 
 def same_layout(model: Model, meta: Meta) -> bool:
     """Return whether a log's `meta.json` describes the machine of `model`, or none."""
-    if meta.probes is None:
-        return True
-    family = next(f for f in FAMILIES if model.family == f.FAMILY)
-    return family.from_meta(models()[model.name], meta).layout == model.layout
+    make = model.family.maker(model.name)
+    return meta.probes is None or make is None or model.family.from_meta(make, meta).layout == model.layout
 
 
 def _effect(text: str, model: Model, own: Mapping[str, Callable[[Model], Model]]) -> Callable[[Model], Model]:
@@ -143,14 +138,14 @@ def _effect(text: str, model: Model, own: Mapping[str, Callable[[Model], Model]]
     if name in recipes.FAULTS and name not in own:
         raise InputError(f"Effect {name} {recipes.FAULTS[name]}")
     if name not in known:
-        others = [f.FAMILY for f in FAMILIES if name in effects(f.FAMILY)]
+        others = [f.name for f in FAMILIES if name in effects(f)]
         if others:
             raise InputError(
                 f"Effect {name} belongs to {' and '.join(others)} models; model {model.name} is of family "
                 f"{model.family}."
             )
         raise _unknown("Effect", name, known)
-    if name in own or name not in recipes.recipes_of(model.family):
+    if name in own or name not in recipes.recipes_of(model.family.name):
         if given:
             raise InputError(f"Effect {name} takes no numbers; instead received {text!r}.")
         return lambda model: recipes.noted(model, known[name](model), name)

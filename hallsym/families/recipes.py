@@ -37,14 +37,6 @@ RECIPES: Mapping[str, Mapping[str, tuple[Callable[..., Make], ...]]] = {
 """By family and name; where an effect has several forms the numbers that are given tell them apart."""
 
 
-SHORT: Mapping[str, Make] = {"rotary": rotary_recipes.short}
-"""By family: the same model in a form that many effects do not blow up."""
-
-
-def _as_it_is(model: Model) -> Model:
-    return model
-
-
 def recipes_of(family: str) -> Mapping[str, tuple[Callable[..., Make], ...]]:
     """Return the effects with a text that a family of sensors has; none for one that is not known here."""
     return RECIPES.get(family, {})
@@ -96,9 +88,9 @@ def make_of(text: str) -> Make:
     name, given = read(text)
 
     def made(model: Model) -> Model:
-        form = _form(name, RECIPES[model.family][name], given)
+        form = _form(name, RECIPES[model.family.name][name], given)
         wide = form(**_numbers(name, form, given))(model)
-        return noted(model, SHORT.get(model.family, _as_it_is)(wide), text)
+        return noted(model, model.family.short(wide), text)
 
     return lambda model: model.remember(("effect", text), lambda: made(model))
 

@@ -1,8 +1,10 @@
 """Consecutive blocks of a log side by side, so that short runs do not cost a call each."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import overload
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -102,28 +104,79 @@ def remembered(weigh: Weigh | None, rows: int, columns: Sequence[str] | None = N
     return weights
 
 
+HELD = 250_000
+"""Samples of a log in memory whose batches are kept for the next pass: 2 MB for each column."""
+
+
+@dataclass(eq=False)
+class _Held:
+    """The batches of one log: `runs` and `edges` of each, and each column that was asked for so far."""
+
+    runs: list[tuple[int, ...]] = field(default_factory=list)
+    edges: list[tuple[int, ...]] = field(default_factory=list)
+    columns: dict[Hashable, list[np.ndarray]] = field(default_factory=dict)
+
+    def read(self, log: Log, columns: Sequence[str]) -> None:
+        """Read further columns, in one pass."""
+        found = list(_read(log, columns))
+        self.runs = [tuple(block.run for block in batch.blocks) for batch in found]
+        self.edges = [batch.edges for batch in found]
+        for name in columns:
+            for batch in found:
+                batch.data[name].flags.writeable = False
+            self.columns[log.identity(name)] = [batch.data[name] for batch in found]
+
+    def batch(self, k: int, keys: dict[str, Hashable]) -> Batch:
+        """Return batch k with the asked columns."""
+        data = {name: self.columns[key][k] for name, key in keys.items()}
+        parts = zip(self.runs[k], pairwise(self.edges[k]), strict=True)
+        blocks = tuple(Block(run, {c: v[a:b] for c, v in data.items()}) for run, (a, b) in parts)
+        return Batch(blocks, data, self.edges[k])
+
+
+_HELD: WeakKeyDictionary[Log, _Held] = WeakKeyDictionary()
+
+
 def batches(
     log: Log, columns: Sequence[str], on_rows: Callable[[int], None] | None = None
 ) -> Iterator[Batch]:
     """Yield the log in batches of whole blocks, about `SIZE` samples each.
 
-    `on_rows(samples so far)` is called after each batch.
+    Of a log in memory that is not too long each column is read once. `on_rows(samples so far)` is called
+    after each batch.
     """
+    done = 0
+    for batch in _held(log, columns) if is_held(log) else _read(log, columns):
+        yield batch
+        done += len(batch)
+        if on_rows:
+            on_rows(done)
+
+
+def is_held(log: Log) -> bool:
+    """Return whether the batches of a log are kept, and what is computed from them may be."""
+    return log.table.in_memory and log.rows <= HELD
+
+
+def _held(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
+    held = _HELD.setdefault(log.source, _Held())
+    keys = {name: log.identity(name) for name in columns}
+    if missing := [name for name, key in keys.items() if key not in held.columns]:
+        held.read(log, missing)
+    yield from (held.batch(k, keys) for k in range(len(held.edges)))
+
+
+def _read(log: Log, columns: Sequence[str]) -> Iterator[Batch]:
     waiting: list[Block] = []
-    count = done = 0
+    count = 0
     for block in log.blocks(columns, size=SIZE):
         waiting.append(block)
         count += len(block.data[columns[0]])
         if count >= SIZE:
             yield _batch(waiting, columns)
-            done += count
             waiting, count = [], 0
-            if on_rows:
-                on_rows(done)
     if waiting:
         yield _batch(waiting, columns)
-        if on_rows:
-            on_rows(done + count)
 
 
 def _batch(blocks: list[Block], columns: Sequence[str]) -> Batch:

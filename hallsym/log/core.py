@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -66,6 +66,15 @@ class Log:
     def name(self) -> str:
         """What to call this log in a message: its path, or what `from_arrays` was told."""
         return self.table.where
+
+    @property
+    def source(self) -> Log:
+        """The log whose samples these are: itself; a log with derived columns returns the one it extends."""
+        return self
+
+    def identity(self, column: str) -> Hashable:
+        """Return what tells a column from others of its name in logs of the same `source`."""
+        return column
 
     @cached_property
     def rows(self) -> int:

@@ -5,7 +5,7 @@ They are computed from blocks that overlap at their edges, so memory does not gr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -42,6 +42,16 @@ class ExtendedLog:
     def columns(self) -> tuple[str, ...]:
         """Logged and computed columns."""
         return (*self.log.columns, *self.computed)
+
+    @property
+    def source(self) -> Log:
+        """The log that is extended."""
+        return self.log
+
+    def identity(self, column: str) -> Hashable:
+        """Return the column's name; of a computed one also what its name does not say."""
+        made = self.computed.get(column)
+        return (made.name, made.key) if made else column
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
         """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all)."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.model.derived import Computed
+from hallsym.model.family import Family
 
 LINKS = ("clock", "mechanics", "reference", "field", "transducer", "electronics")
 """Links in the order in which a signal meets them. `reference` stands after `mechanics` because the zero of
@@ -92,7 +93,7 @@ class Model:
     """
 
     name: str
-    family: str
+    family: Family
     pose: tuple[str, ...]
     references: tuple[str, ...]
     state: tuple[str, ...]

@@ -21,6 +21,9 @@ from hallsym.codegen.entries import Entry
 from hallsym.codegen.intervals import Enclosure, enclose
 from hallsym.codegen.parts import Decoupler, Margin, Step
 from hallsym.log.noise import Noise, Sigma
+from hallsym.model import Family
+
+FOLDING = Family("folding", decoder=lambda *given: maker(*given))
 
 
 def folding() -> Model:
@@ -32,7 +35,7 @@ def folding() -> Model:
         s["reading"] = s["gain"] * s["displacement"]
 
     return Model(
-        name="folding", family="folding", pose=("x_m",), references=("x_ref_m",), state=(),
+        name="folding", family=FOLDING, pose=("x_m",), references=("x_ref_m",), state=(),
         channels=("hall_a_m", "hall_b_m"), parameters=(Parameter("g", 2.0, 0.5, 4.0, "1"),),
         steps=(("field", field),),
     )  # fmt: skip
@@ -60,9 +63,8 @@ def maker(model, p, weight, box):
 
 
 @pytest.fixture
-def fit(monkeypatch):
-    """A calibration of the family, which is registered while a test runs."""
-    monkeypatch.setattr(families, "MAKERS", {"folding": maker})
+def fit():
+    """A calibration of the family."""
     model = folding()
     noise = Noise({c: Sigma(5e-7, "given") for c in model.channels})
     return replace(

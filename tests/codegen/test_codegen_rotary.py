@@ -21,13 +21,14 @@ from hallsym.codegen.checks import notes_of
 from hallsym.codegen.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.codegen.vectors import Emulator, worst
 from hallsym.errors import InputError
+from hallsym.families.rotary import FAMILY
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary import models as rotary
 from hallsym.log.noise import Noise, Sigma
 from hallsym.model.arrays import on_arrays
 
 ELLIPSE = {"Vx": 0.02, "Vy": -0.03, "Ax": 1.02, "Ay": 0.99, "beta": 0.02, "zero": 2.9}
-PAPER = {k: v for k, v in rotary.EXAMPLE["values"].items() if k != "A"}
+PAPER = {k: v for k, v in FAMILY.example.values.items() if k != "A"}
 WAVES = {"h3c": 2e-3, "h3s": -1e-3, "h4c": 3e-3, "h8s": 1e-3}
 CASES = {
     "ideal": (rotary.rotary_ideal, {"A": 1.3, "zero": -2.0}),

@@ -11,13 +11,14 @@ from twins import record, with_noise
 
 import hallsym
 from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects, user_effect
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.facts import rails_of
 from hallsym.diagnosis.refit import inside_bounds, refit, with_model
 from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.slips import instants
 from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.tangent import Base, tangents
+from hallsym.diagnosis.tangent import tangents
 from hallsym.families.stage import effects as se
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.derived import extended

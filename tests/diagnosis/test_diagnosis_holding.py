@@ -30,7 +30,7 @@ def turn(seed=1, pattern=0.0, noise=1e-3, size=200, zero=0.0):
 
 def blocks(sums):
     sums = np.asarray(sums, dtype=float)
-    return BlockErrors(("angle_rad",), 1.0, np.full(len(sums), 10.0), sums[:, None], np.ones(1))
+    return BlockErrors(("angle_rad",), np.ones(1), np.full(len(sums), 10.0), sums[:, None], np.ones(1))
 
 
 def test_a_decrease_by_chance_is_uniform_and_a_real_one_is_certain():

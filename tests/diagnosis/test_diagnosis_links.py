@@ -8,6 +8,7 @@ from gap_twins import listed, machine
 from test_diagnosis_where import NOISES, base_on, stated
 from twins import record
 
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.errors import block_errors
 from hallsym.diagnosis.facts import facts_of
@@ -16,7 +17,6 @@ from hallsym.diagnosis.scores import Score, candidates, scores
 from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.user import user_effect
 from hallsym.diagnosis.where import Located, both, located
 from hallsym.log import Log

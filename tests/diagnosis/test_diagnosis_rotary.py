@@ -16,7 +16,6 @@ from hallsym.diagnosis.rotary_catalogue import CATALOGUE
 from hallsym.diagnosis.split import split
 from hallsym.diagnosis.words import shown
 from hallsym.errors import InputError
-from hallsym.families import build
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary import models as rotary
 from hallsym.log import Log, Meta, Noise
@@ -346,15 +345,6 @@ def facts():
         100.0, 0.01, ("t_s", "temperature_degc"), 22.0, np.array([[0.9, 0.9], [-0.9, -0.9]]),
         ((-0.9, 0.9), (-0.9, 0.9)), (50.0,), on_runs=(1, 2),
     )  # fmt: skip
-
-
-def test_a_fit_of_another_family_has_no_catalogue():
-    from dataclasses import replace
-
-    from hallsym.diagnosis.kinds import kind_of
-
-    with pytest.raises(InputError, match="only stage and rotary models have"):
-        kind_of(replace(build("rotary"), family="halbach"))
 
 
 @pytest.mark.slow

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from twins import SIGMAS, record
 
 import hallsym
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.residue import Coordinate, Residue, hats, knots
 from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.shape import shape, unexplained
 from hallsym.diagnosis.smooth import FineMap, Smooth, chance_of_signs, own_gains
 from hallsym.diagnosis.spectrum import Spectrum
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.where import Located, located, where
 from hallsym.log import Log, Noise, Sigma
 

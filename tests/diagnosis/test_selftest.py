@@ -11,6 +11,7 @@ from gap_twins import Inject, Motion, U, gains, machine
 import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
+from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.engine import prepare
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.injection import Injection, generator, sized
@@ -20,7 +21,6 @@ from hallsym.diagnosis.likeness import likeness
 from hallsym.diagnosis.selftest import RATIOS, SelfTest, selftest
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Base
 from hallsym.diagnosis.thin import thinned
 from hallsym.diagnosis.trials import NO_EFFECT, Bench
 from hallsym.diagnosis.truth import Truth, readings_of, truth_of

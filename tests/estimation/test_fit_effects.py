@@ -307,13 +307,13 @@ def test_a_parameter_at_its_bound_has_no_interval_and_is_said(tmp_path) -> None:
 
 def diagnose_only(log: Log, make):
     """Diagnose with one effect alone."""
-    from unittest.mock import patch
+    from dataclasses import replace
 
     from hallsym.diagnosis import user_effect
-    from hallsym.diagnosis.kinds import KINDS, Kind
 
-    with patch.dict(KINDS, {"stage": Kind(())}):
-        return diagnose(log, "stage31", effects=[user_effect(make)])
+    model = build("stage31")
+    alone = replace(model, family=replace(model.family, catalogue=()))
+    return diagnose(log, alone, effects=[user_effect(make)])
 
 
 # -- the command line --------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from hallsym import InputError, bundled_campaign, fit
 from hallsym.families import build, published
 from hallsym.inference import identify
 from hallsym.log import Log, Noise, Sigma
-from hallsym.model import Combination, Model, Parameter
+from hallsym.model import Combination, Family, Model, Parameter
 from hallsym.simulation.campaign import Campaign, Run, multi_sine, paper_campaign, sine
 from hallsym.simulation.machine import NoiseModel, simulate
 
@@ -220,7 +220,7 @@ def two_gains(named: bool) -> Model:
     combination = Combination("s*g1", "1", ("s", "g1"), lambda p: p["s"] * p["g1"])
     return Model(
         name="two_gains",
-        family="bench",
+        family=Family("bench"),
         pose=("u_m",),
         references=("u_ref_m",),
         state=(),

@@ -15,7 +15,7 @@ from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.log import Log
-from hallsym.model import Model, Parameter
+from hallsym.model import Family, Model, Parameter
 from hallsym.uncertainty import (
     Settings,
     map_axes,
@@ -229,7 +229,7 @@ def beam() -> Model:
 
     return Model(
         name="beam",
-        family="beam",
+        family=Family("beam"),
         pose=("y_m", "rz_rad"),
         references=("y_ref_m", "rz_ref_rad"),
         state=("z_m",),

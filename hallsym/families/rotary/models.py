@@ -13,7 +13,7 @@ Voltages in V, angles in rad, flux density m in T. Valid for any number of turns
 distortions (offset, mismatch, phase, harmonics together) up to about 20 %.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from math import pi
@@ -26,13 +26,10 @@ from hallsym.errors import InputError, nearest
 from hallsym.families.rotary.checks import inspect
 from hallsym.families.rotary.waves import Wave, angle, cosine, sine
 from hallsym.log import Meta
-from hallsym.model import Combination, Model, Parameter, Signals, Step
+from hallsym.model import Combination, Family, Model, Parameter, Signals, Step
 
-FAMILY = "rotary"
-DEFAULT = "rotary"
 POSE = ("angle_rad",)
 REFERENCES = ("angle_ref_rad",)
-STATE: tuple[str, ...] = ()
 VOLTAGES, ANGLE = ("v_sin_v", "v_cos_v"), ("angle_rad",)
 TURN = 2 * pi
 K1, K2, K3 = 0.1896, 10.0, 0.0
@@ -64,24 +61,6 @@ def two_voltages() -> tuple[Output, ...]:
 def angle_only() -> tuple[Output, ...]:
     """Return the layout of a log with the decoded angle alone."""
     return tuple(map(Output, ANGLE))
-
-
-EXAMPLE: Mapping[str, Any] = {
-    "campaign": {
-        "step_s": 1e-3,
-        "run": [
-            {"duration_s": 1.0, "angle_rad": {"kind": "ramp", "rate": rate, "about": about}}
-            for rate, about in ((13.0, 0.0), (-13.0, 13.0), (40.0, 0.0), (-40.0, 40.0))
-        ],
-    },
-    "values": {
-        "Vx": 0.008943, "Vy": 0.000491, "Ax": 1.008607, "Ay": 0.994536, "beta": 0.000368, "m": 0.113,
-        "A": 1.0, "zero": 0.6,
-    },
-    "noise": {"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_rad": 3.5e-4, "angle_ref_rad": 2e-5},
-}  # fmt: skip
-"""What is simulated where nothing is said: two speeds in both directions, situation a of the paper's Table 2,
-and noise of 0.02 deg."""
 
 
 # -- models ----------------------------------------------------------------------------------------------
@@ -150,6 +129,12 @@ def rotary_meng(layout: tuple[Output, ...] | None = None) -> Model:
     return model.with_step("field", field, effect="quadratic_transfer")
 
 
+def _record() -> Family:
+    from hallsym.families.rotary import FAMILY  # it lists these models, so it is made after them
+
+    return FAMILY
+
+
 def _encoder(
     name: str,
     layout: tuple[Output, ...] | None,
@@ -169,7 +154,7 @@ def _encoder(
     decoded = channels == ANGLE
     return Model(
         name=name,
-        family=FAMILY,
+        family=_record(),
         pose=POSE,
         references=REFERENCES,
         state=(),
@@ -314,11 +299,6 @@ def zero_deviation(model: Model) -> Model:
     return wide.with_parameters({"zero": {"nominal": 0.0, "lower": 0.0, "upper": 0.0}})
 
 
-MODELS = (rotary_ideal, rotary, rotary_meng)
-EFFECTS: tuple[Callable[[Model], Model], ...] = (harmonics, zero_deviation)
-ALIASES = {"ideal_arctan": "rotary_ideal", "ellipse": "rotary", "meng": "rotary_meng"}
-
-
 # -- a start in closed form ------------------------------------------------------------------------------
 
 
@@ -378,11 +358,6 @@ def _from_angle(p: Mapping[str, float], c: Mapping[str, np.ndarray]) -> dict[str
 
 
 # -- machines described by a log -------------------------------------------------------------------------
-
-
-def reads(columns: Sequence[str]) -> bool:
-    """Return whether a log with these columns can be an encoder's."""
-    return REFERENCES[0] in columns
 
 
 def from_meta(make: Callable[..., Model], meta: Meta) -> Model:

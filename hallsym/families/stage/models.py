@@ -9,7 +9,7 @@ One model and its effects: `stage15` is Eq. (15); with `zero_deviation` it is Eq
 Valid for planar motion up to about 2 mm and 1 mrad (`exact_rotation` beyond that).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from math import radians
@@ -21,11 +21,9 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 from hallsym.families import published
 from hallsym.log import Meta
-from hallsym.model import Combination, Model, Parameter, Signals, Step
+from hallsym.model import Combination, Family, Model, Parameter, Signals, Step
 
-FAMILY = "stage"
 POSE = ("x_m", "y_m", "rz_rad")
-DEFAULT = "stage31"
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 STATE = ("z_m", "rx_rad", "ry_rad")
 
@@ -71,7 +69,7 @@ def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
     _check(probes)
     return Model(
         name="stage15",
-        family=FAMILY,
+        family=_record(),
         pose=POSE,
         references=REFERENCES,
         state=STATE,
@@ -203,11 +201,6 @@ def exact_rotation(model: Model) -> Model:
     return model.with_step("mechanics", step, effect="exact_rotation")
 
 
-MODELS = (stage15, stage30, stage31, stage31_tied)
-EFFECTS = (zero_deviation, vertical_coupling, tied_vertical_coupling, exact_rotation)
-ALIASES = {"model15": "stage15", "model30": "stage30", "model31": "stage31"}
-
-
 # -- a start in closed form ------------------------------------------------------------------------------
 
 
@@ -275,6 +268,12 @@ def _tied_start(model: Model, slopes: Mapping[str, np.ndarray]) -> dict[str, flo
 
 
 # -- the chain -------------------------------------------------------------------------------------------
+
+
+def _record() -> Family:
+    from hallsym.families.stage import FAMILY  # it lists these models, so it is made after them
+
+    return FAMILY
 
 
 def _named(name: str, model: Model) -> Model:
@@ -394,11 +393,6 @@ def _lever_arm(k: int, probe: Probe) -> Combination:
 
 
 # -- machines described by a log folder ------------------------------------------------------------------
-
-
-def reads(columns: Sequence[str]) -> bool:
-    """Return whether a log with these columns can be a stage's."""
-    return REFERENCES[0] in columns
 
 
 def from_meta(make: Callable[..., Model], meta: Meta) -> Model:

@@ -1,14 +1,13 @@
 """What a person reads of a study of tolerances, and its JSON record."""
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
 from hallsym.report.tables import grid
 from hallsym.uncertainty.tolerances.ranges import Tolerance
-from hallsym.uncertainty.tolerances.sobol import Indices
-from hallsym.uncertainty.tolerances.study import ENOUGH, MOST, QUANTITIES, Tolerances
+from hallsym.uncertainty.tolerances.result import ENOUGH, Tolerances
+from hallsym.uncertainty.tolerances.study import MOST
 from hallsym.units import readable
 
 _SIZE = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg")}
@@ -155,62 +154,3 @@ def _calibration(found: Tolerances) -> Iterator[str]:
         )
         if r.combinations:
             yield f"  determined instead, and removed: {'; '.join(r.combinations)}"
-
-
-# -- JSON ------------------------------------------------------------------------------------------------
-
-
-def record(found: Tolerances) -> dict[str, Any]:
-    """Return everything as plain numbers, SI."""
-    pose, r, e = found.model.pose, found.remainder, found.errors
-
-    def by_pose(values: np.ndarray) -> dict[str, float]:
-        return dict(zip(pose, np.asarray(values, dtype=float).tolist(), strict=True))
-
-    return {
-        "model": found.model.name,
-        "seed": found.seed,
-        "samples": found.samples,
-        "points": found.points,
-        "tolerances": {
-            t.name: {
-                "unit": t.unit, "designed": float(t.designed), "centre": float(t.centre),
-                "width": float(t.width), "distribution": t.distribution, "std": float(t.std),
-                "source": t.source,
-            }
-            for t in found.tolerances
-        },
-        "errors": {
-            name: by_pose(getattr(e, name)) for name in ("rms", "mean", "rms_spread", "rms_95", "peak_95")
-        },
-        "ranking": list(found.ranking),
-        "worth": {
-            name: {
-                what: by_pose(getattr(found.worth, what)[j])
-                for what in ("exact", "halved", "exact_half", "spread")
-            }
-            for j, name in enumerate(found.active)
-        },
-        "indices": {q: _indices(found, found.indices[q]) for q in QUANTITIES},
-        "sharp": found.widest <= ENOUGH,
-        "calibration": {
-            "machines": r.machines, "before": by_pose(r.before), "after": by_pose(r.after),
-            "undetermined": list(r.undetermined), "determined_instead": list(r.combinations),
-            "freedom": r.freedom, "apart": r.apart,
-        },
-        "notes": list(found.notes),
-        "seconds": found.seconds,
-    }  # fmt: skip
-
-
-def _indices(found: Tolerances, by_pose: Mapping[str, Indices]) -> dict[str, dict[str, dict[str, float]]]:
-    return {
-        c: {
-            name: {
-                "first": float(i.first[j]), "first_half": float(i.first_half[j]),
-                "total": float(i.total[j]), "total_half": float(i.total_half[j]),
-            }
-            for j, name in enumerate(found.active)
-        }
-        for c, i in by_pose.items()
-    }  # fmt: skip

@@ -11,8 +11,9 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.model import Model
 from hallsym.simulation.campaign import Campaign, paper_campaign
-from hallsym.uncertainty.tolerances.calibrated import Remainder, after_calibration
+from hallsym.uncertainty.tolerances.calibrated import after_calibration
 from hallsym.uncertainty.tolerances.ranges import Tolerance, default_tolerances, given_tolerances
+from hallsym.uncertainty.tolerances.result import Errors95, Tolerances, Worth
 from hallsym.uncertainty.tolerances.sobol import (
     COVERAGE,
     Indices,
@@ -30,78 +31,10 @@ from hallsym.uncertainty.tolerances.workspace import (
     workspace_of,
 )
 
-ENOUGH = 0.05
-"""Half width of a 95 % interval below which an index is called sharp."""
 BLOCK = 2**16
 """Machines times points that are evaluated at once; bounds the memory."""
-QUANTITIES = ("error", "rms", "peak")
 LEAST, MOST = 16, 2**16
 """Base samples; the bootstrap of SALib takes 10 kB for each."""
-
-
-@dataclass(frozen=True, eq=False)
-class Errors95:
-    """Errors of the machines drawn, per pose coordinate: rms over machines and workspace, and quantiles."""
-
-    rms: np.ndarray
-    mean: np.ndarray
-    rms_spread: np.ndarray
-    rms_95: np.ndarray
-    peak_95: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Worth:
-    """How much the rms falls, relative, if one tolerance is tightened; (n, n_pose) each.
-
-    `exact`, `halved`: fall of the rms over machines and workspace. `exact_half`: half width of the 95 %
-    interval of `exact`. `spread`: fall of the standard deviation of one machine's rms among machines, when
-    exact. Negative where it grows. From machines drawn again with that tolerance alone changed.
-    """
-
-    exact: np.ndarray
-    halved: np.ndarray
-    exact_half: np.ndarray
-    spread: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Tolerances:
-    """What `tolerances` found. Arrays have one row per entry of `active`, the tolerances that are not exact.
-
-    `indices`: quantity ("error", "rms", "peak") -> pose column -> Sobol indices. "error" is the error itself,
-    averaged over the workspace; "rms" and "peak" are those of one machine over the workspace.
-    """
-
-    model: Model
-    tolerances: tuple[Tolerance, ...]
-    active: tuple[str, ...]
-    points: int
-    samples: int
-    seed: int
-    errors: Errors95
-    indices: Mapping[str, Mapping[str, Indices]]
-    worth: Worth
-    remainder: Remainder
-    notes: tuple[str, ...]
-    seconds: float
-
-    @property
-    def ranking(self) -> tuple[str, ...]:
-        """Active tolerances, the one most worth money first: by the mean square it takes from all outputs."""
-        value = 1 - (1 - self.worth.exact) ** 2  # fall of the mean square
-        return tuple(self.active[j] for j in np.argsort(-value.mean(axis=1), kind="stable"))
-
-    @property
-    def widest(self) -> float:
-        """Largest half width of a 95 % interval of an index of the error."""
-        return max(indices.widest for indices in self.indices["error"].values())
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, SI."""
-        from hallsym.report.text.tolerances import record
-
-        return record(self)
 
 
 def tolerances(

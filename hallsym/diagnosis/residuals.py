@@ -1,0 +1,98 @@
+"""The residual of a fitted model, run by run: computed once for each model and log that fits in memory."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import casadi as ca
+import numpy as np
+
+from hallsym.diagnosis.base import Base
+from hallsym.estimation.decoding import columns_of
+from hallsym.log.batches import Batch, batches, is_held
+from hallsym.log.derived import extended
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+from hallsym.model.derived import Computed, campaign_time, rate, run_time
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A stretch of one run: times, whitened residual, rate of the reading [1/s] and readings, (K, samples).
+
+    `speed` is d (expected reading) / dt, whitened like the residual. `used` says which samples count. `data`
+    holds the columns of the model, the rates of the reference up to the third (`d0_x_ref_m`: smoothed),
+    `t_s`, `campaign_s`, `run_s` and, where logged, `temperature_degc`.
+    """
+
+    run: int
+    t: np.ndarray
+    residual: np.ndarray
+    speed: np.ndarray
+    readings: np.ndarray
+    used: np.ndarray
+    data: dict[str, np.ndarray]
+
+
+Residual = tuple[np.ndarray, np.ndarray]
+"""Whitened residual of a batch and the rate of the expected reading, (K, samples) each."""
+_KNOWN: WeakKeyDictionary[Base, list[Residual]] = WeakKeyDictionary()
+
+
+def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
+    """Yield the whitened residual of some runs beside what it may depend on.
+
+    Residuals of a log whose batches are kept (`is_held`) are kept too, for the next call with the same base.
+    """
+    model = base.model
+    extra = _extra(model)
+    log = extended(base.log, model.with_columns(*extra), base.sigma, base.values)
+    wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc")
+    columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
+    known, fresh, held = _KNOWN.get(base, []), [], is_held(base.log)
+    evaluate = residual_of(base)
+    for k, batch in enumerate(batches(log, columns)):
+        weights = batch.weights(base.keep)
+        residual, speed = known[k] if known else evaluate(batch)
+        if held and not known:
+            fresh.append((residual, speed))
+        readings = np.array(batch.columns(model.channels))
+        for block, at in batch.parts():
+            if block.run in runs:
+                used = np.ones(at.stop - at.start, bool) if weights is None else weights[at] > 0
+                yield Piece(
+                    block.run, block.data["t_s"], residual[:, at], speed[:, at], readings[:, at], used,
+                    dict(block.data),
+                )  # fmt: skip
+    if fresh:
+        _KNOWN[base] = fresh
+
+
+def _extra(model: Model) -> tuple[Computed, ...]:
+    """Rates of the references and times, beside the columns of the model."""
+    rates = (rate(c, order) for order in range(4) for c in model.references)
+    return (*rates, campaign_time(), run_time())
+
+
+def residual_of(base: Base) -> Callable[[Batch], Residual]:
+    """Return what computes the whitened residual of a batch, and the rate of the expected reading."""
+    model = base.model
+    run = model.remember("reading and its rate", lambda: _reading_and_rate(model))
+    rates = [rate(c).name for c in model.references]
+    whiten = base.whiten
+
+    def evaluate(batch: Batch) -> Residual:
+        pose, state = batch.columns(model.references), batch.columns(model.state)
+        expected, moved = run(base.p, base.zeros_of(batch), pose, state, batch.columns(rates))
+        return whiten @ (np.array(batch.columns(model.channels)) - expected), whiten @ moved
+
+    return evaluate
+
+
+def _reading_and_rate(model: Model) -> Callable[..., list[np.ndarray]]:
+    s = model.symbols
+    reading = s.full(s.reading)
+    velocity = ca.SX.sym("velocity", len(model.references))
+    slope = ca.jacobian(reading, s.pose) @ velocity
+    inputs = [s.parameters, s.zeros, s.pose, s.state, velocity]
+    return on_arrays(ca.Function("residual", inputs, [ca.densify(reading), ca.densify(slope)]))

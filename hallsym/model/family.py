@@ -1,0 +1,134 @@
+"""A family of sensors: all that shared code asks of one, in one record.
+
+Shared code asks the record that a `Model` carries, never a name, so a family written outside the package is
+treated as hallsym's own: only text input (the name of a model, a saved calibration) needs a look-up.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hallsym.model.model import Model
+
+Maker = Callable[..., "Model"]
+"""`maker(layout=None) -> Model`; its name is the model's."""
+
+
+@dataclass(frozen=True)
+class PoseMetric:
+    """How an error of the pose becomes one number in `unit` ("m" or "rad").
+
+    `arm_m` turns rotation into length and back; a log may state another (`gap_length_scale_m`).
+    """
+
+    unit: str = "m"
+    arm_m: float = 0.35
+
+    def weights(self, columns: Iterable[str], arm_m: float | None = None) -> np.ndarray:
+        """Return what an error of each pose coordinate or reference is multiplied by, (n,).
+
+        The metric of several coordinates is the root of the summed squares of these products.
+
+        >>> PoseMetric("m", 0.5).weights(("x_m", "rz_ref_rad"))
+        array([1. , 0.5])
+        """
+        arm = self.arm_m if arm_m is None else arm_m
+        factor = {("m", "rad"): arm, ("rad", "m"): 1.0 / arm}
+        return np.array([factor.get((self.unit, c.rpartition("_")[2]), 1.0) for c in columns])
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """What is simulated where nothing is said: tables of a campaign file, values and noise (1 sigma)."""
+
+    campaign: Mapping[str, Any]
+    values: Mapping[str, float]
+    noise: Mapping[str, float]
+
+
+def _itself(model: Model) -> Model:
+    return model
+
+
+def _plain_from_meta(make: Maker, meta: Any) -> Model:
+    return make()
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """What a kind of sensor tells the rest of the program.
+
+    `models`: makers, `default` the name of one (the first), `aliases`: other name -> name. `readings`: a
+    regular expression of the columns it is read in. `about`: what a message calls a log of it, such as
+    "a beam (hall_a_m, ...; y_ref_m)". `from_meta(make, meta)`: the model for the layout, columns and nominal
+    values that a log states. `decoder`: how its pose is computed in C, a kind that `hallsym.codegen` knows or
+    a maker `(model, p, weight, box) -> Decoupler`.
+    """
+
+    name: str
+    models: tuple[Maker, ...] = ()
+    default: str = ""
+    readings: str = r"(hall|col|v)_\w+"
+    about: str = ""
+    pose_metric: PoseMetric = PoseMetric()
+    aliases: Mapping[str, str] = field(default_factory=dict)
+    from_meta: Callable[[Maker, Any], Model] = _plain_from_meta
+    effects: tuple[Any, ...] = ()
+    """What a model may be extended by: functions `Model -> Model`."""
+    catalogue: tuple[Any, ...] | None = None
+    """Effects that a diagnosis searches (`hallsym.diagnosis.effect.Effect`)."""
+    words: Mapping[str, str] = field(default_factory=dict)
+    """What a person calls a column, where its name does not say it: `z_m` -> "height Z"."""
+    together: str = ""
+    """What a person calls all state columns together."""
+    example: Example | None = None
+    endless: tuple[str, ...] = ()
+    """Pose coordinates that can move on and on in one direction, as a shaft turns."""
+    waves: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+    """Waves of the error per period of the first periodic coordinate -> effects that make them."""
+    direct: Callable[[Model], Model] = _itself
+    """The same model in the form that is cheapest to evaluate sample by sample."""
+    short: Callable[[Model], Model] = _itself
+    """The same model in a form that many effects do not blow up."""
+    pairs: bool = False
+    """Whether a diagnosis holds a flexible effect against pairs of plain ones."""
+    most_effects: int = 3
+    """Effects that a diagnosis adds at most."""
+    decoder: str | Callable[..., Any] = "linear"
+
+    def __str__(self) -> str:
+        """Return the name, which messages use."""
+        return self.name
+
+    @cached_property
+    def axes(self) -> tuple[str, ...]:
+        """Coordinates and states that a campaign can move, of all models."""
+        models = [make() for make in self.models]
+        return tuple(dict.fromkeys(c for part in ("pose", "state") for m in models for c in getattr(m, part)))
+
+    def refers(self, columns: Collection[str]) -> bool:
+        """Return whether a log with these columns has a reference that its models have."""
+        return any(make().references[0] in columns for make in self.models)
+
+    def reads(self, columns: Collection[str]) -> bool:
+        """Return whether a log with these columns has such a reference and is read as this family is."""
+        return self.refers(columns) and any(re.fullmatch(self.readings, c) for c in columns)
+
+    def model_of(self, columns: Collection[str]) -> str:
+        """Return the name of the model that has most references of a log, else the default."""
+        first = self.default or self.models[0].__name__
+        names = sorted((make.__name__ for make in self.models), key=lambda name: name != first)
+        known = {make.__name__: make().references for make in self.models}
+        return max(names, key=lambda n: len(known[n]) if set(known[n]) <= set(columns) else 0)
+
+    def maker(self, name: str) -> Maker | None:
+        """Return the maker of the model called `name` or an alias of it; None where there is none."""
+        name = self.aliases.get(name, name)
+        return next((make for make in self.models if make.__name__ == name), None)

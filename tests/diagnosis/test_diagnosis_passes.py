@@ -1,0 +1,28 @@
+"""A diagnosis reads a log in memory a few times at most, however many models it tries on it."""
+
+from pathlib import Path
+
+import pytest
+
+from hallsym.diagnosis import diagnose
+from hallsym.log import Log, read_log
+
+DATA = Path(__file__).parents[2] / "data"
+MOST = 8
+"""Passes over the log: runs, check, fit, and each set of derived columns once."""
+
+
+def test_diagnosis_reads_the_log_at_most_eight_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    passes = []
+    blocks = Log.blocks
+    monkeypatch.setattr(Log, "blocks", lambda *of, **by: passes.append(of) or blocks(*of, **by))
+    found = diagnose(read_log(DATA / "campaign"), "stage30")
+    assert found.ranked[0] == "vertical_gain_coupling"
+    assert 0 < len(passes) <= MOST, passes
+
+
+def test_a_log_that_is_too_long_to_be_kept_is_diagnosed_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = diagnose(read_log(DATA / "encoder")).to_dict()
+    monkeypatch.setattr("hallsym.log.batches.HELD", 0)
+    streamed = diagnose(read_log(DATA / "encoder")).to_dict()
+    assert streamed | {"seconds": 0} == kept | {"seconds": 0}

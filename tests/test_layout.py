@@ -1,0 +1,138 @@
+"""The house: imports go one way, there are no circles, no module runs away, names stand where they belong."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = (
+    "cli", "report", "diagnosis", "codegen", "experiment", "uncertainty", "trajectory", "inference",
+    "estimation", "simulation", "families", "log", "model",
+)  # fmt: skip
+"""From the top down: a package imports those that stand after it, and what is flat (errors, units, files)."""
+LONGEST = 450
+"""Lines of a module; a longer one does several things (the median module has about 130)."""
+FAMILY_NAMES = re.compile(r"rotary|stage|encoder|halbach")
+
+
+def modules() -> dict[str, Path]:
+    """Return every module of hallsym and solvers by its dotted name."""
+    found = {}
+    for path in [*ROOT.glob("hallsym/**/*.py"), *ROOT.glob("solvers/**/*.py")]:
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+MODULES = modules()
+
+
+def imported(name: str) -> set[str]:
+    """Return the modules of the house that a module imports, type checking and functions included."""
+    tree = ast.parse(MODULES[name].read_text(encoding="utf-8"))
+    out = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                out.add(whole if whole in MODULES else node.module)
+        elif isinstance(node, ast.Import):
+            out |= {alias.name for alias in node.names}
+    return {m for m in out if m in MODULES and m != name}
+
+
+def package(name: str) -> str | None:
+    """Return the package of a module of hallsym; None for what is flat."""
+    parts = name.split(".")
+    return parts[1] if len(parts) > 1 and parts[1] in PACKAGES else None
+
+
+SHARED = sorted(name for name in MODULES if name not in ("hallsym", "hallsym.__main__"))
+
+
+def test_imports_go_one_way() -> None:
+    wrong = []
+    for name in SHARED:
+        own = package(name)
+        for other in imported(name):
+            theirs = package(other)
+            up = own is None or PACKAGES.index(own) > PACKAGES.index(theirs) if theirs else False
+            if theirs != own and up:  # what is flat, and the solvers, know no package
+                wrong.append(f"{name} imports {other}")
+    assert wrong == []
+
+
+def test_solvers_know_nothing_of_sensors() -> None:
+    for name in MODULES:
+        if name.split(".")[0] == "solvers":
+            assert not [m for m in imported(name) if m.startswith("hallsym")], name
+
+
+def test_no_circle_of_modules() -> None:
+    graph = {name: imported(name) - {"hallsym"} for name in MODULES if name != "hallsym"}
+    done: set[str] = set()
+
+    def walk(name: str, path: list[str]) -> None:
+        assert name not in path, " -> ".join([*path[path.index(name) :], name])
+        if name not in done:
+            for other in graph[name]:
+                walk(other, [*path, name])
+            done.add(name)
+
+    for name in graph:
+        walk(name, [])
+
+
+def test_every_package_is_one_that_the_layout_names() -> None:
+    folders = {p.parent.name for p in ROOT.glob("hallsym/*/__init__.py")}
+    assert folders <= set(PACKAGES), folders - set(PACKAGES)
+
+
+def test_no_module_runs_away() -> None:
+    long = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in MODULES.items()}
+    assert {name: lines for name, lines in long.items() if lines > LONGEST} == {}
+
+
+def code_with_family_names(path: Path) -> list[str]:
+    """Return the names in a module that belong to one family; what is said to people does not count."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    words = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name | ast.FunctionDef | ast.ClassDef | ast.arg | ast.alias | ast.Attribute):
+            words.append(getattr(node, "id", None) or getattr(node, "attr", None)
+                         or getattr(node, "arg", None) or node.name)  # fmt: skip
+        elif isinstance(node, ast.ImportFrom):
+            words.append(node.module or "")
+        elif isinstance(node, ast.Compare):
+            words += [str(c.value) for c in ast.walk(node) if isinstance(c, ast.Constant)]
+    return [word for word in words if FAMILY_NAMES.search(word)]
+
+
+def test_shared_code_names_no_family() -> None:
+    shared = [name for name in SHARED if package(name) != "families" and name.startswith("hallsym")]
+    named = {name: code_with_family_names(MODULES[name]) for name in shared}
+    assert {name: words for name, words in named.items() if words} == {}
+
+
+def test_only_public_names_are_there_to_tab_through() -> None:
+    script = "import hallsym, hallsym.cli.main; print(*[n for n in dir(hallsym) if not n.startswith('__')])"
+    shown = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
+    import hallsym
+
+    assert shown == [name for name in hallsym.__all__ if not name.startswith("__")]
+    assert all(hasattr(hallsym, name) for name in hallsym.__all__)
+
+
+def test_help_and_import_load_no_heavy_library() -> None:
+    script = (
+        "import sys, hallsym\nfrom hallsym.cli.main import main\nmain([])\n"
+        "print(*sorted({'casadi', 'numpy', 'scipy', 'matplotlib', 'pyarrow'} & set(sys.modules)))"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    assert out.splitlines()[-1] == ""
