@@ -20,7 +20,7 @@ from hallsym.diagnosis import load_effects, makes
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
-from hallsym.diagnosis.engine import Examined, examine
+from hallsym.diagnosis.engine import Examined, examine, prepare
 from hallsym.diagnosis.errors import errors_of
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
@@ -90,7 +90,7 @@ def run(options: Namespace) -> int:
             holdout=holdout,
             drop_bad=options.drop_bad,
         )
-    seen = examine(
+    setup = prepare(
         log,
         model,
         holdout=holdout,
@@ -99,6 +99,7 @@ def run(options: Namespace) -> int:
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),
     )
+    seen = examine(setup)
     found = seen.diagnosis
     for path in options.output:
         if path.lower().endswith((".html", ".htm")):

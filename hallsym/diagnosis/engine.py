@@ -75,35 +75,22 @@ def diagnose(
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
     return examine(
-        log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad, policy=policy,
-        on_progress=on_progress,
+        prepare(
+            log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
+            policy=policy, on_progress=on_progress,
+        )
     ).diagnosis  # fmt: skip
 
 
-def examine(
-    log: Log,
-    model: str | Model | Fit | None = None,
-    *,
-    holdout: Sequence[int] | None = None,
-    effects: Sequence[Effect] = (),
-    threshold: float | None = None,
-    drop_bad: bool = False,
-    policy: Policy = POLICY,
-    on_progress: Say | None = None,
-) -> Examined:
+def examine(setup: Setup) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
-    began = perf_counter()
-    setup = prepare(
-        log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad, policy=policy,
-        on_progress=on_progress,
-    )  # fmt: skip
     selection = select(setup)
     found = validate(setup, selection)
     verdict = decide(setup, found)
     named = findings(setup, found)
     quiet = verdict == "no gap"
     alike = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
-    diagnosis = report(setup, selection, found, named, verdict, alike, perf_counter() - began)
+    diagnosis = report(setup, selection, found, named, verdict, alike)
     return Examined(diagnosis, setup.fit, setup.base, found.base if diagnosis.effects else None)
 
 
@@ -118,8 +105,11 @@ def prepare(
     policy: Policy = POLICY,
     on_progress: Say | None = None,
 ) -> Setup:
-    """Fit the model on the fit runs: what every stage of a diagnosis, and a self-test, starts from."""
-    say = on_progress or (lambda _: None)
+    """Fit the model on the fit runs: what every stage of a diagnosis, and a self-test, starts from.
+
+    Arguments as for `diagnose`.
+    """
+    began, say = perf_counter(), on_progress or (lambda _: None)
     model, timed = _built(log, model), "t_s" in log.columns
     level, whole = _threshold(log, threshold, policy), log
     pieces = None
@@ -143,6 +133,7 @@ def prepare(
         catalogue=(*catalogue_of(model), *effects),
         policy=policy,
         say=say,
+        began=began,
     )
 
 
@@ -207,7 +198,7 @@ def _holdout(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[i
     if holdout is None:
         every = policy.holdout_every
         holdout = log.meta.holdout or log.runs[every // 2 :: every]
-    if len(log.runs) < policy.fewest_runs or len(log.runs) - len(set(holdout)) < 2 or not holdout:
+    if not holdout or len(log.runs) - len(set(holdout)) < 2:
         short, many = log.rows < split.FEWEST, counted(len(log.runs), "run")
         raise InputError(
             f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "

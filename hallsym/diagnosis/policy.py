@@ -23,7 +23,7 @@ class Policy:
 
     A fifth of the runs judges, as in 5-fold cross-validation."""
     fewest_runs: int = 3
-    """Runs that a log must have. Two to fit, so that one can check the other, and one to judge."""
+    """Runs below which a recording is split. Two to fit, so that one checks the other, and one to judge."""
 
     # screening and selection
 

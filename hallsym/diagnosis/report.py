@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from time import perf_counter
 from typing import Any
 
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
@@ -35,7 +36,6 @@ def report(
     effects: tuple[FoundEffect, ...],
     verdict: Verdict,
     alike: Confusable,
-    seconds: float,
 ) -> Diagnosis:
     """Return the diagnosis. `effects`: what was found; `alike`: what the log cannot tell apart."""
     quiet = verdict == "no gap"
@@ -73,7 +73,7 @@ def report(
         model=setup.fit.model.name,
         log={**setup.fit.log, "runs_fitted": len(setup.runs)},
         notes=_notes(setup, found, quiet),
-        seconds=seconds,
+        seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),
         waves=waves(setup.base.model.family.waves, found.start.base, found.base if named else None),
         next_step=() if quiet else next_step(setup, found),

@@ -45,6 +45,7 @@ class Setup:
     catalogue: tuple[Effect, ...]
     policy: Policy
     say: Callable[[str], None]
+    began: float
 
     @property
     def tested(self) -> int:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hallsym.diagnosis import diagnose
 from hallsym.diagnosis.engine import examine, prepare
 from hallsym.diagnosis.errors import BlockErrors, interval
 from hallsym.diagnosis.refit import refit, with_model
@@ -45,7 +46,7 @@ def test_a_decrease_by_chance_is_uniform_and_a_real_one_is_certain():
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3))])
 def test_what_is_named_shrinks_the_gap_on_the_held_out_runs(seed):
-    found = examine(turn(seed, pattern=1.5e-3, noise=7e-4), "rotary").diagnosis
+    found = diagnose(turn(seed, pattern=1.5e-3, noise=7e-4), "rotary")
     assert [e.name for e in found.effects] == ["reference_pole_pairs"]
     assert found.effects[0].interval[0] > 0
     named = {e.name for e in found.effects}
@@ -54,7 +55,7 @@ def test_what_is_named_shrinks_the_gap_on_the_held_out_runs(seed):
 
 def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
     """200 knots sample 100 waves at their crossings: the sine is 0 at each of them."""
-    examined = examine(turn(pattern=1.5e-3), "rotary_ideal")
+    examined = examine(prepare(turn(pattern=1.5e-3), "rotary_ideal"))
     base = examined.before
     make = rotary_effects.reference_harmonics("reference_pole_pairs", (50, 100))
     fit = refit(with_model(base, make(base.model)), [r for r in base.log.runs if r not in base.apart])
