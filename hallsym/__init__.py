@@ -42,15 +42,15 @@ if TYPE_CHECKING:
     from hallsym.log import write_log as write_log
     from hallsym.model import Model as Model
     from hallsym.model import Parameter as Parameter
-    from hallsym.simulation.campaign import Campaign as Campaign
-    from hallsym.simulation.campaign import paper_campaign as paper_campaign
-    from hallsym.simulation.campaign import read_campaign as read_campaign
-    from hallsym.simulation.campaign import write_campaign as write_campaign
-    from hallsym.simulation.machine import NoiseModel as NoiseModel
-    from hallsym.simulation.machine import simulate as simulate
-    from hallsym.simulation.machine import simulate_blocks as simulate_blocks
-    from hallsym.simulation.machine import table8_noise as table8_noise
-    from hallsym.simulation.paper import bundled_campaign as bundled_campaign
+    from hallsym.simulation import Campaign as Campaign
+    from hallsym.simulation import NoiseModel as NoiseModel
+    from hallsym.simulation import bundled_campaign as bundled_campaign
+    from hallsym.simulation import paper_campaign as paper_campaign
+    from hallsym.simulation import read_campaign as read_campaign
+    from hallsym.simulation import simulate as simulate
+    from hallsym.simulation import simulate_blocks as simulate_blocks
+    from hallsym.simulation import table8_noise as table8_noise
+    from hallsym.simulation import write_campaign as write_campaign
     from hallsym.uncertainty import Budget as Budget
     from hallsym.uncertainty import Source as Source
     from hallsym.uncertainty import position_budget as position_budget
@@ -74,12 +74,13 @@ _PUBLIC = {
     "hallsym.inference": ("Identifiability", "identify"),
     "hallsym.log": ("Log", "LogWriter", "Meta", "Noise", "read_log", "write_log"),
     "hallsym.model": ("Model", "Parameter"),
-    "hallsym.simulation.campaign": ("Campaign", "paper_campaign", "read_campaign", "write_campaign"),
-    "hallsym.simulation.machine": ("NoiseModel", "simulate", "simulate_blocks", "table8_noise"),
-    "hallsym.simulation.paper": ("bundled_campaign",),
+    "hallsym.simulation": (
+        "Campaign", "NoiseModel", "bundled_campaign", "paper_campaign", "read_campaign", "simulate",
+        "simulate_blocks", "table8_noise", "write_campaign",
+    ),
     "hallsym.uncertainty": ("Budget", "Source", "position_budget", "read_budget", "uncertainty_map"),
     "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
-}
+}  # fmt: skip
 """Where each public name stands; it is imported when it is first used, so that `import hallsym` is quick."""
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 __all__ = sorted([*_HOME, "__version__"])

@@ -15,8 +15,7 @@ from hallsym.inference.intervals import Interval
 from hallsym.inference.profile_walk import Side
 from hallsym.inference.verdict import Verdict
 from hallsym.report.figures import WIDTH
-from hallsym.simulation.campaign import Campaign, Run, sine
-from hallsym.simulation.machine import NoiseModel, simulate
+from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
 
 @cache

@@ -16,8 +16,8 @@ from hallsym.estimation.run_statistics import summarise
 from hallsym.families import build, published
 from hallsym.log import Block, Log, Noise, Sigma
 from hallsym.model import Model
-from hallsym.simulation.campaign import Campaign, paper_campaign
-from hallsym.simulation.machine import VERTICAL_NOISE, NoiseModel, simulate
+from hallsym.simulation import Campaign, NoiseModel, paper_campaign, simulate
+from hallsym.simulation.paper import VERTICAL_NOISE
 
 EPS = float(np.finfo(float).eps)
 TRUTH = published.values("table7_estimates")

@@ -19,8 +19,7 @@ from hallsym.families.published import values as published_values
 from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
 from hallsym.log.noise import check_noise_keys
 from hallsym.model import Model
-from hallsym.simulation import machine as twin
-from hallsym.simulation.campaign import Campaign, campaign_from, paper_campaign, read_campaign
+from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 
 
 def command(
@@ -233,7 +232,7 @@ def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dic
     if not campaign.noise and own:
         return {c: s for c, s in own.items() if c in (*model.channels, *model.references)}
     if not campaign.noise:
-        return dict(twin.table8_noise(model, values).sigma)
+        return dict(table8_noise(model, values).sigma)
     columns = (*model.channels, *model.state, *model.references)
     other = [c for c in campaign.noise if c in (own or {}) and c not in columns]
     stated = {c: s for c, s in campaign.noise.items() if c not in other}

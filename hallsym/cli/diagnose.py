@@ -20,8 +20,8 @@ from hallsym.diagnosis import load_effects, makes
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
+from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.engine import Examined, examine, prepare
-from hallsym.diagnosis.errors import errors_of
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import columns_of

@@ -11,7 +11,7 @@ from hallsym.estimation.fit import LOSSES, SOLVERS, noise_of
 from hallsym.families import effects, models
 from hallsym.log import Log, check_log, spans
 from hallsym.report.tables import fit_text, grid
-from hallsym.simulation.campaign import Campaign, read_campaign
+from hallsym.simulation import Campaign, read_campaign
 from hallsym.units import readable
 
 

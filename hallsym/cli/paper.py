@@ -10,7 +10,7 @@ from hallsym.estimation.fit import fit
 from hallsym.families import published
 from hallsym.log import Log
 from hallsym.report.tables import error_rows
-from hallsym.simulation.paper import bundled_campaign
+from hallsym.simulation import bundled_campaign
 
 HEIGHT = 250e-6
 POSE = ("x_m", "y_m", "rz_rad")

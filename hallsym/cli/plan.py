@@ -21,12 +21,17 @@ from hallsym.estimation.calibration import load_fit
 from hallsym.estimation.fit import fit, noise_of
 from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
 from hallsym.families.machine_file import Machine, read_machine
-from hallsym.families.stage.models import paper_layout
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.report.text.plan import plan_text
-from hallsym.simulation import machine as twin
-from hallsym.simulation.campaign import Campaign, paper_campaign, read_campaign, write_campaign
+from hallsym.simulation import (
+    Campaign,
+    is_the_papers,
+    paper_campaign,
+    read_campaign,
+    table8_noise,
+    write_campaign,
+)
 
 
 def add(sub: Any) -> None:
@@ -134,15 +139,15 @@ def _noise(
     if options.values:
         known = load_fit(options.values).noise
         return {c: s.value for c, s in known.sigmas.items()}, f"noise as in {options.values}."
-    if model.layout == paper_layout():
-        return dict(twin.table8_noise(model, values).sigma), "noise that reproduces Table 8."
+    if is_the_papers(model):
+        return dict(table8_noise(model, values).sigma), "noise that reproduces Table 8."
     return None, ""
 
 
 def _against(options: Namespace, ranges: Ranges, model: Model) -> tuple[Campaign | None, str]:
     if options.compare:
         return read_campaign(options.compare), Path(options.compare).name
-    if model.layout == paper_layout():
+    if is_the_papers(model):
         return paper_campaign(ranges.step_s, ranges.seconds_per_run), "Table 6"
     return None, ""
 

@@ -28,7 +28,7 @@ from hallsym.files import atomic_write
 from hallsym.inference import Identifiability, identify
 from hallsym.inference.comparison import beside_text, compared
 from hallsym.report.text.identifiability import report_text
-from hallsym.simulation.campaign import campaign_from, paper_campaign, read_campaign
+from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 
 PAPER = "the paper's campaign"
 

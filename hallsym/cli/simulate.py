@@ -7,7 +7,7 @@ from hallsym.cli import OK
 from hallsym.cli.common import campaign_of, command, levels, model_options, progress_of, say, seed, truth_of
 from hallsym.families.machine_file import read_machine
 from hallsym.log import LogWriter
-from hallsym.simulation import machine as twin
+from hallsym.simulation import NoiseModel, simulate_blocks
 
 
 def add(sub: Any) -> None:
@@ -66,7 +66,7 @@ def run(options: Namespace) -> int:
     machine = read_machine(options.machine)
     campaign = campaign_of(options)
     model, values = truth_of(options, machine, campaign)
-    noise = twin.NoiseModel(
+    noise = NoiseModel(
         {c: s * options.noise_scale for c, s in levels(campaign, model, values).items()},
         correlation_s=options.correlation,
         outlier_share=options.outliers,
@@ -75,7 +75,7 @@ def run(options: Namespace) -> int:
     )
     show, done = progress_of(options), 0
     with LogWriter(options.output) as writer:
-        for block in twin.simulate_blocks(model, values, campaign, noise, seed=options.seed):
+        for block in simulate_blocks(model, values, campaign, noise, seed=options.seed):
             writer.append(block)
             done += len(block["run"])
             show(f"{100 * done / campaign.rows:.0f} % of {campaign.rows} samples")

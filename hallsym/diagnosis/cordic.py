@@ -5,8 +5,8 @@ from math import pi
 
 import numpy as np
 
-from hallsym.diagnosis.chance import as_often
-from hallsym.families.rotary.cordic import Levels, levels, worst_of
+from hallsym.diagnosis.p_values import as_often
+from hallsym.families.cordic import Levels, levels, worst_of
 
 STEPS = range(4, 15)
 """Steps that are looked for: the error of 4 is 7 deg, that of 14 less than a count of 14 bits."""

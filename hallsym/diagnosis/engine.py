@@ -16,7 +16,7 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym.diagnosis import split
+from hallsym.diagnosis import holdout_pieces
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.effect import Effect
@@ -145,12 +145,12 @@ def _built(log: Log, model: str | Model | Fit | None) -> Model:
 
 def _pieces(log: Log, model: Model, policy: Policy) -> tuple[Log, tuple[int, ...] | None]:
     """Split a recording of too few runs if runs have no offsets; return the pieces to hold out."""
-    few = len(log.runs) < policy.fewest_runs and log.rows >= split.FEWEST
+    few = len(log.runs) < policy.fewest_runs and log.rows >= holdout_pieces.FEWEST
     if not few or model.zeros or log.meta.holdout:
         return log, None
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
     log = continuous(replace(log, noise=fitting.noise_of(log, model)), model)
-    return split.split(log, None if split.TIME in log.columns else _spikes(log, model))
+    return holdout_pieces.split(log, None if holdout_pieces.TIME in log.columns else _spikes(log, model))
 
 
 def _spikes(log: Log, model: Model) -> np.ndarray | None:
@@ -199,11 +199,15 @@ def _holdout(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[i
         every = policy.holdout_every
         holdout = log.meta.holdout or log.runs[every // 2 :: every]
     if not holdout or len(log.runs) - len(set(holdout)) < 2:
-        short, many = log.rows < split.FEWEST, counted(len(log.runs), "run")
+        short, many = log.rows < holdout_pieces.FEWEST, counted(len(log.runs), "run")
         raise InputError(
             f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
             "(2 to fit and 1 to judge on at least); record more runs or "
-            + (f"at least {split.FEWEST} samples (it has {log.rows})." if short else "split a long one.")
+            + (
+                f"at least {holdout_pieces.FEWEST} samples (it has {log.rows})."
+                if short
+                else "split a long one."
+            )
         )
     return tuple(holdout)
 

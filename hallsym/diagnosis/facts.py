@@ -3,11 +3,10 @@
 import numpy as np
 
 from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.change_points import MAX_SEGMENTS, instants, switched_runs
 from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
 from hallsym.diagnosis.survey import SEGMENT, Survey
-from hallsym.diagnosis.switching import switched_runs
 from hallsym.log import Log
 from hallsym.log.batches import batches
 from hallsym.model import Model

@@ -10,8 +10,8 @@ from math import factorial
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import beyond, statistic_at
 from hallsym.diagnosis.cordic import cordic
+from hallsym.diagnosis.p_values import beyond, statistic_at
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.residuals import pieces

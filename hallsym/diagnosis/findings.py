@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hallsym.diagnosis.errors import interval
+from hallsym.diagnosis.decoded_errors import interval
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.firmware_cost import firmware_cost
 from hallsym.diagnosis.ranking import count_of

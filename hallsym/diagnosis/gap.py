@@ -1,10 +1,11 @@
-"""Is what a model leaves a gap? Its structure decides, and the noise floor as far as it is known."""
+"""Is what a model leaves a gap? Lack of fit decides, and the noise floor as far as it is known."""
 
 import numpy as np
 
+from hallsym.diagnosis.features import Key
+from hallsym.diagnosis.lack_of_fit import LackOfFit
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.setup import Floor
-from hallsym.diagnosis.structure import CURVES, Structure
 
 
 def worth_reporting(floor: Floor, threshold: float, policy: Policy) -> float:
@@ -12,7 +13,7 @@ def worth_reporting(floor: Floor, threshold: float, policy: Policy) -> float:
     return floor.metric * (1 + policy.floor_known) / (1 - threshold)
 
 
-def shaped(found: Structure, threshold: float, policy: Policy) -> bool:
+def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
     """Return whether a residual has a shape, or lines, that are worth the threshold by themselves."""
     need = 1 - (1 - threshold) / (1 + policy.floor_known)
     best = found.best(policy.shape_certain)
@@ -20,7 +21,7 @@ def shaped(found: Structure, threshold: float, policy: Policy) -> bool:
 
 
 def remains(
-    found: Structure, slow: float, metric: float, floor: Floor, threshold: float, policy: Policy
+    found: LackOfFit, slow: float, metric: float, floor: Floor, threshold: float, policy: Policy
 ) -> bool:
     """Return whether a residual of size `metric` is a gap although no effect is named for it.
 
@@ -39,7 +40,7 @@ def remains(
 
 
 def used_up(
-    before: Structure, metric_before: float, after: Structure, metric_after: float, policy: Policy
+    before: LackOfFit, metric_before: float, after: LackOfFit, metric_after: float, policy: Policy
 ) -> float:
     """Return the least part of a shape that is gone with an effect, over all shapes that hold the effect.
 
@@ -57,15 +58,14 @@ def slow_share(variance: float, fast: float) -> float:
     return 1 - float(np.sqrt(min(1.0, fast / max(variance, 1e-12))))
 
 
-def _powers(found: Structure, metric: float) -> dict[str, float]:
+def _powers(found: LackOfFit, metric: float) -> dict[str, float]:
     """Squares [m^2] that each kind of shape explains; curves over several coordinates of a kind add up."""
-    best: dict[str, float] = {"lines": _power(found.lines, metric)}
+    best: dict[Key, float] = {Key("lines"): _power(found.lines, metric)}
     for shape in found.shapes:  # best first: the finest curve that pays
-        best.setdefault(shape.by, _power(shape.drop, metric))
+        best.setdefault(shape.key, _power(shape.drop, metric))
     kinds: dict[str, float] = {}
-    for by, power in best.items():
-        kind = by.split()[0] if by.startswith(CURVES) else by
-        kinds[kind] = kinds.get(kind, 0.0) + power
+    for key, power in best.items():
+        kinds[key.kind] = kinds.get(key.kind, 0.0) + power
     return kinds
 
 

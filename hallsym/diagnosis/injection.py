@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from hallsym.diagnosis.truth import Truth
+from hallsym.diagnosis.simulated_machine import Truth
 from hallsym.diagnosis.words import gap_text, gap_unit
 
 ABSORBED = 0.02

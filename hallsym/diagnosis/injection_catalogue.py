@@ -8,9 +8,9 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.injection import Injection, Noisy, Size
 from hallsym.diagnosis.injection_faults import faults, rails
+from hallsym.diagnosis.normal_equations import tangents
 from hallsym.diagnosis.scores import Trouble, candidates
-from hallsym.diagnosis.tangent import tangents
-from hallsym.diagnosis.truth import Truth, goes_round, readings_of
+from hallsym.diagnosis.simulated_machine import Truth, goes_round, readings_of
 from hallsym.model import Model
 
 HUM_HZ = 50.03

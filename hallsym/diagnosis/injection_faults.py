@@ -6,8 +6,8 @@ import numpy as np
 
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.injection import Injection, Noisy, Size
-from hallsym.diagnosis.truth import Truth, goes_round, unit_of
-from hallsym.families.rotary.cordic import MOST_STEPS, cordic_angle, worst_of
+from hallsym.diagnosis.simulated_machine import Truth, goes_round, unit_of
+from hallsym.families.cordic import MOST_STEPS, cordic_angle, worst_of
 from hallsym.log.phase import wrapped
 
 OUTLIERS = 0.003

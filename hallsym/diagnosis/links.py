@@ -14,13 +14,13 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.faults import Fault
-from hallsym.diagnosis.marginal import LEAST, LEVEL, Found
+from hallsym.diagnosis.normal_equations import Products, eliminated, following
+from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.refit import inverse, solve
-from hallsym.diagnosis.residue import BLOCKS, FEWEST, FOLDS, SHORTEST, Residue, moved
+from hallsym.diagnosis.residual_table import BLOCKS, FEWEST, FOLDS, SHORTEST, ResidualTable, at_rest
 from hallsym.diagnosis.scores import NIL, Score, by_name
-from hallsym.diagnosis.smooth import chance_of_signs
-from hallsym.diagnosis.tangent import Products, eliminated, following
+from hallsym.diagnosis.shares import LEAST, LEVEL, Found
 from hallsym.diagnosis.words import percent
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Block, Log
@@ -42,7 +42,7 @@ AS_GOOD = 0.9
 """Of links that take up at least this part of what the best one does each is named."""
 
 
-def of_links(base: Base, scored: Sequence[Score], r: Residue, faults: Sequence[Fault] = ()) -> Found:
+def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequence[Fault] = ()) -> Found:
     """Return what each link can take up of the excess of `r`, and statements on those that surely do.
 
     `scored`: effects at `base`, of which the best variant of each is taken. `faults`: of single samples, with
@@ -96,7 +96,7 @@ class Link:
 
 def _statement(link: str, found: Link) -> Statement:
     text = f"{percent(found.alone)} of the excess can come from the {link} ({_beside(found)})"
-    return Statement("link", link, found.alone, found.p_value, text)
+    return Statement("link", link, found.alone, found.p_value, text, kind="link")
 
 
 def _beside(found: Link) -> str:
@@ -200,7 +200,7 @@ class Blocks:
         at = self.at([name])
         scores = self.scores[:, at]
         q = scores @ inverse(self.all[np.ix_(at, at)]) @ scores.T
-        return chance_of_signs(q, self.run)
+        return of_signs(q, self.run)
 
 
 def _without(total: np.ndarray, own: int, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -266,7 +266,8 @@ def _smoothed(base: Base, models: Sequence[Model]) -> Log:
         data = {c: np.concatenate([block.data[c] for block in blocks]) for c in held}
         old = [data[c] for c in model.references]
         new = [
-            moved(data[s.name], base.sigma.get(c, 0.0)) for s, c in zip(smooth, model.references, strict=True)
+            at_rest(data[s.name], base.sigma.get(c, 0.0))
+            for s, c in zip(smooth, model.references, strict=True)
         ]
         states, zeros = [data[c] for c in model.state], base.zeros_in(run)
         shift = read(base.p, zeros, new, states)[0] - read(base.p, zeros, old, states)[0]

@@ -99,7 +99,10 @@ class Statement:
 
     `share`: 0 to 1, on fitted runs; a statement on a coordinate counts only what those before it leave, so
     the shares of coordinates add up to at most 1. `held_out`: the same on the holdout runs, with the curve
-    fitted on the others; None where it does not apply.
+    fitted on the others; None where it does not apply. `kind`: as of `Share`; of a frequency "mains",
+    "motion" or "band". Of a coordinate, `unit` is its unit, `period` that of ripples or of a place within a
+    period, `waves` the waves per period, `sensor` the channel that sees it above all. JSON holds the first
+    six fields; `text` tells the others in words.
     """
 
     by: str
@@ -108,6 +111,15 @@ class Statement:
     p_value: float
     text: str
     held_out: float | None = None
+    kind: str = "coordinate"
+    unit: str | None = None
+    period: float | None = None
+    waves: tuple[int, ...] = ()
+    sensor: str | None = None
+
+
+IN_WORDS = ("kind", "unit", "period", "waves", "sensor")
+"""Fields of a statement that its JSON tells in `text` only."""
 
 
 @dataclass(frozen=True)
@@ -155,11 +167,11 @@ class Separation:
 
 @dataclass(frozen=True)
 class Waves:
-    """Amplitude [rad] of one harmonic of the error of an encoder: `per_turn` periods in a turn.
+    """Amplitude of the harmonic of the error that repeats `per_turn` times per period of a coordinate. SI.
 
-    `designed`: of the nominal encoder with only its zero fitted; `model`: of the diagnosed model; `after`:
-    with the effects that were found, None where there are none. `causes`: effects of the catalogue that make
-    this harmonic.
+    `designed`: of the nominal sensor, only its zeros fitted; `model`: of the diagnosed model; `after`: with
+    the effects that were found, None where there are none. `causes`: effects of the catalogue that make this
+    harmonic. `coordinate`: of a pose of several coordinates, the one that is periodic.
     """
 
     per_turn: int
@@ -167,6 +179,7 @@ class Waves:
     model: float
     after: float | None
     causes: tuple[str, ...]
+    coordinate: str = ""
 
     @property
     def absorbed(self) -> bool:
@@ -180,10 +193,10 @@ class Diagnosis:
 
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
-    "unexplained". `unexplained`: share and shape of that rest, see `shape.unexplained`. `size`: the gap per
-    output and sensor, on fitted and on holdout runs, see `size.sizes`. `shares`: what each coordinate, link,
-    output, sensor, frequency and run takes of the excess alone; empty where noise explains it. `waves`: the
-    harmonics of the error of an encoder; empty for what does not turn. `next_step`: the arguments of
+    "unexplained". `unexplained`: share and shape of that rest, see `curve_data.unexplained`. `size`: the gap
+    per output and sensor, on fitted and on holdout runs, see `gap_size.sizes`. `shares`: what each
+    coordinate, link, output, sensor, frequency and run takes of the excess alone; empty where noise explains
+    it. `waves`: the harmonics of the error over each periodic coordinate. `next_step`: the arguments of
     `hallsym fit LOG` that fit the model with the effects found; empty without any.
     """
 
@@ -219,6 +232,12 @@ class Diagnosis:
         """Return the diagnosis as plain JSON data."""
         floor = {**self.noise_floor.outputs, "source": self.noise_floor.source}
         plain: dict[str, Any] = _plain(asdict(self) | {"noise_floor": floor})
+        for wave in plain["waves"]:
+            if not wave["coordinate"]:
+                del wave["coordinate"]
+        for statement in (*plain["where"], *plain["remaining"]):
+            for name in IN_WORDS:
+                del statement[name]
         return plain
 
     @classmethod

@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.residuals import pieces
-from hallsym.simulation.campaign import AtTimes, Run, multi_sine, sine
+from hallsym.simulation import AtTimes, Run, multi_sine, sine
 
 LONGEST = 2000
 """Samples of a simulated run, at most."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.tangent import Tangents, tangents
+from hallsym.diagnosis.normal_equations import Tangents, tangents
 from hallsym.model import Model
 
 STEPS = 8

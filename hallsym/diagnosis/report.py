@@ -6,8 +6,11 @@ from time import perf_counter
 from typing import Any
 
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
-from hallsym.diagnosis.errors import block_errors, interval
+from hallsym.diagnosis.curve_data import unexplained
+from hallsym.diagnosis.decoded_errors import block_errors, interval
 from hallsym.diagnosis.gap import worth_reporting
+from hallsym.diagnosis.gap_size import sizes
+from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.record import (
     Diagnosis,
     FoundEffect,
@@ -19,12 +22,9 @@ from hallsym.diagnosis.record import (
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.sentences import floor_lowered_text, next_step, sentence, shapeless_text
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.shape import unexplained
-from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import Verdict, closed
 from hallsym.diagnosis.waves import waves
-from hallsym.diagnosis.where import Located, both, located
 from hallsym.diagnosis.words import gap_unit
 from hallsym.estimation.calibration import Fit
 
@@ -75,7 +75,7 @@ def report(
         notes=_notes(setup, found, quiet),
         seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),
-        waves=waves(setup.base.model.family.waves, found.start.base, found.base if named else None),
+        waves=waves(found.start.base, found.base if named else None),
         next_step=() if quiet else next_step(setup, found),
     )
 

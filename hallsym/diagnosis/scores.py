@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.effect import Effect, Facts, Variant
+from hallsym.diagnosis.normal_equations import Tangents, tangents
+from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.refit import inverse, solve
-from hallsym.diagnosis.tangent import Tangents, tangents
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import columns_of
 from hallsym.model import Model

@@ -7,14 +7,14 @@ from functools import partial
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.cancelling import undone
+from hallsym.diagnosis.collinearity import undone
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap import remains, slow_share, used_up
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.ranking import Exact, bic_of, plain_pairs_first, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.scores import Score, by_name, candidates, scores
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.survey import survey
 
 
@@ -195,7 +195,7 @@ class _Search:
 
     def prune(self) -> None:
         """Where a gap remains, drop effects that only resemble its cause: they leave its shape behind."""
-        rest = structure(self.now.base, self.runs)
+        rest = lack_of_fit(self.now.base, self.runs)
         seen = survey(self.now.base, frozenset(self.runs))
         gap, slow = _gap(self.now), slow_share(seen.variance, seen.fast)
         if not remains(rest, slow, gap, self.setup.floor, self.setup.threshold, self.policy):
@@ -203,7 +203,7 @@ class _Search:
         kept = []
         for found in self.found:
             without = self.refit(e for e in self.found if e is not found)
-            before = structure(without.base, self.runs)
+            before = lack_of_fit(without.base, self.runs)
             if used_up(before, _gap(without), rest, gap, self.policy) >= self.policy.used_up:
                 kept.append(found)
         if len(kept) < len(self.found):

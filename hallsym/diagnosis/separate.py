@@ -12,11 +12,11 @@ from itertools import combinations
 import numpy as np
 
 from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.normal_equations import tangents
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Separation
 from hallsym.diagnosis.recordings import BETWEEN, Range, Recording, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inverse
-from hallsym.diagnosis.tangent import tangents
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log

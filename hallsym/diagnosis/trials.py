@@ -4,17 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
+from hallsym.diagnosis.decimation import thinned
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.injection import Injection, Sized, generator, sized
 from hallsym.diagnosis.injection_catalogue import injections
-from hallsym.diagnosis.likeness import Likeness, likeness
+from hallsym.diagnosis.noise_model import Likeness, likeness
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.setup import Setup
+from hallsym.diagnosis.simulated_machine import Truth, truth_of
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.thin import thinned
-from hallsym.diagnosis.truth import Truth, truth_of
 from hallsym.errors import InputError
 from hallsym.log import Log
 

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import beyond
-from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
+from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
 from hallsym.diagnosis.gap import shaped, slow_share
+from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
+from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.record import SmallerFinding
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.selection import Selected, Selection
 from hallsym.diagnosis.setup import Floor, Setup
-from hallsym.diagnosis.structure import Structure, structure
 from hallsym.diagnosis.survey import survey
 
 
@@ -51,7 +51,7 @@ class Validation:
     after: BlockErrors
     cured: BlockErrors
     metric: float
-    rest: Structure
+    rest: LackOfFit
     floor: Floor
     floor_by_output: dict[str, float]
     floor_was: float | None
@@ -91,7 +91,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
     floor = _lowered_floor(setup, after, bool(effects), found)
-    rest = structure(end, setup.runs)
+    rest = lack_of_fit(end, setup.runs)
     if after.metric <= floor.metric * (1 + setup.policy.floor_known):
         found = []
     if shaped(rest, setup.threshold, setup.policy):
@@ -205,7 +205,7 @@ def _lowered_floor(setup: Setup, after: BlockErrors, explained: bool, found: Seq
     return replace(floor, metric=least)
 
 
-def _beyond_shapes(found: Sequence[Fault], rest: Structure) -> list[Fault]:
+def _beyond_shapes(found: Sequence[Fault], rest: LackOfFit) -> list[Fault]:
     """Return the faults that are no part of a shape, which may look like late samples here and there."""
     least = max([rest.lines, *(s.drop for s in rest.shapes)])
     return [f for f in found if f.name != "clock_jitter" and cures(f) >= least]

@@ -5,8 +5,8 @@ from typing import Literal
 import numpy as np
 
 from hallsym.diagnosis.gap import remains
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.validation import Validation
 
 Verdict = Literal["no gap", "explained", "unexplained"]
@@ -21,7 +21,7 @@ def decide(setup: Setup, found: Validation) -> Verdict:
     """
     named = found.named and 1 - found.metric / found.before.metric >= setup.threshold
     base, metric = (found.base, found.metric) if named else (found.start.base, found.before.metric)
-    rest = found.rest if base is found.end else structure(base, setup.runs)
+    rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     gap = remains(rest, found.slow, metric, found.floor, setup.threshold, setup.policy)
     if not named:
         return "unexplained" if gap else "no gap"

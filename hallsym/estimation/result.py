@@ -69,7 +69,7 @@ def result_of(
         notes=(
             *notes,
             *zero_notes(model, state.everything.summary.runs, delta),
-            *home_notes(task.log, dict(zip(state.everything.summary.runs, delta, strict=True))),
+            *home_notes(task.log, model, dict(zip(state.everything.summary.runs, delta, strict=True))),
         ),
         errors=errors,
         undetermined_by_log=estimate.undetermined_by_log,

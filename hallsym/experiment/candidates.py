@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.experiment.ranges import PLANAR, VERTICAL, Box, Ranges, tidy
-from hallsym.simulation.campaign import Run, Signal, multi_sine, sine, triangle
+from hallsym.experiment.ranges import Box, Ranges, tidy
+from hallsym.model import Model
+from hallsym.simulation import Run, Signal, multi_sine, sine, triangle
 from hallsym.units import readable
 
 MOST = 20_000
@@ -33,12 +34,16 @@ class _Motion:
     reach: Mapping[str, float]
 
 
-def candidates(ranges: Ranges) -> tuple[Candidate, ...]:
-    """Return every run that the ranges allow; raises `InputError` when there is none."""
+def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
+    """Return every run of `model` that the ranges allow; raises `InputError` when there is none.
+
+    Its pose moves; its state is held at settings, and moves where vertical motion is allowed.
+    """
+    _check_axes(ranges, model)
     found: list[Candidate] = []
-    for motion in _motions(ranges):
-        rests = [axis for axis in VERTICAL if axis in ranges.box and axis not in motion.signals]
-        for setting in _settings(ranges, motion):
+    for motion in _motions(ranges, model):
+        rests = [axis for axis in model.state if axis in ranges.box and axis not in motion.signals]
+        for setting in _settings(ranges, motion, model):
             if not any(_touches(zone, setting, motion) for zone in ranges.excluded):
                 place = {axis: value for axis, value in setting.items() if value or axis in rests}
                 words = _words(place, motion)
@@ -60,12 +65,33 @@ def candidates(ranges: Ranges) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def _motions(ranges: Ranges) -> Iterator[_Motion]:
-    moving = [axis for axis in PLANAR if ranges.place(axis)[1] > 0]
+def _check_axes(ranges: Ranges, model: Model) -> None:
+    """Refuse ranges of axes that the model has not, or in which its pose stands still."""
+    own = (*model.pose, *model.state)
+    for axis in (*ranges.box, *(a for zone in ranges.excluded for a in zone)):
+        if axis not in own:
+            raise InputError(f"Ranges move {axis}, which {model.name} has not; it has {', '.join(own)}.")
+    for axis in ranges.reference:
+        if axis not in model.pose:
+            raise InputError(
+                f"[reference] {axis} of the ranges must be a coordinate of {model.name}: "
+                f"{', '.join(model.pose)}."
+            )
+    if not any(ranges.place(axis)[1] > 0 for axis in model.pose):
+        names = [_axis(axis) for axis in model.pose]
+        listed = " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+        raise InputError(
+            f"Ranges must let {listed} move: give one of them a range that is not empty, such as "
+            "x_um = [-300, 300]."
+        )
+
+
+def _motions(ranges: Ranges, model: Model) -> Iterator[_Motion]:
+    moving = [axis for axis in model.pose if ranges.place(axis)[1] > 0]
     for motion in _planar(ranges, moving):
         yield motion
         if ranges.vertical_motion and motion.name[:6] not in ("multi-", "raster"):
-            yield from _lifted(ranges, motion)
+            yield from _lifted(ranges, motion, model.state)
 
 
 def _planar(ranges: Ranges, moving: Sequence[str]) -> Iterator[_Motion]:
@@ -84,7 +110,8 @@ def _planar(ranges: Ranges, moving: Sequence[str]) -> Iterator[_Motion]:
         yield _Motion("multi-sine " + ", ".join(map(_axis, moving)), signals, reach)
     lines = round(f[-1] / f[0])
     if "raster" in wanted and lines >= 2:
-        for fast, slow in ((a, b) for a, b in product(moving, moving) if a != b and "rz_rad" not in (a, b)):
+        lengths = [axis for axis in moving if axis.endswith("_m")]
+        for fast, slow in permutations(lengths, 2):
             reach = {axis: ranges.place(axis)[1] for axis in (fast, slow)}
             signals = {fast: triangle(reach[fast], f[-1]), slow: triangle(reach[slow], f[-1] / lines)}
             yield _Motion(f"raster, lines along {_axis(fast)} at {f[-1]:g} Hz", signals, reach)
@@ -97,9 +124,9 @@ def _sines(ranges: Ranges, axes: Sequence[str], frequencies: Sequence[float]) ->
     return _Motion(name, {axis: sine(reach[axis], f) for axis, f in pairs}, reach)
 
 
-def _lifted(ranges: Ranges, motion: _Motion) -> Iterator[_Motion]:
+def _lifted(ranges: Ranges, motion: _Motion, state: Sequence[str]) -> Iterator[_Motion]:
     """The same motion while vertical axes move too: each alone and all of them."""
-    vertical = [axis for axis in VERTICAL if ranges.place(axis)[1] > 0]
+    vertical = [axis for axis in state if ranges.place(axis)[1] > 0]
     left = ranges.frequencies_hz[len(motion.signals) :]
     for n in sorted({1, len(vertical)} - {0}):
         for axes in combinations(vertical, n) if n <= len(left) else ():
@@ -111,18 +138,18 @@ def _lifted(ranges: Ranges, motion: _Motion) -> Iterator[_Motion]:
             )
 
 
-def _settings(ranges: Ranges, motion: _Motion) -> Iterator[dict[str, float]]:
+def _settings(ranges: Ranges, motion: _Motion, model: Model) -> Iterator[dict[str, float]]:
     """Grid over the vertical axes that rest; every other axis at the middle of its range."""
-    middle = {axis: ranges.place(axis)[0] for axis in (*PLANAR, *VERTICAL)}
+    middle = {axis: ranges.place(axis)[0] for axis in (*model.pose, *model.state)}
     levels = []
-    for axis in VERTICAL:
+    for axis in model.state:
         centre, half = ranges.place(axis)
         rests = axis in motion.signals or half == 0
         levels.append(
             [centre] if rests else [tidy(centre + half * s) for s in np.linspace(-1, 1, ranges.levels)]
         )
     for place in product(*levels):
-        yield middle | dict(zip(VERTICAL, place, strict=True))
+        yield middle | dict(zip(model.state, place, strict=True))
 
 
 def _touches(zone: Box, setting: Mapping[str, float], motion: _Motion) -> bool:

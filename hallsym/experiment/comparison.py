@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.experiment.study import Study
-from hallsym.simulation.campaign import Campaign
+from hallsym.simulation import Campaign
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,13 +15,13 @@ from hallsym.estimation.run_statistics import summarise
 from hallsym.experiment.comparison import Comparison, compare
 from hallsym.experiment.criteria import CRITERIA
 from hallsym.experiment.information import Worst
-from hallsym.experiment.ranges import VERTICAL, Ranges
+from hallsym.experiment.ranges import Ranges
 from hallsym.experiment.study import Choice, Study, study
 from hallsym.families import build
 from hallsym.log import Log, Noise, check_log
 from hallsym.log.noise import check_noise_keys
 from hallsym.model import Model
-from hallsym.simulation.campaign import Campaign
+from hallsym.simulation import Campaign
 
 FORMAT = "hallsym plan 1"
 
@@ -182,7 +182,7 @@ def _order(found: Study, choice: Choice) -> list[int]:
 
     def place(k: int) -> tuple:
         run = found.candidates[k].run
-        return tuple(run.setting.get(axis, 0.0) for axis in VERTICAL)
+        return tuple(run.setting.get(axis, 0.0) for axis in found.model.state)
 
     return sorted(chosen, key=place)
 

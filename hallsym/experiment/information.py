@@ -11,8 +11,7 @@ from hallsym.estimation.run_statistics import summarise
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.model.quantities import combination
-from hallsym.simulation.campaign import Campaign, Run, Signal
-from hallsym.simulation.machine import simulate
+from hallsym.simulation import Campaign, Run, Signal, simulate
 
 LEAST, PER_PERIOD = 512, 16
 """A run is looked at in so many samples at least, and so many per period of its fastest signal; information

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import published
-from hallsym.simulation.campaign import AXES, noise_table
+from hallsym.families import axes, published
+from hallsym.simulation import noise_table
 from hallsym.toml import known, number, numbers, positive, read_toml, table, tables
 from hallsym.units import UNITS, split_unit
 
-PLANAR, VERTICAL = AXES[:3], AXES[3:]
 TRAJECTORIES = ("one-axis", "combined", "multi-sine", "raster")
 KEYS = (
     "step_s", "seconds_per_run", "runs", "minutes", "reset_s", "frequencies_hz", "levels", "trajectories",
@@ -55,11 +54,6 @@ class Ranges:
                 raise InputError(
                     f"Range of {axis} must run from low to high; instead received {low:g} to {high:g}."
                 )
-        if not any(high > low for axis, (low, high) in self.box.items() if axis in PLANAR):
-            raise InputError(
-                "Ranges must let x, y or Rz move: give one of them a range that is not empty, such as "
-                "x_um = [-300, 300]."
-            )
         limit = 0.5 / self.step_s
         if not self.frequencies_hz or max(self.frequencies_hz) >= limit:
             raise InputError(
@@ -117,7 +111,7 @@ def paper_ranges() -> Ranges:
     Frequencies are 1, 2 and 3 Hz, so that axes can move together; the paper has 1 Hz, one axis at a time.
     """
     settings = published.table("table6_settings")
-    box = {axis: (min(settings[axis]), max(settings[axis])) for axis in VERTICAL}
+    box = {axis: (min(settings[axis]), max(settings[axis])) for axis in settings if axis != "setting"}
     box |= {"x_m": (-300e-6, 300e-6), "y_m": (-500e-6, 500e-6), "rz_rad": (-300e-6, 300e-6)}
     return Ranges(box, (1.0, 2.0, 3.0), seconds_per_run=1.0, runs=57)
 
@@ -170,19 +164,19 @@ def _box(raw: Any, key: str, where: str) -> dict[str, tuple[float, float]]:
 def _reference(raw: Any, where: str) -> dict[str, float]:
     found = {}
     for key, value in table(raw, "reference", where).items():
-        axis, factor = _axis(key, where, PLANAR)
+        axis, factor = _axis(key, where)
         found[axis] = positive(value, key, where) * factor
     return found
 
 
-def _axis(key: str, where: str, axes: tuple[str, ...] = AXES) -> tuple[str, float]:
+def _axis(key: str, where: str) -> tuple[str, float]:
     """Axis and factor to SI of a key such as `z_um`."""
     stem, unit = split_unit(key)
     axis = f"{stem}_{unit.si}" if unit else key
-    if axis not in axes:
-        names = [f"{a.rpartition('_')[0]}_u{a.rpartition('_')[2]}" for a in axes]
+    if axis not in axes():
+        names = [f"{a.rpartition('_')[0]}_u{a.rpartition('_')[2]}" for a in axes()]
         raise InputError(
-            f"Unknown axis {key!r} in {where}{nearest(key, [*names, *axes])}; known are {', '.join(names)} "
+            f"Unknown axis {key!r} in {where}{nearest(key, [*names, *axes()])}; known are {', '.join(names)} "
             f"and their other units."
         )
     return axis, UNITS[unit.name].factor if unit else 1.0

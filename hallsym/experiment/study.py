@@ -15,7 +15,7 @@ from hallsym.experiment.ranges import Ranges, corners
 from hallsym.experiment.relaxed import Relaxed, relax
 from hallsym.model import Model
 from hallsym.model.influence import influence
-from hallsym.simulation.campaign import Campaign
+from hallsym.simulation import Campaign
 
 RIDGE = 1e-9
 """Share of a run's mean information that stands for what is known before anything is recorded, so that
@@ -164,7 +164,7 @@ def study(
     seed: int,
 ) -> Study:
     """Return the study of what `ranges` allow. `recorded`: (n, n) information of an earlier log."""
-    found = candidates(ranges)
+    found = candidates(ranges, model)
     p = model.vector(values)
     cost, factor = planned_cost([c.run for c in found], ranges.step_s, model, values, noise)
     known = directions(cost, p)

@@ -17,8 +17,7 @@ from hallsym.families import same_layout
 from hallsym.inference.workspace import Workspace, visited
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.simulation.campaign import Campaign
-from hallsym.simulation.machine import simulate
+from hallsym.simulation import Campaign, simulate
 
 MOVED = 5.0
 """Standard uncertainties by which another log may move a parameter before the report says so."""

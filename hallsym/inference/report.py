@@ -16,8 +16,7 @@ from hallsym.inference.verdict import Verdict, strongest, verdicts
 from hallsym.inference.workspace import Change, Slopes, slopes_over
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.simulation.campaign import Campaign
-from hallsym.simulation.machine import table8_noise
+from hallsym.simulation import Campaign, table8_noise
 
 FORMAT = "hallsym sensitivity 1"
 

@@ -10,14 +10,13 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from hallsym.model.model import Model
-
-Maker = Callable[..., "Model"]
+Model = Any
+"""`hallsym.model.Model`, which holds its family."""
+Maker = Callable[..., Model]
 """`maker(layout=None) -> Model`; its name is the model's."""
 
 

@@ -1,6 +1,6 @@
 """A campaign: which runs are recorded, at which vertical settings, along which trajectories.
 
-The paper's campaign is `paper_campaign()`; any other is a TOML file (docs/campaign.md). A signal is a
+A campaign is a TOML file (docs/campaign.md), or the paper's (`hallsym.simulation.paper`). A signal is a
 function of time that knows how a campaign file describes it, so a campaign that was made here can be written.
 """
 
@@ -14,12 +14,10 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import axes, published
+from hallsym.families import axes
 from hallsym.files import atomic_write
 from hallsym.toml import known, number, numbers, positive, read_toml, table, tables
 
-AXES = ("x_m", "y_m", "rz_rad", "z_m", "rx_rad", "ry_rad")
-"""Axes of the paper's stage."""
 AtTimes = Callable[[np.ndarray], np.ndarray]
 
 
@@ -134,34 +132,6 @@ SIGNALS: Mapping[str, tuple[Callable[..., Signal], tuple[str, ...], tuple[str, .
     "steps": (steps, ("levels", "dwell_s"), ()),
     "ramp": (ramp, ("rate",), ("acceleration",)),
 }
-
-
-# -- the paper's campaign --------------------------------------------------------------------------------
-
-
-def paper_campaign(step_s: float = 2e-3, duration_s: float = 1.0) -> Campaign:
-    """Return Table 6's 19 vertical settings, each with sines on Y, X and Rz, and Table A1's deviations.
-
-    Sines of 500 um, 300 um and 300 urad at 1 Hz on a 2 ms clock (Section 5 of the paper). Runs are numbered
-    from 0 in the order of Table A1: setting by setting, Y then X then Rz.
-    """
-    settings, deviations = published.table("table6_settings"), published.table("tableA1_zero_deviations")
-    motions = {
-        "y": {"y_m": sine(500e-6, 1.0)},
-        "x": {"x_m": sine(300e-6, 1.0)},
-        "rz": {"rz_rad": sine(300e-6, 1.0)},
-    }
-    vertical = {
-        number: {axis: settings[axis][k] for axis in ("z_m", "rx_rad", "ry_rad")}
-        for k, number in enumerate(settings["setting"])
-    }
-    runs = tuple(
-        Run(duration_s, vertical[setting], motions[axis], (a, b, c))
-        for setting, axis, a, b, c in zip(
-            *(deviations[n] for n in ("setting", "axis", "delta_a_m", "delta_b_m", "delta_c_m")), strict=True
-        )
-    )
-    return Campaign(step_s, runs)
 
 
 # -- campaign files --------------------------------------------------------------------------------------
@@ -328,7 +298,7 @@ def _signal_text(signal: AtTimes, about: float | None, where: str) -> str:
     if not isinstance(signal, Signal):
         raise InputError(
             f"The motion of {where} is a plain function, which a file cannot hold; use one of "
-            f"{', '.join(SIGNALS)} of hallsym.simulation.campaign."
+            f"{', '.join(SIGNALS)} of hallsym.simulation."
         )
     place = {} if about is None else {"about": about}
     entries = ", ".join(f"{k} = {_plain(v)}" for k, v in (place | dict(signal.values)).items())

@@ -6,17 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families import published
-from hallsym.families.rotary.cordic import MOST_STEPS, cordic_angle
+from hallsym.families.cordic import MOST_STEPS, cordic_angle
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.simulation.campaign import Campaign, Run
 
 BLOCK = 65_536
-ANGLE_NOISE = 0.3e-6
-"""Rz of the interferometers [rad]: two beams 0.4 m apart that differ by about 100 nm."""
-VERTICAL_NOISE = {"z_m": 12e-9, "rx_rad": 80e-9, "ry_rad": 80e-9}
-"""Capacitive sensors of 12 nm (Section 5 of the paper) on a base of about 150 mm."""
 
 
 @dataclass(frozen=True)
@@ -61,26 +56,6 @@ class NoiseModel:
             )
         if self.degrees_of_freedom is not None and not self.degrees_of_freedom > 2:
             raise InputError("Student's t noise needs more than 2 degrees of freedom for a variance.")
-
-
-def table8_noise(model: Model, values: Mapping[str, float] | None = None) -> NoiseModel:
-    """Return noise levels for which a perfectly calibrated paper stage shows Table 8's RMSE.
-
-    Equal independent noise of the three probes reproduces Rz, 2.3057 urad, and then explains only .4 um of
-    the 1.54 um in Y: A and B both sense Y, so independent noise cannot do both. What is missing in X and Y is
-    common to the probes and is given to the reference.
-    """
-    p = model.vector(published.values("table7_estimates") if values is None else values)
-    table = published.table("table8_errors_model31")
-    rmse = np.array([table[c][table["quantity"].index("rmse")] for c in model.pose])
-    rest = np.zeros(len(model.state))
-    spread = np.asarray(model.noise_gain(p, rest, np.ones(len(model.channels))))
-    per_probe = np.sum(spread**2, axis=1)
-    probe = np.sqrt((rmse[2] ** 2 - ANGLE_NOISE**2) / per_probe[2])
-    common = np.sqrt(np.maximum(rmse**2 - probe**2 * per_probe, 0.0))
-    sigma = dict.fromkeys(model.channels, float(probe))
-    sigma |= {c: float(s) for c, s in zip(model.references, common, strict=True)}
-    return NoiseModel({**sigma, **VERTICAL_NOISE})
 
 
 def simulate(

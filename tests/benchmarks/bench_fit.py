@@ -43,8 +43,7 @@ from hallsym.estimation.optimum import refit
 from hallsym.estimation.run_statistics import summarise
 from hallsym.families import build, published
 from hallsym.log import Log, LogWriter, Noise, read_log, write_log
-from hallsym.simulation.campaign import paper_campaign
-from hallsym.simulation.machine import NoiseModel, simulate, simulate_blocks, table8_noise
+from hallsym.simulation import NoiseModel, paper_campaign, simulate, simulate_blocks, table8_noise
 
 MODEL = "stage31"
 DRAWS = 200

@@ -29,8 +29,7 @@ from hallsym.inference.profile_tangent import skewness, tangent
 from hallsym.inference.profiles import Profile, profile
 from hallsym.log import Log, Noise
 from hallsym.model.quantities import Quantity, combination, parameter
-from hallsym.simulation.campaign import paper_campaign
-from hallsym.simulation.machine import NoiseModel, simulate, table8_noise
+from hallsym.simulation import NoiseModel, paper_campaign, simulate, table8_noise
 
 MODEL = "stage31"
 RZ_NOISE = 5e-8

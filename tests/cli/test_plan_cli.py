@@ -8,7 +8,7 @@ import pytest
 from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.experiment import paper_ranges, read_ranges
-from hallsym.simulation.campaign import read_campaign
+from hallsym.simulation import read_campaign
 
 RANGES = """
 step_s = 0.02
@@ -132,7 +132,6 @@ BAD = {
     "a number": (RANGES.replace("z_um = [-250, 250]", "z_um = 3"), "list of numbers"),
     "twice": (RANGES + "z_m = [0, 1e-4]\n", "twice"),
     "empty range": (RANGES[: RANGES.index("x_um")], "empty"),
-    "no motion": (RANGES.replace("[-300, 300]", "[0, 0]").replace("[-500, 500]", "[0, 0]"), "x, y or Rz"),
     "one level": (RANGES.replace("levels = 2", "levels = 1"), "levels"),
     "half a run": (RANGES.replace("runs = 8", "runs = 7.5"), "whole number"),
     "unknown trajectory": (RANGES.replace('"combined"', '"combine"'), "did you mean 'combined'"),
@@ -143,7 +142,6 @@ BAD = {
     "negative noise": (RANGES + "[noise]\nhall_m = -1e-7\n", "hall_m"),
     "not TOML": ("step_s =", "not valid TOML"),
     "negative reset": ("reset_s = -1\n" + RANGES, "reset_s"),
-    "reference of a vertical axis": (RANGES + "[reference]\nz_um = 1\n", "Unknown axis 'z_um'"),
     "empty zone": (RANGES + "[[exclude]]\n", "empty"),
 }
 
@@ -158,6 +156,9 @@ def test_bad_ranges_are_refused_in_one_sentence(ranges, what):
 
 
 REFUSED = {
+    "no motion": (RANGES.replace("[-300, 300]", "[0, 0]").replace("[-500, 500]", "[0, 0]"), (), "x, y or Rz"),
+    "reference of a vertical axis": (RANGES + "[reference]\nz_um = 1\n", (), "[reference] z_m"),
+    "axis of another sensor": (RANGES + "angle_deg = [0, 90]\n", (), "angle_rad, which stage31 has not"),
     "all excluded": (RANGES + "[[exclude]]\nz_um = [-300, 300]\n", (), "No admissible setting"),
     "too few runs": (RANGES, ("--runs", 2), "at least 4"),
     "no time": ("reset_s = 1\n" + RANGES, ("--minutes", 0.01), "too short for one run"),

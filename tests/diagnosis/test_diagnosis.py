@@ -12,20 +12,20 @@ from twins import record, with_noise
 import hallsym
 from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects, user_effect
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import beyond
+from hallsym.diagnosis.change_points import instants
 from hallsym.diagnosis.facts import rails_of
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.normal_equations import tangents
+from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import inside_bounds, refit, with_model
 from hallsym.diagnosis.setup import base_of
-from hallsym.diagnosis.slips import instants
-from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.tangent import tangents
 from hallsym.families.stage import effects as se
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.derived import extended
 from hallsym.model import Model, Parameter
 from hallsym.model.derived import HALVES, rate, widest_half
 from hallsym.report.text.diagnosis import diagnosis_text
-from hallsym.simulation.campaign import paper_campaign
+from hallsym.simulation import paper_campaign
 
 SLOW = pytest.mark.slow
 NAMED = (
@@ -299,13 +299,13 @@ def fitted(log: Log) -> Base:
 def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: tuple[Log, Diagnosis]) -> None:
     base = fitted(quiet[0])
     runs = [r for r in base.log.runs if r not in base.apart]
-    assert max(s.drop for s in structure(base, runs).shapes) < 0.02
+    assert max(s.drop for s in lack_of_fit(base, runs).shapes) < 0.02
     rng = np.random.default_rng(7)
     bump = fitted(machine("raster", (unlisted(rng)["bump"],), seed=7, thin=6))
-    best = structure(bump, runs).best(0.01)
+    best = lack_of_fit(bump, runs).best(0.01)
     assert best is not None
     assert best.by.startswith(("reading", "displacement"))
-    own = structure(fitted(machine("grid", (unlisted(rng)["run_gain"],), seed=7)), range(57))
+    own = lack_of_fit(fitted(machine("grid", (unlisted(rng)["run_gain"],), seed=7)), range(57))
     assert own.shapes[0].by == "a gain or trend of each run"
 
 

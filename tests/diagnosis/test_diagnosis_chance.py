@@ -16,14 +16,14 @@ from scipy import stats
 
 import hallsym
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import as_many, as_often, exceeds, student
 from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
+from hallsym.diagnosis.normal_equations import Products, tangents
+from hallsym.diagnosis.p_values import as_many, as_often, exceeds, student
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Products, tangents
 from hallsym.estimation.channel_assignment import rewired
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Block, Log

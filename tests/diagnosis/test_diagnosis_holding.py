@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from hallsym.diagnosis import diagnose
+from hallsym.diagnosis.coordinates import coordinates
+from hallsym.diagnosis.decoded_errors import BlockErrors, interval
 from hallsym.diagnosis.engine import examine, prepare
-from hallsym.diagnosis.errors import BlockErrors, interval
 from hallsym.diagnosis.refit import refit, with_model
-from hallsym.diagnosis.residue import coordinates, residue
+from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.validation import decrease_p
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.log import Log
@@ -69,7 +70,7 @@ def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
 
 
 def residue_names(base):
-    return {c.name for c in coordinates(residue(base, base.log.runs))}
+    return {c.name for c in coordinates(residual_table(base, base.log.runs))}
 
 
 @pytest.mark.parametrize("zero", [0.0, 2.0, 5.5])

@@ -9,16 +9,16 @@ from test_diagnosis_where import NOISES, base_on, stated
 from twins import record
 
 from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.decoded_errors import block_errors
 from hallsym.diagnosis.effect import Effect
-from hallsym.diagnosis.errors import block_errors
 from hallsym.diagnosis.facts import facts_of
+from hallsym.diagnosis.gap_size import sizes
 from hallsym.diagnosis.links import _smoothed
+from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.scores import Score, candidates, scores
-from hallsym.diagnosis.size import sizes
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.user import user_effect
-from hallsym.diagnosis.where import Located, both, located
 from hallsym.log import Log
 from hallsym.model import LINKS, Model, Parameter
 from hallsym.model.arrays import on_arrays

@@ -11,9 +11,9 @@ import pytest
 
 import hallsym
 from hallsym.diagnosis import diagnose
+from hallsym.diagnosis.holdout_pieces import split
 from hallsym.diagnosis.record import Estimate, NoiseFloor
 from hallsym.diagnosis.rotary_catalogue import CATALOGUE
-from hallsym.diagnosis.split import split
 from hallsym.diagnosis.words import shown
 from hallsym.errors import InputError
 from hallsym.families.rotary import effects as rotary_effects

@@ -12,18 +12,18 @@ import hallsym
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.decimation import thinned
 from hallsym.diagnosis.engine import prepare
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.injection import Injection, generator, sized
 from hallsym.diagnosis.injection_catalogue import injections
 from hallsym.diagnosis.injection_faults import ages
-from hallsym.diagnosis.likeness import likeness
+from hallsym.diagnosis.noise_model import likeness
 from hallsym.diagnosis.selftest import RATIOS, SelfTest, selftest
+from hallsym.diagnosis.simulated_machine import Truth, readings_of, truth_of
 from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.thin import thinned
 from hallsym.diagnosis.trials import NO_EFFECT, Bench
-from hallsym.diagnosis.truth import Truth, readings_of, truth_of
 from hallsym.log import Log
 from hallsym.report.text.selftest import selftest_text
 
@@ -154,7 +154,7 @@ def test_a_log_is_thinned_as_far_as_mains_and_motion_stay_resolved() -> None:
 
 
 def test_long_runs_are_cut_and_left_out_samples_stay_out(monkeypatch) -> None:
-    monkeypatch.setattr("hallsym.diagnosis.thin.MOST", 2000)
+    monkeypatch.setattr("hallsym.diagnosis.decimation.MOST", 2000)
     base = replace(base_on(quiet()), keep=lambda block: (np.arange(len(block.data["t_s"])) != 5) * 1.0)
     runs, rows = quiet().runs, quiet().rows
     short = thinned(base, 2000)

@@ -27,8 +27,7 @@ from hallsym.estimation.identifiable import (
 from hallsym.estimation.likelihood import Coefficients
 from hallsym.families import build
 from hallsym.model.features import find_features
-from hallsym.simulation.campaign import Campaign, Run, paper_campaign
-from hallsym.simulation.machine import NoiseModel, simulate
+from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate
 
 H = {"H1x", "H1y", "H2x", "H2y", "H3x", "H3y"}
 PAIRS = [("H1x", "H1y"), ("H2x", "H2y"), ("H3x", "H3y")]

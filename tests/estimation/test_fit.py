@@ -10,8 +10,7 @@ from hallsym.families import build
 from hallsym.families.published import values
 from hallsym.families.stage.models import Probe, stage31
 from hallsym.log import Log, Meta, Noise
-from hallsym.simulation.campaign import paper_campaign
-from hallsym.simulation.machine import NoiseModel, simulate, table8_noise
+from hallsym.simulation import NoiseModel, paper_campaign, simulate, table8_noise
 
 SMALL = 30
 """Samples per run: the whole fit takes about a tenth of a second."""

@@ -18,10 +18,10 @@ from hallsym.experiment.candidates import candidates
 from hallsym.experiment.information import planned_cost
 from hallsym.families import build
 from hallsym.model.influence import influence
-from hallsym.simulation.campaign import AXES, Campaign, Run, paper_campaign, sine
-from hallsym.simulation.machine import NoiseModel, simulate
+from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate, sine
 
 MODEL = build("stage31")
+AXES = (*MODEL.pose, *MODEL.state)
 TIED = {**{n: v for n, v in TRUTH.items() if n in build("stage31_tied").names}, "x0": 0.12, "y0": -0.02}
 COARSE = replace(paper_ranges(), step_s=0.02, levels=3, noise=SIGMAS)
 """The paper's ranges on a slow clock, 216 candidates."""
@@ -104,7 +104,7 @@ def test_information_of_a_long_recording_is_that_of_all_its_samples(monkeypatch)
 
 def test_candidates_are_settings_times_trajectories():
     """27 settings; 3 one-axis, 4 combined, 2 rasters: no multi-sine of three frequencies."""
-    found = candidates(COARSE)
+    found = candidates(COARSE, MODEL)
     assert len(found) == 27 * 9
     assert len({c.run.name for c in found}) == len(found)
     places = {tuple(c.run.setting[a] for a in AXES[3:]) for c in found}
@@ -114,7 +114,7 @@ def test_candidates_are_settings_times_trajectories():
 
 def test_six_frequencies_make_multi_sines_and_vertical_motion():
     ranges = replace(COARSE, frequencies_hz=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0), vertical_motion=True)
-    found = candidates(ranges)
+    found = candidates(ranges, MODEL)
     assert any(c.trajectory.startswith("multi-sine") for c in found)
     everything = [c for c in found if len(c.run.motion) == 6]
     assert len(everything) == 1
@@ -139,7 +139,7 @@ def test_no_candidate_leaves_its_ranges_or_enters_an_excluded_zone(zones, moving
         COARSE, box=box, excluded=zones, vertical_motion=moving, frequencies_hz=(1.0, 2.0, 3.0, 4.0)
     )
     try:
-        found = candidates(ranges)
+        found = candidates(ranges, MODEL)
     except InputError:  # the zones may hold everything
         found = ()
         assert zones

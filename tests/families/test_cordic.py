@@ -16,7 +16,7 @@ from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.selftest import selftest
-from hallsym.families.rotary.cordic import cordic_angle, levels, worst_of
+from hallsym.families.cordic import cordic_angle, levels, worst_of
 from hallsym.log import Log, Noise
 
 TURN = 2 * np.pi

@@ -14,10 +14,10 @@ import hallsym
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.optimum import BUDGET, refit
 from hallsym.estimation.run_statistics import summarise
+from hallsym.families.cordic import cordic_angle
 from hallsym.families.published import table
 from hallsym.families.rotary import FAMILY
 from hallsym.families.rotary import models as family
-from hallsym.families.rotary.cordic import cordic_angle
 from hallsym.families.rotary.waves import Wave, cosine, sine
 from hallsym.log import Log
 from hallsym.model import Signals

@@ -29,8 +29,7 @@ from hallsym.families.stage.models import (
     zero_deviation,
 )
 from hallsym.log import Log, Meta
-from hallsym.simulation.campaign import Campaign, paper_campaign
-from hallsym.simulation.machine import NoiseModel, simulate, table8_noise
+from hallsym.simulation import Campaign, NoiseModel, paper_campaign, simulate, table8_noise
 
 ROUNDINGS = 16 * EPS
 """Some ten operations lie between data and reading, in each of the two computations."""

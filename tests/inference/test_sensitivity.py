@@ -12,8 +12,7 @@ from hallsym.families import build, published
 from hallsym.inference import identify
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Combination, Family, Model, Parameter
-from hallsym.simulation.campaign import Campaign, Run, multi_sine, paper_campaign, sine
-from hallsym.simulation.machine import NoiseModel, simulate
+from hallsym.simulation import Campaign, NoiseModel, Run, multi_sine, paper_campaign, simulate, sine
 
 PAIRS = [("H1x", "H1y"), ("H2x", "H2y"), ("H3x", "H3y")]
 

@@ -10,8 +10,7 @@ from twins import SIGMAS, TRUTH, with_noise
 from hallsym.experiment import paper_ranges, plan
 from hallsym.families import build
 from hallsym.report.figures.plan import coverage, criterion_by_runs
-from hallsym.simulation.campaign import paper_campaign
-from hallsym.simulation.machine import simulate
+from hallsym.simulation import paper_campaign, simulate
 
 MODEL, TABLE6 = build("stage31"), paper_campaign(0.02)
 

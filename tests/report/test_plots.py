@@ -9,8 +9,7 @@ from hallsym.estimation.fit import fit
 from hallsym.families import build
 from hallsym.log import Log
 from hallsym.report import figures as plots
-from hallsym.simulation.campaign import Campaign, Run, sine
-from hallsym.simulation.machine import NoiseModel, simulate
+from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
 HOLDOUT = (2, 7, 12)
 

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym.errors import InputError
-from hallsym.simulation.campaign import (
-    AXES,
+from hallsym.simulation import (
     Campaign,
     Run,
     multi_sine,
@@ -22,6 +21,7 @@ from hallsym.simulation.campaign import (
 amplitudes = st.floats(1e-6, 1e-3)
 frequencies = st.floats(0.1, 50.0)
 EPS = float(np.finfo(float).eps)
+AXES = ("x_m", "y_m", "rz_rad", "z_m", "rx_rad", "ry_rad")
 
 
 # -- signals ---------------------------------------------------------------------------------------------

@@ -10,9 +10,18 @@ from hallsym.errors import InputError
 from hallsym.estimation.decoding import error_tables
 from hallsym.families.stage.models import stage15, stage31
 from hallsym.log import Log
+from hallsym.simulation import (
+    Campaign,
+    NoiseModel,
+    Run,
+    paper_campaign,
+    scaled,
+    simulate,
+    simulate_blocks,
+    sine,
+    table8_noise,
+)
 from hallsym.simulation import machine as simulation
-from hallsym.simulation.campaign import Campaign, Run, paper_campaign, sine
-from hallsym.simulation.machine import NoiseModel, scaled, simulate, simulate_blocks, table8_noise
 
 MODEL = stage31()
 LONG = Campaign(1e-3, (Run(200.0, {}, {}, (0.0, 0.0, 0.0)),))

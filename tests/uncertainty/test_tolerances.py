@@ -20,7 +20,7 @@ from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.published import bounds
 from hallsym.families.stage import models as stage
-from hallsym.simulation.campaign import paper_campaign
+from hallsym.simulation import paper_campaign
 from hallsym.uncertainty.gum import DIVISORS
 from hallsym.uncertainty.tolerances import (
     Tolerance,

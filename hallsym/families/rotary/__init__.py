@@ -47,3 +47,4 @@ FAMILY = Family(
     most_effects=6,
     decoder="angle",
 )  # fmt: skip
+models.FAMILY = FAMILY

@@ -14,7 +14,7 @@ distortions (offset, mismatch, phase, harmonics together) up to about 20 %.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import pi
 from typing import Any
@@ -28,6 +28,8 @@ from hallsym.families.rotary.waves import Wave, angle, cosine, sine
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step
 
+FAMILY = Family("rotary")
+"""Of these models; the package puts the whole record here, which lists them."""
 POSE = ("angle_rad",)
 REFERENCES = ("angle_ref_rad",)
 VOLTAGES, ANGLE = ("v_sin_v", "v_cos_v"), ("angle_rad",)
@@ -129,12 +131,6 @@ def rotary_meng(layout: tuple[Output, ...] | None = None) -> Model:
     return model.with_step("field", field, effect="quadratic_transfer")
 
 
-def _record() -> Family:
-    from hallsym.families.rotary import FAMILY  # it lists these models, so it is made after them
-
-    return FAMILY
-
-
 def _encoder(
     name: str,
     layout: tuple[Output, ...] | None,
@@ -154,7 +150,7 @@ def _encoder(
     decoded = channels == ANGLE
     return Model(
         name=name,
-        family=_record(),
+        family=FAMILY,
         pose=POSE,
         references=REFERENCES,
         state=(),
@@ -296,6 +292,7 @@ def zero_deviation(model: Model) -> Model:
 
     delta = Parameter("delta", 0.0, -0.2, 0.2, "rad", "zero of a run's reference beside the encoder's")
     wide = model.with_step("reference", step, effect="zero_deviation", zeros=(delta,))
+    wide = replace(wide, homes={"delta": POSE[0]})
     return wide.with_parameters({"zero": {"nominal": 0.0, "lower": 0.0, "upper": 0.0}})
 
 

@@ -21,3 +21,4 @@ FAMILY = Family(
     words={"z_m": "height Z", "rx_rad": "tilt Rx", "ry_rad": "tilt Ry", "rz_ref_rad": "rotation Rz"},
     together="height Z and tilts Rx, Ry",
 )
+models.FAMILY = FAMILY

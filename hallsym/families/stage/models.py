@@ -23,6 +23,8 @@ from hallsym.families import published
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step
 
+FAMILY = Family("stage")
+"""Of these models; the package puts the whole record here, which lists them."""
 POSE = ("x_m", "y_m", "rz_rad")
 REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
 STATE = ("z_m", "rx_rad", "ry_rad")
@@ -69,7 +71,7 @@ def stage15(layout: tuple[Probe, ...] | None = None) -> Model:
     _check(probes)
     return Model(
         name="stage15",
-        family=_record(),
+        family=FAMILY,
         pose=POSE,
         references=REFERENCES,
         state=STATE,
@@ -268,12 +270,6 @@ def _tied_start(model: Model, slopes: Mapping[str, np.ndarray]) -> dict[str, flo
 
 
 # -- the chain -------------------------------------------------------------------------------------------
-
-
-def _record() -> Family:
-    from hallsym.families.stage import FAMILY  # it lists these models, so it is made after them
-
-    return FAMILY
 
 
 def _named(name: str, model: Model) -> Model:

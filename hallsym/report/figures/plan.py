@@ -26,7 +26,7 @@ from hallsym.report.figures.style import (
     log_axis,
     panels,
 )
-from hallsym.simulation.campaign import Campaign
+from hallsym.simulation import Campaign
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 
 from hallsym.diagnosis.record import Diagnosis
@@ -11,6 +10,7 @@ from hallsym.report.figures.names import scale, three
 from hallsym.report.page import figures, parts
 from hallsym.report.page.diagnosis_words import changed, percent, with_interval
 from hallsym.report.page.html import Markup, join, table, tag
+from hallsym.units import readable
 
 
 def errors_title(d: Diagnosis) -> str:
@@ -59,27 +59,24 @@ def _metric(d: Diagnosis) -> str:
 
 
 def _waves(d: Diagnosis) -> Markup:
-    """Return the harmonics of the error of an encoder."""
-    if not d.waves:
-        return Markup("")
+    """Return the harmonics of the error over each periodic coordinate."""
+    return join([_waves_of(d, coordinate) for coordinate in dict.fromkeys(w.coordinate for w in d.waves)])
+
+
+def _waves_of(d: Diagnosis, coordinate: str) -> Markup:
+    factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
+    per = f"period of {name}" if coordinate else "turn"
     rows: list[list[object]] = []
-    for w in d.waves:
-        sizes = ["" if a is None else three(math.degrees(a)) for a in (w.designed, w.model, w.after)]
+    for w in (w for w in d.waves if w.coordinate == coordinate):
+        sizes = ["" if a is None else three(factor * a) for a in (w.designed, w.model, w.after)]
         found = [e.name for e in d.effects if e.name in w.causes]
         rows.append([w.per_turn, *sizes, ", ".join(found), ", ".join(w.causes)])
-    head = [
-        "waves per turn",
-        "nominal [deg]",
-        "model",
-        "with the effects",
-        "effects found",
-        "possible causes",
-    ]
+    head = [f"waves per {per}", f"nominal [{unit}]", "model", "with the effects", "effects found", "causes"]
     caption = (
-        "amplitude of the error over all runs: of the nominal encoder with only its zero fitted, of the "
+        "amplitude of the error over all runs: of the nominal sensor with only its zeros fitted, of the "
         "model, and with the effects found"
     )
-    return join([tag("h3", "By waves per turn"), table(head, rows, left=1, wordy=(4, 5), caption=caption)])
+    return join([tag("h3", f"By waves per {per}"), table(head, rows, left=1, wordy=(4, 5), caption=caption)])
 
 
 def _sizes(d: Diagnosis) -> Markup:

@@ -6,8 +6,6 @@ from dataclasses import asdict
 from textwrap import fill
 from typing import Any
 
-import numpy as np
-
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
 from hallsym.diagnosis.words import degrees_of
 from hallsym.errors import counted
@@ -108,20 +106,28 @@ def _sizes(d: Diagnosis) -> list[str]:
 
 
 def _waves(d: Diagnosis) -> list[str]:
-    """Return the harmonics of the error of an encoder, and what its model already absorbs of the largest."""
-    if not d.waves:
-        return []
-    rows = [["waves per turn [deg]", "nominal", "model", "with the effects", "effects found"]]
-    for w in d.waves:
-        found = [e.name for e in d.effects if e.name in w.causes]
-        sizes = ["" if a is None else f"{np.degrees(a):.2g}" for a in (w.designed, w.model, w.after)]
-        rows.append([str(w.per_turn), *sizes, ", ".join(found)])
-    most = max(d.waves, key=lambda w: w.designed)
-    said = (
-        f"The largest harmonic is {most.per_turn} per turn ({np.degrees(most.designed):.2g} deg). The "
-        f"model's own parameters absorb it, whichever causes it: {' or '.join(most.causes)}."
-    )
-    return ["", grid(rows, left=1), *([_wrapped(said)] if most.absorbed and most.causes else [])]
+    """Return the harmonics of the error over each periodic coordinate, and which the model absorbs."""
+    lines = []
+    for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
+        mine = [w for w in d.waves if w.coordinate == coordinate]
+        factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
+        per = f"period of {name}" if coordinate else "turn"
+        rows = [[f"waves per {per} [{unit}]", "nominal", "model", "with the effects", "effects found"]]
+        for w in mine:
+            found = [e.name for e in d.effects if e.name in w.causes]
+            sizes = ["" if a is None else f"{factor * a:.2g}" for a in (w.designed, w.model, w.after)]
+            rows.append([str(w.per_turn), *sizes, ", ".join(found)])
+        lines += ["", grid(rows, left=1)]
+        most = max(mine, key=lambda w: w.designed)
+        if most.absorbed and most.causes:
+            size = f"{factor * most.designed:.2g} {unit}"
+            lines.append(
+                _wrapped(
+                    f"The largest harmonic is {most.per_turn} per {per} ({size}). The model's own parameters "
+                    f"absorb it, whichever causes it: {' or '.join(most.causes)}."
+                )
+            )
+    return lines
 
 
 def effect_text(effects: tuple[FoundEffect, ...]) -> str:
@@ -211,7 +217,7 @@ def _curve(rest: Mapping[str, Any]) -> list[str]:
 
 def _at(curve: Mapping[str, Any], k: int) -> str:
     factor, unit = UNITS.get(curve["unit"], (1.0, curve["unit"])) if curve["unit"] != "s" else (1.0, "s")
-    factor, unit = degrees_of(curve["unit"], curve["coordinate"]) or (factor, unit)
+    factor, unit = degrees_of(curve["unit"], curve["column"]) or (factor, unit)
     return f"{curve['grid'][k] * factor:.3g} {unit}".strip()
 
 

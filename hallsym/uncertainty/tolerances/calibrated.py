@@ -7,11 +7,12 @@ import numpy as np
 
 from hallsym.estimation.identifiable import scales, structural_null
 from hallsym.estimation.likelihood import Coefficients
+from hallsym.log.phase import near
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import find_features
 from hallsym.model.influence import influence
-from hallsym.uncertainty.tolerances.workspace import Workspace
+from hallsym.uncertainty.tolerances.workspace import Workspace, not_decoded
 
 Outcome = tuple[np.ndarray, np.ndarray, np.ndarray]
 MACHINES, POINTS, ROUNDS = 16, 128, 12
@@ -49,7 +50,11 @@ def after_calibration(model: Model, where: Workspace, machines: np.ndarray, widt
     scale, before, after, apart = scales(model), [], [], [0.0]
     calibrate = _calibration(model, space, scale)
     for machine in machines[:MACHINES]:
-        found, first, last = calibrate(machine)
+        try:
+            with np.errstate(all="ignore"):
+                found, first, last = calibrate(machine)
+        except np.linalg.LinAlgError:
+            raise not_decoded(model) from None
         before.append(first)
         after.append(last)
         apart += [float(abs(found[k] - machine[k]) / width[k]) for k in moving if width[k] > 0]
@@ -96,7 +101,7 @@ def _calibration(model: Model, space: Workspace, scale: np.ndarray) -> Callable[
         p, squares = model.nominal, []
         for _ in range(ROUNDS):
             (pose,) = decode(p, none, reading, space.state, weight)
-            e = pose - space.pose
+            e = near(model, pose, space.pose) - space.pose
             squares.append((e**2).mean(axis=1))
             slopes = influence(model, p, [*none], [*pose], [*space.state]).parameters * scale
             rows = (slopes / size).reshape(-1, len(p))
@@ -105,6 +110,6 @@ def _calibration(model: Model, space: Workspace, scale: np.ndarray) -> Callable[
                 break
             p = p + step * scale
         (pose,) = decode(p, none, reading, space.state, weight)
-        return p, squares[0], ((pose - space.pose) ** 2).mean(axis=1)
+        return p, squares[0], ((near(model, pose, space.pose) - space.pose) ** 2).mean(axis=1)
 
     return calibrate

@@ -183,7 +183,7 @@ def units_of(parameter: Parameter) -> dict[str, float]:
     """Return the unit suffixes that a key of this parameter may have, with their factors to SI."""
     unit, inverse = parameter.unit, parameter.unit.startswith("1/")
     base = unit.removeprefix("1/")
-    known = {name: u.factor for name, u in UNITS.items() if u.si == base and u.offset == 0}
+    known = {name: u.factor for name, u in UNITS.items() if u.si == base.lower() and u.offset == 0}
     suffixes = {f"per_{name}": 1 / factor for name, factor in known.items()} if inverse else known
     if unit == "1":
         suffixes = {"": 1.0}

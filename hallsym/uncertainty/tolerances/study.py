@@ -10,7 +10,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.model import Model
-from hallsym.simulation.campaign import Campaign, paper_campaign
+from hallsym.simulation import Campaign, paper_campaign
 from hallsym.uncertainty.tolerances.calibrated import after_calibration
 from hallsym.uncertainty.tolerances.ranges import Tolerance, default_tolerances, given_tolerances
 from hallsym.uncertainty.tolerances.result import Errors95, Tolerances, Worth

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.log.phase import near
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
-from hallsym.simulation.campaign import Campaign, Run
+from hallsym.simulation import Campaign, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +64,21 @@ def designed_errors(model: Model, where: Workspace) -> Errors:
     def errors(machines: np.ndarray) -> np.ndarray:
         own = [column[:, None] for column in machines.T]
         (reading,) = read(own, none, where.pose, where.state)
-        (pose,) = decode(model.nominal, none, reading, where.state, weight)
-        pose -= where.pose[:, None, :]
-        return pose
+        with np.errstate(all="ignore"):
+            (pose,) = decode(model.nominal, none, reading, where.state, weight)
+        if not np.isfinite(pose).all():
+            raise not_decoded(model)
+        return near(model, pose, where.pose[:, None, :]) - where.pose[:, None, :]
 
     return errors
+
+
+def not_decoded(model: Model) -> InputError:
+    """Return the refusal of tolerances in which a machine is too far from the designed one to be decoded."""
+    return InputError(
+        f"The decoder of {model.name} finds no pose for some of the machines drawn: state narrower "
+        "tolerances in --ranges."
+    )
 
 
 def gain_ratio(model: Model, where: Workspace, machines: np.ndarray) -> np.ndarray:

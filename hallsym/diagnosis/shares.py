@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr
 
-from hallsym.diagnosis.chance import beyond
+from hallsym.diagnosis.p_values import beyond, beyond_one
 from hallsym.diagnosis.record import Share, Statement
-from hallsym.diagnosis.residue import Residue
+from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.spectrum import MOTION, Band
 from hallsym.diagnosis.words import percent, plain
 
 LEVEL = 0.01
@@ -27,6 +27,14 @@ CLIP = 9.0
 """Whitened square per reading at which a sample stops counting when runs are compared."""
 TOLD, HALF = 0.8, 0.5
 """Shares that coordinates have told of from which on runs, and bands of frequency, add nothing."""
+FEWEST_RUNS, FEWEST_FOR_ONE = 4, 6
+"""Runs from which on frequencies, and a single run, are judged."""
+ONE_RUN = 3.0
+"""Times its part that a single run must have of the excess."""
+TWICE = 2.0
+"""Times its part of white noise that a band must have."""
+NAMED = 2
+"""Bands that are named at most."""
 
 Found = tuple[list[Share], list[Statement]]
 
@@ -60,13 +68,13 @@ class Powers:
         return own / own.sum()
 
 
-def outputs(r: Residue) -> Powers:
+def outputs(r: ResidualTable) -> Powers:
     """Return the squares of the residual as it moves the decoded pose."""
     covariance = r.output @ np.linalg.inv(r.precision) @ r.output.T
-    return Powers("output", r.pose, (r.output @ r.residual) ** 2, np.diag(covariance).copy(), r.length**2)
+    return Powers("output", r.pose, (r.output @ r.residual) ** 2, np.diag(covariance).copy(), r.weights**2)
 
 
-def sensors(r: Residue) -> Powers:
+def sensors(r: ResidualTable) -> Powers:
     """Return the squares of the residual of the readings."""
     noise = np.diag(np.linalg.inv(r.precision)).copy()
     return Powers("sensor", r.channels, r.residual**2, noise, 1 / noise)
@@ -85,7 +93,7 @@ def of_powers(p: Powers, block: np.ndarray) -> Found:
         if chance < LEVEL and share > p.parts[k] + MORE:
             seen = "is seen by" if p.kind == "sensor" else "lies in"
             text = f"{percent(share)} of the excess {seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
-            said.append(Statement(p.kind, name, share, chance, text))
+            said.append(Statement(p.kind, name, share, chance, text, kind=p.kind))
     return rows, sorted(said, key=lambda s: -s.share)
 
 
@@ -95,36 +103,29 @@ def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     return np.bincount(index, values) / np.bincount(index)
 
 
-def of_runs(r: Residue, told: float) -> Found:
+def of_runs(r: ResidualTable, told: float) -> Found:
     """Whether one run has much more than its part of the excess."""
     order, index = np.unique(r.run, return_inverse=True)
     squares = np.minimum(r.squares, CLIP * len(r.residual)) - len(r.residual)
     sums, counts = np.bincount(index, squares), np.bincount(index)
     level = np.log(sums / counts + len(r.residual))
     k, U = int(np.argmax(level)), len(order)
-    if U < 6 or sums[k] <= 0:
+    if U < FEWEST_FOR_ONE or sums[k] <= 0:
         return [], []
     p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
     share = float(np.clip(sums[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
     rows = [Share("run", f"run {order[k]}", share, p)]
-    if p >= CERTAIN or share < max(3 / U, 2 * LEAST) or told >= TOLD:
+    if p >= CERTAIN or share < max(ONE_RUN / U, 2 * LEAST) or told >= TOLD:
         return rows, []
     text = f"{percent(share)} of the excess lies in run {order[k]}, one of {U} fitted runs"
-    return rows, [Statement("run", f"run {order[k]}", share, p, text)]
+    return rows, [Statement("run", f"run {order[k]}", share, p, text, kind="run")]
 
 
-def beyond_one(value: float, others: np.ndarray) -> float:
-    """Return the probability that one more of the same kind as `others` exceeds `value` (Student's t)."""
-    n = len(others)
-    spread = float(np.std(others, ddof=1)) * np.sqrt(1 + 1 / n)
-    return float(stdtr(n - 1, -(value - float(others.mean())) / max(spread, 1e-300)))
-
-
-def of_frequencies(r: Residue, told: float) -> Found:
+def of_frequencies(r: ResidualTable, told: float) -> Found:
     """Kinds of frequency that hold more than twice their part of what white noise would have."""
     s = r.spectrum
     runs = sorted({run for kind in s.white.values() for run in kind})
-    if len(runs) < 4 or not r.timed:
+    if len(runs) < FEWEST_RUNS or not r.timed:
         return [], []
     white = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.white.items()}
     power = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.power.items()}
@@ -133,25 +134,25 @@ def of_frequencies(r: Residue, told: float) -> Found:
     if excess <= 0:
         return [], []
     rows, worth = [], []
-    for kind, own in white.items():
-        over, part = power[kind] - own, float(own.sum() / everything.sum())
+    for band, own in white.items():
+        over, part = power[band] - own, float(own.sum() / everything.sum())
         share = float(over.sum()) / excess
         p = min(1.0, len(white) * beyond(over / everything))
-        rows.append(Share("frequency", kind, float(np.clip(share, 0.0, 1.0)), p))
-        named = kind.startswith("the mains") or told <= HALF
-        if p < LEVEL and share >= max(2 * part, part + MORE) and named:
-            worth.append((share, kind, p))
+        rows.append(Share("frequency", band.name, float(np.clip(share, 0.0, 1.0)), p))
+        named = band.kind == "mains" or told <= HALF
+        if p < LEVEL and share >= max(TWICE * part, part + MORE) and named:
+            worth.append((share, band, p))
     return rows, _frequencies(worth, s.motion_hz)
 
 
-def _frequencies(worth: Sequence[tuple[float, str, float]], motion_hz: Sequence[float]) -> list[Statement]:
+def _frequencies(worth: Sequence[tuple[float, Band, float]], motion_hz: Sequence[float]) -> list[Statement]:
     said, rest = [], 1.0
-    for share, kind, p in sorted(worth, reverse=True)[:2]:
+    for share, band, p in sorted(worth, key=lambda w: -w[0])[:NAMED]:
         share = min(share, rest)  # bands below the noise make the others more than the whole
         rest -= share
         if share >= LEAST:
-            text = f"{percent(share)} of the excess lies at {kind}"
-            if kind == "the frequencies of the motion" and motion_hz:
+            text = f"{percent(share)} of the excess lies at {band.name}"
+            if band == MOTION and motion_hz:
                 text += f" (strongest near {float(np.median(motion_hz)):.3g} Hz)"
-            said.append(Statement("frequency", kind, share, p, text))
+            said.append(Statement("frequency", band.name, share, p, text, kind=band.kind))
     return said

@@ -4,14 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.residue import Residue
-from hallsym.diagnosis.smooth import MEMORIES, NO_ORDER, Curve
-from hallsym.diagnosis.where import Located
+from hallsym.diagnosis.curves import MEMORIES, Curve
+from hallsym.diagnosis.localisation import Located
+from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.units import readable
 
 BAND = 1.96
 """Standard errors of a band, which come from runs left out in turn: 95 %."""
-NAMES = {"felt": "reading_m", "speed": "reading_rate_m_s"}
+NAMES = {"sensed": "reading_m", "rate": "reading_rate_m_s"}
+"""What JSON calls the columns that every sensor has for itself."""
 
 
 def unexplained(found: Located, share: float) -> dict[str, Any]:
@@ -33,7 +34,7 @@ def unexplained(found: Located, share: float) -> dict[str, Any]:
     }
 
 
-def shape(c: Curve, r: Residue) -> dict[str, Any]:
+def shape(c: Curve, r: ResidualTable) -> dict[str, Any]:
     """Return a curve as data: how the residual of each reading follows a coordinate.
 
     `coordinate`, `column`, `unit`: of the `grid` (m,), `line`: whether that is a place on a line. `kind`:
@@ -45,6 +46,8 @@ def shape(c: Curve, r: Residue) -> dict[str, Any]:
     value, spread, scale, gain = c.offset, c.spread, 1.0, False
     if c.gain is not None and c.gain_spread is not None and _size(c.gain) > _size(c.offset):
         value, spread, scale, gain = c.gain, c.gain_spread, c.scale, True
+    periodic = {phase(x): x for x in r.references}
+    column = periodic.get(c.coordinate.column, c.coordinate.column)
     of = {
         channel: {
             "value": (v / scale).tolist(),
@@ -55,8 +58,8 @@ def shape(c: Curve, r: Residue) -> dict[str, Any]:
     }
     return {
         "coordinate": c.coordinate.name,
-        "line": c.coordinate.column not in NO_ORDER,
-        "column": NAMES.get(c.coordinate.column, c.coordinate.column),
+        "line": c.coordinate.ordered,
+        "column": NAMES.get(column, column),
         "unit": c.coordinate.unit,
         "kind": "gain" if gain else "offset",
         "value_unit": "1" if gain else "m",
@@ -66,16 +69,14 @@ def shape(c: Curve, r: Residue) -> dict[str, Any]:
     }
 
 
-def _labels(c: Curve, r: Residue) -> list[str] | None:
+def _labels(c: Curve, r: ResidualTable) -> list[str] | None:
     """Names of the features of a coordinate that is no place on a line."""
-    if c.coordinate.column == "states":
-        names = [readable(n)[2].capitalize() for n in r.state]
-        return [*(f"offset, {n}" for n in names), *(f"gain, {n}" for n in names)]
-    if c.coordinate.column == "acceleration":
-        return [readable(n)[2].removesuffix("_ref") for n in r.references]
-    if c.coordinate.column == "direction":
+    if c.coordinate.memory:
         return [f"play {w:g} rms" for w in MEMORIES]
-    return None
+    names = [readable(n)[2] for n in c.coordinate.of]
+    if c.coordinate.gain and names:
+        return [f"{what}, {n.capitalize()}" for what in ("offset", "gain") for n in names]
+    return [readable(n)[2].removesuffix("_ref") for n in r.references] if names else None
 
 
 def _size(curve: np.ndarray) -> float:

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.slopes import Slopes
+from hallsym.diagnosis.derivatives import Slopes
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended

@@ -5,16 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.chance import beyond
-from hallsym.diagnosis.errors import BlockErrors
-from hallsym.diagnosis.marginal import CERTAIN, Powers, means, outputs, sensors
-from hallsym.diagnosis.residue import Residue
+from hallsym.diagnosis.decoded_errors import BlockErrors
+from hallsym.diagnosis.p_values import beyond
+from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.shares import CERTAIN, Powers, means, outputs, sensors
 
 SIDES = ("fitted", "held_out")
 
 
 def sizes(
-    residues: Mapping[str, Residue | None], errors: Mapping[str, BlockErrors], floor: Mapping[str, float]
+    residues: Mapping[str, ResidualTable | None],
+    errors: Mapping[str, BlockErrors],
+    floor: Mapping[str, float],
 ) -> dict[str, Any]:
     """Return `{"outputs": {"x_m": ..}, "sensors": {"hall_a_m": ..}}`, each with "fitted" and "held_out".
 

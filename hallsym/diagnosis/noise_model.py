@@ -12,8 +12,8 @@ from scipy.linalg import solve_toeplitz
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts
+from hallsym.diagnosis.normal_equations import Products
 from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.tangent import Products
 
 ORDERS = 12
 """Highest order of the autoregression that is tried."""

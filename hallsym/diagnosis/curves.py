@@ -1,4 +1,4 @@
-"""Smooth curves of a residual over a coordinate: fitted, left out run by run, and tested against chance.
+"""Curves of a residual over a coordinate: fitted, left out run by run, and tested against chance.
 
 Per sensor the residual may have an offset and a gain that follow the coordinate smoothly: linear
 interpolation between knots, bending penalised. What a curve explains is counted on runs that it was not
@@ -12,18 +12,21 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import gammaincc
 
-from hallsym.diagnosis.residue import Coordinate, Residue, hats, knots
+from hallsym.diagnosis.coordinates import Coordinate, hats, knots
+from hallsym.diagnosis.p_values import of_signs
+from hallsym.diagnosis.regression import regression, ridge
+from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.families.play import stop_operator
 
 BEND = 0.01
 """Weight of the bending penalty against the data."""
 TINY = 1e-6
+"""The same on the curves themselves, so that what no sample determines stays 0."""
 MEMORIES = (0.05, 0.15, 0.4, 1.0)
-"""Half-widths of the play that is looked for, over the standard deviation of what a sensor feels."""
-NO_ORDER = ("direction", "acceleration", "states")
-"""Coordinates that are several features and no place on a line."""
+"""Half-widths of the play that is looked for, over the standard deviation of what a sensor senses."""
+FEWEST_PARTS = 3
+"""Stretches of a run from which on they may predict one another."""
 FINE = 96
 """Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
 
@@ -32,8 +35,8 @@ FINE = 96
 class Curve:
     """How a residual follows a coordinate.
 
-    `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * felt / scale [m]; `gain` None
-    where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
+    `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * sensed / scale [m]; `gain`
+    None where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
     `explained`: whitened squares that it removes from runs it was not fitted on; `predicted`: (K, n).
     """
 
@@ -54,13 +57,13 @@ class Curve:
 class Smooth:
     """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
 
-    def __init__(self, r: Residue, coordinate: Coordinate) -> None:
+    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
         self.r, self.coordinate = r, coordinate
-        values = _values(r, coordinate)
+        values = coordinate.values(r)
         self.values = values
         if values is None:
             return
-        self.scale = float(np.sqrt(np.mean(r.felt**2))) or 1.0
+        self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         self.at, self.phi = self._features(values)
         K, nf, n = self.phi.shape
         flat = self.phi.reshape(K * nf, n)
@@ -72,15 +75,14 @@ class Smooth:
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
-        if c.column in NO_ORDER:
+        if not c.ordered:
             phi = _unordered(r, c, r)
-            at = np.array(MEMORIES) if c.column == "direction" else np.arange(float(phi.shape[1]))
-            return at, phi
+            return np.array(MEMORIES) if c.memory else np.arange(float(phi.shape[1])), phi
         each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
         at = knots(each)
         phi = np.array([hats(row, at) for row in each])
         if c.gain:
-            phi = np.concatenate([phi, phi * (r.felt / self.scale)[:, None, :]], axis=1)
+            phi = np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1)
         return at, phi
 
     def curve(self, residual: np.ndarray) -> Curve | None:
@@ -95,10 +97,9 @@ class Smooth:
         blocks = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.block)])
         blocks *= level_weights(r, residual, r.block)[:, None]
         fits = [self._fit(V, sums, blocks) for V in self._bases()]
-        p = min(1.0, len(fits) * min(p for _, _, p in fits))
-        explained, coefficients, _ = max(fits, key=lambda f: f[0])
-        beta, left = coefficients[0].reshape(K, nf), coefficients[1:]
-        U, m = len(left), len(self.at)
+        p = min(1.0, len(fits) * min(f[-1] for f in fits))
+        explained, coefficients, left, _ = max(fits, key=lambda f: f[0])
+        beta, U, m = coefficients.reshape(K, nf), len(left), len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0)).reshape(K, nf)
         predicted = np.einsum("kf,kfn->kn", beta, self.phi)
         both = nf == 2 * m and self.coordinate.gain
@@ -111,30 +112,30 @@ class Smooth:
         """Columns that coefficients may be made of: all knots; parabolas through them."""
         size, m = len(self.penalty), len(self.at)
         every = [np.eye(size)]
-        if self.coordinate.column in NO_ORDER or m <= 3:
+        if not self.coordinate.ordered or m <= 3:
             return every
         x = 2 * (self.at - self.at[0]) / (self.at[-1] - self.at[0]) - 1
         return [np.kron(np.eye(size // m), np.vander(x, 3)), *every]
 
-    def _fit(self, V: np.ndarray, sums: np.ndarray, blocks: np.ndarray) -> tuple[float, np.ndarray, float]:
-        """What coefficients V a explain on runs left out, they (of all, then without each), and chance."""
-        gram = V.T @ self.gram @ V
-        b, penalty = sums @ V, V.T @ self.penalty @ V
-        G, B = gram.sum(axis=0), b.sum(axis=0)
-        left = np.linalg.solve(G - gram + penalty, (B - b)[:, :, None])[:, :, 0]
-        explained = float(2 * (b * left).sum() - np.einsum("ui,uij,uj->", left, gram, left))
+    def _fit(
+        self, V: np.ndarray, sums: np.ndarray, blocks: np.ndarray
+    ) -> tuple[float, np.ndarray, np.ndarray, float]:
+        """What coefficients V a explain on runs left out, they of all, they without each, and the p-value."""
+        gram, penalty = V.T @ self.gram @ V, V.T @ self.penalty @ V
+        fit = regression(gram, (sums @ V)[:, :, None], penalty)
         scores = blocks @ V
-        p = chance_of_signs(scores @ np.linalg.solve(G + penalty, scores.T), self.r.run_of(self.r.block))
-        full = np.linalg.solve(G + penalty, B)
-        return explained, np.vstack([full, left]) @ V.T, p
+        p = of_signs(
+            scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T), self.r.run_of(self.r.block)
+        )
+        return float(fit.squares.sum()), V @ fit.all[:, 0], fit.left_out[:, :, 0] @ V.T, p
 
 
 class FineMap:
     """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell."""
 
-    def __init__(self, r: Residue, coordinate: Coordinate) -> None:
+    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
         self.r, self.coordinate = r, coordinate
-        x = _values(r, coordinate)
+        x = coordinate.values(r)
         if x is None:
             self.values = None
             return
@@ -167,7 +168,7 @@ class FineMap:
         predicted = np.array([mean[k][self.bin[k]] for k in range(K)])
         return Curve(
             self.coordinate, self.values, self.at, mean, None, error, None, 1.0, explained,
-            chance_of_signs(scores @ scores.T, r.run_of(r.block)), predicted, True,
+            of_signs(scores @ scores.T, r.run_of(r.block)), predicted, True,
         )  # fmt: skip
 
     def _sums(self, residual: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -182,98 +183,58 @@ class FineMap:
         return n, np.bincount(flat, residual.ravel(), size).reshape(shape)
 
 
-def own_gains(r: Residue, residual: np.ndarray) -> tuple[float, float]:
+def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
     """Return what a gain of its own in every run explains, and its p-value.
 
     Each stretch of a run is predicted by the other stretches of the same run.
     """
-    weighted = r.precision @ residual
-    products = r.felt * weighted
+    products = r.sensed * (r.precision @ residual)
     parts = _slices(r.part)
-    b = np.array([products[:, s].sum(axis=1) for s in parts])
-    G = np.array([r.felt[:, s] @ r.felt[:, s].T * r.precision for s in parts])
+    cross = np.array([products[:, s].sum(axis=1) for s in parts])
+    gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
     run = np.array([r.run[s.start] for s in parts])
     explained, q = 0.0, np.zeros((len(parts), len(parts)))
-    even = level_weights(r, residual, r.part)[:, None] * b
+    even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
         at = np.flatnonzero(run == number)
-        total = G[at].sum(axis=0)
-        total = total + np.diag(np.diag(total)) * 1e-3
-        if len(at) < 3 or np.diag(total).min() <= 0:
+        if len(at) < FEWEST_PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
             continue
-        scale = np.sqrt(np.diag(total))
-        inverse = np.linalg.pinv(total / np.outer(scale, scale), rcond=1e-9) / np.outer(scale, scale)
-        q[np.ix_(at, at)] = even[at] @ inverse @ even[at].T
-        for j in at:
-            rest = total - G[j]
-            beta = np.linalg.lstsq(rest / np.outer(scale, scale), (b[at].sum(axis=0) - b[j]) / scale,
-                                   rcond=1e-9)[0] / scale  # fmt: skip
-            explained += float(2 * b[j] @ beta - beta @ G[j] @ beta)
-    return explained, chance_of_signs(q, run)
+        penalty = ridge(gram[at])
+        explained += float(regression(gram[at], cross[at][:, :, None], penalty).squares.sum())
+        q[np.ix_(at, at)] = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
+    return explained, of_signs(q, run)
 
 
-def level_weights(r: Residue, residual: np.ndarray, group: np.ndarray) -> np.ndarray:
+def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Return 1 / rms of the whitened residual in each group: a few wild blocks do not decide on their own."""
     squares = np.einsum("kn,kl,ln->n", residual, r.precision, residual)
     means = np.array([squares[s].mean() for s in _slices(group)])
     return np.asarray(1.0 / np.sqrt(np.maximum(means, 1e-300)))
 
 
-def chance_of_signs(q: np.ndarray, run: np.ndarray) -> float:
-    """Return the probability that random signs of the blocks make as much of `q` as there is, one-sided.
-
-    `q`: (blocks, blocks) products of the blocks' scores; `run`: (blocks,) where each lies. Products of a
-    block with itself and with its neighbours in the same run are left out. The distribution over the signs is
-    taken as a gamma distribution with the mean, variance and skewness that quadratic forms have.
-    """
-    q = q.copy()
-    k = np.arange(len(q))
-    near = (np.abs(k[:, None] - k) <= 1) & (run[:, None] == run)
-    q[near | np.eye(len(q), dtype=bool)] = 0.0
-    variance = 2 * float((q**2).sum())
-    if variance <= 0 or len(q) < 6:
-        return 1.0
-    z = float(q.sum()) / np.sqrt(variance)
-    skew = max(8 * float(np.einsum("ij,ji->", q @ q, q)) / variance**1.5, 0.05)
-    shape = 4 / skew**2  # gamma with mean 0, variance 1 and this skewness
-    x = shape + z * np.sqrt(shape)
-    return float(gammaincc(shape, x)) if x > 0 else 1.0
-
-
-def _values(r: Residue, c: Coordinate) -> np.ndarray | None:
-    if c.column == "acceleration":
-        return r.columns.get(f"d2_{r.references[0]}")
-    if c.column == "states":
-        return r.columns[r.state[0]] if all(np.std(r.columns[k]) > 0 for k in r.state) else None
-    if c.column == "direction":
-        return np.sign(r.speed) if np.std(r.felt) > 0 else None
-    return c.values(r)
-
-
-def _unordered(r: Residue, c: Coordinate, like: Residue) -> np.ndarray:
+def _unordered(r: ResidualTable, c: Coordinate, like: ResidualTable) -> np.ndarray:
     """Features of a coordinate that is no place on a line, (K, features, n), scaled as on `like`."""
-    if c.column == "direction":
-        size = float(np.std(like.felt))
+    if c.memory:
+        size = float(np.std(like.sensed))
         return np.stack([_memory(r, size * w) for w in MEMORIES], axis=1)
-    names = r.state if c.column == "states" else tuple(f"d2_{p}" for p in r.references)
-    old, new = (np.array([x.columns[n] for n in names]) for x in (like, r))
+    old, new = (np.array([x.columns[n] for n in c.of]) for x in (like, r))
     spread = np.maximum(old.std(axis=1), 1e-300)[:, None]
-    if c.column == "acceleration":
+    if not c.gain:
         rows = new / spread
         return np.broadcast_to(rows, (len(r.channels), *rows.shape)).copy()
     rows = (new - old.mean(axis=1)[:, None]) / spread
-    gains = rows * (r.felt / (float(np.sqrt(np.mean(like.felt**2))) or 1.0))[:, None, :]
+    gains = rows * (r.sensed / (float(np.sqrt(np.mean(like.sensed**2))) or 1.0))[:, None, :]
     return np.concatenate([np.broadcast_to(rows, gains.shape), gains], axis=1)
 
 
-def predicted(c: Curve, fitted: Residue, other: Residue) -> np.ndarray | None:
+def predicted(c: Curve, fitted: ResidualTable, other: ResidualTable) -> np.ndarray | None:
     """Return what a curve of `fitted` says of other samples, (K, n); None where they lack the coordinate."""
-    x = _values(other, c.coordinate)
+    x = c.coordinate.values(other)
     if x is None:
         return None
-    if c.coordinate.column in NO_ORDER:
+    if not c.coordinate.ordered:
         return np.asarray(np.einsum("kf,kfn->kn", c.offset, _unordered(other, c.coordinate, fitted)))
-    each = x if x.ndim == 2 else np.broadcast_to(x, other.felt.shape)
+    each = x if x.ndim == 2 else np.broadcast_to(x, other.sensed.shape)
     if c.fine:
         step = c.at[1] - c.at[0]
         bins = np.clip(np.rint((each - c.at[0]) / step).astype(int), 0, len(c.at) - 1)
@@ -281,15 +242,15 @@ def predicted(c: Curve, fitted: Residue, other: Residue) -> np.ndarray | None:
     out = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.offset, strict=True)])
     if c.gain is not None:
         gain = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.gain, strict=True)])
-        out = out + gain * other.felt / c.scale
+        out = out + gain * other.sensed / c.scale
     return out
 
 
-def _memory(r: Residue, width: float) -> np.ndarray:
-    """Elastic part of a play of half-width `width` in what each sensor feels: its memory of the direction."""
-    out = np.empty_like(r.felt)
+def _memory(r: ResidualTable, width: float) -> np.ndarray:
+    """Elastic part of a play of half-width `width` in what a sensor senses: its memory of the direction."""
+    out = np.empty_like(r.sensed)
     for s in _slices(r.run):
-        for k, row in enumerate(r.felt[:, s]):
+        for k, row in enumerate(r.sensed[:, s]):
             out[k, s] = stop_operator(row, width)
     return out
 

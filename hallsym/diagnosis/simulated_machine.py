@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.normal_equations import tangents
 from hallsym.diagnosis.refit import solve
 from hallsym.diagnosis.residuals import pieces
-from hallsym.diagnosis.tangent import tangents
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log, Noise, Sigma
 from hallsym.log.batches import batches

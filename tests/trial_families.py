@@ -1,0 +1,239 @@
+"""Two families that hallsym does not know, written with its public names only: a 2-DOF and a 6-DOF array.
+
+A magnet array of wavelength L moves over fixed sensors, L = 30 mm, lc = L / 2 pi. At the height z its field
+is exp(-z / lc) cos(x / lc), so one period of x looks like the next (Maguire, UBC 2015, section 2.2).
+"""
+
+from math import pi
+
+import casadi as ca
+import numpy as np
+
+from hallsym.diagnosis import user_effect
+from hallsym.model import Example, Family, Model, Parameter, PoseMetric
+from hallsym.model.derived import rate
+
+LENGTH = 0.03
+LC = LENGTH / (2 * pi)
+THIRDS = [2 * pi * k / 3 for k in range(3)]
+
+
+def gains_and_offsets(channels):
+    """Gain (1 V at z = 0) and offset of each channel."""
+    gains = [
+        Parameter(f"g{k}", 1.0, 0.5, 2.0, "V", f"amplitude of {c} at z = 0") for k, c in enumerate(channels)
+    ]
+    offsets = [Parameter(f"o{k}", 0.0, -0.1, 0.1, "V", f"offset of {c}") for k, c in enumerate(channels)]
+    return *gains, *offsets
+
+
+def amplified(s, p):
+    """Set the readings: gain * field + offset."""
+    n = s["field"].numel()
+    s["gain"] = ca.vertcat(*(p[f"g{k}"] for k in range(n)))
+    s["reading"] = s["gain"] * s["field"] + ca.vertcat(*(p[f"o{k}"] for k in range(n)))
+
+
+def phasor(v, p, channels):
+    """Sine and cosine of three channels a third of a period apart, each times exp(-height / lc)."""
+    b = [(v[k] - p[f"o{k}"]) / p[f"g{k}"] for k in channels]
+    return [2 / 3 * sum(b_k * f(u) for b_k, u in zip(b, THIRDS, strict=True)) for f in (np.sin, np.cos)]
+
+
+# -- (a) two coordinates: three column sums ----------------------------------------------------------------
+
+
+def array_2dof(layout=None):
+    """An array over three column sums: x along it, z above it."""
+    channels = ("col_0_v", "col_1_v", "col_2_v")
+
+    def field(s, p):
+        fade = s.derive("fade", ca.exp(-s["z_m"] / LC))
+        cos, sin = (s.derive(f.__name__, f(s["x_m"] / LC)) for f in (ca.cos, ca.sin))
+        s["wave"] = fade * cos, fade * sin
+        s["field"] = ca.vertcat(*(wave_of(s["wave"], p["phase"] - u) for u in THIRDS))
+
+    def begin(v, p):
+        sin, cos = phasor(v, p, range(3))
+        return ca.vertcat(LC * (ca.atan2(sin, cos) - p["phase"]), -LC * ca.log(ca.hypot(sin, cos)))
+
+    return Model(
+        name="array_2dof",
+        family=ARRAY,
+        pose=("x_m", "z_m"),
+        references=("x_ref_m", "z_ref_m"),
+        state=(),
+        channels=channels,
+        parameters=(
+            *gains_and_offsets(channels),
+            Parameter("phase", 0.0, -2 * pi, 2 * pi, "rad", "phase of the array at the zero of x"),
+        ),
+        steps=(("field", field), ("electronics", amplified)),
+        closed_form=start_2dof,
+        period={"x_m": LENGTH, "x_ref_m": LENGTH, "phase": 2 * pi},
+        begin=begin,
+        typical=tuple((k * LENGTH / 8, 5e-3) for k in range(8)),
+    )
+
+
+def wave_of(wave, phase):
+    """cos(x / lc + phase) exp(-z / lc) from the pair at phase 0."""
+    return wave[0] * ca.cos(phase) - wave[1] * ca.sin(phase)
+
+
+def start_2dof(model, coefficients):
+    """Gains, offsets and phase from the coefficients of the features."""
+    nothing = np.zeros(3)
+    cos, sin = (coefficients.get(name, nothing) for name in ("fade*cos", "fade*sin"))
+    phase = np.angle(np.sum((cos - 1j * sin) * np.exp(1j * np.array(THIRDS))))
+    found = {f"g{k}": float(np.hypot(cos[k], sin[k])) for k in range(3)} | {"phase": float(phase)}
+    found |= {f"o{k}": float(v) for k, v in enumerate(coefficients.get("1", nothing))}
+    return model.vector(found)
+
+
+def second_harmonic(model):
+    """Second harmonic of the field, which arrays of unlike magnets have: three waves of error per period."""
+    added = tuple(Parameter(n, 0.0, -0.5, 0.5, "1", "second harmonic over the first") for n in ("h2c", "h2s"))
+
+    def step(s, p):
+        cos, sin = s["wave"]
+        double = cos * cos - sin * sin, 2 * cos * sin
+        rows = []
+        for u in THIRDS:
+            c, d = (wave_of(double, 2 * (p["phase"] - u) + turn) for turn in (0.0, pi / 2))
+            rows.append(p["h2c"] * c + p["h2s"] * d)
+        s["field"] = s["field"] + ca.vertcat(*rows)
+
+    return model.with_step("field", step, effect="second_harmonic", parameters=added)
+
+
+def late_readings(model):
+    """Readings that come later than the reference."""
+    speed = rate("x_ref_m")
+    delay = Parameter("delay", 0.0, -0.01, 0.01, "s", "delay of the readings")
+
+    def step(s, p):
+        cos, sin = s["wave"]
+        slope = ca.vertcat(*(-cos * ca.sin(p["phase"] - u) - sin * ca.cos(p["phase"] - u) for u in THIRDS))
+        s["field"] = s["field"] - p["delay"] * s[speed.name] / LC * slope
+
+    wide = model.with_columns(speed)
+    return wide.with_step("field", step, effect="late_readings", parameters=(delay,))
+
+
+def lowered(model, p, weight, box):
+    """The C of three column sums: arctangent and logarithm are the library's, so no integers."""
+    raise NotImplementedError
+
+
+ARRAY = Family(
+    name="array",
+    about="an array (col_0_v, ...; x_ref_m)",
+    models=(array_2dof,),
+    readings=r"col_\d+_v",
+    pose_metric=PoseMetric("m"),
+    effects=(second_harmonic, late_readings),
+    catalogue=(user_effect(second_harmonic), user_effect(late_readings)),
+    words={"x_ref_m": "x along the array"},
+    example=Example(
+        campaign={
+            "step_s": 2e-3,
+            "run": [
+                {
+                    "duration_s": 1.0,
+                    "x_m": {"kind": "sine", "amplitude": 0.02, "frequency_hz": f},
+                    "z_m": {"kind": "sine", "amplitude": 1e-3, "frequency_hz": 2.3 * f, "about": 5e-3},
+                }
+                for f in (1.0, 1.3, 1.7, 2.1, 2.6)
+            ],
+        },
+        values={"g0": 1.05, "g1": 0.97, "g2": 1.01, "o0": 2e-3, "o1": -1e-3, "o2": 1e-3, "phase": 0.7},
+        noise={"col_0_v": 1e-4, "col_1_v": 1e-4, "col_2_v": 1e-4, "x_ref_m": 1e-7, "z_ref_m": 1e-7},
+    ),
+)
+
+
+# -- (b) six coordinates: two arrays over twelve sensors ----------------------------------------------------
+
+CORNERS = [(j, k) for j in range(4) for k in range(4)]
+PLACES = [(k * LENGTH / 3, side) for side in (-0.02, 0.02) for k in range(3)]
+"""Place of a sensor along and across the array that it sees [m]."""
+
+
+def array_6dof(layout=None):
+    """A mover with an array along x and one along y, each over two rows of three sensors; small rotations."""
+    channels = tuple(f"hall_{a}_{k}_v" for a in "xy" for k in range(6))
+
+    def field(s, p):
+        rows = []
+        for axis in "xy":
+            for k, (along, across) in enumerate(PLACES):
+                px, py = (along, across) if axis == "x" else (across, along)
+                dx, dy = px - s["x_m"], py - s["y_m"]
+                u = -(dx + s["rz_rad"] * dy) if axis == "x" else -(dy - s["rz_rad"] * dx)
+                height = s["z_m"] + s["rx_rad"] * dy - s["ry_rad"] * dx
+                fade = ca.exp(-height / LC)
+                wave = [s.derive(f"{f.__name__} {axis}{k}", fade * f(u / LC)) for f in (ca.cos, ca.sin)]
+                rows.append(wave_of(wave, p[f"phase_{axis}"]))
+        s["field"] = ca.vertcat(*rows)
+
+    def begin(v, p):
+        place, height = [], []
+        for j, axis in enumerate("xy"):
+            pairs = [phasor(v, p, range(6 * j + row, 6 * j + row + 3)) for row in (0, 3)]
+            sin, cos = (sum(part) / 2 for part in zip(*pairs, strict=True))
+            place.append(LC * (ca.atan2(sin, cos) - p[f"phase_{axis}"]))
+            height.append(-LC * ca.log(ca.hypot(sin, cos)))
+        return ca.vertcat(*place, sum(height) / 2, 0, 0, 0)
+
+    return Model(
+        name="array_6dof",
+        family=PLANE,
+        pose=("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"),
+        references=("x_ref_m", "y_ref_m", "z_ref_m", "rx_ref_rad", "ry_ref_rad", "rz_ref_rad"),
+        state=(),
+        channels=channels,
+        parameters=(
+            *gains_and_offsets(channels),
+            *(
+                Parameter(f"phase_{a}", 0.0, -2 * pi, 2 * pi, "rad", f"phase at the zero of {a}")
+                for a in "xy"
+            ),
+        ),
+        steps=(("field", field), ("electronics", amplified)),
+        period={c: LENGTH for a in "xy" for c in (f"{a}_m", f"{a}_ref_m")}
+        | {"phase_x": 2 * pi, "phase_y": 2 * pi},
+        begin=begin,
+        typical=tuple(
+            (k * LENGTH / 4, j * LENGTH / 4, 5e-3, 0.0, 0.0, 0.0) for k in range(4) for j in range(4)
+        ),
+    )
+
+
+PLANE = Family(
+    name="plane",
+    models=(array_6dof,),
+    readings=r"hall_\w+_v",
+    pose_metric=PoseMetric("m", arm_m=0.05),
+    example=Example(
+        campaign={
+            "step_s": 4e-3,
+            "run": [
+                {
+                    "duration_s": 1.0,
+                    "x_m": {"kind": "sine", "amplitude": 0.012, "frequency_hz": f},
+                    "y_m": {"kind": "sine", "amplitude": 0.012, "frequency_hz": 1.4 * f},
+                    "z_m": {"kind": "sine", "amplitude": 1e-3, "frequency_hz": 2.3 * f, "about": 5e-3},
+                    "rx_rad": {"kind": "sine", "amplitude": 5e-3, "frequency_hz": 1.9 * f},
+                    "ry_rad": {"kind": "sine", "amplitude": 5e-3, "frequency_hz": 2.9 * f},
+                    "rz_rad": {"kind": "sine", "amplitude": 5e-3, "frequency_hz": 3.1 * f},
+                }
+                for f in (1.0, 1.2, 1.5, 1.8, 2.2)
+            ],
+        },
+        values={"g0": 1.04, "g5": 0.97, "g7": 1.02, "o1": 2e-3, "o8": -1e-3, "phase_x": 0.4, "phase_y": -0.3},
+        noise={f"hall_{a}_{k}_v": 1e-4 for a in "xy" for k in range(6)}
+        | {f"{a}_ref_m": 1e-7 for a in "xyz"} | {f"r{a}_ref_rad": 1e-6 for a in "xyz"},
+    ),
+)  # fmt: skip
+TRIALS = (ARRAY, PLANE)
