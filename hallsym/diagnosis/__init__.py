@@ -8,14 +8,17 @@
 
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.engine import diagnose
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation, Statement
 from hallsym.diagnosis.user import load_effects, makes, user_effect
 
 __all__ = [
+    "POLICY",
     "Diagnosis",
     "Effect",
     "Facts",
     "FoundEffect",
+    "Policy",
     "Separation",
     "Statement",
     "Variant",

@@ -115,6 +115,6 @@ def smaller_findings(
         p, shrinkage = score.corrected(setup.tested), 1 - score.ratio
         # what is worth more was judged, and not selected
         small = setup.policy.smallest * setup.threshold <= shrinkage < setup.threshold
-        if p < setup.policy.smaller_certain and small and score.effect.name not in known:
+        if p < setup.policy.certain and small and score.effect.name not in known:
             out.append(SmallerFinding(score.effect.name, shrinkage, p))
     return tuple(out)

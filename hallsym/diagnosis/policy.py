@@ -28,7 +28,7 @@ class Policy:
     # screening and selection
 
     certain: float = 0.01
-    """P-value, corrected for everything that was tried, below which an effect or a fault is certain.
+    """Corrected p-value below which an effect, a fault or a smaller finding is certain.
 
     The usual 1 %."""
     half: float = 0.5
@@ -130,8 +130,6 @@ class Policy:
     """Difference of BIC from which on unneeded parameters make an effect no competitor of a plainer one.
 
     Twice the 10 that Kass and Raftery (1995) call very strong."""
-    smaller_certain: float = 0.01
-    """P-value, corrected, below which a smaller finding is listed. As `certain`."""
     smallest: float = 0.1
     """Part of the threshold from which on a smaller finding is listed.
 
