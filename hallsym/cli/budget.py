@@ -14,7 +14,8 @@ from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.log import Log, Noise
 from hallsym.log.noise import check_noise_keys
-from hallsym.report.text.budget import budget_text, comparison_text, position_words, recorded_text
+from hallsym.report.text import budget_text, comparison_text, position_words, recorded_text
+from hallsym.toml import column_of
 from hallsym.uncertainty import (
     Budget,
     Comparison,
@@ -31,7 +32,6 @@ from hallsym.uncertainty import (
     read_settings,
     uncertainty_map,
 )
-from hallsym.uncertainty.settings import column_value
 
 LOG_OPTIONS = ("column", "column_file", "format", "delimiter", "drop_bad")
 EPILOG = """\
@@ -148,7 +148,9 @@ def _position(options: Namespace) -> int:
     pictures = _pictures(options, worst or budgets, grid, log)
     shown = grid if options.map or options.range else None
     parts = _position_text(budgets, list(found.values()), recorded, shown, settings)
-    parts.insert(0, f"position at {position_words(at)}; fit covariance: {fit.covariance_method}")
+    parts.insert(
+        0, f"position at {position_words(at, fit.model.period)}; fit covariance: {fit.covariance_method}"
+    )
     parts += ["", *noted(said)] if said else []
     say(options, record, lambda: "\n".join([*parts, *pictures]))
     return NOT_DETERMINED if fit.undetermined_by_log else OK
@@ -183,7 +185,7 @@ def _at(given: Sequence[str], fit: Fit) -> dict[str, float]:
     at: dict[str, float] = {}
     for text in given:
         key, _, value = text.partition("=")
-        column, factor = column_value(key, (*fit.model.pose, *fit.model.state), "--at")
+        column, factor = column_of(key, (*fit.model.pose, *fit.model.state), "--at")
         if column in at:
             raise InputError(f"--at gives {column} twice; keep one.")
         at[column] = _number(value, "--at", text, "x_um=100") * factor
@@ -196,7 +198,7 @@ def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
     axes = map_axes(fit.model)
     for text in given:
         key, _, value = text.partition("=")
-        column, factor = column_value(key, axes, "--range")
+        column, factor = column_of(key, axes, "--range")
         low, _, high = value.partition(":")
         ends = [_number(v, "--range", text, "x_um=-300:300") * factor for v in (low, high)]
         if not ends[0] < ends[1]:
@@ -260,6 +262,7 @@ def _over_map(grid: UncertaintyMap) -> Recorded:
         worst={c: u for c, (_, u) in worst.items()},
         where={c: at for c, (at, _) in worst.items()},
         samples=grid.expanded[0].size,
+        turning=grid.turning,
     )
 
 
@@ -269,7 +272,7 @@ def _pictures(
     """Save the pictures asked for; returns the lines that say so."""
     if not options.plots:
         return []
-    from hallsym.report.figures.uncertainty import save_budget_pictures
+    from hallsym.report.figures import save_budget_pictures
 
     paths = save_budget_pictures(
         Path(options.plots), budgets, grid, worst=log is not None or grid is not None

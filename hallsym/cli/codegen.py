@@ -9,13 +9,13 @@ import numpy as np
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import command, noted, say
-from hallsym.codegen import Generated, Integers, generate, generate_q31
+from hallsym.codegen import Generated, generate
+from hallsym.codegen.checks import sha256
 from hallsym.codegen.folder import options_of
-from hallsym.codegen.rotary_correction import KINDS
-from hallsym.codegen.table import sha256
+from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.uncertainty.settings import column_value
+from hallsym.toml import column_of
 
 EPILOG = """\
 examples:
@@ -56,7 +56,7 @@ def add(sub: Any) -> None:
         "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table",
     )  # fmt: skip
     parser.add_argument(
-        "--correction", choices=KINDS,
+        "--correction", choices=CORRECTIONS,
         help="encoders: a series of waves, or a table of 64 to 1024 entries (default: auto, fewer bytes)",
     )  # fmt: skip
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
@@ -75,7 +75,7 @@ def run(options: Namespace) -> int:
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
-def _made(fit: Fit, options: Namespace) -> Generated | Integers:
+def _made(fit: Fit, options: Namespace) -> Generated:
     digest = sha256(Path(options.calibration).read_bytes())
     ranges, allow = _ranges(options.range, fit), options.allow_undetermined
     before = options_of(Path(options.output)) if options.params_only else {}
@@ -84,20 +84,9 @@ def _made(fit: Fit, options: Namespace) -> Generated | Integers:
         accuracy = before.get("accuracy")
     if correction is None:
         correction = before.get("correction")
-    if options.arithmetic == "q31":
-        for name in ("double", "jacobian"):
-            if getattr(options, name):
-                raise InputError(f"--{name} belongs to --arithmetic float; leave it out, or the integers.")
-        return generate_q31(
-            fit,
-            ranges=ranges,
-            accuracy=accuracy,
-            correction=correction,
-            allow_undetermined=allow,
-            calibration_sha256=digest,
-        )
     return generate(
         fit,
+        arithmetic=options.arithmetic,
         ranges=ranges,
         double=options.double,
         jacobian=options.jacobian,
@@ -108,7 +97,7 @@ def _made(fit: Fit, options: Namespace) -> Generated | Integers:
     )
 
 
-def _text(made: Generated | Integers, options: Namespace) -> list[str]:
+def _text(made: Generated, options: Namespace) -> list[str]:
     record = made.to_dict()
     lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
     for c, met in record["error_met"].items():
@@ -126,7 +115,7 @@ def _accuracy(given: str | None, fit: Fit) -> float | None:
     if given is None:
         return None
     key, _, value = given.partition("=")
-    _, factor = column_value(key, fit.model.pose, "--accuracy")
+    _, factor = column_of(key, fit.model.pose, "--accuracy")
     try:
         return float(value) * factor
     except ValueError:
@@ -141,7 +130,7 @@ def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
     known = (*fit.model.pose, *fit.model.state, *fit.model.channels)
     for text in given:
         key, _, value = text.partition("=")
-        column, factor = column_value(key, known, "--range")
+        column, factor = column_of(key, known, "--range")
         low, _, high = value.partition(":")
         try:
             ends = (float(low) * factor, float(high) * factor)

@@ -11,12 +11,12 @@ from hallsym.cli.common import (
     log_options,
     model_options,
     open_log,
+    own_effects,
     own_option,
     progress_of,
     run_numbers,
     say,
 )
-from hallsym.diagnosis import load_effects, makes
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
@@ -30,7 +30,8 @@ from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.log.derived import extended
 from hallsym.model import Model
-from hallsym.report.page import Version, diagnosis_page, gather
+from hallsym.report.data import Version, gather
+from hallsym.report.page import diagnosis_page
 from hallsym.report.text.comparison import comparison_text
 from hallsym.report.text.diagnosis import diagnosis_text
 
@@ -77,16 +78,16 @@ def run(options: Namespace) -> int:
     log = open_log(options, machine)
     name = options.model or default_model(log.meta)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
-    listed = load_effects(options.effects) if options.effects else ()
+    own = own_effects(options)
     if str(name).endswith(".json"):
-        model: Model | Fit = load_fit(name, makes(listed))
+        model: Model | Fit = load_fit(name, own)
     else:
         model = model_on(
             log,
             name,
             options.effect,
             parameters=machine.parameters,
-            own=makes(listed),
+            own=own,
             holdout=holdout,
             drop_bad=options.drop_bad,
         )
@@ -94,7 +95,7 @@ def run(options: Namespace) -> int:
         log,
         model,
         holdout=holdout,
-        effects=listed,
+        effects=tuple(own.values()),
         threshold=options.threshold,
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),
@@ -130,7 +131,7 @@ def _page(options: Namespace, seen: Examined) -> str:
     """The page of a diagnosis, with maps and series of what the model leaves, before and after."""
     first = seen.fit
     after = None if seen.after is None else _version(seen.after)
-    shown = gather(seen.before.log, {"before": first}, keep=first.keep, after=after)
+    shown = gather(seen.before.log, first, label="before", keep=first.keep, after=after)
     name = options.model or first.model.name
     command = shlex.join(["hallsym", "diagnose", options.log, "--model", name])
     return diagnosis_page(

@@ -65,7 +65,7 @@ def run(options: Namespace) -> int:
     found = tolerances(model, campaign_of(options), ranges=ranges, samples=options.samples, seed=options.seed)
     pictures = []
     if options.plots:
-        from hallsym.report.figures.tolerances import save_tolerances
+        from hallsym.report.figures import save_tolerances
 
         pictures = save_tolerances(found, Path(options.plots))
     say(options, found.to_dict(), lambda: tolerances_text(found))

@@ -6,11 +6,11 @@
 'no gap'
 """
 
-from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation, Statement
-from hallsym.diagnosis.user import load_effects, makes, user_effect
+from hallsym.families.user import load_effects
+from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
     "POLICY",
@@ -24,6 +24,4 @@ __all__ = [
     "Variant",
     "diagnose",
     "load_effects",
-    "makes",
-    "user_effect",
 ]

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.normal_equations import Products, Stretch, eliminated, following
+from hallsym.diagnosis.normal_equations import Accumulator, Stretch, eliminated, following
 from hallsym.diagnosis.refit import inverse
 from hallsym.diagnosis.residuals import pieces
 from hallsym.diagnosis.survey import SEGMENT
@@ -30,7 +30,7 @@ def instants(base: Base, runs: Sequence[int], rows: int) -> tuple[tuple[int, flo
     if len(places) < len(names):
         return ()
     length = max(SEGMENT, -(-rows // MAX_SEGMENTS))
-    stretches = [run for run in Products(base).stretches(length) if run[0].run in set(runs)]
+    stretches = [run for run in Accumulator(base).stretches(length) if run[0].run in set(runs)]
     return tuple(
         _best(stretches, k, column, len(base.model.zeros), base.apart) for k, column in enumerate(places)
     )

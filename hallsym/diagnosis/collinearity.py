@@ -12,7 +12,9 @@ from hallsym.diagnosis.refit import Refitted
 from hallsym.log.phase import designed
 
 
-def undone(fit: Refitted, beside: Refitted, start: Refitted, owner: Mapping[str, str], over: float) -> bool:
+def cancelled(
+    fit: Refitted, beside: Refitted, start: Refitted, owner: Mapping[str, str], over: float
+) -> bool:
     """Return whether what `fit` has beyond the fit `beside` is undone by other parameters, or undoes others.
 
     `start`: the fit without any effect, whose parameters say what the machine deviates from its design by.

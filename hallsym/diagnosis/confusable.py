@@ -83,7 +83,7 @@ def _separation(
     setup: Setup, names: tuple[str, ...], one: Exact, members: Sequence[tuple[Exact, float]], inflation: float
 ) -> Separation:
     fits = [one.fit, *(r.fit for r, _ in members)]
-    advice = ways([e.score.effect.record for e in (one, *(r for r, _ in members))])
+    advice = ways([e.score.effect.separate for e in (one, *(r for r, _ in members))])
     closest = min(d for _, d in members)
     return separation(names, fits, closest, _variance(one, inflation), advice, setup.policy)
 

@@ -20,7 +20,7 @@ MOST = 30_000
 
 
 @dataclass(frozen=True, eq=False)
-class Thinned:
+class Decimated:
     """The log in memory, and in words what was left out ("" for nothing)."""
 
     log: Log
@@ -28,7 +28,7 @@ class Thinned:
     text: str
 
 
-def thinned(base: Base, rows: int) -> Thinned:
+def decimated(base: Base, rows: int) -> Decimated:
     """Return about `rows` samples of `base.log`, as far as motion and mains stay resolved.
 
     Samples that the fit left out are left out here too.
@@ -50,7 +50,7 @@ def thinned(base: Base, rows: int) -> Thinned:
     said = [f"every {every}. sample"] if every > 1 else []
     said += [f"the first {100 * share:.3g} % of each run"] if share < 1 else []
     short = Log.from_arrays(columns, log.noise, replace(log.meta), log.name)
-    return Thinned(short, every, " of ".join(said))
+    return Decimated(short, every, " of ".join(said))
 
 
 def _kept(

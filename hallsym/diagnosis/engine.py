@@ -21,7 +21,6 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.findings import findings
-from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
@@ -30,7 +29,7 @@ from hallsym.diagnosis.setup import Setup, base_of, floor_of
 from hallsym.diagnosis.validation import validate
 from hallsym.diagnosis.verdict import decide
 from hallsym.errors import InputError, counted
-from hallsym.estimation import fit as fitting
+from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import logged_columns
 from hallsym.families import build, default_model
@@ -130,7 +129,7 @@ def prepare(
         threshold=level,
         split=bool(pieces),
         floor=floor_of(result, base.pose_weights),
-        catalogue=(*catalogue_of(model), *effects),
+        catalogue=(*model.family.catalogue, *effects),
         policy=policy,
         say=say,
         began=began,
@@ -149,14 +148,14 @@ def _pieces(log: Log, model: Model, policy: Policy) -> tuple[Log, tuple[int, ...
     if not few or model.zeros or log.meta.holdout:
         return log, None
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
-    log = continuous(replace(log, noise=fitting.noise_of(log, model)), model)
+    log = continuous(replace(log, noise=noise_of(log, model)), model)
     return holdout_pieces.split(log, None if holdout_pieces.TIME in log.columns else _spikes(log, model))
 
 
 def _spikes(log: Log, model: Model) -> np.ndarray | None:
     """Return which knots are spikes: judged among their neighbours, which a group of knots separates."""
     try:
-        found = fitting.fit(log, model, solver="direct", resolve_wiring=True)
+        found = fit(log, model, solver="direct", resolve_wiring=True)
     except InputError:
         return None  # the fit of the groups raises it again
     if found.keep is None or found.source is None:
@@ -178,7 +177,7 @@ def _fitted(
     """Fit the model; samples that no fit can use are left out, and a note says so."""
 
     def fitted(drop: bool) -> Fit:
-        return fitting.fit(
+        return fit(
             log, model, solver="direct", holdout=held, loss=loss, resolve_wiring=True, drop_bad=drop,
             on_progress=say,
         )  # fmt: skip

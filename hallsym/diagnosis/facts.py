@@ -6,7 +6,7 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.change_points import MAX_SEGMENTS, instants, switched_runs
 from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.survey import SEGMENT, Survey
+from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey
 from hallsym.log import Log
 from hallsym.log.batches import batches
 from hallsym.model import Model
@@ -22,16 +22,15 @@ def facts_of(base: Base, found: Survey) -> Facts:
     model, log = base.model, base.log
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
-        step_s=found.step_s,
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
         temperature=_mean(log, "temperature_degc") if "temperature_degc" in log.columns else None,
         extremes=_extremes(log, model),
         rails=rails_of(log, model),
         lines_hz=found.lines_hz,
+        lines_tried=max(1, round(sum(b - a for a, b in MAINS) * found.duration_s)),
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
         on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),
-        gains=tuple(float(base.p[k]) for k, name in enumerate(model.names) if name.startswith("eta_")),
     )
 
 

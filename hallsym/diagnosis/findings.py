@@ -13,7 +13,7 @@ from hallsym.diagnosis.sentences import at_bound_text, unseen_text
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
 from hallsym.diagnosis.verdict import closed
-from hallsym.families.recipes import FAULTS
+from hallsym.families.faults import FAULTS
 
 EITHER = ("sign_inversion", "channel_swap")
 """Faults of the channel assignment that an angle from two channels cannot tell apart."""
@@ -114,4 +114,4 @@ def _assignment(setup: Setup, found: Validation) -> FoundEffect:
 
 
 def _repair(name: str) -> str:
-    return f"{name} {FAULTS[name]}"
+    return f"{name} {FAULTS[name].refusal}"

@@ -14,7 +14,7 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.faults import Fault
-from hallsym.diagnosis.normal_equations import Products, eliminated, following
+from hallsym.diagnosis.normal_equations import Accumulator, eliminated, following
 from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.refit import inverse, solve
@@ -59,8 +59,11 @@ def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequ
         best = found.get(link)
         if best:
             others = [name for name in every if name not in best.names]
+            beside = blocks.takes(others)
             best = replace(
-                best, only=float(np.clip((whole - blocks.takes(others)) / excess, 0.0, best.alone))
+                best,
+                others=float(np.clip(beside / excess, 0.0, 1.0)),
+                only=float(np.clip((whole - beside) / excess, 0.0, best.alone)),
             )
         best = _with_faults(best, [f for f in faults if f.link == link])
         if best is None:
@@ -165,14 +168,14 @@ class Blocks:
         own = span[""].stop
         self.offset = own
         self.all, parts = _without(M.sum(axis=0), own, M)
+        self.raw = np.diag(M.sum(axis=0))[own:]
         level = np.sqrt(readings / np.maximum(parts[:, -1, -1], 1e-300))
         self.scores = parts[:, :-1, -1] * level[:, None]
         order = np.unique(run, return_inverse=True)[1] % PARTS
         self.folds = []
         for k in np.unique(order):
-            known = M[order != k].sum(axis=0)
-            train, (test,) = _without(known, own, M[order == k].sum(axis=0)[None])
-            self.folds.append((train, test, np.diag(known)[own:]))
+            train, (test,) = _without(M[order != k].sum(axis=0), own, M[order == k].sum(axis=0)[None])
+            self.folds.append((train, test))
         self.known: dict[tuple[str, ...], float] = {(): 0.0}
 
     def at(self, names: Sequence[str]) -> np.ndarray:
@@ -186,8 +189,8 @@ class Blocks:
         if key not in self.known:
             at = self.at(key)
             pick, total = np.append(at, -1), 0.0
-            for train, test, raw in self.folds:
-                seen = np.flatnonzero(np.diag(train)[at] > NIL * raw[at])
+            for train, test in self.folds:
+                seen = np.flatnonzero(np.diag(train)[at] > NIL * self.raw[at])
                 theta = np.zeros(len(at))
                 theta[seen] = solve(train[np.ix_(pick, pick)], seen)
                 theta = np.clip(theta, self.bounds[0][at], self.bounds[1][at])
@@ -216,7 +219,7 @@ def _gathered(base: Base, tried: Mapping[str, Score]) -> Blocks:
     }
     models = [m for m, _ in candidates.values()]
     base = replace(base, log=_smoothed(base, models), keep=None)
-    work = Products(base, candidates)
+    work = Accumulator(base, candidates)
     runs = base.log.runs
     # a log of many runs has a block for each group of neighbours, one of few runs several blocks in each
     group = {run: k * min(FOLDS, len(runs)) // len(runs) for k, run in enumerate(runs)}

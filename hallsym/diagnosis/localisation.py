@@ -59,15 +59,6 @@ class Located:
     shares: tuple[Share, ...] = ()
 
 
-def where(base: Base, runs: Sequence[int], inflation: float = 1.0) -> tuple[Statement, ...]:
-    """Return statements on where the excess of `base`'s residual on `runs` above the noise lies.
-
-    Fitted runs are searched; each statement also says its share on those of `runs` that are held out.
-    Residuals that are only noise get none. Significance comes from the runs, not from `inflation`.
-    """
-    return located(base, runs).statements
-
-
 def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, ResidualTable | None]:
     """Return the residual on those of `runs` that are fitted and on those that are held out."""
     apart = (False, True)

@@ -12,7 +12,7 @@ from scipy.linalg import solve_toeplitz
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts
-from hallsym.diagnosis.normal_equations import Products
+from hallsym.diagnosis.normal_equations import Accumulator
 from hallsym.diagnosis.scores import candidates
 
 ORDERS = 12
@@ -28,7 +28,7 @@ ALIKE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Likeness:
+class ResidualNoise:
     """Gaussian autoregressive noise: `coefficients` (order,), empty for white noise.
 
     `colour`: (K, K), turns K independent noises of unit variance into noise of the readings. `excess`:
@@ -66,19 +66,19 @@ class Likeness:
         )
 
 
-def likeness(base: Base, catalogue: Sequence[Effect], facts: Facts) -> Likeness:
+def residual_noise(base: Base, catalogue: Sequence[Effect], facts: Facts) -> ResidualNoise:
     """Return noise like the residuals of `base` on its log, what the catalogue explains taken out."""
     correlation, variance, count = _autocorrelation(base, catalogue, facts)
     coefficients, drive = _autoregression(correlation, count)
     colour = np.linalg.cholesky(base.covariance)
-    return Likeness(coefficients, drive, colour, variance, float(correlation[1]))
+    return ResidualNoise(coefficients, drive, colour, variance, float(correlation[1]))
 
 
 def _autocorrelation(base: Base, catalogue: Sequence[Effect], facts: Facts) -> tuple[np.ndarray, float, int]:
     """Autocorrelation (ORDERS + 1,) and variance of the whitened residual, and how many values it is from."""
     tried, _ = candidates(base, catalogue, facts)
     plain = {key: (model, new) for key, (_, _, model, new) in tried.items()}
-    work = Products(base, plain)
+    work = Accumulator(base, plain)
 
     def whitened() -> Iterator[np.ndarray]:
         """Columns [parameters | effects | residual] of each block, (c, K, samples), its zeros taken out."""

@@ -1,15 +1,14 @@
-"""What every candidate effect does to the readings, to first order, as one small matrix per run.
+"""Normal equations of a model and of candidate effects, run by run.
 
 One pass over the log stacks, sample by sample, the columns [zeros | parameters | effects | residual]: the
-derivatives of the reading with respect to each, and what the model leaves. Per run only their products are
-kept, twice: weighted by the noise of the readings (what a fit minimises) and mapped to the decoded pose (what
-the gap metric measures). A run's zeros are eliminated at once. From these matrices any set of effects can be
-fitted, cross-validated and judged without reading the log again.
+derivatives of the reading with respect to each, and the residual of the model. Of each run only the products
+of these columns are kept, twice: weighted by the noise of the readings (what a fit minimises) and mapped to
+the decoded pose (what the gap metric measures). The zeros of a run are eliminated at once. With these
+matrices any set of effects can be fitted, cross-validated and judged without reading the log again.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -29,7 +28,7 @@ TOGETHER = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Tangents:
+class NormalEquations:
     """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
 
     `likelihood`, `output`: (units, c, c). `count`: (units,) samples. `runs`: the runs of each unit.
@@ -56,30 +55,26 @@ class Tangents:
 
 Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 """Runs, products for the likelihood, products in the output, samples."""
-Function = Callable[..., list[np.ndarray]]
 
 
-@lru_cache(maxsize=16)
-def _base_functions(model: Model) -> tuple[Function, Function]:
+def _reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
     s = model.symbols
     reading = s.full(s.reading)
-    both = [ca.densify(reading), ca.densify(ca.jacobian(reading, s.parameters))]
-    if len(model.zeros):
-        both.append(ca.densify(ca.jacobian(reading, s.zeros)))
-    run = on_arrays(ca.Function("base", [s.parameters, s.zeros, s.pose, s.state], both))
-    return run, decoding_gain(model)
+    parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
+    inputs = [s.parameters, s.zeros, s.pose, s.state]
+    return on_arrays(ca.Function("base", inputs, [ca.densify(part) for part in parts]))
 
 
-def tangents(
+def normal_equations(
     base: Base,
     candidates: Mapping[str, tuple[Model, Sequence[str]]],
     on_rows: Callable[[int], None] | None = None,
-) -> Tangents:
+) -> NormalEquations:
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
     New parameters are taken at their nominal value, where they have no effect.
     """
-    work = Products(base, candidates)
+    work = Accumulator(base, candidates)
     for batch in work.batches(on_rows=on_rows):
         work.add(batch, batch.weights(base.keep))
     return work.result()
@@ -93,8 +88,8 @@ def following(M: np.ndarray, z: int) -> np.ndarray:
 def eliminated(M: np.ndarray, follow: np.ndarray) -> np.ndarray:
     """Return products (..., c - z, c - z) once the first z columns follow the others as `follow` says."""
     z = len(follow)
-    half = M[..., z:, :z] @ follow
-    return M[..., z:, z:] + half + half.swapaxes(-1, -2) + follow.T @ M[..., :z, :z] @ follow
+    half = (M[..., z:, :z] + 0.5 * follow.T @ M[..., :z, :z]) @ follow
+    return M[..., z:, z:] + half + half.swapaxes(-1, -2)
 
 
 @dataclass
@@ -107,14 +102,16 @@ class Stretch:
     size: float
 
 
-class Products:
+class Accumulator:
     """Accumulates the products of each run."""
 
     def __init__(
         self, base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
     ) -> None:
         self.base = base
-        self.read, self.gain = _base_functions(base.model)
+        model = base.model
+        self.read = model.remember("reading, derivatives", lambda: _reading_and_derivatives(model))
+        self.gain = decoding_gain(model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
         self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
@@ -293,11 +290,11 @@ class Products:
         own = white[z:, z:] + white[z:, :z] @ follow  # what `eliminated` is where the same products say so
         return run, own, eliminated(out, follow), count
 
-    def result(self) -> Tangents:
+    def result(self) -> NormalEquations:
         """Return what has been gathered."""
         if self.done and len(self.follow) < self.begun:
             self.done[-1] = self._reduced(self.done[-1])
-        return Tangents(
+        return NormalEquations(
             np.array([w for _, w, _, _ in self.done]),
             np.array([o for _, _, o, _ in self.done]),
             np.array([c for *_, c in self.done]),

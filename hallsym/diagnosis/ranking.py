@@ -82,15 +82,13 @@ def _promising(scored: Sequence[Score], worth: Callable[[Score], bool], policy: 
 
 def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: Policy) -> Score:
     """Refine a searched number around its best value."""
-    effect, shape = score.effect, score.variant.shape
-    if effect.refine is None or shape is None:
+    finer = score.effect.around(score.variant)
+    if finer is None:
         return score
-    refine, width = effect.refine, float(shape)
-    finer = replace(effect, variants=lambda m, f: refine(m, f, width))
     tried, _ = candidates(base, [finer], facts)
     ranked, _ = scores(base, tried, runs, policy.inflation)
     best = min([score, *ranked], key=lambda s: s.bic)
-    return replace(best, effect=effect)
+    return replace(best, effect=score.effect)
 
 
 def _exact(base: Base, score: Score, runs: Sequence[int], policy: Policy) -> Exact:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts, Variant
-from hallsym.diagnosis.normal_equations import Tangents, tangents
+from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.refit import inverse, solve
@@ -119,9 +119,9 @@ def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, li
 
 def scores(
     base: Base, tried: dict[str, Candidate], runs: Sequence[int], inflation: float = POLICY.inflation
-) -> tuple[list[Score], Tangents]:
+) -> tuple[list[Score], NormalEquations]:
     """Score every candidate on `runs`, best first (by BIC), in one pass over the log."""
-    t = tangents(base, {key: (c.model, c.new) for key, c in tried.items()})
+    t = normal_equations(base, {key: (c.model, c.new) for key, c in tried.items()})
     units = t.units(runs)
     groups = [units[k::FOLDS] for k in range(min(FOLDS, len(units)))]
     sums = [t.likelihood[g].sum(axis=0) for g in groups]

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.collinearity import undone
+from hallsym.diagnosis.collinearity import cancelled
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap import remains, slow_share, used_up
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
@@ -191,7 +191,7 @@ class _Search:
         """
         lower = exact.gap <= _gap(at) * (1 - self.policy.half * self.setup.threshold)
         keeps = lower and exact.bic < bic_of(at, 0, self.policy.inflation)
-        return keeps and not undone(exact.fit, at, self.start, self.owner, self.policy.cancelling)
+        return keeps and not cancelled(exact.fit, at, self.start, self.owner, self.policy.cancelling)
 
     def prune(self) -> None:
         """Where a gap remains, drop effects that only resemble its cause: they leave its shape behind."""

@@ -17,6 +17,7 @@ from hallsym.diagnosis.engine import prepare
 from hallsym.diagnosis.trials import NO_EFFECT, Bench, Trial, run_trials
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
+from hallsym.families.faults import FAULTS
 from hallsym.log import Log
 from hallsym.model import Model
 
@@ -24,16 +25,6 @@ RATIOS = (1.07, 1.3, 2.0)
 """Gap over noise floor of the sizes that are tried: at the threshold, clear, dominant."""
 ROWS = 8000
 """Samples to which a log is decimated if it still shows the same."""
-FAULTS = {
-    "outliers": "electronics",
-    "dropped_samples": "clock",
-    "clock_jitter": "clock",
-    "adc_quantisation": "electronics",
-    "cordic_steps": "electronics",
-    "channel_swap": "electronics",
-    "sign_inversion": "electronics",
-}
-"""Faults of samples and of the channel assignment, and their links: they are injected beside the effects."""
 HITS = ("found", "group")
 """Outcomes of a trial in which the injected effect was found."""
 
@@ -195,7 +186,7 @@ def _findable(bench: Bench, name: str, trials: Sequence[Trial]) -> Findable:
     reason = bench.reasons.get(name, "")
     row = Findable(
         name,
-        effect.link if effect else FAULTS[name],
+        (effect or FAULTS[name]).link,
         "not found" if own else "not testable" if reason else "not run",
         reason,
         bench.forms.get(name, ""),

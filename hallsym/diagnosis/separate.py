@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.normal_equations import tangents
+from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Separation
 from hallsym.diagnosis.recordings import BETWEEN, Range, Recording, range_of, recordings
@@ -93,7 +93,7 @@ def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> 
     known = b.tangents.likelihood[b.fitted].sum(axis=0)[:n, :n]
     zeros = np.zeros(len(b.base.model.zeros))
     there = replace(b.base, log=log, zeros=dict.fromkeys(log.runs, zeros), keep=None, apart=frozenset())
-    M = tangents(there, {}).likelihood[1:]
+    M = normal_equations(there, {}).likelihood[1:]
     out = []
     for run in M:
         both = inverse(known + run[:n, :n])

@@ -69,7 +69,7 @@ class Setup:
 def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
     wired = as_read(log, result.model, result.wiring)
-    sigma = {c: s.value for c, s in result.noise.sigmas.items()}
+    sigma = result.noise.std
     cost = cost_near(wired, result.model, result.values, sigma, result.keep)
     point = cost.at(result.values)
     return Base(

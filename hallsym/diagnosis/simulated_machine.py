@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.normal_equations import tangents
+from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.refit import solve
 from hallsym.diagnosis.residuals import pieces
 from hallsym.estimation.decoding import columns_of
@@ -21,7 +21,7 @@ from hallsym.model.arrays import on_arrays
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class SimulatedMachine:
     """A fitted model as the machine: `base` holds the log with the motion, the values and the zeros.
 
     `clean`: its readings without noise, (K, rows). `speed`: d clean / dt along the smoothed motion.
@@ -49,7 +49,7 @@ class Truth:
 
     def gap(self, readings: np.ndarray) -> tuple[float, float]:
         """Gap metric [m] of noise-free readings on the held-out runs: with the model fitted, and before."""
-        t = tangents(replace(self.base, log=self.log(readings)), {})
+        t = normal_equations(replace(self.base, log=self.log(readings)), {})
         n = len(self.base.free)
         known, judged = t.units(self.runs), t.units(tuple(self.base.apart))
         theta = solve(t.likelihood[known].sum(axis=0), np.arange(n))
@@ -58,12 +58,12 @@ class Truth:
         return float(np.sqrt(max(v @ out @ v, 0.0))), float(np.sqrt(max(out[-1, -1], 0.0)))
 
 
-def truth_of(base: Base, floor_m: float) -> Truth:
+def machine_of(base: Base, floor_m: float) -> SimulatedMachine:
     """Return the machine of a fitted model on the motion that `base.log` recorded."""
     columns = {c: base.log.array(c) for c in base.log.columns if c not in base.model.channels}
     columns["run"] = columns["run"].astype(int)
     base = replace(base, keep=None)
-    return Truth(base, columns, readings_of(base, base.model, base.p), _speed(base), floor_m)
+    return SimulatedMachine(base, columns, readings_of(base, base.model, base.p), _speed(base), floor_m)
 
 
 def readings_of(base: Base, model: Model, p: np.ndarray) -> np.ndarray:
@@ -84,12 +84,12 @@ def _speed(base: Base) -> np.ndarray:
     return np.hstack([back @ piece.speed for piece in pieces(base, frozenset(base.log.runs))])
 
 
-def unit_of(truth: Truth) -> str:
+def unit_of(truth: SimulatedMachine) -> str:
     """Return the unit of the readings, as parameters have it."""
     unit = truth.base.model.channels[0].rpartition("_")[2]
     return "V" if unit == "v" else unit
 
 
-def goes_round(truth: Truth) -> bool:
+def goes_round(truth: SimulatedMachine) -> bool:
     """Return whether the reading is the decoded angle: one channel without rails or other wires."""
     return truth.base.model.channels == truth.base.model.pose

@@ -4,16 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
-from hallsym.diagnosis.decimation import thinned
+from hallsym.diagnosis.decimation import decimated
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.injection import Injection, Sized, generator, sized
-from hallsym.diagnosis.injection_catalogue import injections
-from hallsym.diagnosis.noise_model import Likeness, likeness
+from hallsym.diagnosis.injection import Injection, Sized, generator, injections, sized
+from hallsym.diagnosis.noise_model import ResidualNoise, residual_noise
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.simulated_machine import Truth, truth_of
+from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
 from hallsym.log import Log
@@ -53,13 +52,13 @@ class Bench:
         self.setup, self.own, self.seed = setup, own, seed
         setup.say("decimating the log")
         base = replace(setup.base, timed=True)
-        short = thinned(base, rows)
+        short = decimated(base, rows)
         base = replace(base, log=short.log, keep=None)
         self.decimation = short.text
-        self.truth: Truth = truth_of(base, setup.floor.metric)
+        self.truth: SimulatedMachine = machine_of(base, setup.floor.metric)
         setup.say("modelling the noise")
         facts = facts_of(base, survey(base, frozenset(self.truth.runs)))
-        self.noise: Likeness = likeness(base, setup.catalogue, facts)
+        self.noise: ResidualNoise = residual_noise(base, setup.catalogue, facts)
         self.reasons: dict[str, str] = {}
         self.forms: dict[str, str] = {}
 

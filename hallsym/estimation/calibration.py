@@ -1,10 +1,10 @@
-"""A fit: parameter values with honest uncertainties, what is determined instead, errors before and after."""
+"""A calibration: values with uncertainties, identifiable combinations, errors; saved as readable JSON."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -31,6 +31,30 @@ class CombinationEstimate:
     unit: str
     factors: Mapping[str, float] | None = None
     """Of a linear combination: factor by parameter."""
+
+
+class SolverRecord(TypedDict):
+    """How the optimum was found; `share_at_optimum`: of the starts that were refined."""
+
+    name: str
+    loss: str
+    cost: float
+    cost_per_degree_of_freedom: float
+    evaluations: int
+    starts: int
+    share_at_optimum: float
+    seed: int
+
+
+class LogRecord(TypedDict):
+    """The log that was fitted; `span`: least and greatest value by column of reference and state."""
+
+    path: str | None
+    sha256: str | None
+    rows: int
+    runs: int
+    holdout: list[int]
+    span: dict[str, list[float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +101,8 @@ class Fit:
     noise_floor: Mapping[str, float]
     status: str
     message: str
-    solver: Mapping[str, Any]
-    log: Mapping[str, Any]
+    solver: SolverRecord
+    log: LogRecord
     seconds: float
     notes: tuple[str, ...] = ()
     errors: Errors | None = None

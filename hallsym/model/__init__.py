@@ -1,5 +1,7 @@
 """What a sensor is: the chain of links from pose to reading, its parameters, and what follows from them."""
 
+from hallsym.model.arguments import Facts
+from hallsym.model.effect import Effect, Variant, effect
 from hallsym.model.family import Example, Family, PoseMetric
 from hallsym.model.model import (
     LINKS,
@@ -13,15 +15,6 @@ from hallsym.model.model import (
 )
 
 __all__ = [
-    "LINKS",
-    "Combination",
-    "Example",
-    "Family",
-    "Inspection",
-    "Model",
-    "Parameter",
-    "PoseMetric",
-    "Signals",
-    "Step",
-    "Symbols",
-]
+    "LINKS", "Combination", "Effect", "Example", "Facts", "Family", "Inspection", "Model", "Parameter",
+    "PoseMetric", "Signals", "Step", "Symbols", "Variant", "effect",
+]  # fmt: skip

@@ -15,7 +15,7 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
 from hallsym.diagnosis.curve_data import shape, unexplained
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
-from hallsym.diagnosis.localisation import Located, located, where
+from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.diagnosis.setup import base_of
@@ -105,7 +105,7 @@ def test_what_was_fitted_on_some_runs_holds_on_the_others() -> None:
 
 def test_gain_against_the_vertical_state_where_the_model_has_none() -> None:
     log = Log.from_arrays(record(seed=4, samples=50), noise=stated(1.0))
-    first, *_ = where(base_on(log, "stage30"), log.runs)
+    first, *_ = located(base_on(log, "stage30"), log.runs).statements
     assert first.by == "height Z and tilts Rx, Ry"
     assert "(the gain: Z" in first.text
     assert first.share > 0.9
@@ -127,7 +127,7 @@ NOISES = {"white": {}, "correlated": {"correlation_s": 0.1}, "heavy": {"degrees_
 def test_residuals_that_are_only_noise_get_no_statement(kind: str, seed: int) -> None:
     """Also where the noise is larger than stated, so that there is an excess, but nowhere in particular."""
     log = Log.from_arrays(record(seed=seed, samples=24, **NOISES[kind]), noise=stated(0.85))
-    coordinates = [s for s in where(base_on(log), log.runs) if s.by != "frequency"]
+    coordinates = [s for s in located(base_on(log), log.runs).statements if s.by != "frequency"]
     assert coordinates == []
 
 
@@ -138,14 +138,14 @@ def test_statements_on_noise_are_as_rare_as_they_claim(kind: str) -> None:
     alarms = 0
     for seed in range(100):
         log = Log.from_arrays(record(seed=seed, samples=40, **NOISES[kind]), noise=stated(0.85))
-        alarms += any(s.by != "frequency" for s in where(base_on(log), log.runs))
+        alarms += any(s.by != "frequency" for s in located(base_on(log), log.runs).statements)
     assert alarms < 5
 
 
 @pytest.mark.parametrize("kind", NOISES)
 def test_noise_of_the_stated_size_gets_no_statement_at_all(kind: str) -> None:
     log = Log.from_arrays(record(seed=11, samples=24, **NOISES[kind]), noise=stated(1.0))
-    assert where(base_on(log), log.runs) == ()
+    assert located(base_on(log), log.runs).statements == ()
 
 
 # -- the pieces ----------------------------------------------------------------------------------------------

@@ -122,7 +122,7 @@ def test_a_shape_that_is_left_makes_no_explained_gap_unless_nearly_all_is_closed
 def effect(name: str, size: int, cost: float, gap: float, ratio: float = 0.5, bic: float = 0.0) -> Exact:
     """An exact refit that leaves squares `cost` of 1000 and the gap metric `gap`."""
     score = Score(
-        SimpleNamespace(name=name, record=""),
+        SimpleNamespace(name=name, separate=""),
         SimpleNamespace(tried=1),
         None,
         1000 - cost,

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from test_page import Outline
 
 from hallsym.diagnosis import Diagnosis
-from hallsym.report.page import Cells, diagnosis_page, run_series
+from hallsym.report.data import Cells, run_series
+from hallsym.report.page import diagnosis_page
 
 POSE = ("x_m", "y_m", "rz_rad")
 

@@ -21,7 +21,7 @@ from hallsym.families import build
 from hallsym.families.published import bounds
 from hallsym.families.stage import models as stage
 from hallsym.simulation import paper_campaign
-from hallsym.uncertainty.gum import DIVISORS
+from hallsym.uncertainty import DIVISORS
 from hallsym.uncertainty.tolerances import (
     Tolerance,
     Tolerances,
@@ -493,7 +493,7 @@ def test_the_command_prints_the_ranking_first(capsys, tmp_path):
 
 
 def test_a_picture_has_a_bar_per_tolerance_and_index(paper):
-    from hallsym.report.figures.tolerances import tolerances as draw
+    from hallsym.report.figures import tolerances as draw
 
     for quantity in ("error", "rms", "peak"):
         figure = draw(paper, quantity)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from hallsym.diagnosis.record import Diagnosis, Separation
 from hallsym.errors import counted
-from hallsym.report.figures.names import three
 from hallsym.report.page import figures
 from hallsym.report.page.diagnosis_words import p_cell, percent, with_interval
 from hallsym.report.page.html import Markup, items, join, table, tag
+from hallsym.report.words import three
 
 
 def effects_section(d: Diagnosis) -> Markup:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.report.figures.names import name as named_column
-from hallsym.report.figures.names import scale, three
 from hallsym.report.page import figures, parts
 from hallsym.report.page.diagnosis_words import changed, percent, with_interval
 from hallsym.report.page.html import Markup, join, table, tag
+from hallsym.report.words import name as named_column
+from hallsym.report.words import scale, three
 from hallsym.units import readable
 
 

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.estimation.calibration import Fit
-from hallsym.report.figures.names import MINUS
+from hallsym.report.data import Cells, RunSeries
 from hallsym.report.page import parts
-from hallsym.report.page.cells import Cells
 from hallsym.report.page.diagnosis_effects import effects_section
 from hallsym.report.page.diagnosis_errors import errors_section, errors_title
 from hallsym.report.page.diagnosis_places import rest_section, where_section
 from hallsym.report.page.diagnosis_words import percent, typeset
 from hallsym.report.page.html import Markup, facts, items, join, table, tag
 from hallsym.report.page.page import Section, document
-from hallsym.report.page.series import RunSeries, all_series
+from hallsym.report.page.series import all_series
 from hallsym.report.tables import concise
 from hallsym.report.text.diagnosis import units_of
+from hallsym.report.words import MINUS
 
 
 def diagnosis_page(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hallsym.diagnosis.record import Diagnosis, Share, Statement
-from hallsym.report.figures.names import name as named_column
 from hallsym.report.page import curves, figures
 from hallsym.report.page.diagnosis_words import p_cell, percent, typeset
 from hallsym.report.page.html import Markup, join, table, tag
+from hallsym.report.words import name as named_column
 
 MOST = 12
 """Statements on where the gap lies that are drawn; all of them are in the table."""

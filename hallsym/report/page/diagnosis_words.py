@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 from hallsym.diagnosis.record import Diagnosis
-from hallsym.report.figures.names import MINUS
 from hallsym.report.text.diagnosis import p_text
+from hallsym.report.words import MINUS
 
 
 def changed(d: Diagnosis) -> bool:

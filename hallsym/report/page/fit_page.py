@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -15,14 +16,13 @@ from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
-from hallsym.report.figures.names import name
-from hallsym.report.figures.survey import Decode
+from hallsym.report.data import Decoder, Gathered, gather
 from hallsym.report.page import figures, parts
-from hallsym.report.page.gather import Gathered, gather
 from hallsym.report.page.html import Markup, facts, items, join, tag
 from hallsym.report.page.page import Section, document
 from hallsym.report.page.series import all_series
-from hallsym.report.tables import evidence
+from hallsym.report.text.fit import circumstances
+from hallsym.report.words import name
 
 NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
@@ -41,9 +41,9 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
     same = log.sha256 == fit.to_dict()["log"]["sha256"]
     log = as_read(log, fit.model, fit.wiring)
     fit = fit if same else _elsewhere(log, fit)
-    found = gather(log, {"decoded": fit})
+    found = gather(log, fit)
     if same and _above_recorded(found, fit):
-        found = gather(log, {"decoded": fit}, keep=_spikes(log, fit))
+        found = gather(log, fit, keep=_spikes(log, fit))
     rows = _rows(fit, found) if same else {"this log": found.survey.fitted.over()}
     shown = {k: v for k, v in rows.items() if v is not None}
     notes = _notes(log, fit, found, same)
@@ -53,7 +53,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
         Section("maps", "Where the error is", parts.maps_section(found.maps, fit.noise_floor)),
         Section("series", "Decoded minus reference over time", all_series(found.series)),
         Section("parameters", "Parameters", join([parts.parameter_table(fit), parts.combinations(fit)])),
-        Section("notes", "Evidence and notes", items([*evidence(fit), *notes])),
+        Section("notes", "Evidence and notes", items([*circumstances(fit), *notes])),
         Section(
             "origin",
             "Origin",
@@ -71,16 +71,17 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
     where, gap = _judged(rows)
     on = {"held out": "on runs that were held out", "fitted": "on the runs that were fitted"}
     floor = {c: v for c, v in fit.noise_floor.items() if v}
+    each = partial(parts.each, turning=fit.model.period)
     ratio = {c: gap["rmse"][c] / floor[c] for c in gap["rmse"] if floor.get(c)}
     worst = max(ratio, key=lambda c: ratio[c], default=None)
-    text = f"{fit.model.name} leaves an rmse of {parts.each(gap['rmse'])} {on.get(where, 'on this log')}"
+    text = f"{fit.model.name} leaves an rmse of {each(gap['rmse'])} {on.get(where, 'on this log')}"
     if worst is None:
         text += "."
     elif ratio[worst] <= NEAR:
         text += ", no more than the noise floor explains."
     else:
         text += (
-            f"; the noise floor is {parts.each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
+            f"; the noise floor is {each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
             "so there is more in the machine than in this model, or more noise than stated."
         )
     return " ".join(filter(None, (_unfinished(fit), text, _determined(fit))))
@@ -126,6 +127,7 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
         f"{len(fitted)} ({parts.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
     )
     added = list(added_effects(fit.model))
+    floor = parts.each(fit.noise_floor, fit.model.period)
     return facts(
         [
             ("log", tag("code", str(log.path) if log.path else "a log in memory")),
@@ -137,10 +139,7 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
                 (f"{len(apart)} ({parts.numbers(apart)})" if apart else "none") if same else None,
             ),
             ("calibrated on", None if same else tag("code", fit.log["path"] or "a log in memory")),
-            (
-                "noise floor",
-                f"{parts.each(fit.noise_floor)}: what the noise of readings and reference alone leaves",
-            ),
+            ("noise floor", f"{floor}: what the noise of readings and reference alone leaves"),
         ]
     )
 
@@ -154,8 +153,8 @@ def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> Markup:
     return join(
         [
             tag("p", note, class_="note"),
-            tag("figure", figures.against_floor(drawn, fit.noise_floor)),
-            parts.gap_table(rows, fit.noise_floor),
+            tag("figure", figures.against_floor(drawn, fit.noise_floor, fit.model.period)),
+            parts.gap_table(rows, fit.noise_floor, turning=fit.model.period),
         ]
     )
 
@@ -187,7 +186,7 @@ def _above_recorded(found: Gathered, fit: Fit) -> bool:
 def _spikes(log: Log, fit: Fit) -> Weigh:
     """Return what leaves out isolated spikes by the rule of the fit."""
     model, cost = fit.model, _cost(log, fit)
-    place = Decode(fit)
+    place = Decoder(fit)
     zeros = {
         run: place.zeros(run, state)
         for run, state in zip(cost.summary.runs, cost.summary.first_state, strict=True)
@@ -198,7 +197,7 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
 
 
 def _cost(log: Log, fit: Fit) -> Cost:
-    return cost_near(log, fit.model, fit.values, {c: s.value for c, s in fit.noise.sigmas.items()})
+    return cost_near(log, fit.model, fit.values, fit.noise.std)
 
 
 def _elsewhere(log: Log, fit: Fit) -> Fit:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.model import Model, Parameter
-from hallsym.toml import known, number, positive, read_toml
+from hallsym.toml import Table, number, positive
 from hallsym.uncertainty.gum import DIVISORS
 from hallsym.units import UNITS
 
@@ -118,15 +118,12 @@ def read_tolerances(path: str | Path, model: Model) -> tuple[Tolerance, ...]:
 
     Raises `InputError` for a missing or invalid file and for whatever would be ignored.
     """
-    path = Path(path)
-    raw, where = read_toml(path, "Tolerance file"), f"tolerance file {path.name}"
-    known(raw, ("tolerance", "others"), where)
-    ranges = raw.get("tolerance")
-    if not isinstance(ranges, dict):
+    file = Table.read(path, "Tolerance file", ("tolerance", "others"))
+    if not isinstance(file.raw.get("tolerance"), dict):
         raise InputError(
             f"Tolerance file {path} must hold a table [tolerance] with lines such as H1x_um = 20."
         )
-    return given_tolerances(model, ranges, raw.get("others", "bounds"), where)
+    return given_tolerances(model, file.raw["tolerance"], file.raw.get("others", "bounds"), file.where)
 
 
 def _all_fixed(model: Model) -> Model:
@@ -152,12 +149,12 @@ def _tolerance(model: Model, key: str, value: Any, where: str) -> Tolerance:
 
 def _table(value: Mapping[str, Any], key: str, where: str) -> tuple[Any, str]:
     """Size and distribution of `{ half_width = 20, distribution = "triangular" }` or `{ std = 10 }`."""
-    known(value, ("half_width", "std", "distribution"), f"tolerance {key} of {where}")
-    sizes = [name for name in ("half_width", "std") if name in value]
+    entry = Table(value, f"tolerance {key} of {where}", ("half_width", "std", "distribution"))
+    sizes = [name for name in ("half_width", "std") if name in entry]
     if len(sizes) != 1:
         raise InputError(f"Tolerance {key} in {where} must have half_width or std, one of them.")
     allowed = ("normal",) if sizes[0] == "std" else tuple(DIVISORS)
-    distribution = value.get("distribution", allowed[0])
+    distribution = entry.raw.get("distribution", allowed[0])
     if distribution not in allowed:
         raise InputError(
             f"'distribution' of tolerance {key} in {where} must be {' or '.join(allowed)} with {sizes[0]}; "

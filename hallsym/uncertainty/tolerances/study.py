@@ -33,7 +33,7 @@ from hallsym.uncertainty.tolerances.workspace import (
 
 BLOCK = 2**16
 """Machines times points that are evaluated at once; bounds the memory."""
-LEAST, MOST = 16, 2**16
+LEAST_SAMPLES, MOST_SAMPLES = 16, 2**16
 """Base samples; the bootstrap of SALib takes 10 kB for each."""
 
 
@@ -100,10 +100,10 @@ def _ranges(model: Model, ranges: Mapping[str, Any] | tuple[Tolerance, ...] | No
 
 
 def _check_samples(samples: int) -> None:
-    if not LEAST <= samples <= MOST or samples & (samples - 1):
-        near = 2 ** round(np.log2(min(max(samples, LEAST), MOST)))
+    if not LEAST_SAMPLES <= samples <= MOST_SAMPLES or samples & (samples - 1):
+        near = 2 ** round(np.log2(min(max(samples, LEAST_SAMPLES), MOST_SAMPLES)))
         raise InputError(
-            f"'samples' must be a power of two from {LEAST} to {MOST}, such as {near}; "
+            f"'samples' must be a power of two from {LEAST_SAMPLES} to {MOST_SAMPLES}, such as {near}; "
             f"instead received {samples!r}."
         )
 

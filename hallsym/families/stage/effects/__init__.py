@@ -1,24 +1,21 @@
-"""Effects of the stage that the paper's models leave out: physics only, each a function `Model -> Model`.
+"""Effects of the stage that the paper's models leave out: physics only, one function each.
 
-New parameters are 0 where the effect is absent. Displacements in m, times in s; u is what a probe feels along
-its sensing axis, v the motion across it. One file per link of the chain (mechanics, reference, field,
-transducer, electronics); `lag` and `drift` hold the mechanisms that stand on two links.
+Displacements in m, times in s; u is what a probe senses along its sensing axis, v the motion across it.
+One file per link of the chain; mechanisms that other families share are in `hallsym.families.mechanisms`.
 """
 
-from hallsym.families.data_functions import powers_of_time, settling, temperature
-from hallsym.families.stage.effects.drift import gain_drift, offset_drift
-from hallsym.families.stage.effects.electronics import clipping, mains_hum, motor_stray_field
+from hallsym.families.stage import models as stage
+from hallsym.families.stage.effects.electronics import mains_hum, motor_stray_field, saturation
 from hallsym.families.stage.effects.field import (
-    CROSS,
     cross_axis_sensitivity,
+    even_nonlinearity,
     hysteresis,
-    mount_slip,
-    nonlinearity,
+    odd_nonlinearity,
 )
-from hallsym.families.stage.effects.lag import delayed
 from hallsym.families.stage.effects.mechanics import (
+    mount_slip,
     second_order_rotation,
-    second_order_rotation_body,
+    time_skew,
     vertical_offset_coupling,
 )
 from hallsym.families.stage.effects.reference import (
@@ -27,33 +24,37 @@ from hallsym.families.stage.effects.reference import (
     reference_scale_error,
 )
 from hallsym.families.stage.effects.transducer import (
+    first_order_lag,
+    gain_temperature_drift,
+    gain_time_drift,
     height_quadratic,
-    height_quadratic_tied,
+    offset_temperature_drift,
+    offset_time_drift,
     vertical_gain_coupling,
 )
 
-__all__ = [
-    "CROSS",
-    "clipping",
-    "cross_axis_sensitivity",
-    "delayed",
-    "gain_drift",
-    "height_quadratic",
-    "height_quadratic_tied",
-    "hysteresis",
-    "mains_hum",
-    "motor_stray_field",
-    "mount_slip",
-    "nonlinearity",
-    "offset_drift",
-    "powers_of_time",
-    "reference_abbe_error",
-    "reference_drift",
-    "reference_scale_error",
-    "second_order_rotation",
-    "second_order_rotation_body",
-    "settling",
-    "temperature",
-    "vertical_gain_coupling",
-    "vertical_offset_coupling",
-]
+EFFECTS = (
+    *stage.EFFECTS,
+    vertical_gain_coupling,
+    height_quadratic,
+    odd_nonlinearity,
+    even_nonlinearity,
+    cross_axis_sensitivity,
+    second_order_rotation,
+    vertical_offset_coupling,
+    time_skew,
+    first_order_lag,
+    hysteresis,
+    gain_temperature_drift,
+    offset_temperature_drift,
+    gain_time_drift,
+    offset_time_drift,
+    mount_slip,
+    motor_stray_field,
+    saturation,
+    mains_hum,
+    reference_scale_error,
+    reference_abbe_error,
+    reference_drift,
+)
+"""All effects of the stage; a diagnosis prefers those that stand first where a log cannot tell two apart."""
