@@ -40,8 +40,8 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "diagnose", run,
-        "Fit a model on a log, find what it leaves above the noise, which effect explains it, and how\n"
-        "far the gap shrinks once that effect is added, judged on held-out runs.",
+        "Fit a model on a log, find the error that it leaves above the noise, which effect causes it, and\n"
+        "how far the error shrinks with that effect in the model, judged on holdout runs.",
         "examples:\n"
         "  hallsym diagnose LOG --model stage31\n"
         "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
