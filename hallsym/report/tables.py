@@ -74,7 +74,7 @@ def _fixed(value: float) -> str:
 
 
 def fit_text(fit: Fit) -> str:
-    """Return what `hallsym fit` prints: errors, parameters, what is determined instead, notes."""
+    """Return what `hallsym fit` prints: errors, parameters, identifiable combinations, notes."""
     log = fit.log
     used = log["runs"] - len(log["holdout"])
     parts = [
@@ -95,7 +95,7 @@ def fit_text(fit: Fit) -> str:
 
 
 def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
-    labels = {"designed": "designed", "fitted": "fitted", "holdout": "held out"}
+    labels = {"designed": "nominal", "fitted": "fitted", "holdout": "held out"}
     return {labels.get(k, k): v for k, v in rows.items()}
 
 
@@ -114,7 +114,7 @@ def parameter_text(fit: Fit) -> str:
 
 def combination_text(fit: Fit) -> str:
     """Return what the data determine instead of the parameters that they do not."""
-    rows = [["determined instead", "value", "unit"]]
+    rows = [["identifiable combination", "value", "unit"]]
     rows += [[c.expression, concise(c.value, c.std), c.unit] for c in fit.combinations]
     return grid(rows)
 

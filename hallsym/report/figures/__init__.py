@@ -2,9 +2,9 @@
 
 Those of a fit follow Figures 9 to 12 of Chen et al., Sensors 2016, 16, 872, doi:10.3390/s16060872. What is
 drawn comes from `hallsym.report.data`: a log of any length is read in blocks and reduced to its least and
-greatest value per picture column, so a peak never gets lost. Data stay in SI; axes say um, urad or mV. Colours
-differ in lightness and every series has its own line style or marker, so that a greyscale print can be read.
-matplotlib is imported only to draw.
+greatest value per picture column, so a peak never gets lost. Data stay in SI; axes say um, urad or mV.
+Colours differ in lightness and every series has its own line style or marker, so that a greyscale print can
+be read. matplotlib is imported only to draw.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
 from hallsym.report.figures.profiles import ends_in_words, profiles
 from hallsym.report.figures.saving import SUFFIXES, save_figures
-from hallsym.report.figures.sensitivity import save_sensitivity_pictures
+from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
 from hallsym.report.figures.spectrum import sorts, spectrum
 from hallsym.report.figures.style import DPI, STYLE, WIDTH, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
@@ -50,6 +50,7 @@ __all__ = [
     "correlation",
     "coverage",
     "criterion_by_runs",
+    "drawable",
     "effects",
     "ends_in_words",
     "errors_before_after",

@@ -181,7 +181,7 @@ def combinations(fit: Fit) -> Markup:
     """Return what the data determine instead of parameters that they do not."""
     rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
     return (
-        join([tag("h3", "Determined instead"), table(["combination", "value", "unit"], rows)])
+        join([tag("h3", "Identifiable combinations"), table(["combination", "value", "unit"], rows)])
         if rows
         else Markup("")
     )
