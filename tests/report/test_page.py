@@ -92,7 +92,7 @@ def page(log: Log, fitted: Fit) -> str:
 def test_page_is_well_formed_and_has_its_sections(page: str):
     outline = Outline(page)
     sections = [a["id"] for a in outline.all("section")]
-    assert sections == ["asked", "errors", "maps", "series", "parameters", "notes", "origin"]
+    assert sections == ["input", "errors", "maps", "series", "parameters", "notes", "origin"]
     idents = [a["id"] for _, a in outline.found if "id" in a]
     assert len(idents) == len(set(idents))
     assert {a["href"] for a in outline.all("a")} == {f"#{s}" for s in sections}
