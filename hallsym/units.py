@@ -44,7 +44,7 @@ UNITS["k"] = Unit("k", "degc", 1.0, -273.15)
 
 # What hallsym's own names measure: a name that fits a row has one of its SI units.
 _QUANTITIES: tuple[tuple[str, tuple[str, ...]], ...] = (
-    (r"hall_[a-z0-9]+", ("m", "v", "t", "count")),
+    (r"hall_[a-z0-9]+(_\d+)*", ("m", "v", "t", "count")),
     (r"(col|v)_[a-z0-9]+", ("v", "t", "count")),
     (r"[xyz](_ref)?", ("m",)),
     (r"r[xyz](_ref)?", ("rad",)),

@@ -15,11 +15,11 @@ import pytest
 
 import hallsym
 from hallsym import Fit, Model, Parameter
-from hallsym.codegen import Generated, Integers, generate_q31
-from hallsym.codegen.parts import Decoupler
-from hallsym.families.stage import effects as stage_effects
+from hallsym.codegen import Decoupler, Generated, generate
+from hallsym.families import effects
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.families.stage import models as stage
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log import Noise, Sigma
 
 GOLDEN = Path(__file__).parent / "golden"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror", "-O2")
@@ -87,8 +87,8 @@ CASES: dict[str, Callable[[], Fit]] = {
     "four probes": four_probes,
     "user's height_quadratic": lambda: with_effect(height_quadratic, 3e5),
     "exact_rotation": lambda: with_effect(stage.exact_rotation),
-    "vertical_offset_coupling": lambda: with_effect(stage_effects.vertical_offset_coupling, 0.01),
-    "cubic": lambda: with_effect(stage_effects.nonlinearity("cubic", [3]), 0.01),
+    "vertical_offset_coupling": lambda: with_effect(effects(STAGE_FAMILY)["vertical_offset_coupling"], 0.01),
+    "cubic": lambda: with_effect(effects(STAGE_FAMILY)["odd_nonlinearity"], 0.01),
 }
 
 
@@ -99,9 +99,9 @@ def made(case: str, **variant: bool) -> Generated:
 
 
 @cache
-def integers(case: str) -> Integers:
+def integers(case: str) -> Generated:
     """Generated integers of a case, once per process."""
-    return generate_q31(CASES[case]())
+    return generate(CASES[case](), arithmetic="q31")
 
 
 def need(*tools: str) -> None:

@@ -6,11 +6,10 @@ from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import column_numbers, column_ranges, command, noted, say
-from hallsym.codegen import Generated, Integers, generate, generate_q31
+from hallsym.codegen import Generated, generate
+from hallsym.codegen.checks import sha256
 from hallsym.codegen.folder import options_of
-from hallsym.codegen.rotary_correction import KINDS
-from hallsym.codegen.table import sha256
-from hallsym.errors import InputError
+from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.estimation.calibration import Fit, load_fit
 
 EPILOG = """\
@@ -52,7 +51,7 @@ def add(sub: Any) -> None:
         "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table",
     )  # fmt: skip
     parser.add_argument(
-        "--correction", choices=KINDS,
+        "--correction", choices=CORRECTIONS,
         help="encoders: a series of waves, or a table of 64 to 1024 entries (default: auto, fewer bytes)",
     )  # fmt: skip
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
@@ -71,7 +70,7 @@ def run(options: Namespace) -> int:
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
-def _made(fit: Fit, options: Namespace) -> Generated | Integers:
+def _made(fit: Fit, options: Namespace) -> Generated:
     digest = sha256(Path(options.calibration).read_bytes())
     columns = (*fit.model.pose, *fit.model.state, *fit.model.channels)
     ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
@@ -81,20 +80,9 @@ def _made(fit: Fit, options: Namespace) -> Generated | Integers:
         accuracy = before.get("accuracy")
     if correction is None:
         correction = before.get("correction")
-    if options.arithmetic == "q31":
-        for name in ("double", "jacobian"):
-            if getattr(options, name):
-                raise InputError(f"--{name} belongs to --arithmetic float; leave it out, or the integers.")
-        return generate_q31(
-            fit,
-            ranges=ranges,
-            accuracy=accuracy,
-            correction=correction,
-            allow_undetermined=allow,
-            calibration_sha256=digest,
-        )
     return generate(
         fit,
+        arithmetic=options.arithmetic,
         ranges=ranges,
         double=options.double,
         jacobian=options.jacobian,
@@ -105,7 +93,7 @@ def _made(fit: Fit, options: Namespace) -> Generated | Integers:
     )
 
 
-def _text(made: Generated | Integers, options: Namespace) -> list[str]:
+def _text(made: Generated, options: Namespace) -> list[str]:
     record = made.to_dict()
     lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
     for c, met in record["error_met"].items():

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import COMMANDS
-from hallsym.diagnosis.user import load_effects, makes
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
+from hallsym.families.user import load_effects
 from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
 from hallsym.log.noise import check_noise_keys
-from hallsym.model import Model
+from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.toml import column_of
@@ -95,9 +95,9 @@ def own_option(parser: ArgumentParser) -> None:
     parser.add_argument("--effects", metavar="PY", help="your own effects: a file that defines EFFECTS")
 
 
-def own_effects(options: Namespace) -> dict[str, Callable[[Model], Model]]:
+def own_effects(options: Namespace) -> dict[str, Effect]:
     """Return the user's own effects by name; none without a file."""
-    return makes(load_effects(options.effects)) if options.effects else {}
+    return {e.name: e for e in load_effects(options.effects)} if options.effects else {}
 
 
 def open_log(options: Namespace, machine: Machine | None = None) -> Log:
@@ -268,7 +268,7 @@ def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dic
     other = [c for c in campaign.noise if c in (own or {}) and c not in columns]
     stated = {c: s for c, s in campaign.noise.items() if c not in other}
     check_noise_keys(stated, columns, "the campaign's [noise]")
-    found = {c: s.value for c, s in Noise.given(stated, columns).sigmas.items()}
+    found = Noise.given(stated, columns).std
     lacking = [c for c in model.channels if c not in found]
     if other and lacking:
         raise InputError(

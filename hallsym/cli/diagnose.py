@@ -11,17 +11,17 @@ from hallsym.cli.common import (
     log_options,
     model_options,
     open_log,
+    own_effects,
     own_option,
     progress_of,
     run_numbers,
     say,
 )
-from hallsym.diagnosis import load_effects, makes
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
+from hallsym.diagnosis.decoded_errors import errors_of
 from hallsym.diagnosis.engine import Examined, examine
-from hallsym.diagnosis.errors import errors_of
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import columns_of
@@ -78,16 +78,16 @@ def run(options: Namespace) -> int:
     log = open_log(options, machine)
     name = options.model or default_model(log.meta)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
-    listed = load_effects(options.effects) if options.effects else ()
+    own = own_effects(options)
     if str(name).endswith(".json"):
-        model: Model | Fit = load_fit(name, makes(listed))
+        model: Model | Fit = load_fit(name, own)
     else:
         model = model_on(
             log,
             name,
             options.effect,
             parameters=machine.parameters,
-            own=makes(listed),
+            own=own,
             holdout=holdout,
             drop_bad=options.drop_bad,
         )
@@ -95,7 +95,7 @@ def run(options: Namespace) -> int:
         log,
         model,
         holdout=holdout,
-        effects=listed,
+        effects=tuple(own.values()),
         threshold=options.threshold,
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),

@@ -17,8 +17,8 @@ from hallsym.cli.common import (
     truth_of,
 )
 from hallsym.errors import InputError
+from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import load_fit
-from hallsym.estimation.fit import fit, noise_of
 from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
@@ -136,10 +136,10 @@ def _noise(
     if ranges.noise:
         return None, "noise as the ranges file states it."
     if log is not None:
-        return {c: s.value for c, s in noise_of(log, model).sigmas.items()}, f"noise as in {log.name}."
+        return noise_of(log, model).std, f"noise as in {log.name}."
     if options.values:
         known = load_fit(options.values).noise
-        return {c: s.value for c, s in known.sigmas.items()}, f"noise as in {options.values}."
+        return known.std, f"noise as in {options.values}."
     if is_the_papers(model):
         return dict(table8_noise(model, values).sigma), "noise that reproduces Table 8."
     return None, ""

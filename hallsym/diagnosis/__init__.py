@@ -6,10 +6,10 @@
 'no gap'
 """
 
-from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation, Statement
-from hallsym.diagnosis.user import load_effects, makes, user_effect
+from hallsym.families.user import load_effects
+from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
     "Diagnosis",
@@ -21,6 +21,4 @@ __all__ = [
     "Variant",
     "diagnose",
     "load_effects",
-    "makes",
-    "user_effect",
 ]

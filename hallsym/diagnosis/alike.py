@@ -43,7 +43,7 @@ def groups_of(search: Search, inflation: float) -> tuple[list[tuple[str, ...]], 
                 [one.fit, *(r.fit for r, _ in close)],
                 least,
                 limit / APART,
-                ways([e.score.effect.record for e in members]),
+                ways([e.score.effect.separate for e in members]),
             )
         )
     return groups, separate

@@ -4,19 +4,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.ranking import refitted
 from hallsym.diagnosis.scores import candidates, scores
 from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.verdict import SURE
 from hallsym.errors import InputError
-from hallsym.estimation import fit as fitting
+from hallsym.estimation import fit
 from hallsym.estimation.calibration import Fit
-from hallsym.families import adapted, build, default_model
-from hallsym.families.recipes import lacking
+from hallsym.families import adapted, build, default_model, effect_named
 from hallsym.log import Log
-from hallsym.model import Model
+from hallsym.model import Effect, Model
 
 
 def model_on(
@@ -41,14 +39,15 @@ def model_on(
         model = build(model or default_model(log.meta), meta=log.meta)
     model = adapted(model, (), _known(model, parameters))
     for text in effects:
-        if (own and text in own) or ":" in text or not lacking(text, model.family.name):
-            model = adapted(model, (text,), {}, own)
+        effect = effect_named(text, model, own)
+        if ":" in text or not effect.lacking(text):
+            model = effect.added(model, text)
             continue
-        known = fitting.fit(
+        known = fit(
             log, model, solver="direct", holdout=holdout, drop_bad=drop_bad, resolve_wiring=True,
             on_progress=on_progress,
         )  # fmt: skip
-        model = _shown(known.source or log, replace(known, wiring=None), text)
+        model = _shown(known.source or log, replace(known, wiring=None), effect)
     return adapted(model, (), parameters or {}, own)
 
 
@@ -58,9 +57,8 @@ def _known(model: Model, parameters: Mapping[str, Mapping[str, Any]] | None) -> 
     return {name: entry for name, entry in (parameters or {}).items() if name in names}
 
 
-def _shown(log: Log, known: Fit, text: str) -> Model:
+def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     """The model of a fit with one effect, in the form that its residual shows best."""
-    effect = next(e for e in catalogue_of(known.model) if e.name == text)
     base = base_of(log, known)
     apart = set(known.log["holdout"])
     runs = [r for r in base.log.runs if r not in apart]
@@ -72,6 +70,6 @@ def _shown(log: Log, known: Fit, text: str) -> Model:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(
             f"Effect {effect.name} cannot be found in {log.name}: {reason}; give its numbers as "
-            f"{effect.name}:{lacking(text, known.model.family.name)[0]}=..., or leave it out."
+            f"{effect.name}:{effect.lacking(effect.name)[0]}=..., or leave it out."
         )
-    return adapted(known.model, (exact[0].score.variant.text,), {})
+    return exact[0].score.variant.make(known.model)

@@ -5,7 +5,7 @@ from math import pi
 
 import numpy as np
 
-from hallsym.diagnosis.chance import as_often
+from hallsym.diagnosis.p_values import as_often
 from hallsym.families.cordic import Levels, levels, worst_of
 
 STEPS = range(4, 15)

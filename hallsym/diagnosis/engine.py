@@ -11,15 +11,14 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym.diagnosis import split
+from hallsym.diagnosis import holdout_pieces
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect
-from hallsym.diagnosis.kinds import catalogue_of
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
 from hallsym.diagnosis.search import Search, base_of, floor_of
 from hallsym.errors import InputError, counted
-from hallsym.estimation import fit as fitting
+from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import logged_columns
 from hallsym.families import build, default_model
@@ -95,7 +94,7 @@ def examine(
     base = replace(base, model=model.family.direct(base.model), timed=timed)
     runs = [r for r in base.log.runs if r not in apart]
     search = Search(
-        base, runs, (*catalogue_of(model), *effects), level, floor_of(result, base.pose_weights), say
+        base, runs, (*model.family.catalogue, *effects), level, floor_of(result, base.pose_weights), say
     )
     search.run()
     said = report(search, log, result, apart, wiring, level, perf_counter() - began)
@@ -114,17 +113,17 @@ def _built(log: Log, model: str | Model | Fit | None) -> Model:
 
 def _pieces(log: Log, model: Model) -> tuple[Log, tuple[int, ...] | None]:
     """Take a recording of too few runs to pieces, where runs have nothing of their own."""
-    if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < split.FEWEST:
+    if model.zeros or log.meta.holdout or len(log.runs) >= FEWEST_RUNS or log.rows < holdout_pieces.FEWEST:
         return log, None
     # a turn goes on from piece to piece: a short turn of the reference counts from one zero
-    log = continuous(replace(log, noise=fitting.noise_of(log, model)), model)
-    return split.split(log, None if split.TIME in log.columns else _spikes(log, model))
+    log = continuous(replace(log, noise=noise_of(log, model)), model)
+    return holdout_pieces.split(log, None if holdout_pieces.TIME in log.columns else _spikes(log, model))
 
 
 def _spikes(log: Log, model: Model) -> np.ndarray | None:
     """Which knots are spikes, judged where they are neighbours, as in their groups they are not."""
     try:
-        found = fitting.fit(log, model, solver="direct", resolve_wiring=True)
+        found = fit(log, model, solver="direct", resolve_wiring=True)
     except InputError:
         return None  # the fit of the groups says it of what is left
     if found.keep is None or found.source is None:
@@ -152,7 +151,7 @@ def _fitted(
     """Fit the model; samples that no fit can use are left out, which is then noted."""
 
     def fitted(source: Log, drop: bool) -> Fit:
-        return fitting.fit(
+        return fit(
             source, model, solver="direct", holdout=apart, loss=loss, resolve_wiring=True, drop_bad=drop,
             on_progress=say,
         )  # fmt: skip
@@ -175,11 +174,15 @@ def _holdout(log: Log, holdout: Sequence[int] | None) -> tuple[int, ...]:
     if holdout is None:
         holdout = log.meta.holdout or log.runs[HOLD_EVERY // 2 :: HOLD_EVERY]
     if len(log.runs) < FEWEST_RUNS or len(log.runs) - len(set(holdout)) < 2 or not holdout:
-        short, many = log.rows < split.FEWEST, counted(len(log.runs), "run")
+        short, many = log.rows < holdout_pieces.FEWEST, counted(len(log.runs), "run")
         raise InputError(
             f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
             "(2 to fit and 1 to judge on at least); record more runs or "
-            + (f"at least {split.FEWEST} samples (it has {log.rows})." if short else "split a long one.")
+            + (
+                f"at least {holdout_pieces.FEWEST} samples (it has {log.rows})."
+                if short
+                else "split a long one."
+            )
         )
     return tuple(holdout)
 

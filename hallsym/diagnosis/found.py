@@ -3,7 +3,7 @@
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.errors import BlockErrors, interval
+from hallsym.diagnosis.decoded_errors import BlockErrors, interval
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.holding import holding
 from hallsym.diagnosis.price import price
@@ -11,7 +11,7 @@ from hallsym.diagnosis.record import Estimate, FoundEffect
 from hallsym.diagnosis.search import Search
 from hallsym.diagnosis.sentences import blind_text, stuck_text
 from hallsym.estimation.channel_assignment import Wiring
-from hallsym.families.recipes import FAULTS
+from hallsym.families.faults import FAULTS
 from hallsym.log import Log
 from hallsym.model import Model
 
@@ -120,4 +120,4 @@ def wiring_record(
 
 
 def _repair(name: str) -> str:
-    return f"{name} {FAULTS[name]}"
+    return f"{name} {FAULTS[name].refusal}"

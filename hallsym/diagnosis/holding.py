@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.chance import beyond
-from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
+from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, interval
+from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.search import Found, Search
 

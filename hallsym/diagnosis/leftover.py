@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.errors import BlockErrors, block_errors
+from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
 from hallsym.diagnosis.found import cures
+from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from hallsym.diagnosis.refit import refit
 from hallsym.diagnosis.search import Search
 from hallsym.diagnosis.sentences import noise_held_gap
-from hallsym.diagnosis.structure import Structure, structure
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.verdict import ALLOWANCE, UNSTRUCTURED, shaped, slow_share
 
@@ -29,7 +29,7 @@ class Leftover:
     """
 
     found: Base
-    rest: Structure
+    rest: LackOfFit
     base: Base
     after: BlockErrors
     cured: BlockErrors
@@ -58,7 +58,7 @@ def leftover(
     lowered, notes = _lower_floor(search, after, floor, spoiled)
     if after.metric <= search.floor.metric * (1 + ALLOWANCE):
         spoiled = []
-    rest = structure(end, search.runs)
+    rest = lack_of_fit(end, search.runs)
     spoiled = _scatter(spoiled, rest, level)
     base, cured = end, after
     if any(f.name in TAILS for f in spoiled):
@@ -97,7 +97,7 @@ def _lower_floor(
     return {c: v * least / before for c, v in floor.items()}, (noise_held_gap(before / least),)
 
 
-def _scatter(spoiled: Sequence[Fault], rest: Structure, level: float) -> list[Fault]:
+def _scatter(spoiled: Sequence[Fault], rest: LackOfFit, level: float) -> list[Fault]:
     """Return the faults that are no part of a shape, which may look like late samples here and there."""
     if not shaped(rest, level):
         return list(spoiled)

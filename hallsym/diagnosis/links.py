@@ -14,13 +14,13 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.faults import Fault
-from hallsym.diagnosis.marginal import LEAST, LEVEL, Found
+from hallsym.diagnosis.normal_equations import Accumulator, eliminated, following
+from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.refit import inverse, solve
-from hallsym.diagnosis.residue import BLOCKS, FEWEST, FOLDS, SHORTEST, Residue, moved
+from hallsym.diagnosis.residual_table import BLOCKS, FEWEST, FOLDS, SHORTEST, ResidualTable, at_rest
 from hallsym.diagnosis.scores import NIL, Score, by_name
-from hallsym.diagnosis.smooth import chance_of_signs
-from hallsym.diagnosis.tangent import Products, eliminated, following
+from hallsym.diagnosis.shares import LEAST, LEVEL, Found
 from hallsym.diagnosis.words import percent
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Block, Log
@@ -42,7 +42,7 @@ AS_GOOD = 0.9
 """Of links that take up at least this part of what the best one does each is named."""
 
 
-def of_links(base: Base, scored: Sequence[Score], r: Residue, faults: Sequence[Fault] = ()) -> Found:
+def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequence[Fault] = ()) -> Found:
     """Return what each link can take up of the excess of `r`, and statements on those that surely do.
 
     `scored`: effects at `base`, of which the best variant of each is taken. `faults`: of single samples, with
@@ -59,8 +59,11 @@ def of_links(base: Base, scored: Sequence[Score], r: Residue, faults: Sequence[F
         best = found.get(link)
         if best:
             others = [name for name in every if name not in best.names]
+            beside = blocks.takes(others)
             best = replace(
-                best, only=float(np.clip((whole - blocks.takes(others)) / excess, 0.0, best.alone))
+                best,
+                others=float(np.clip(beside / excess, 0.0, 1.0)),
+                only=float(np.clip((whole - beside) / excess, 0.0, best.alone)),
             )
         best = _with_faults(best, [f for f in faults if f.link == link])
         if best is None:
@@ -96,7 +99,7 @@ class Link:
 
 def _statement(link: str, found: Link) -> Statement:
     text = f"{percent(found.alone)} of the excess can come from the {link} ({_beside(found)})"
-    return Statement("link", link, found.alone, found.p_value, text)
+    return Statement("link", link, found.alone, found.p_value, text, kind="link")
 
 
 def _beside(found: Link) -> str:
@@ -165,14 +168,14 @@ class Blocks:
         own = span[""].stop
         self.offset = own
         self.all, parts = _without(M.sum(axis=0), own, M)
+        self.raw = np.diag(M.sum(axis=0))[own:]
         level = np.sqrt(readings / np.maximum(parts[:, -1, -1], 1e-300))
         self.scores = parts[:, :-1, -1] * level[:, None]
         order = np.unique(run, return_inverse=True)[1] % PARTS
         self.folds = []
         for k in np.unique(order):
-            known = M[order != k].sum(axis=0)
-            train, (test,) = _without(known, own, M[order == k].sum(axis=0)[None])
-            self.folds.append((train, test, np.diag(known)[own:]))
+            train, (test,) = _without(M[order != k].sum(axis=0), own, M[order == k].sum(axis=0)[None])
+            self.folds.append((train, test))
         self.known: dict[tuple[str, ...], float] = {(): 0.0}
 
     def at(self, names: Sequence[str]) -> np.ndarray:
@@ -186,8 +189,8 @@ class Blocks:
         if key not in self.known:
             at = self.at(key)
             pick, total = np.append(at, -1), 0.0
-            for train, test, raw in self.folds:
-                seen = np.flatnonzero(np.diag(train)[at] > NIL * raw[at])
+            for train, test in self.folds:
+                seen = np.flatnonzero(np.diag(train)[at] > NIL * self.raw[at])
                 theta = np.zeros(len(at))
                 theta[seen] = solve(train[np.ix_(pick, pick)], seen)
                 theta = np.clip(theta, self.bounds[0][at], self.bounds[1][at])
@@ -200,7 +203,7 @@ class Blocks:
         at = self.at([name])
         scores = self.scores[:, at]
         q = scores @ inverse(self.all[np.ix_(at, at)]) @ scores.T
-        return chance_of_signs(q, self.run)
+        return of_signs(q, self.run)
 
 
 def _without(total: np.ndarray, own: int, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -216,7 +219,7 @@ def _gathered(base: Base, tried: Mapping[str, Score]) -> Blocks:
     }
     models = [m for m, _ in candidates.values()]
     base = replace(base, log=_smoothed(base, models), keep=None)
-    work = Products(base, candidates)
+    work = Accumulator(base, candidates)
     runs = base.log.runs
     # a log of many runs has a block for each group of neighbours, one of few runs several blocks in each
     group = {run: k * min(FOLDS, len(runs)) // len(runs) for k, run in enumerate(runs)}
@@ -266,7 +269,8 @@ def _smoothed(base: Base, models: Sequence[Model]) -> Log:
         data = {c: np.concatenate([block.data[c] for block in blocks]) for c in held}
         old = [data[c] for c in model.references]
         new = [
-            moved(data[s.name], base.sigma.get(c, 0.0)) for s, c in zip(smooth, model.references, strict=True)
+            at_rest(data[s.name], base.sigma.get(c, 0.0))
+            for s, c in zip(smooth, model.references, strict=True)
         ]
         states, zeros = [data[c] for c in model.state], base.zeros_in(run)
         shift = read(base.p, zeros, new, states)[0] - read(base.p, zeros, old, states)[0]

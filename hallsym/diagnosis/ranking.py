@@ -171,15 +171,13 @@ def _same(a: Exact, b: Exact) -> bool:
 
 def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, inflation: float) -> Score:
     """Refine a searched shape twice around its best value."""
-    effect, shape = score.effect, score.variant.shape
-    if effect.refine is None or shape is None:
+    finer = score.effect.around(score.variant)
+    if finer is None:
         return score
-    refine, width = effect.refine, float(shape)
-    finer = replace(effect, variants=lambda m, f: refine(m, f, width))
     tried, _ = candidates(base, [finer], facts)
     ranked, _ = scores(base, tried, runs, inflation)
     best = min([score, *ranked], key=lambda s: s.bic)
-    return replace(best, effect=effect)
+    return replace(best, effect=score.effect)
 
 
 def distance(a: Refitted, b: Refitted) -> float:

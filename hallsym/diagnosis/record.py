@@ -48,7 +48,9 @@ class Statement:
 
     `share`: 0 to 1, on fitted runs; statements on coordinates count only what those before leave, so that
     their shares add up to at most 1. `held_out`: the same on held-out runs, with what was fitted on the
-    others; None where it is not asked.
+    others; None where it is not asked. `kind`: as of `Share`; of a frequency "mains", "motion" or "band". Of
+    a coordinate: its `unit`, the `period` of ripples or of a place within a period, the `waves` per period
+    and the `sensor` that sees it above all. JSON holds the first six; `text` says the rest.
     """
 
     by: str
@@ -57,6 +59,15 @@ class Statement:
     p_value: float
     text: str
     held_out: float | None = None
+    kind: str = "coordinate"
+    unit: str | None = None
+    period: float | None = None
+    waves: tuple[int, ...] = ()
+    sensor: str | None = None
+
+
+IN_WORDS = ("kind", "unit", "period", "waves", "sensor")
+"""Fields of a statement that its JSON has in `text` only."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +114,11 @@ class Separation:
 
 @dataclass(frozen=True)
 class Waves:
-    """Amplitude [rad] of the error of an encoder that goes `per_turn` times round per turn, over all runs.
+    """Amplitude of the wave of error that repeats `per_turn` times per period of a coordinate, over all runs.
 
-    `designed`: of the encoder as it is meant to be, only its zero fitted; `model`: of the diagnosed model;
-    `after`: with the effects that were found, None where there are none. `causes`: effects of the catalogue
-    that make so many waves.
+    `designed`: of the nominal sensor, only its zeros fitted; `model`: of the diagnosed model; `after`: with
+    the effects that were found, None where there are none. SI. `causes`: effects of the catalogue that make
+    so many waves. `coordinate`: of a pose of several coordinates, the one that is periodic.
     """
 
     per_turn: int
@@ -115,6 +126,7 @@ class Waves:
     model: float
     after: float | None
     causes: tuple[str, ...]
+    coordinate: str = ""
 
     @property
     def absorbed(self) -> bool:
@@ -134,7 +146,7 @@ class Diagnosis:
     on held-out runs, see `size.sizes`. `shares`: what each coordinate, link, output, sensor, frequency and
     run takes of the excess by itself; empty where noise explains it.
     `next_step`: what `hallsym fit LOG` takes to fit the model with the effects found; empty without any.
-    `waves`: of an encoder, its error by waves per turn; empty for what does not turn.
+    `waves`: of each periodic coordinate, its error by waves per period.
     """
 
     verdict: str
@@ -167,7 +179,14 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""
-        return _plain(asdict(self))
+        record: dict[str, Any] = _plain(asdict(self))
+        for wave in record["waves"]:
+            if not wave["coordinate"]:
+                del wave["coordinate"]
+        for statement in (*record["where"], *record["remaining"]):
+            for name in IN_WORDS:
+                del statement[name]
+        return record
 
 
 def _plain(value: Any) -> Any:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.tangent import Tangents, tangents
+from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.model import Model
 
 STEPS = 8
@@ -28,7 +28,7 @@ class Refitted:
     """
 
     base: Base
-    tangents: Tangents
+    tangents: NormalEquations
     fitted: np.ndarray
     cost: float
 
@@ -99,7 +99,7 @@ def with_model(base: Base, model: Model) -> Base:
 
 def refit(base: Base, runs: Sequence[int], steps: int = STEPS) -> Refitted:
     """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples."""
-    now, at = tangents(base, {}), base
+    now, at = normal_equations(base, {}), base
     units = now.units(runs)
     cost = _cost(now, units)
     for _ in range(steps):
@@ -107,7 +107,7 @@ def refit(base: Base, runs: Sequence[int], steps: int = STEPS) -> Refitted:
         share = 1.0
         for _ in range(6):
             trial = _moved(at, now, step * share)
-            there = tangents(trial, {})
+            there = normal_equations(trial, {})
             lower = _cost(there, units)
             if lower <= cost:
                 break
@@ -153,11 +153,11 @@ def inside_bounds(base: Base, M: np.ndarray) -> np.ndarray:
     return step
 
 
-def _cost(t: Tangents, units: np.ndarray) -> float:
+def _cost(t: NormalEquations, units: np.ndarray) -> float:
     return float(t.likelihood[units, -1, -1].sum())
 
 
-def _moved(base: Base, t: Tangents, step: np.ndarray) -> Base:
+def _moved(base: Base, t: NormalEquations, step: np.ndarray) -> Base:
     """Take a step inside the bounds and let the zeros follow."""
     p = base.p.copy()
     free = list(base.free)

@@ -6,19 +6,19 @@ from typing import Any
 
 from hallsym.diagnosis.alike import groups_of, ranked_names, smaller_findings
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.errors import BlockErrors, block_errors, interval
+from hallsym.diagnosis.curve_data import unexplained
+from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.found import EITHER, closed, fault_record, found_effects, miswired, wiring_record
+from hallsym.diagnosis.gap_size import sizes
 from hallsym.diagnosis.holding import held
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.leftover import Leftover, leftover
+from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation
 from hallsym.diagnosis.search import Search
 from hallsym.diagnosis.sentences import next_step, sentence, shapeless
-from hallsym.diagnosis.shape import unexplained
-from hallsym.diagnosis.size import sizes
-from hallsym.diagnosis.structure import structure
 from hallsym.diagnosis.verdict import ALLOWANCE, remains
 from hallsym.diagnosis.waves import waves
-from hallsym.diagnosis.where import Located, both, located
 from hallsym.diagnosis.words import gap_unit
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import Wiring
@@ -108,7 +108,7 @@ def report(
         notes=tuple(dict.fromkeys((*result.notes, *left.notes, *said.notes))),
         seconds=seconds,
         versions=dict(result.versions),
-        waves=waves(start.model.family.waves, start, left.base if said.effects else None),
+        waves=waves(start, left.base if said.effects else None),
         next_step=next_step(
             result, said.effects, search, apart, bool(wiring and miswired(result.model, wiring))
         ),
@@ -139,7 +139,7 @@ def _verdict(
     """Explained if what is named closes the gap, no gap if nothing is named and nothing remains."""
     named = bool(effects) and 1 - left.metric / before.metric >= level
     base, metric = (left.base, left.metric) if named else (search.start.base, before.metric)
-    rest = left.rest if base is left.found else structure(base, search.runs)
+    rest = left.rest if base is left.found else lack_of_fit(base, search.runs)
     open_ = remains(rest, left.slow, metric, search.floor, level)
     if not named:
         return "unexplained" if open_ else "no gap"

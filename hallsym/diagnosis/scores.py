@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import beyond
 from hallsym.diagnosis.effect import Effect, Facts, Variant
+from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
+from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import inverse, solve
-from hallsym.diagnosis.tangent import Tangents, tangents
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import columns_of
 from hallsym.model import Model
@@ -107,9 +107,9 @@ def scores(
     tried: dict[str, tuple[Effect, Variant, Model, list[str]]],
     runs: Sequence[int],
     inflation: float,
-) -> tuple[list[Score], Tangents]:
+) -> tuple[list[Score], NormalEquations]:
     """Score every candidate on `runs`; best first (by BIC), one pass over the log."""
-    t = tangents(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
+    t = normal_equations(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
     tried = {key: entry for key, entry in tried.items() if key not in t.spoiled}
     units, K = t.units(runs), len(base.model.channels)
     folds = [units[k::FOLDS] for k in range(min(FOLDS, len(units)))]

@@ -7,17 +7,16 @@ from functools import partial
 import numpy as np
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.cancelling import undone
+from hallsym.diagnosis.change_points import MAX_SEGMENTS, instants, switched_runs
+from hallsym.diagnosis.collinearity import cancelled
 from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.faults import KINDS
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.plainer import plain_pairs
 from hallsym.diagnosis.ranking import Exact, bic_of, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.scores import Score, by_name, candidates, scores
-from hallsym.diagnosis.slips import MAX_SEGMENTS, instants
-from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.survey import SEGMENT, Survey, survey
-from hallsym.diagnosis.switching import switched_runs
+from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey, survey
 from hallsym.diagnosis.verdict import ALLOWANCE, SURE, USED_UP, Floor, remains, slow_share, used_up
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import as_read
@@ -40,7 +39,7 @@ shows."""
 def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
     wired = as_read(log, result.model, result.wiring)
-    sigma = {c: s.value for c, s in result.noise.sigmas.items()}
+    sigma = result.noise.std
     cost = cost_near(wired, result.model, result.values, sigma, result.keep)
     point = cost.at(result.values)
     return Base(
@@ -69,16 +68,15 @@ def facts_of(base: Base, found: Survey) -> Facts:
     temperature = _mean(log, "temperature_degc") if "temperature_degc" in log.columns else None
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
-        step_s=found.step_s,
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
         temperature=temperature,
         extremes=_extremes(log, model),
         rails=rails_of(log, model),
         lines_hz=found.lines_hz,
+        lines_tried=max(1, round(sum(b - a for a, b in MAINS) * found.duration_s)),
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
         on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),
-        gains=tuple(float(base.p[k]) for k, name in enumerate(model.names) if name.startswith("eta_")),
     )
 
 
@@ -209,7 +207,7 @@ class Search:
 
     def prune(self) -> None:
         """Where a gap remains, drop effects that only resemble what makes it: they leave its shape behind."""
-        rest = structure(self.now.base, self.runs)
+        rest = lack_of_fit(self.now.base, self.runs)
         seen = survey(self.now.base, frozenset(self.runs))
         gap = self.gap(self.now)
         if not remains(rest, slow_share(seen.variance, seen.fast), gap, self.floor, self.level):
@@ -218,7 +216,7 @@ class Search:
         for k, found in enumerate(self.found):
             others = [f.exact for j, f in enumerate(self.found) if j != k]
             without = self.rebuilt(others) if others else self.start
-            before = structure(without.base, self.runs)
+            before = lack_of_fit(without.base, self.runs)
             if used_up(before, self.gap(without), rest, gap) >= USED_UP:
                 kept.append(found)
         if len(kept) < len(self.found):
@@ -246,7 +244,7 @@ class Search:
                 self.not_testable[score.effect.name] = "the model's own parameters absorb it on this log"
         exact = refitted(
             at.base, ranked, self.runs, facts, TYPICAL_INFLATION, worth,
-            lambda e: self.keeps(e, at) and not undone(e.fit, at, self.start, self.owner),
+            lambda e: self.keeps(e, at) and not cancelled(e.fit, at, self.start, self.owner),
         )  # fmt: skip
         if at.base.model.family.pairs:
             exact = plain_pairs(exact, self.catalogue, self.runs, facts, TYPICAL_INFLATION)

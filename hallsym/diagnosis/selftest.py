@@ -13,19 +13,18 @@ from typing import Any
 import numpy as np
 
 from hallsym.diagnosis import engine
+from hallsym.diagnosis.decimation import decimated
 from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
-from hallsym.diagnosis.injection import Injection, Sized, generator, sized
-from hallsym.diagnosis.injection_catalogue import injections
-from hallsym.diagnosis.kinds import catalogue_of
-from hallsym.diagnosis.likeness import Likeness, likeness
+from hallsym.diagnosis.injection import Injection, Sized, generator, injections, sized
+from hallsym.diagnosis.noise_model import ResidualNoise, residual_noise
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.search import base_of, facts_of, floor_of
+from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.thin import thinned
-from hallsym.diagnosis.truth import Truth, truth_of
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
+from hallsym.families.faults import FAULTS
 from hallsym.log import Log
 from hallsym.model import Model
 
@@ -33,16 +32,6 @@ RATIOS = (1.07, 1.3, 2.0)
 """Gap over noise floor of the sizes that are tried: at the threshold, clear, dominant."""
 ROWS = 8000
 """Samples to which a log is thinned if it still shows the same."""
-FAULTS = {
-    "outliers": "electronics",
-    "dropped_samples": "clock",
-    "clock_jitter": "clock",
-    "adc_quantisation": "electronics",
-    "cordic_steps": "electronics",
-    "channel_swap": "electronics",
-    "sign_inversion": "electronics",
-}
-"""Faults of samples and of the wiring, and their links: they are injected beside the effects."""
 NONE = "no effect"
 HITS = ("found", "group")
 
@@ -151,7 +140,7 @@ def selftest(
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
     model = engine._built(log, model)
-    catalogue = (*catalogue_of(model), *effects)
+    catalogue = (*model.family.catalogue, *effects)
     wanted = _wanted(names, catalogue)
     ratios = _ratios(ratios)
     if repeats < 1:
@@ -238,13 +227,13 @@ class _Bench:
         base = base_of(log, result)
         base = replace(base, model=base.model.family.direct(base.model))
         say("thinning the log")
-        short = thinned(base, rows)
+        short = decimated(base, rows)
         base = replace(base, log=short.log, keep=None)
-        self.truth: Truth = truth_of(base, floor_of(result, base.pose_weights).metric)
+        self.truth: SimulatedMachine = machine_of(base, floor_of(result, base.pose_weights).metric)
         self.thinning = short.text
         say("learning the noise")
         facts = facts_of(base, survey(base, frozenset(self.truth.runs)))
-        self.noise: Likeness = likeness(base, catalogue, facts)
+        self.noise: ResidualNoise = residual_noise(base, catalogue, facts)
         self.reasons: dict[str, str] = {}
         self.forms: dict[str, str] = {}
         self.notes = [
@@ -342,7 +331,7 @@ def _findable(
     bench: _Bench, name: str, trials: Sequence[Trial], ratios: Sequence[float], repeats: int
 ) -> Findable:
     effect = next((e for e in bench.catalogue if e.name == name), None)
-    link = effect.link if effect else FAULTS[name]
+    link = (effect or FAULTS[name]).link
     own = tuple(t for t in trials if t.name == name)
     form = bench.forms.get(name, "")
     if not own:

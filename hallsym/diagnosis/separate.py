@@ -11,10 +11,10 @@ from itertools import combinations
 import numpy as np
 
 from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.record import Separation
 from hallsym.diagnosis.recordings import BETWEEN, Range, Recording, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inverse
-from hallsym.diagnosis.tangent import tangents
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
@@ -84,7 +84,7 @@ def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> 
     known = b.tangents.likelihood[b.fitted].sum(axis=0)[:n, :n]
     zeros = np.zeros(len(b.base.model.zeros))
     there = replace(b.base, log=log, zeros=dict.fromkeys(log.runs, zeros), keep=None, apart=frozenset())
-    M = tangents(there, {}).likelihood[1:]
+    M = normal_equations(there, {}).likelihood[1:]
     out = []
     for run in M:
         both = inverse(known + run[:n, :n])

@@ -1,7 +1,7 @@
-"""What the residual of a model shows by itself: spectrum, memory, spikes, jitter, ADC steps, slips.
+"""Survey of a residual: memory, spectrum, and faults of samples (spikes, jitter, old samples, ADC steps).
 
-One pass over the log, block by block. The findings here are no effects that a model could hold (an outlier
-has no equation), or the searched numbers that effects start from (a mains frequency, the instant of a slip).
+One pass over the log, block by block. No model holds these findings (an outlier has no equation), or they
+are numbers from which effects are searched (a mains frequency).
 """
 
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import as_many, as_often, exceeds, statistic_at, student
+from hallsym.diagnosis.p_values import as_many, as_often, exceeds, statistic_at, student
 from hallsym.diagnosis.residuals import Piece, pieces
 
 MAINS = ((46.0, 54.0), (56.0, 64.0))
@@ -23,6 +23,19 @@ LAGS = 64
 """Samples up to which the residual's memory is added up."""
 ENOUGH = 1_000_000
 """Samples that are looked at one by one; of a longer log every 64th block beyond."""
+UNCORRELATED = 0.02
+"""Autocorrelation below which the residual's memory ends."""
+KNOWN_VALUES = 20_000
+"""Different readings of a channel that are kept; some more, as a block is added whole."""
+FEWEST = 200
+"""Samples from which on faults of single ones are judged."""
+FEWEST_GAPS = 8
+"""Distances between readings from which on they may show steps."""
+WAVE_BLOCKS, WAVE_SAMPLES, WAVE_DEGREE = 256, 16, 6
+"""Blocks that mains lines are looked for in, samples that each must have, and the number of coefficients of
+the polynomial that is taken out of each."""
+FAR, QUIETEST = 40.0, 0.25
+"""Square of a sample over the median, and the least median, from which on it is far from the others."""
 WINDOW = 9
 """Samples of the running median that takes out what changes smoothly: stale stretches of up to 4 stay."""
 FILTERED, FILTERED_QUARTILE = 0.945, 0.917
@@ -31,6 +44,12 @@ SPIKE = 6.0
 """Standard deviations beyond which a sample counts as a spike: 2e-9 of Gaussian samples do.
 
 That it is more than the noise's own tails is tested beside it."""
+TWO_MORE = 12.0
+"""Added to the square of `SPIKE` where it is the sum of the squares of further readings."""
+CHI_SQUARE_QUARTILE = 1.3233
+"""Upper quartile of chi-square with one degree of freedom."""
+QUARTILE_ERROR = 2.4
+"""Standard error of that quartile, over the quartile, of one sample: 2.4 / sqrt(n) of n."""
 BINS = 12
 """Bins of speed in which the scatter of the samples is measured, each of as many samples."""
 WHOLE, MOSTLY = 0.02, 0.95
@@ -126,7 +145,7 @@ class _Work:
             self._spectrum(piece.t, r)
         self._instants(piece)
         for k in range(self.K):
-            if len(self.values[k]) < 20000:
+            if len(self.values[k]) < KNOWN_VALUES:
                 self.values[k].update(piece.readings[k].tolist())
 
     def _correlate(self, r: np.ndarray) -> None:
@@ -139,10 +158,10 @@ class _Work:
     def _spectrum(self, t: np.ndarray, r: np.ndarray) -> None:
         """Fourier amplitudes of the mains bands, kept per block with its middle time (blocks <= 8192)."""
         middle = 0.5 * (t[0] + t[-1])
-        if len(t) < 16 or len(self.spectra) >= 256:
+        if len(t) < WAVE_SAMPLES or len(self.spectra) >= WAVE_BLOCKS:
             return
         x = np.arange(len(t)) / len(t) - 0.5
-        basis = np.linalg.qr(np.vander(x, 6))[0]
+        basis = np.linalg.qr(np.vander(x, WAVE_DEGREE))[0]
         smooth = r - (r @ basis) @ basis.T
         bands = [_waves(a, FINE, round((b - a) / FINE), t - middle) for a, b in MAINS]
         self.spectra.append((middle, len(t), smooth @ np.vstack(bands).T))
@@ -166,7 +185,7 @@ class _Work:
         rest = np.einsum("ks,ks->s", quick, quick) - z**2
         if len(z) > 1:
             self.neighbours += np.array([float(z[1:] @ z[:-1]), float(z @ z) * (len(z) - 1) / len(z)])
-        far = (rest > 40 * max(np.median(rest), 0.25)) | (z**2 > 40 * max(np.median(z**2), 0.25))
+        far = np.any([x > FAR * max(np.median(x), QUIETEST) for x in (rest, z**2)], axis=0)
         if far.any() and len(far) > 2 * WINDOW:
             near = np.convolve(far, np.ones(2 * WINDOW + 1), "same") > WINDOW
             self.crowd += np.array([float((far & near).sum()), float(far.sum())])
@@ -177,7 +196,7 @@ class _Work:
         total = max(f.count * self.K, 1)
         f.variance, f.fast = self.squares / total, self.differences / total
         rho = self.correlation / max(self.correlation[0], 1e-300)
-        stop = next((k for k in range(1, LAGS) if rho[k] < 0.02), LAGS)
+        stop = next((k for k in range(1, LAGS) if rho[k] < UNCORRELATED), LAGS)
         f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
         if self.shift:
             self._judge_instants()
@@ -196,7 +215,7 @@ class _Work:
         the mean of squares has beyond that is the tail: samples that are late, or spikes.
         """
         f, (z, size, rest, _) = self.found, np.hstack(self.shift)
-        if len(z) < 200:
+        if len(z) < FEWEST:
             return
         body, slope, error = _growth(z, size)
         f.jitter_z = slope / max(error, 1e-300)
@@ -205,8 +224,9 @@ class _Work:
         f.jitter_s = float(np.sqrt(slope))
         f.jitter_power = float(slope * np.mean(size**2)) / self.K
         expected = FILTERED * (body + slope * size**2)
-        quiet = max(float(np.median(rest)) / statistic_at(0.5, max(self.K - 1, 1)), 0.25)
-        spikes = rest > quiet * (SPIKE**2 + 12)
+        quiet = max(float(np.median(rest)) / statistic_at(0.5, max(self.K - 1, 1)), QUIETEST)
+        beyond = SPIKE**2 + TWO_MORE
+        spikes = rest > quiet * beyond
         late = (z**2 > SPIKE**2 * expected) & ~spikes
         f.smooth = float(self.neighbours[0] / max(self.neighbours[1], 1e-300))
         f.bursts = float(self.crowd[0] / max(self.crowd[1], 1.0))
@@ -217,7 +237,7 @@ class _Work:
         f.stale_power = tail_z / self.K if late.any() else 0.0
         f.one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
         f.quiet = float((rest + z**2)[normal].mean()) / self.K
-        far = exceeds(rest, max(self.K - 1, 1), quiet * (SPIKE**2 + 12))
+        far = exceeds(rest, max(self.K - 1, 1), quiet * beyond)
         f.spike_p = as_many(_events(spikes), far * len(rest))
         relative = z**2 / expected
         far, events = exceeds(relative, 1, SPIKE**2), _events(late)
@@ -280,8 +300,8 @@ def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
     order = np.argsort(size)
     bins = np.array_split(order, BINS)
     x = np.array([np.mean(size[b] ** 2) for b in bins])
-    y = np.array([np.quantile(z[b] ** 2, 0.75) for b in bins]) / (1.3233 * FILTERED_QUARTILE)
-    error = np.maximum(y, 0.3) * 2.4 / np.sqrt([len(b) for b in bins])
+    y = np.array([np.quantile(z[b] ** 2, 0.75) for b in bins]) / (CHI_SQUARE_QUARTILE * FILTERED_QUARTILE)
+    error = np.maximum(y, 0.3) * QUARTILE_ERROR / np.sqrt([len(b) for b in bins])
     A = np.column_stack([np.ones(len(x)), x]) / error[:, None]
     scale = np.linalg.norm(A, axis=0)
     covariance = np.linalg.pinv((A / scale).T @ (A / scale)) / np.outer(scale, scale)
@@ -296,11 +316,9 @@ def _step(v: np.ndarray) -> tuple[float, float]:
 
     Of values without steps a distance is near a whole number of any step with probability 2 WHOLE.
     """
-    if len(v) < 8:
-        return 0.0, 1.0
     gaps = np.diff(v)
     gaps = gaps[gaps > 1e-13]
-    if len(gaps) < 8:
+    if len(gaps) < FEWEST_GAPS:
         return 0.0, 1.0
     q = float(np.quantile(gaps, 0.05))
     near = gaps[gaps < 1.5 * q]

@@ -1,10 +1,11 @@
-"""Is what is left still a gap? Structure decides, and the noise floor as far as it is known."""
+"""Is what is left still a gap? Lack of fit decides, and the noise floor as far as it is known."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.diagnosis.structure import CURVES, Structure
+from hallsym.diagnosis.features import Key
+from hallsym.diagnosis.lack_of_fit import LackOfFit
 
 SURE = 0.01
 """Significance, corrected for all that was tried, from which on an effect or a fault is certain."""
@@ -47,14 +48,14 @@ class Floor:
         return self.metric * (1 + ALLOWANCE) / (1 - level)
 
 
-def shaped(found: Structure, level: float) -> bool:
+def shaped(found: LackOfFit, level: float) -> bool:
     """Return whether the remainder has a shape, or lines, that are worth the threshold by themselves."""
     need = 1 - (1 - level) / (1 + ALLOWANCE)
     best = found.best(CERTAIN)
     return found.lines >= need or (best is not None and best.drop >= need)
 
 
-def remains(found: Structure, slow: float, metric: float, floor: Floor, level: float) -> bool:
+def remains(found: LackOfFit, slow: float, metric: float, floor: Floor, level: float) -> bool:
     """Return whether a remainder of size `metric` is a gap although no effect is named for it.
 
     `slow`: decrease of the metric without what neighbouring samples have in common. A shape that predicts
@@ -69,7 +70,7 @@ def remains(found: Structure, slow: float, metric: float, floor: Floor, level: f
     return likely or found.lines >= level / 2 or slow >= level or metric > floor.metric * (1 + UNSTRUCTURED)
 
 
-def used_up(before: Structure, metric_before: float, after: Structure, metric_after: float) -> float:
+def used_up(before: LackOfFit, metric_before: float, after: LackOfFit, metric_after: float) -> float:
     """Return the least part of a structure that is gone with an effect, over all that hold what it explains.
 
     An effect that is the cause leaves nothing of the shapes it is in; one that merely resembles the cause
@@ -86,15 +87,14 @@ def slow_share(variance: float, fast: float) -> float:
     return 1 - float(np.sqrt(min(1.0, fast / max(variance, 1e-12))))
 
 
-def _powers(found: Structure, metric: float) -> dict[str, float]:
+def _powers(found: LackOfFit, metric: float) -> dict[str, float]:
     """Squares [m^2] that each kind of shape explains; curves over several coordinates of a kind add up."""
-    best: dict[str, float] = {"lines": _power(found.lines, metric)}
+    best: dict[Key, float] = {Key("lines"): _power(found.lines, metric)}
     for shape in found.shapes:  # best first: the finest curve that pays
-        best.setdefault(shape.by, _power(shape.drop, metric))
+        best.setdefault(shape.key, _power(shape.drop, metric))
     kinds: dict[str, float] = {}
-    for by, power in best.items():
-        kind = by.split()[0] if by.startswith(CURVES) else by
-        kinds[kind] = kinds.get(kind, 0.0) + power
+    for key, power in best.items():
+        kinds[key.kind] = kinds.get(key.kind, 0.0) + power
     return kinds
 
 

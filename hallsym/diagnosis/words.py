@@ -27,9 +27,10 @@ def shown(value: float, unit: str, *, sign: bool = False) -> str:
     return f"{number} {name}"
 
 
-def degrees_of(unit: str, coordinate: str) -> tuple[float, str] | None:
-    """Return factor and unit of a place in the turn, which is read in degrees; None of anything else."""
-    return (180 / math.pi, "deg") if unit == "rad" and coordinate.startswith("place in the turn") else None
+def degrees_of(unit: str, column: str) -> tuple[float, str] | None:
+    """Return factor and unit of a column that is an angle read in degrees; None of anything else."""
+    factor, name, _ = readable(column)
+    return (factor, name) if unit == "rad" and name == "deg" else None
 
 
 def gap_unit(outputs: Iterable[str]) -> tuple[float, str]:

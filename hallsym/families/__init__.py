@@ -4,10 +4,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import recipes, rotary, stage
+from hallsym.families import rotary, stage
+from hallsym.families.faults import FAULTS
 from hallsym.log import Meta
 from hallsym.log.limits import is_moving
-from hallsym.model import Family, Model
+from hallsym.model import Effect, Family, Model
+from hallsym.model.effect import as_effect, read_text
 
 FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY)
 """Families whose models and effects have names on the command line; shared code asks `Model.family`."""
@@ -20,32 +22,14 @@ def models(families: Sequence[Family] = ()) -> dict[str, Callable[..., Model]]:
     return named | {alias: named[name] for family in every for alias, name in family.aliases.items()}
 
 
-def effects(*families: Family) -> dict[str, Callable[[Model], Model]]:
-    """Return every effect by name, of some families or of all.
-
-    A name that several families have acts as that of the model it is applied to.
-    """
-    out: dict[str, Callable[[Model], Model]] = {}
-    for f in families or FAMILIES:
-        known = {effect.__name__: effect for effect in f.effects}
-        known |= {name: _later(name, forms[0]) for name, forms in recipes.recipes_of(f.name).items()}
-        out = known | out
-    return out
+def effects(*families: Family) -> dict[str, Effect]:
+    """Return every effect by name, of some families or of all; of one name, that of the first family."""
+    return {e.name: e for family in reversed(families or FAMILIES) for e in family.effects}
 
 
 def known_effect(text: str, family: Family) -> bool:
     """Return whether an effect, named with or without numbers, is one of a family's own."""
-    return recipes.read(text)[0] in effects(family)
-
-
-def _later(name: str, form: Callable[..., Callable[[Model], Model]]) -> Callable[[Model], Model]:
-    """The effect of that name, its numbers looked at when it is added."""
-
-    def make(model: Model) -> Model:
-        return recipes.make_of(name)(model)
-
-    make.__doc__ = form.__doc__
-    return make
+    return read_text(text)[0] in effects(family)
 
 
 def build(
@@ -60,7 +44,7 @@ def build(
     """Return the model called `name` for the machine that `meta` describes.
 
     `meta`: probe layout and nominal values of a log folder. `added`: effects by name, with their numbers
-    where they have some (`hallsym.families.recipes`). `parameters`: changed nominal values and bounds,
+    where they have some (`hallsym.model.effect`). `parameters`: changed nominal values and bounds,
     `{"H1x": {"lower": .1}}`. `own`: the user's effects by name; `families`: the user's families. Raises
     `InputError` that lists known names.
     """
@@ -105,7 +89,7 @@ def adapted(
 ) -> Model:
     """Return `model` with effects added by name and with changed nominal values and bounds."""
     for effect in added:
-        model = _effect(effect, model, own or {})(model)
+        model = effect_named(effect, model, own).added(model, effect)
     return model.with_parameters(_checked(model, parameters))
 
 
@@ -131,12 +115,16 @@ def same_layout(model: Model, meta: Meta) -> bool:
     return meta.probes is None or make is None or model.family.from_meta(make, meta).layout == model.layout
 
 
-def _effect(text: str, model: Model, own: Mapping[str, Callable[[Model], Model]]) -> Callable[[Model], Model]:
-    """The effect that a text names for `model`."""
-    name, given = recipes.read(text)
-    known = effects(model.family) | dict(own)
-    if name in recipes.FAULTS and name not in own:
-        raise InputError(f"Effect {name} {recipes.FAULTS[name]}")
+def effect_named(
+    text: str, model: Model, own: Mapping[str, Callable[[Model], Model]] | None = None
+) -> Effect:
+    """Return the effect that a text names for `model`. Raises `InputError` that lists known names."""
+    name, _ = read_text(text)
+    if own and name in own:
+        return as_effect(own[name])
+    known = effects(model.family)
+    if name in FAULTS:
+        raise InputError(f"Effect {name} {FAULTS[name].refusal}")
     if name not in known:
         others = [f.name for f in FAMILIES if name in effects(f)]
         if others:
@@ -145,11 +133,7 @@ def _effect(text: str, model: Model, own: Mapping[str, Callable[[Model], Model]]
                 f"{model.family}."
             )
         raise _unknown("Effect", name, known)
-    if name in own or name not in recipes.recipes_of(model.family.name):
-        if given:
-            raise InputError(f"Effect {name} takes no numbers; instead received {text!r}.")
-        return lambda model: recipes.noted(model, known[name](model), name)
-    return recipes.make_of(text)
+    return known[name]
 
 
 def _unknown(what: str, name: str, known: Mapping[str, Any]) -> InputError:

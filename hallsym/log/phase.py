@@ -6,7 +6,7 @@ continuous wherever the reference turns, however often, and a residual is an ord
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -17,6 +17,7 @@ from hallsym.log import Log
 from hallsym.log.columns import RUN
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
+from hallsym.units import readable
 
 CHUNK = 65_536
 
@@ -52,34 +53,51 @@ def near(model: Model, pose: np.ndarray, reference: np.ndarray) -> np.ndarray:
 def continuous(log: Log, model: Model) -> Log:
     """Return the log with the columns of `model` that repeat made continuous; the log itself if none do.
 
-    References are unwrapped along each run. A channel that repeats is brought next to the first reference,
-    less the circular mean of their difference over the log.
+    References are unwrapped along each run. A channel that repeats is brought next to its reference, less the
+    circular mean of their difference over the log.
     """
     references = {c: model.period[c] for c in model.references if c in model.period}
     channels = {c: model.period[c] for c in model.channels if c in model.period}
     if (not references and not channels) or isinstance(log.table, _Continuous):
         return log
     log.table.require((*references, *channels))
-    along = next(iter(references), None)
-    apart = homes(log, model) if along and model.zeros else {}
-    middle = _middles(log, channels, along, apart) if along else {}
-    table: Any = _Continuous(log.table, references, channels if along else {}, along, middle, apart)
+    beside = {c: along for c in channels if (along := _reference_of(model, c))}
+    apart = homes(log, model)
+    branches = {
+        c: _Branch(along, channels[c], _middle(log, c, along, channels[c], apart.get(along, {})))
+        for c, along in beside.items()
+    }
+    table: Any = _Continuous(log.table, references, branches, apart)
     return replace(log, table=table)
 
 
-def home_notes(log: Log, zeros: Mapping[int, np.ndarray]) -> tuple[str, ...]:
-    """Return what to say of a log whose runs have zeros: `zeros` by run [rad], beside that of `homes`."""
+def _reference_of(model: Model, channel: str) -> str | None:
+    """The periodic reference of a channel: that of the coordinate it gives, else the first one."""
+    if channel in model.pose and (own := model.references[model.pose.index(channel)]) in model.period:
+        return own
+    return next((c for c in model.references if c in model.period), None)
+
+
+def home_notes(log: Log, model: Model, zeros: Mapping[int, np.ndarray]) -> tuple[str, ...]:
+    """Return what to say of a log whose runs have zeros: `zeros` by run [SI], beside that of `homes`."""
     apart = log.table.apart if isinstance(log.table, _Continuous) else {}
-    if not apart or not any(map(len, zeros.values())):
-        return ()
-    at = {run: np.degrees(apart[run] + zeros[run]) for run in apart if run in zeros}
-    first = next(iter(at))
-    said = [f"run {run}: {wrapped(v - at[first], 360.0)[0]:+.4f}" for run, v in list(at.items())[:LISTED]]
-    more = f", and {len(at) - LISTED} more" if len(at) > LISTED else ""
-    return (
-        f"Each run has a zero of its own; in deg, beside run {first}: {', '.join(said)}{more}. A delay of "
-        "the readings at one speed is part of it.",
-    )
+    notes = []
+    for k, reference in enumerate(_homed_by(model, z.name) for z in model.zeros):
+        homed = apart.get(reference, {})
+        at = {run: homed[run] + zeros[run][k] for run in homed if run in zeros}
+        if not at:
+            continue
+        factor, unit, name = readable(reference)
+        name = f" of {name.removesuffix('_ref')}" if len(model.pose) > 1 else ""
+        first = next(iter(at))
+        shifts = {run: factor * wrapped(v - at[first], model.period[reference]) for run, v in at.items()}
+        said = [f"run {run}: {v:+.4f}" for run, v in list(shifts.items())[:LISTED]]
+        more = f", and {len(at) - LISTED} more" if len(at) > LISTED else ""
+        notes.append(
+            f"Each run has a zero of its own{name}; in {unit}, beside run {first}: {', '.join(said)}{more}. "
+            "A delay of the readings at one speed is part of it."
+        )
+    return tuple(notes)
 
 
 LISTED = 8
@@ -89,50 +107,59 @@ WELL = 0.02
 120 deg of a turn."""
 
 
-def homes(log: Log, model: Model) -> dict[int, float]:
-    """Return by run the angle of the reading at the zero of the reference, in the unit of its column.
+def _homed_by(model: Model, zero: str) -> str:
+    """The reference whose origin in a run a zero is; "" for a zero of another kind."""
+    return model.references[model.pose.index(model.homes[zero])] if zero in model.homes else ""
 
-    The phase of the first wave of exp(i angle) over the reference, beside a constant and the wave that turns
-    the other way, which take up offset, gain and phase. Of a run that turns little, the circular mean.
+
+def homes(log: Log, model: Model) -> dict[str, dict[int, float]]:
+    """Return by reference and run the coordinate as read where the reference is zero, in the column's unit.
+
+    Of the coordinates whose origin a zero of each run is (`Model.homes`). The phase of the first wave of
+    exp(i coordinate) over the reference, beside a constant and the wave that turns the other way, which take
+    up offset, gain and phase. Of a run that turns little, the circular mean.
     """
-    if model.begin is None:
+    columns = [c for z in model.zeros if (c := _homed_by(model, z.name)) in model.period]
+    if model.begin is None or not columns:
         return {}
-    (column,), v = model.references, ca.SX.sym("v", len(model.channels))
+    v = ca.SX.sym("v", len(model.channels))
     nominal = {p.name: ca.SX(p.nominal) for p in model.parameters}
-    angle = on_arrays(ca.Function("angle", [v], [model.begin(v, nominal)]))
-    scale = 2 * np.pi / model.period[column]
-    sums: dict[int, list[np.ndarray]] = {}
-    for piece in log.table.pieces((RUN, *model.channels, column), CHUNK):
-        (read,) = angle([piece[c] for c in model.channels])
-        z, turn = np.exp(1j * scale * np.ravel(read)), np.exp(1j * scale * piece[column])
-        rows = np.array([np.ones_like(turn), turn, np.conj(turn)])
-        good = np.isfinite(z) & np.isfinite(turn)
-        for run in np.unique(piece[RUN]).tolist():
-            here = good & (piece[RUN] == run)
-            mine = sums.setdefault(int(run), [np.zeros((3, 3), complex), np.zeros(3, complex)])
-            mine[0] = mine[0] + np.conj(rows[:, here]) @ rows[:, here].T
-            mine[1] = mine[1] + np.conj(rows[:, here]) @ z[here]
-    out = {}
-    for run, (square, right) in sums.items():
-        count = max(float(square[0, 0].real), 1.0)
-        whole = float(np.linalg.eigvalsh(square / count)[0]) > WELL
-        out[run] = float(np.angle((np.linalg.solve(square, right) if whole else right)[1])) / scale
-    return out
+    pose = on_arrays(ca.Function("pose", [v], [ca.densify(model.begin(v, nominal))]))
+    sums: dict[str, dict[int, list[np.ndarray]]] = {c: {} for c in columns}
+    for piece in log.table.pieces((RUN, *model.channels, *columns), CHUNK):
+        (read,) = pose([piece[c] for c in model.channels])
+        for column, own in sums.items():
+            scale = 2 * np.pi / model.period[column]
+            z = np.exp(1j * scale * read[model.references.index(column)])
+            turn = np.exp(1j * scale * piece[column])
+            rows = np.array([np.ones_like(turn), turn, np.conj(turn)])
+            good = np.isfinite(z) & np.isfinite(turn)
+            for run in np.unique(piece[RUN]).tolist():
+                here = good & (piece[RUN] == run)
+                mine = own.setdefault(int(run), [np.zeros((3, 3), complex), np.zeros(3, complex)])
+                mine[0] = mine[0] + np.conj(rows[:, here]) @ rows[:, here].T
+                mine[1] = mine[1] + np.conj(rows[:, here]) @ z[here]
+    return {
+        column: {run: _home(*products) * model.period[column] / (2 * np.pi) for run, products in own.items()}
+        for column, own in sums.items()
+    }
 
 
-def _middles(
-    log: Log, channels: Mapping[str, float], along: str, apart: Mapping[int, float]
-) -> dict[str, float]:
-    """Circular mean of channel - reference over the log, by channel."""
-    sums = dict.fromkeys(channels, 0j)
-    if not channels:
-        return {}
-    for piece in log.table.pieces((*channels, along, *((RUN,) if apart else ())), CHUNK):
+def _home(square: np.ndarray, right: np.ndarray) -> float:
+    """Phase [rad] of the wave that turns along, from the normal equations of a run."""
+    count = max(float(square[0, 0].real), 1.0)
+    whole = float(np.linalg.eigvalsh(square / count)[0]) > WELL
+    return float(np.angle((np.linalg.solve(square, right) if whole else right)[1]))
+
+
+def _middle(log: Log, channel: str, along: str, period: float, apart: Mapping[int, float]) -> float:
+    """Circular mean of channel - reference over the log."""
+    total = 0j
+    for piece in log.table.pieces((channel, along, *((RUN,) if apart else ())), CHUNK):
         home = _of_runs(apart, piece[RUN]) if apart else 0.0
-        for c, period in channels.items():
-            turn = 2j * np.pi / period * (piece[c] - piece[along] - home)
-            sums[c] += np.exp(turn[np.isfinite(turn)]).sum()
-    return {c: float(np.angle(total)) * channels[c] / (2 * np.pi) for c, total in sums.items()}
+        turn = 2j * np.pi / period * (piece[channel] - piece[along] - home)
+        total += np.exp(turn[np.isfinite(turn)]).sum()
+    return float(np.angle(total)) * period / (2 * np.pi)
 
 
 def _of_runs(values: Mapping[int, float], runs: np.ndarray) -> np.ndarray:
@@ -140,41 +167,47 @@ def _of_runs(values: Mapping[int, float], runs: np.ndarray) -> np.ndarray:
     return np.array([values.get(int(run), 0.0) for run in known])[place]
 
 
+@dataclass(frozen=True)
+class _Branch:
+    """Where a channel that repeats belongs: within half a period of reference `along` + `middle`."""
+
+    along: str
+    period: float
+    middle: float
+
+
 class _Continuous:
-    """The table of a log whose repeating columns are continuous; `apart` is added to a run's reference."""
+    """The table of a log whose repeating columns are continuous.
+
+    `references`: period by column. `apart`: by reference and run, what is added to it.
+    """
 
     def __init__(
         self,
         table: Any,
         references: Mapping[str, float],
-        channels: Mapping[str, float],
-        along: str | None,
-        middle: Mapping[str, float],
-        apart: Mapping[int, float],
+        channels: Mapping[str, _Branch],
+        apart: Mapping[str, Mapping[int, float]],
     ) -> None:
-        self.apart = apart
-        self.table, self.references, self.channels = table, references, channels
-        self.along, self.middle = along, middle
+        self.table, self.references, self.channels, self.apart = table, references, channels, apart
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.table, name)
 
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[dict[str, np.ndarray]]:
-        needs: dict[str, None] = dict.fromkeys(columns)
-        if any(c in self.references or c in self.channels for c in columns):
-            needs |= {RUN: None}
-        if self.along and any(c in self.channels for c in columns):
-            needs |= {self.along: None}
+        along = [self.channels[c].along for c in columns if c in self.channels]
+        runs = [RUN] if along or any(c in self.references for c in columns) else []
         last: dict[str, tuple[int, float]] = {}
-        for piece in self.table.pieces(tuple(needs), size):
+        for piece in self.table.pieces(tuple(dict.fromkeys([*columns, *along, *runs])), size):
             done = {
                 c: v if c not in self.references else self._unwrapped(c, piece, last)
                 for c, v in piece.items()
             }
             for c in columns:
                 if c in self.channels:
-                    base, period = done[str(self.along)] + self.middle[c], self.channels[c]
-                    done[c] = base + wrapped(piece[c] - base, period)
+                    branch = self.channels[c]
+                    base = done[branch.along] + branch.middle
+                    done[c] = base + wrapped(piece[c] - base, branch.period)
             yield {c: done[c] for c in columns}
 
     def _unwrapped(
@@ -194,7 +227,7 @@ class _Continuous:
             out[start:stop] = part
         if len(run):
             last[column] = (int(run[-1]), float(out[-1]))
-        return out + _of_runs(self.apart, run) if self.apart and column == self.along else out
+        return out + _of_runs(self.apart[column], run) if column in self.apart else out
 
 
 def _unwrapped(x: np.ndarray, period: float) -> np.ndarray:

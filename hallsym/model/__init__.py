@@ -1,5 +1,7 @@
 """What a sensor is: the chain of links from pose to reading, its parameters, and what follows from them."""
 
+from hallsym.model.arguments import Facts
+from hallsym.model.effect import Effect, Variant, effect
 from hallsym.model.family import Example, Family, PoseMetric
 from hallsym.model.model import (
     LINKS,
@@ -15,7 +17,9 @@ from hallsym.model.model import (
 __all__ = [
     "LINKS",
     "Combination",
+    "Effect",
     "Example",
+    "Facts",
     "Family",
     "Inspection",
     "Model",
@@ -24,4 +28,6 @@ __all__ = [
     "Signals",
     "Step",
     "Symbols",
+    "Variant",
+    "effect",
 ]

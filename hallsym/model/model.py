@@ -111,7 +111,9 @@ class Model:
     texts: Mapping[str, str] = field(default_factory=dict)
     """What an effect is saved as where its name does not say all: `hysteresis:half_width_m=6e-05`."""
     period: Mapping[str, float] = field(default_factory=dict)
-    """Pose coordinates, channels, references and parameters that repeat, with their period (2 pi)."""
+    """Pose coordinates, channels, references and parameters that repeat, each with its period [its unit]."""
+    homes: Mapping[str, str] = field(default_factory=dict)
+    """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
@@ -249,7 +251,7 @@ class Model:
             if signals.derived
             else ca.SX(0, 1),
             reading=signals["reading"],
-            gain=signals["gain"],
+            gain=signals["gain"] if "gain" in signals else ca.SX.ones(len(self.channels)),
             displacement=signals["displacement"] if "displacement" in signals else ca.SX(0, 1),
         )
 
@@ -272,8 +274,11 @@ class Model:
         return ca.Function("gain", [s.parameters, s.state], [ca.densify(s.full(s.gain))])
 
     def zero_scale(self, p: np.ndarray, first_state: np.ndarray) -> np.ndarray:
-        """Return what a run's zeros (z,) are multiplied by to be read: phi(0) of Eq. (31), 1 for angles."""
-        if self.period:
+        """Return what a run's zeros (z,) are multiplied by to be read.
+
+        phi(0) of Eq. (31) where they are displacements, one per channel; else 1.
+        """
+        if not self.zeros or self.symbols.displacement.numel() != len(self.zeros):
             return np.ones(len(self.zeros))
         return np.asarray(self.gain(p, first_state)).ravel()
 
@@ -282,7 +287,7 @@ class Model:
         """Decoupled form `(parameters, zeros, reading, state, weight) -> pose`.
 
         Newton's method on the forward form from `begin` or the zero pose: one step where a reading is linear
-        in the pose (the small-angle stage: then this *is* Eq. (31)), three more where it is not. With more
+        in the pose (small angles: then this *is* Eq. (31)), three more where it is not. With more
         channels than coordinates each step is the weighted least-squares one; `weight` is 1/variance per
         channel.
         """

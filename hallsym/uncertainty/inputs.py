@@ -70,7 +70,7 @@ def check_fit(fit: Fit) -> None:
     if not np.any(spread > 0):
         raise InputError(
             "The calibration has no determined parameter, so its covariance cannot be formed; "
-            "fit a log that moves the stage."
+            "fit a log that moves the machine."
         )
 
 

@@ -8,8 +8,7 @@ import pytest
 from twins import record, with_noise
 
 from hallsym.cli.main import main
-from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit, load_fit
 from hallsym.report.figures import budget_bars, uncertainty_picture
 from hallsym.uncertainty import Budget, Settings, Source, over_log, position_budget, uncertainty_map
 

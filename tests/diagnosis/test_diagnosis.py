@@ -10,19 +10,20 @@ from scipy.optimize import lsq_linear
 from twins import record, with_noise
 
 import hallsym
-from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects, user_effect
+from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import beyond
+from hallsym.diagnosis.change_points import instants
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.normal_equations import normal_equations
+from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import inside_bounds, refit, with_model
 from hallsym.diagnosis.search import base_of, rails_of
-from hallsym.diagnosis.slips import instants
-from hallsym.diagnosis.structure import structure
-from hallsym.diagnosis.tangent import tangents
-from hallsym.families.stage import effects as se
-from hallsym.log import Log, Meta, Noise, Sigma
-from hallsym.log.derived import extended
+from hallsym.families import effects
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
+from hallsym.log import Log, Meta, Noise, Sigma, extended
 from hallsym.model import Model, Parameter
 from hallsym.model.derived import HALVES, rate, widest_half
+from hallsym.model.effect import as_effect
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.simulation import paper_campaign
 
@@ -203,7 +204,7 @@ def test_a_users_effect_is_found_and_a_broken_one_stops_nothing() -> None:
         return 3
 
     log = machine("multisine", (inject,), seed=6, thin=6)
-    found = diagnose(log, effects=[user_effect(f) for f in (speed_gain, broken, nonsense)])
+    found = diagnose(log, effects=[as_effect(f) for f in (speed_gain, broken, nonsense)])
     assert (found.verdict, found.ranked[0]) == ("explained", "speed_gain")
     assert found.effects[0].parameters["speed_gain"].value == pytest.approx(5.0, rel=0.05)
     assert found.not_testable["broken"] == "raised ValueError: oops"
@@ -256,9 +257,9 @@ def test_tangents_predict_what_a_refit_finds() -> None:
     base = base_of(log, result)
     runs = [r for r in log.runs if r not in log.meta.holdout]
     start = refit(base, runs)
-    wide = se.nonlinearity("even_nonlinearity", (2,))(start.base.model)
+    wide = effects(STAGE_FAMILY)["even_nonlinearity"](start.base.model)
     new = [n for n in wide.names if n not in base.model.names]
-    t = tangents(start.base, {"e": (wide, new)})
+    t = normal_equations(start.base, {"e": (wide, new)})
     M = t.likelihood[t.units(runs)].sum(axis=0)
     linear = np.linalg.lstsq(M[:-1, :-1], M[:-1, -1], rcond=1e-12)[0]
     expected = M[-1, -1] - M[:-1, -1] @ linear
@@ -281,7 +282,7 @@ def test_many_runs_are_pooled_and_change_nothing_of_the_sums() -> None:
     short = Log.from_arrays(arrays, log.noise, replace(log.meta, holdout=tuple(range(5, 160, 23))))
     result = hallsym.fit(short, "stage31", solver="direct")
     base = base_of(short, result)
-    t = tangents(base, {})
+    t = normal_equations(base, {})
     assert len(t.runs) <= 2 * 64 + 1 < len(short.runs)
     assert sorted(run for unit in t.runs for run in unit) == sorted(short.runs)
     held = t.units(short.meta.holdout)
@@ -298,13 +299,13 @@ def fitted(log: Log) -> Base:
 def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: tuple[Log, Diagnosis]) -> None:
     base = fitted(quiet[0])
     runs = [r for r in base.log.runs if r not in base.apart]
-    assert max(s.drop for s in structure(base, runs).shapes) < 0.02
+    assert max(s.drop for s in lack_of_fit(base, runs).shapes) < 0.02
     rng = np.random.default_rng(7)
     bump = fitted(machine("raster", (unlisted(rng)["bump"],), seed=7, thin=6))
-    best = structure(bump, runs).best(0.01)
+    best = lack_of_fit(bump, runs).best(0.01)
     assert best is not None
     assert best.by.startswith(("reading", "displacement"))
-    own = structure(fitted(machine("grid", (unlisted(rng)["run_gain"],), seed=7)), range(57))
+    own = lack_of_fit(fitted(machine("grid", (unlisted(rng)["run_gain"],), seed=7)), range(57))
     assert own.shapes[0].by == "a gain or trend of each run"
 
 

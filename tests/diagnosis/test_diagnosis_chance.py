@@ -16,19 +16,19 @@ from scipy import stats
 
 import hallsym
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.chance import as_many, as_often, exceeds, student
-from hallsym.diagnosis.effect import Facts
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
+from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
+from hallsym.diagnosis.p_values import as_many, as_often, exceeds, student
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.search import base_of
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.tangent import Products, tangents
-from hallsym.estimation.channel_assignment import rewired
-from hallsym.estimation.decoding import columns_of
-from hallsym.log import Block, Log
-from hallsym.log.batches import Batch, batches
+from hallsym.estimation import columns_of, rewired
+from hallsym.families import effects
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
+from hallsym.log import Batch, Block, Log, batches
+from hallsym.model import Facts
 
+CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
 TESTED = 30
 
 
@@ -92,12 +92,12 @@ def test_products_are_the_sums_over_dense_columns(quiet: Base) -> None:
     cut = {c: log.array(c) for c in log.columns}
     cut["run"] = np.searchsorted([700, 1900, 2000, 4100], np.arange(log.rows), "right")  # unequal lengths
     base = replace(quiet, log=Log.from_arrays(cut, log.noise, log.meta), zeros={})
-    facts = Facts(60.0, 0.012, log.columns)
+    facts = Facts(60.0, log.columns)
     names = {"odd_nonlinearity", "vertical_offset_coupling", "reference_abbe_error", "second_order_rotation"}
     tried, _ = candidates(base, [e for e in CATALOGUE if e.name in names], facts)
     plain = {key: (model, new) for key, (_, _, model, new) in tried.items()}
-    t = tangents(base, plain)
-    work = Products(base, plain)
+    t = normal_equations(base, plain)
+    work = Accumulator(base, plain)
     for batch in batches(base.log, columns_of(base.model)):
         white = work.whitened(batch, None)
         for block, part in batch.parts():

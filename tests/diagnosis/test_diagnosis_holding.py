@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hallsym.diagnosis.coordinates import coordinates
+from hallsym.diagnosis.decoded_errors import BlockErrors, interval
 from hallsym.diagnosis.engine import _built, _pieces, examine
-from hallsym.diagnosis.errors import BlockErrors, interval
 from hallsym.diagnosis.holding import shrinks
 from hallsym.diagnosis.refit import refit, with_model
-from hallsym.diagnosis.residue import coordinates, residue
-from hallsym.families.rotary import effects as rotary_effects
+from hallsym.diagnosis.residual_table import residual_table
+from hallsym.families import effects
+from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.log import Log
 
 TURN = 2 * np.pi
@@ -56,8 +58,8 @@ def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
     """200 knots sample 100 waves at their crossings: the sine is 0 at each of them."""
     examined = examine(turn(pattern=1.5e-3), "rotary_ideal")
     base = examined.before
-    make = rotary_effects.reference_harmonics("reference_pole_pairs", (50, 100))
-    fit = refit(with_model(base, make(base.model)), [r for r in base.log.runs if r not in base.apart])
+    wide = effects(ROTARY_FAMILY)["reference_pole_pairs"](base.model, periods=(50, 100))
+    fit = refit(with_model(base, wide), [r for r in base.log.runs if r not in base.apart])
     k = fit.base.model.names.index("reference_pole_pairs_100_sin")
     assert fit.base.p[k] == 0.0
     assert fit.unseen() == (k,)
@@ -68,7 +70,7 @@ def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
 
 
 def residue_names(base):
-    return {c.name for c in coordinates(residue(base, base.log.runs))}
+    return {c.name for c in coordinates(residual_table(base, base.log.runs))}
 
 
 @pytest.mark.parametrize("zero", [0.0, 2.0, 5.5])

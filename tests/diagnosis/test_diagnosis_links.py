@@ -9,20 +9,21 @@ from test_diagnosis_where import NOISES, base_on, stated
 from twins import record
 
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.effect import Effect
-from hallsym.diagnosis.errors import block_errors
+from hallsym.diagnosis.decoded_errors import block_errors
+from hallsym.diagnosis.gap_size import sizes
 from hallsym.diagnosis.links import _smoothed
+from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.scores import Score, candidates, scores
 from hallsym.diagnosis.search import facts_of
-from hallsym.diagnosis.size import sizes
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.user import user_effect
-from hallsym.diagnosis.where import Located, both, located
+from hallsym.families import effects
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
-from hallsym.model import LINKS, Model, Parameter
+from hallsym.model import LINKS, Effect, Model, Parameter
 from hallsym.model.arrays import on_arrays
+from hallsym.model.effect import as_effect
 
+CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
 FEWER = ("odd_nonlinearity", "time_skew", "hysteresis", "reference_drift", "vertical_offset_coupling",
          "height_quadratic", "mains_hum", "first_order_lag")  # fmt: skip
 """Effects of every link, enough to tell them apart."""
@@ -90,7 +91,7 @@ def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
         return model.with_step("field", step, effect="own_cubic", parameters=(size,))
 
     base, _ = found("odd_nonlinearity")
-    here = located(base, base.log.runs, scored(base, (user_effect(cubic),)))
+    here = located(base, base.log.runs, scored(base, (as_effect(cubic),)))
     rows = {s.name: s for s in here.shares if s.kind == "link"}
     assert rows["field"].share > 0.5
     assert rows["clock"].share is None

@@ -11,18 +11,21 @@ import pytest
 
 import hallsym
 from hallsym.diagnosis import diagnose
+from hallsym.diagnosis.holdout_pieces import split
 from hallsym.diagnosis.record import Estimate
-from hallsym.diagnosis.rotary_catalogue import CATALOGUE
-from hallsym.diagnosis.split import split
 from hallsym.diagnosis.words import shown
 from hallsym.errors import InputError
+from hallsym.families import effects
+from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary import models as rotary
 from hallsym.log import Log, Meta, Noise
+from hallsym.model import Facts
 from hallsym.model.derived import Stretch
 from hallsym.report.text import diagnosis as text
 from hallsym.report.text.diagnosis import diagnosis_text
 
+CATALOGUE = tuple(e for e in effects(ROTARY_FAMILY).values() if e.diagnosed)
 TURN = 2 * np.pi
 SIGMA = 6e-4
 SPEEDS = (3.0, -3.0, 12.0, -12.0, 60.0, -60.0, 150.0, -150.0)
@@ -159,7 +162,7 @@ def test_angles_of_an_encoder_are_read_in_degrees():
     estimate = Estimate(np.radians(0.7), 1e-5, "rad")
     found = diagnose(machine(third))
     effect = replace(found.effects[0], parameters={"skewed": estimate})
-    shape = {"unit": "rad", "grid": [np.pi], "coordinate": "place in the turn of angle"}
+    shape = {"unit": "rad", "grid": [np.pi], "column": "angle_ref_rad"}
     assert "skewed 0.70000(57) deg" in text._parameters(effect, text.units_of(found))
     assert text._at(shape, 0) == "180 deg"
     stage = text.units_of(replace(found, noise_floor={"rz_rad": 1e-7}))
@@ -265,8 +268,8 @@ def readings(model, values, columns=None):
 
 @pytest.mark.parametrize(("order", "waves"), [(2, 1), (0, 1), (-1, 2), (3, 2), (-3, 4)])
 def test_a_field_harmonic_is_its_waves_per_turn(order, waves):
-    make = rotary_effects.field_harmonics("x", "field", (order,))
-    model = rotary_effects.direct(make(rotary.rotary_ideal()))
+    wide = rotary_effects.field_harmonics(rotary.rotary_ideal(), "x", "field", (order,))
+    model = rotary_effects.direct(wide)
     sine, cosine = readings(model, {f"x_{order}_re".replace("-", "m"): 1e-4})
     error = np.angle((cosine + 1j * sine) * np.exp(-1j * ANGLES))
     power = [abs(np.mean(error * np.exp(-1j * n * ANGLES))) for n in range(1, 7)]
@@ -274,7 +277,7 @@ def test_a_field_harmonic_is_its_waves_per_turn(order, waves):
 
 
 def test_a_low_pass_has_the_phase_and_amplitude_of_its_transfer_function():
-    model = rotary_effects.direct(rotary_effects.first_order_lag(rotary.rotary_ideal()))
+    model = rotary_effects.direct(effects(ROTARY_FAMILY)["first_order_lag"](rotary.rotary_ideal()))
     sine, cosine = readings(model, {"lag": 2e-3}, {"d1_angle_ref_rad": 150.0})
     turned = (cosine + 1j * sine) * np.exp(-1j * ANGLES)
     assert np.allclose(turned, 1 / (1 + 1j * 150.0 * 2e-3), atol=1e-12)
@@ -291,7 +294,7 @@ def test_off_axis_is_a_dipole():
     a = -3 / gap**2
     both = -a * chip * magnet * np.exp(-1j * towards)
     values = {"e_both_re": both.real, "e_both_im": both.imag, "e_chip": a / 2 * chip**2}
-    model = rotary_effects.direct(rotary_effects.off_axis("e", towards)(rotary.rotary_ideal()))
+    model = rotary_effects.direct(rotary_effects.off_axis(rotary.rotary_ideal(), "e", towards))
     sine, cosine = readings(model, values)
     level = 1 + a * (chip**2 + abs(magnet) ** 2) + a / 2 * magnet**2
     assert np.abs(cosine + 1j * sine - field - (1 - level) * np.exp(1j * ANGLES)).max() < 2e-6
@@ -309,7 +312,7 @@ def test_direction_turns_over_after_a_reversal():
 
 @pytest.mark.parametrize("layout", [None, rotary.angle_only()], ids=["voltages", "angle"])
 def test_direct_reads_what_the_series_reads(layout):
-    model = rotary_effects.gain_mismatch(rotary.rotary_ideal(layout))
+    model = effects(ROTARY_FAMILY)["gain_mismatch"](rotary.rotary_ideal(layout))
     values = {"mismatch": 0.01, "zero": 0.3}
     assert np.allclose(
         readings(model, values), readings(rotary_effects.direct(model), values), rtol=0, atol=1e-9
@@ -333,16 +336,14 @@ def test_every_effect_of_the_catalogue_moves_a_reading():
                         moved = p.copy()
                         moved[wide.names.index(n)] += 1e-3
                         there = np.array(wide.reading(moved, [], ANGLES[None], state))
-                        if rotary_effects.decodes(model) and n == "reference_voltage_fluctuation0_sin":
+                        if model.channels == rotary.ANGLE and n == "reference_voltage_fluctuation0_sin":
                             continue
                         assert np.abs(there - base).max() > 1e-9, (effect.name, variant.label, n)
 
 
 def facts():
-    from hallsym.diagnosis import Facts
-
     return Facts(
-        100.0, 0.01, ("t_s", "temperature_degc"), 22.0, np.array([[0.9, 0.9], [-0.9, -0.9]]),
+        100.0, ("t_s", "temperature_degc"), 22.0, np.array([[0.9, 0.9], [-0.9, -0.9]]),
         ((-0.9, 0.9), (-0.9, 0.9)), (50.0,), on_runs=(1, 2),
     )  # fmt: skip
 

@@ -1,6 +1,7 @@
 """What would separate a group, from the models of its members; the price of an effect; the text of it all."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -18,12 +19,15 @@ from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.separate import recorded, separation, with_readings
-from hallsym.families.parts import Make
-from hallsym.families.stage import effects as se
+from hallsym.families import effects
+from hallsym.families.mechanisms import Functions, following, port
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
+from hallsym.model import Model
 from hallsym.report.text.diagnosis import WIDTH, diagnosis_text, p_text, separation_text
 
 NAMES = ("time_skew", "first_order_lag")
+STAGE = effects(STAGE_FAMILY)
 TURN = 2 * np.pi
 
 
@@ -32,7 +36,7 @@ def grid_log() -> Log:
     return machine("grid", (listed(np.random.default_rng(1))["time_skew"],), seed=1)
 
 
-def fitted(log: Log, *makes: Make) -> list[Refitted]:
+def fitted(log: Log, *makes: Callable[[Model], Model]) -> list[Refitted]:
     base = base_of(log, hallsym.fit(log, "stage31", solver="direct", holdout=log.meta.holdout))
     runs = [r for r in log.runs if r not in log.meta.holdout]
     return [refit(with_model(base, make(base.model)), runs) for make in makes]
@@ -40,7 +44,7 @@ def fitted(log: Log, *makes: Make) -> list[Refitted]:
 
 @cache
 def delays() -> list[Refitted]:
-    return fitted(grid_log(), *(se.delayed(name, True) for name in NAMES))
+    return fitted(grid_log(), *(STAGE[name] for name in NAMES))
 
 
 @cache
@@ -129,8 +133,8 @@ def test_time_and_temperature_are_told_apart_by_a_temperature_cycle() -> None:
     log = Log.from_arrays(arrays, grid_log().noise, grid_log().meta)
     fits = fitted(
         log,
-        se.gain_drift("gain_time_drift", *se.powers_of_time(float(t[-1]), 1)),
-        se.gain_drift("gain_temperature_drift", *se.temperature(22.0)),
+        lambda model: STAGE["gain_time_drift"](model, duration_s=float(t[-1])),
+        lambda model: STAGE["gain_temperature_drift"](model, mean_degc=22.0),
     )
     s = separation(("gain_time_drift", "gain_temperature_drift"), fits, distance(*fits), 1.5, "")
     assert s.sigma_now is not None
@@ -144,8 +148,10 @@ def test_what_cannot_be_simulated_keeps_the_words_of_the_catalogue() -> None:
     arrays["gap_m"] = np.sin(arrays["t_s"])
     log = Log.from_arrays(arrays, grid_log().noise, grid_log().meta)
 
-    def current(name: str) -> Make:
-        return se.offset_drift(name, ["gap_m"], lambda s: [s["gap_m"]])
+    def current(name: str) -> Callable[[Model], Model]:
+        gap = Functions(["per gap"], lambda s: [s["gap_m"]], ["gap_m"])
+        reading = port("reading", lambda model: [probe.label for probe in model.layout])
+        return lambda model: following(model, name, "electronics", reading, gap, 1e-3, "m")
 
     s = separation(("one", "two"), fitted(log, current("one"), current("two")), 0.5, 1.5, "other currents")
     assert (s.simulated, s.recording, s.runs, s.tried) == (False, "other currents", None, {})
@@ -172,7 +178,7 @@ def test_the_price_counts_parameters_instructions_and_signals() -> None:
     a, b = cost_of(small).instructions, cost_of(large).instructions
     said = price(small, large)
     assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 84 -> 120 B"
-    late = se.delayed("time_skew", True)(large)
+    late = STAGE["time_skew"](large)
     assert price(large, late).startswith("1 parameter; decoding")
     assert "12 signals to compute (d1_x_ref_m, " in price(large, late)
 

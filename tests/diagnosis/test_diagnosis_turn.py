@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hallsym.diagnosis import diagnose
-from hallsym.diagnosis import split as pieces
-from hallsym.diagnosis.predicted import others
-from hallsym.diagnosis.where import _orders
+from hallsym.diagnosis import holdout_pieces as pieces
+from hallsym.diagnosis.curve_words import waves_per_period
+from hallsym.diagnosis.regression import others
 from hallsym.log import Log
 from hallsym.report.text.diagnosis import diagnosis_text
 
@@ -42,7 +42,7 @@ def test_waves_of_half_a_table_are_not_their_images(phase):
     knots = np.arange(200)
     a = 2 * np.pi * knots[pieces._group(knots, 22) % 2 == 0] / 200
     error = 0.21 * np.sin(a + phase) + 0.16 * np.cos(2 * a - phase) + 0.13 * np.sin(50 * a + phase)
-    assert _orders(a, error) == [1, 2, 50]
+    assert waves_per_period(a, error) == (1, 2, 50)
 
 
 @pytest.fixture(scope="module")

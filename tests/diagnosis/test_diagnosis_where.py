@@ -12,12 +12,14 @@ from twins import SIGMAS, record
 
 import hallsym
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.residue import Coordinate, Residue, hats, knots
+from hallsym.diagnosis.coordinates import Coordinate, hats, knots
+from hallsym.diagnosis.curve_data import shape, unexplained
+from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
+from hallsym.diagnosis.localisation import Located, located
+from hallsym.diagnosis.p_values import of_signs
+from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.diagnosis.search import base_of
-from hallsym.diagnosis.shape import shape, unexplained
-from hallsym.diagnosis.smooth import FineMap, Smooth, chance_of_signs, own_gains
 from hallsym.diagnosis.spectrum import Spectrum
-from hallsym.diagnosis.where import Located, located, where
 from hallsym.log import Log, Noise, Sigma
 
 HELD = tuple(range(2, 57, 5))
@@ -103,7 +105,7 @@ def test_what_was_fitted_on_some_runs_holds_on_the_others() -> None:
 
 def test_gain_against_the_vertical_state_where_the_model_has_none() -> None:
     log = Log.from_arrays(record(seed=4, samples=50), noise=stated(1.0))
-    first, *_ = where(base_on(log, "stage30"), log.runs)
+    first, *_ = located(base_on(log, "stage30"), log.runs).statements
     assert first.by == "height Z and tilts Rx, Ry"
     assert "(the gain: Z" in first.text
     assert first.share > 0.9
@@ -125,7 +127,7 @@ NOISES = {"white": {}, "correlated": {"correlation_s": 0.1}, "heavy": {"degrees_
 def test_residuals_that_are_only_noise_get_no_statement(kind: str, seed: int) -> None:
     """Also where the noise is larger than stated, so that there is an excess, but nowhere in particular."""
     log = Log.from_arrays(record(seed=seed, samples=24, **NOISES[kind]), noise=stated(0.85))
-    coordinates = [s for s in where(base_on(log), log.runs) if s.by != "frequency"]
+    coordinates = [s for s in located(base_on(log), log.runs).statements if s.by != "frequency"]
     assert coordinates == []
 
 
@@ -136,26 +138,26 @@ def test_statements_on_noise_are_as_rare_as_they_claim(kind: str) -> None:
     alarms = 0
     for seed in range(100):
         log = Log.from_arrays(record(seed=seed, samples=40, **NOISES[kind]), noise=stated(0.85))
-        alarms += any(s.by != "frequency" for s in where(base_on(log), log.runs))
+        alarms += any(s.by != "frequency" for s in located(base_on(log), log.runs).statements)
     assert alarms < 5
 
 
 @pytest.mark.parametrize("kind", NOISES)
 def test_noise_of_the_stated_size_gets_no_statement_at_all(kind: str) -> None:
     log = Log.from_arrays(record(seed=11, samples=24, **NOISES[kind]), noise=stated(1.0))
-    assert where(base_on(log), log.runs) == ()
+    assert located(base_on(log), log.runs).statements == ()
 
 
 # -- the pieces ----------------------------------------------------------------------------------------------
 
 
-def made_up(residual: np.ndarray, x: np.ndarray, runs: int = 30) -> Residue:
-    """A residue of one sensor with the coordinate `x` under the name of Z; unit noise."""
+def made_up(residual: np.ndarray, x: np.ndarray, runs: int = 30) -> ResidualTable:
+    """A residual table of one sensor with the coordinate `x` under the name of Z; unit noise."""
     n = residual.shape[1]
     run = np.arange(n) * runs // n
-    felt = np.random.default_rng(9).uniform(-1, 1, (1, n))
-    return Residue(
-        ("m_m",), ("x_m",), ("x_ref_m",), ("z_m",), run, residual, felt, np.zeros((1, n)),
+    sensed = np.random.default_rng(9).uniform(-1, 1, (1, n))
+    return ResidualTable(
+        ("m_m",), ("x_m",), ("x_ref_m",), ("z_m",), run, residual, sensed, np.zeros((1, n)),
         {"z_m": x}, np.eye(1), run, run, np.arange(n) * 4 * runs // n, np.eye(1), np.ones(1), {}, Spectrum(),
     )  # fmt: skip
 
@@ -202,10 +204,10 @@ def test_a_gain_of_every_run_is_told_from_noise() -> None:
     noise = rng.standard_normal((1, 12_000))
     r = made_up(noise, rng.uniform(-1, 1, 12_000))
     gains = rng.standard_normal(30)[r.run]
-    assert own_gains(r, noise)[1] > 0.01
-    explained, p = own_gains(r, noise + gains * r.felt)
+    assert run_gains(r, noise)[1] > 0.01
+    explained, p = run_gains(r, noise + gains * r.sensed)
     assert p < 1e-6
-    assert explained == pytest.approx(float(((gains * r.felt) ** 2).sum()), rel=0.1)
+    assert explained == pytest.approx(float(((gains * r.sensed) ** 2).sum()), rel=0.1)
 
 
 @pytest.mark.parametrize("make", [Smooth, FineMap])
@@ -231,10 +233,10 @@ def test_signs_decide_and_not_sizes() -> None:
     rng = np.random.default_rng(5)
     v = np.abs(rng.standard_normal(40)) + 0.1
     run = np.arange(40)
-    assert chance_of_signs(np.outer(v, v), run) < 1e-6
+    assert of_signs(np.outer(v, v), run) < 1e-6
     mixed = v * rng.permutation(np.repeat([-1, 1], 20))
-    assert chance_of_signs(np.outer(mixed, mixed), run) > 0.3
-    assert chance_of_signs(np.diag(v), run) == 1.0
+    assert of_signs(np.outer(mixed, mixed), run) > 0.3
+    assert of_signs(np.diag(v), run) == 1.0
 
 
 @settings(deadline=None)

@@ -13,19 +13,20 @@ import hallsym.diagnosis.selftest as module
 from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, engine
 from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.injection import Injection, generator, sized
-from hallsym.diagnosis.injection_catalogue import injections
-from hallsym.diagnosis.injection_faults import ages
-from hallsym.diagnosis.likeness import likeness
+from hallsym.diagnosis.decimation import decimated
+from hallsym.diagnosis.injection import Injection, generator, injections, sized
+from hallsym.diagnosis.noise_model import residual_noise
 from hallsym.diagnosis.search import base_of, facts_of
 from hallsym.diagnosis.selftest import NONE, RATIOS, SelfTest, selftest
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
+from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of, readings_of
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.thin import thinned
-from hallsym.diagnosis.truth import Truth, readings_of, truth_of
+from hallsym.families import effects
+from hallsym.families.faults import ages
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.report.text.selftest import selftest_text
 
+CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
 FLOOR = 1.4e-6
 
 
@@ -41,8 +42,8 @@ def base_on(log: Log) -> Base:
 
 
 @cache
-def bench() -> tuple[Truth, dict[str, Injection], dict[str, str]]:
-    truth = truth_of(base_on(quiet()), FLOOR)
+def bench() -> tuple[SimulatedMachine, dict[str, Injection], dict[str, str]]:
+    truth = machine_of(base_on(quiet()), FLOOR)
     made, reasons = injections(truth, CATALOGUE, lambda name: generator(0, name))
     return truth, {i.name: i for i in made}, reasons
 
@@ -103,7 +104,7 @@ def test_a_stale_reading_ages_until_its_hold_ends_and_not_beyond_its_run() -> No
 def like(log: Log):
     base = base_on(log)
     facts = facts_of(base, survey(base, frozenset(log.runs)))
-    return base, likeness(base, CATALOGUE, facts)
+    return base, residual_noise(base, CATALOGUE, facts)
 
 
 def test_white_residuals_give_white_noise_of_the_stated_size() -> None:
@@ -131,7 +132,7 @@ def test_correlated_residuals_give_noise_that_is_as_correlated() -> None:
 def test_a_gap_that_the_catalogue_knows_does_not_pass_for_correlated_noise() -> None:
     log = machine("multisine", (cubic({"A": 0.05, "B": 0.05, "C": 0.15}),), seed=3, thin=8, pink=0.0)
     base, noise = like(log)
-    truth = truth_of(base, FLOOR)
+    truth = machine_of(base, FLOOR)
     left = np.array([log.array(c) for c in base.model.channels]) - truth.clean
     raw = [np.corrcoef(row[1:], row[:-1])[0, 1] for row in left]
     assert min(raw) > 0.3
@@ -144,20 +145,20 @@ def test_a_gap_that_the_catalogue_knows_does_not_pass_for_correlated_noise() -> 
 def test_a_log_is_thinned_as_far_as_mains_and_motion_stay_resolved() -> None:
     log = machine("raster", seed=1, thin=1)
     base = base_on(log)
-    short = thinned(base, 1000)
+    short = decimated(base, 1000)
     step = float(np.median(np.diff(short.log.array("t_s"))))
     assert short.every == 3
     assert 1 / step > 2 * 60
-    assert (short.log.runs, thinned(base, log.rows).text) == (log.runs, "")
+    assert (short.log.runs, decimated(base, log.rows).text) == (log.runs, "")
     fast = machine("multisine", seed=1, thin=2)
-    assert thinned(base_on(fast), 1000).every == 1
+    assert decimated(base_on(fast), 1000).every == 1
 
 
 def test_long_runs_are_cut_and_left_out_samples_stay_out(monkeypatch) -> None:
-    monkeypatch.setattr("hallsym.diagnosis.thin.MOST", 2000)
+    monkeypatch.setattr("hallsym.diagnosis.decimation.MOST", 2000)
     base = replace(base_on(quiet()), keep=lambda block: (np.arange(len(block.data["t_s"])) != 5) * 1.0)
     runs, rows = quiet().runs, quiet().rows
-    short = thinned(base, 2000)
+    short = decimated(base, 2000)
     assert short.text == f"the first {100 * 2000 / rows:.3g} % of each run"
     assert short.log.runs == runs
     assert short.log.rows == pytest.approx(2000 - len(runs), abs=len(runs))

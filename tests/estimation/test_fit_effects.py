@@ -14,18 +14,15 @@ from twins import record
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose, load_effects, makes
+from hallsym.diagnosis import diagnose, load_effects
 from hallsym.diagnosis.choose import model_on
-from hallsym.diagnosis.stage_catalogue import CATALOGUE
 from hallsym.errors import InputError
-from hallsym.estimation.decoding import error_tables
-from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.linearised import exact, summarise_at
-from hallsym.families import build
+from hallsym.estimation import cost_near, cost_of, error_tables, exact, judge, summarise_at, zeros_of
+from hallsym.families import adapted, build, effects
+from hallsym.families.faults import FAULTS
+from hallsym.families.mechanisms import nonlinearity, port
 from hallsym.families.play import stop_state
-from hallsym.families.recipes import FAULTS, RECIPES, lacking, make_of, write
-from hallsym.families.stage import effects as se
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Parameter
 from hallsym.report.text.diagnosis import diagnosis_text
@@ -43,8 +40,11 @@ NUMBERS = {
     "odd_nonlinearity": ("order=5",),
     "time_skew": ("per=probe",),
 }
-STAGE = RECIPES["stage"]
-TEXTS = [*(n for n in STAGE if not lacking(n, "stage")), *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v)]
+STAGE = {name: e for name, e in effects(STAGE_FAMILY).items() if e.diagnosed}
+TEXTS = [
+    *(n for n, e in STAGE.items() if not e.lacking(n)),
+    *(f"{n}:{t}" for n, v in NUMBERS.items() for t in v),
+]
 KINDS = (
     pytest.param("mount_slip", "grid", marks=SLOW),
     pytest.param("odd_nonlinearity", "raster", marks=SLOW),
@@ -98,7 +98,7 @@ def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign
     again = hallsym.load_fit(tmp_path / "calib.json")
     assert again.model.texts == result.model.texts
     assert again.model.names == result.model.names
-    noise = {c: s.value for c, s in result.noise.sigmas.items()}
+    noise = result.noise.std
     table = errors_on(result.source or log, again, noise, result.keep).over(found.validation_runs)
     for c, value in after.items():
         assert table["rmse"][c] == pytest.approx(value, rel=1e-3)
@@ -131,7 +131,7 @@ def test_a_tangent_has_value_and_slope_of_the_exact_cost() -> None:
     """stage31 has summaries of its own: both ways must give one likelihood, wherever they are taken."""
     log = machine("multisine", seed=3, thin=20)
     fit = hallsym.fit(log, "stage31", solver="direct")
-    noise = {c: s.value for c, s in fit.noise.sigmas.items()}
+    noise = fit.noise.std
     p = fit.values * 1.001
     own = cost_near(log, fit.model, p, noise)
     zeros = dict(zip(own.summary.runs, own.at(p).zeros, strict=True))
@@ -158,7 +158,7 @@ def test_models_without_summaries_are_told_apart() -> None:
 @pytest.mark.parametrize("text", TEXTS)
 def test_an_effect_is_built_again_from_its_text(text: str) -> None:
     base = build("stage30" if text == "vertical_gain_coupling" else "stage31")
-    wide = make_of(text)(base)
+    wide = adapted(base, (text,), {})
     (new,) = [e for e in wide.effects if e not in base.effects]
     assert wide.texts[new] == text
     again = build(base.name, added=(wide.texts[new],))
@@ -169,23 +169,20 @@ def test_an_effect_is_built_again_from_its_text(text: str) -> None:
     assert np.array_equal(np.asarray(wide.reading(p, *at)), np.asarray(again.reading(p, *at)))
 
 
-def test_every_effect_of_the_catalogue_has_a_text_and_every_fault_a_remedy() -> None:
-    assert {e.name for e in CATALOGUE} == set(STAGE)
-    for name, sentence in FAULTS.items():
+def test_every_fault_has_a_remedy() -> None:
+    for name, fault in FAULTS.items():
         with pytest.raises(InputError, match="fault of the recording") as refused:
             build("stage31", added=(name,))
-        assert sentence in str(refused.value)
+        assert fault.remedy in str(refused.value)
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(1e-7, 1e-3), st.tuples(*[st.floats(-1e-3, 1e-3)] * 3))
 def test_numbers_are_read_as_they_are_written(width: float, rails: tuple[float, ...]) -> None:
-    wide = make_of(write("stage", "hysteresis", half_width_m=width))(build("stage31"))
+    wide = STAGE["hysteresis"](build("stage31"), half_width_m=width)
     (parameter,) = [p for p in wide.parameters if p.name == "half_width"]
     assert parameter.nominal == pytest.approx(width, rel=1e-8)
-    low, _, high = (
-        write("stage", "saturation", low_m=rails, high_m=rails).partition(":")[2].partition(",high_m=")
-    )
+    low, _, high = STAGE["saturation"].text(low_m=rails, high_m=rails).partition(":")[2].partition(",high_m=")
     assert [float(v) for v in high.split("/")] == pytest.approx(list(rails), rel=1e-8)
     assert low.removeprefix("low_m=") == high
 
@@ -203,7 +200,7 @@ def test_numbers_are_read_as_they_are_written(width: float, rails: tuple[float, 
         ("mount_slip:probe=Q,instant_s=3", "must be one of A, B, C"),
         ("saturation:low_m=1/2,high_m=1/2", "3 numbers each"),
         ("exact_rotation:order=3", "takes no numbers"),
-        ("reference_scale_error:order=3", "it has none"),
+        ("reference_scale_error:order=3", "takes no numbers"),
         ("clock_jiter", "Effect must be one of"),
     ],
 )
@@ -284,7 +281,8 @@ def test_a_play_of_known_width_is_recovered_and_the_gap_shrinks_as_far_as_it_can
 def cubic_up_to(limit: float):
     def tight(model):
         """A cube that the machine's own exceeds."""
-        wide = se.nonlinearity("tight", (3,))(model)
+        sensed = port("displacement", lambda model: [probe.label for probe in model.layout])
+        wide = nonlinearity(model, "tight", "field", sensed, {"tight3_{k}": 3}, 0.5, 0.5e-3)
         return wide.with_parameters(
             {n: {"lower": -limit, "upper": limit} for n in wide.names if "tight" in n}
         )
@@ -309,11 +307,11 @@ def diagnose_only(log: Log, make):
     """Diagnose with one effect alone."""
     from dataclasses import replace
 
-    from hallsym.diagnosis import user_effect
+    from hallsym.model.effect import as_effect
 
     model = build("stage31")
-    alone = replace(model, family=replace(model.family, catalogue=()))
-    return diagnose(log, alone, effects=[user_effect(make)])
+    alone = replace(model, family=replace(model.family, effects=()))
+    return diagnose(log, alone, effects=[as_effect(make)])
 
 
 # -- the command line --------------------------------------------------------------------------------------
@@ -378,7 +376,7 @@ def test_an_effect_of_your_own_is_fitted_saved_and_read_back(tmp_path, capsys) -
     capsys.readouterr()
     assert main(["evaluate", calib, str(log)]) == 2
     assert "an effect of your own; give the file that defines it: --effects" in capsys.readouterr().err
-    known = hallsym.load_fit(calib, makes(load_effects(own[1])))
+    known = hallsym.load_fit(calib, {e.name: e for e in load_effects(own[1])})
     assert abs(known.value("speed_gain")) < 5 * known.std[known.model.names.index("speed_gain")]
 
 

@@ -9,10 +9,7 @@ from hypothesis import strategies as st
 from twins import COLUMNS, SIGMAS, TRUTH, phi, pm, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.identifiable import determine, scales
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.optimum import refit
-from hallsym.estimation.run_statistics import summarise
+from hallsym.estimation import cost_of, determine, refit, scales, summarise
 from hallsym.experiment import CRITERIA, candidates, paper_ranges, plan, planned_cost
 from hallsym.families import build
 from hallsym.model.influence import influence

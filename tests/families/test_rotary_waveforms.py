@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hallsym.families import build
-from hallsym.families.recipes import make_of
+from hallsym.families import adapted, build
 from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary.models import angle_only, rotary, rotary_ideal
 from hallsym.families.rotary.waveforms import FEW, Waveform, waveform
@@ -19,6 +18,11 @@ from hallsym.log.phase import _unwrapped
 ANGLES = np.linspace(-3, 9, 25)
 NUMBERS = st.floats(-2, 2)
 SOME = st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=4)
+
+
+def make_of(text: str):
+    """An effect as `--effect` takes it."""
+    return lambda model: adapted(model, (text,), {})
 
 
 def wave_of(terms: list[tuple[float, float]]) -> Wave:

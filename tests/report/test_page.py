@@ -15,8 +15,7 @@ from twins import Chopped, record, with_noise
 from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.log import Log, read_log
 from hallsym.report.data import Decoder, Tally, gather, run_series
 from hallsym.report.page import (

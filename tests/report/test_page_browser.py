@@ -12,7 +12,7 @@ from test_page import HOLDOUT
 from test_page_diagnosis import POSE, a_record
 from twins import record, with_noise
 
-from hallsym.estimation.fit import fit
+from hallsym.estimation import fit
 from hallsym.report.data import gather, run_series
 from hallsym.report.page import diagnosis_page, fit_page
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from twins import SIGMAS, record, with_noise
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.families import build
 from hallsym.log import Log
 from hallsym.report import data

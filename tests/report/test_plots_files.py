@@ -10,9 +10,7 @@ import pytest
 from twins import record, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import ErrorTable
-from hallsym.estimation.fit import fit
+from hallsym.estimation import ErrorTable, Fit, fit
 from hallsym.log import Log
 from hallsym.report import figures as plots
 

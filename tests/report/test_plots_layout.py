@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from hallsym.errors import InputError
-from hallsym.inference import Identifiability
-from hallsym.inference.verdict import VERDICTS
+from hallsym.inference import VERDICTS, Identifiability
 from hallsym.report.figures import (
     DPI,
     LOOKS,

@@ -130,7 +130,7 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
     for ax, column, unit in zip(figure.axes, odd.model.pose, ("µm", "µm", "µrad"), strict=True):
         assert ax.get_xlabel().endswith(f"[{unit}]")
         assert ax.get_xscale() == "log"
-        floor = odd.outputs[column]["noise_floor"]
+        floor = odd.outputs[column].noise_floor
         expected = {}
         for row, e in enumerate(rows):
             for side, change in ((-1, e.sigma), (1, e.percent)):
@@ -156,7 +156,7 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
 def test_a_change_too_small_to_draw_is_a_mark_at_the_edge_and_none_is_nothing(level: Identifiability) -> None:
     figure = effects(level)
     for ax, column in zip(figure.axes, level.model.pose, strict=True):
-        least = 1e-3 * level.outputs[column]["noise_floor"]
+        least = 1e-3 * level.outputs[column].noise_floor
         every = [e.percent.worst[column] for e in level.parameters]
         every += [e.sigma.worst[column] for e in level.parameters if e.sigma]
         marks = [line for line in ax.lines if line.get_marker() == "<"]

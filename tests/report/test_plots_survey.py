@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from twins import record, with_noise
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.log import Block, Log
 from hallsym.report import data
 from hallsym.report import figures as plots

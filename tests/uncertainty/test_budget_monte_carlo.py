@@ -9,8 +9,7 @@ from scipy import stats
 from twins import record, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.families.stage import models as stage
 from hallsym.log import Noise, Sigma
 from hallsym.report.text import comparison_sentence

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from twins import HALL, SIGMAS, phi, pm, record, true_model, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.log import Log
 from hallsym.model import Family, Model, Parameter
 from hallsym.uncertainty import (

@@ -1,12 +1,12 @@
 """The Hall rotary encoder, read as two voltages or as an angle: models and effects."""
 
 from hallsym.families.rotary import models
-from hallsym.families.rotary.effects import FULL_STEPS, direct
-from hallsym.families.rotary.recipes import short
+from hallsym.families.rotary.effects import EFFECTS, direct, short
 from hallsym.model import Example, Family, PoseMetric
 
 FAMILY = Family(
     name="rotary",
+    noun="encoder",
     about="an encoder (v_sin_v and v_cos_v, or angle_rad; angle_ref_rad)",
     readings=r"v_(sin|cos)_v|angle_rad",
     pose_metric=PoseMetric("rad"),
@@ -14,7 +14,7 @@ FAMILY = Family(
     default="rotary",
     aliases={"ideal_arctan": "rotary_ideal", "ellipse": "rotary", "meng": "rotary_meng"},
     from_meta=models.from_meta,
-    effects=(models.harmonics, models.zero_deviation),
+    effects=EFFECTS,
     endless=models.POSE,
     # two speeds in both directions, situation a of the paper's Table 2, and noise of 0.02 deg
     example=Example(
@@ -31,16 +31,6 @@ FAMILY = Family(
         },
         noise={"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_rad": 3.5e-4, "angle_ref_rad": 2e-5},
     ),
-    waves={
-        1: ("offset_error", "uniform_stray_field", "eccentricity", "magnet_tilt", "reference_eccentricity"),
-        2: ("gain_mismatch", "orthogonality_error", "eccentricity", "magnet_tilt"),
-        3: ("even_nonlinearity",),  # which also makes one
-        4: ("third_harmonic_distortion", "field_saturation", "odd_nonlinearity", "saturation"),
-        8: ("saturation",),
-        12: ("saturation",),
-        FULL_STEPS: ("reference_pole_pairs",),
-        2 * FULL_STEPS: ("reference_pole_pairs",),
-    },
     direct=direct,
     short=short,
     pairs=True,

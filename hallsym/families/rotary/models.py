@@ -14,7 +14,7 @@ distortions (offset, mismatch, phase, harmonics together) up to about 20 %.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import pi
 from typing import Any
@@ -26,7 +26,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.families.rotary.checks import inspect
 from hallsym.families.rotary.waves import Wave, angle, cosine, sine
 from hallsym.log import Meta
-from hallsym.model import Combination, Family, Model, Parameter, Signals, Step
+from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
 
 FAMILY = Family("rotary")
 """Of these models; the package puts the whole record here, which lists them."""
@@ -253,8 +253,11 @@ _MENG_RATIOS = (_offset("x"), _offset("y"), _ratio("Ay", "Ax"))
 # -- effects ---------------------------------------------------------------------------------------------
 
 
+@effect(link="transducer", diagnosed=False)
 def harmonics(model: Model) -> Model:
-    """Add 3 to 8 waves of angle error per turn, whatever their cause: what a correction table would hold.
+    """3 to 8 waves of angle error per turn, whatever their cause.
+
+    Add 3 to 8 waves of angle error per turn, whatever their cause: what a correction table would hold.
 
     One and two waves are the ellipse's own. To first order: valid for errors up to about 10 mrad.
     """
@@ -280,8 +283,11 @@ def harmonics(model: Model) -> Model:
     return model.with_step("transducer", on_voltages, effect="harmonics", parameters=added)
 
 
+@effect(link="reference", diagnosed=False)
 def zero_deviation(model: Model) -> Model:
-    """Give the reference a zero of its own in each run: it was homed or coupled anew between runs.
+    """A zero of the reference in each run.
+
+    Give the reference a zero of its own in each run: it was homed or coupled anew between runs.
 
     Each run is turned to the encoder's own zero first (`hallsym.log.phase.homes`); `delta` is what is left.
     `zero` is that of each run then, and no parameter any more.
@@ -292,6 +298,7 @@ def zero_deviation(model: Model) -> Model:
 
     delta = Parameter("delta", 0.0, -0.2, 0.2, "rad", "zero of a run's reference beside the encoder's")
     wide = model.with_step("reference", step, effect="zero_deviation", zeros=(delta,))
+    wide = replace(wide, homes={"delta": POSE[0]})
     return wide.with_parameters({"zero": {"nominal": 0.0, "lower": 0.0, "upper": 0.0}})
 
 

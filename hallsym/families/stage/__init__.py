@@ -1,10 +1,12 @@
 """The 6-DOF precision stage read by three or more Hall probes: models and effects."""
 
 from hallsym.families.stage import models
+from hallsym.families.stage.effects import EFFECTS
 from hallsym.model import Family, PoseMetric
 
 FAMILY = Family(
     name="stage",
+    noun="stage",
     about="a stage (hall_a_m, ..., x_ref_m)",
     readings=r"hall_\w+_m",
     pose_metric=PoseMetric("m", arm_m=0.35),
@@ -12,12 +14,7 @@ FAMILY = Family(
     default="stage31",
     aliases={"model15": "stage15", "model30": "stage30", "model31": "stage31"},
     from_meta=models.from_meta,
-    effects=(
-        models.zero_deviation,
-        models.vertical_coupling,
-        models.tied_vertical_coupling,
-        models.exact_rotation,
-    ),
+    effects=EFFECTS,
     words={"z_m": "height Z", "rx_rad": "tilt Rx", "ry_rad": "tilt Ry", "rz_ref_rad": "rotation Rz"},
     together="height Z and tilts Rx, Ry",
 )

@@ -21,7 +21,7 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 from hallsym.families import published
 from hallsym.log import Meta
-from hallsym.model import Combination, Family, Model, Parameter, Signals, Step
+from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
 
 FAMILY = Family("stage")
 """Of these models; the package puts the whole record here, which lists them."""
@@ -109,8 +109,11 @@ def stage31_tied(layout: tuple[Probe, ...] | None = None) -> Model:
 # -- effects ---------------------------------------------------------------------------------------------
 
 
+@effect(link="reference", diagnosed=False)
 def zero_deviation(model: Model) -> Model:
-    """Add the zero deviations of Eq. (30), (31) to the reference link: one per probe and run, in m.
+    """Zero deviations of the probes in each run, Eq. (30).
+
+    Add the zero deviations of Eq. (30), (31) to the reference link: one per probe and run, in m.
 
     They enter as displacement d_k = delta_k / phi_k(0); |delta_k| <= 10 um in the paper.
     """
@@ -125,8 +128,11 @@ def zero_deviation(model: Model) -> Model:
     return model.with_step("reference", step, effect="zero_deviation", zeros=zeros)
 
 
+@effect(link="transducer", diagnosed=False, unless=("tied_vertical_coupling",))
 def vertical_coupling(model: Model) -> Model:
-    """Add phi_k = eta_k + a_k Z + b_k Rx + c_k Ry, Eq. (31), with bounds of Table 5.
+    """Gain follows Z, Rx, Ry: a, b, c of Eq. (31).
+
+    Add phi_k = eta_k + a_k Z + b_k Rx + c_k Ry, Eq. (31), with bounds of Table 5.
 
     Table 5's signs belong to the paper's layout; for another layout the bounds are +-5000.
     """
@@ -155,8 +161,11 @@ def vertical_coupling(model: Model) -> Model:
     return model.with_step("transducer", step, effect="vertical_coupling", parameters=parameters)
 
 
+@effect(link="transducer", diagnosed=False, unless=("vertical_coupling",))
 def tied_vertical_coupling(model: Model) -> Model:
-    """Add the vertical coupling of a rigid stage: phi_k = eta_k + a_k (height change at probe k).
+    """Gain follows the height of each probe on a rigid stage.
+
+    Add the vertical coupling of a rigid stage: phi_k = eta_k + a_k (height change at probe k).
 
     A rigid stage lifts probe k by Z + (y_k - y0) Rx - (x_k - x0) Ry, where (x0, y0) is the point at which Z
     is measured: b_k / a_k = y_k - y0 and c_k / a_k = -(x_k - x0). Five parameters instead of nine, and the
@@ -182,8 +191,11 @@ def tied_vertical_coupling(model: Model) -> Model:
     return model.with_step("transducer", step, effect="tied_vertical_coupling", parameters=slopes + point)
 
 
+@effect(link="mechanics", diagnosed=False)
 def exact_rotation(model: Model) -> Model:
-    """Replace the small-angle displacement of Eq. (8) by the finite rotation of Eq. (2).
+    """Finite rotation, Eq. (2), in place of small angles.
+
+    Replace the small-angle displacement of Eq. (8) by the finite rotation of Eq. (2).
 
     A probe at p moves by R(Rz) (p + (x, y)) - p; the terms that Eq. (8) dropped are x Rz, y Rz and Rz^2.
     """

@@ -60,7 +60,7 @@ def _panel(ax: Axes, entries: list[ParameterReport], column: str, report: Identi
     """Draw the bars of one coordinate."""
     sigma = np.array([np.nan if e.sigma is None else e.sigma.worst[column] for e in entries])
     percent = np.array([e.percent.worst[column] for e in entries])
-    floor, together = (report.outputs[column][key] for key in ("noise_floor", "parameters_worst"))
+    floor, together = (report.outputs[column].noise_floor, report.outputs[column].parameters_worst)
     every = np.array([*sigma, *percent, floor, together])
     factor, unit = scale(column, largest(every), report.model.period)
     stripes(ax, len(entries))

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    from hallsym.inference import CombinationReport, Identifiability, ParameterReport
-    from hallsym.inference.intervals import Interval
+    from hallsym.inference import CombinationReport, Identifiability, Interval, ParameterReport
 
 ACROSS = 5
 """Entries of the legend in a row."""

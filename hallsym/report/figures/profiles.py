@@ -31,10 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hallsym.inference import Identifiability
-    from hallsym.inference.intervals import Interval
-    from hallsym.inference.profile_walk import Side
-    from hallsym.inference.profiles import Profile
+    from hallsym.inference import Identifiability, Interval, Profile, Side
 
 ACROSS, TOP = 4, 1.6
 """Panels in a row; upper end of the y axis, in thresholds."""

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-    from hallsym.inference import Identifiability
-    from hallsym.inference.null import NullDirection
+    from hallsym.inference import Identifiability, NullDirection
 
 BESIDE = 0.78  # inches: a label and five digits
 SMALLEST = 0.01

@@ -36,7 +36,7 @@ def _line(
     shape: Mapping[str, Any], channel: str, r: Mapping[str, Any], factor: float, unit: str, high: float
 ) -> Markup:
     grid = shape["grid"]
-    turn = degrees_of(shape["unit"], shape["coordinate"])
+    turn = degrees_of(shape["unit"], shape["column"])
     across, shown = turn or _scale(shape["unit"], max(map(abs, grid)))
     x = Scale(across * grid[0], across * grid[-1], LEFT, NARROW - RIM)
     y = Scale(-high, high, BOTTOM, TOP)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hallsym.report.page import figures, parts
@@ -17,6 +16,7 @@ from hallsym.report.page.diagnosis_record import (
 from hallsym.report.page.html import Markup, join, table, tag
 from hallsym.report.words import name as named_column
 from hallsym.report.words import scale, three
+from hallsym.units import readable
 
 
 def errors_title(record: Record) -> str:
@@ -48,24 +48,29 @@ def errors_section(record: Record, floor: Mapping[str, float]) -> Markup:
 
 
 def _waves(record: Record) -> Markup:
-    """Return the error of an encoder by waves per turn."""
+    """Return the error of each periodic coordinate by waves per period."""
     waves = record.get("waves") or []
-    if not waves:
-        return Markup("")
+    coordinates = dict.fromkeys(w.get("coordinate", "") for w in waves)
+    return join([_waves_of(record, c, waves) for c in coordinates])
+
+
+def _waves_of(record: Record, coordinate: str, waves: Sequence[Record]) -> Markup:
+    factor, unit, name = readable(coordinate or next(iter(record["noise_floor"])))
+    per = f"period of {name}" if coordinate else "turn"
     named = [e["name"] for e in record.get("effects") or []]
     rows: list[list[object]] = []
     for w in waves:
-        sizes = [
-            "" if w.get(k) is None else three(math.degrees(w[k])) for k in ("designed", "model", "after")
-        ]
+        if w.get("coordinate", "") != coordinate:
+            continue
+        sizes = ["" if w.get(k) is None else three(factor * w[k]) for k in ("designed", "model", "after")]
         found = [n for n in named if n in w["causes"]]
         rows.append([w["per_turn"], *sizes, ", ".join(found), ", ".join(w["causes"])])
-    head = ["waves per turn", "as designed [deg]", "model", "with the effects", "named here", "made by"]
+    head = [f"waves per {per}", f"as designed [{unit}]", "model", "with the effects", "named here", "made by"]
     caption = (
         "amplitude of the error over all runs: as designed (only the zero fitted), with the model's own "
         "parameters, with the effects found"
     )
-    return join([tag("h3", "By waves per turn"), table(head, rows, left=1, wordy=(4, 5), caption=caption)])
+    return join([tag("h3", f"By waves per {per}"), table(head, rows, left=1, wordy=(4, 5), caption=caption)])
 
 
 def _sizes(record: Record) -> Markup:

@@ -21,7 +21,7 @@ from hallsym.report.page import figures, parts
 from hallsym.report.page.html import Markup, facts, items, join, tag
 from hallsym.report.page.page import Section, document
 from hallsym.report.page.series import all_series
-from hallsym.report.tables import evidence
+from hallsym.report.text.fit import circumstances
 from hallsym.report.words import name
 
 NEAR = 1.1
@@ -53,7 +53,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
         Section("maps", "Where the error is", parts.maps_section(found.maps, fit.noise_floor)),
         Section("series", "Decoded minus reference over time", all_series(found.series)),
         Section("parameters", "Parameters", join([parts.parameter_table(fit), parts.combinations(fit)])),
-        Section("notes", "Evidence and notes", items([*evidence(fit), *notes])),
+        Section("notes", "Evidence and notes", items([*circumstances(fit), *notes])),
         Section(
             "origin",
             "Origin",
@@ -197,7 +197,7 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
 
 
 def _cost(log: Log, fit: Fit) -> Cost:
-    return cost_near(log, fit.model, fit.values, {c: s.value for c, s in fit.noise.sigmas.items()})
+    return cost_near(log, fit.model, fit.values, fit.noise.std)
 
 
 def _elsewhere(log: Log, fit: Fit) -> Fit:

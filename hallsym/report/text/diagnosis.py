@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import Any
 
-import numpy as np
-
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
 from hallsym.diagnosis.words import degrees_of
 from hallsym.errors import counted
@@ -114,20 +112,25 @@ def _sizes(d: Diagnosis) -> list[str]:
 
 
 def _waves(d: Diagnosis) -> list[str]:
-    """The error of an encoder by waves per turn, and what its model already takes up of the largest."""
-    if not d.waves:
-        return []
-    rows = [["waves per turn [deg]", "as designed", "model", "with the effects", "of them"]]
-    for w in d.waves:
-        found = [e.name for e in d.effects if e.name in w.causes]
-        sizes = ["" if a is None else f"{np.degrees(a):.2g}" for a in (w.designed, w.model, w.after)]
-        rows.append([str(w.per_turn), *sizes, ", ".join(found)])
-    most = max(d.waves, key=lambda w: w.designed)
-    size = f"{np.degrees(most.designed):.2g} deg"
-    own = f"Most is {most.per_turn} per turn ({size}), which the model's own parameters take up: "
-    either = f"{' or '.join(most.causes)}, which this model does not tell apart."
-    said = [_wrapped(own + either)] if most.absorbed and most.causes else []
-    return ["", grid(rows, left=1), *said]
+    """The error of periodic coordinates by waves per period; what the model absorbs of the largest."""
+    lines = []
+    for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
+        mine = [w for w in d.waves if w.coordinate == coordinate]
+        factor, unit, name = readable(coordinate or next(iter(d.noise_floor)))
+        per = f"period of {name}" if coordinate else "turn"
+        rows = [[f"waves per {per} [{unit}]", "as designed", "model", "with the effects", "of them"]]
+        for w in mine:
+            found = [e.name for e in d.effects if e.name in w.causes]
+            sizes = ["" if a is None else f"{factor * a:.2g}" for a in (w.designed, w.model, w.after)]
+            rows.append([str(w.per_turn), *sizes, ", ".join(found)])
+        lines += ["", grid(rows, left=1)]
+        most = max(mine, key=lambda w: w.designed)
+        if most.absorbed and most.causes:
+            size = f"{factor * most.designed:.2g} {unit}"
+            own = f"Most is {most.per_turn} per {per} ({size}), which the model's own parameters take up: "
+            either = f"{' or '.join(most.causes)}, which this model does not tell apart."
+            lines.append(_wrapped(own + either))
+    return lines
 
 
 def effect_text(effects: tuple[FoundEffect, ...]) -> str:
@@ -141,7 +144,7 @@ def effect_text(effects: tuple[FoundEffect, ...]) -> str:
 
 
 def units_of(d: Diagnosis) -> Mapping[str, tuple[float, str]]:
-    """How numbers of a diagnosis are shown: angles of an encoder in degrees, those of a stage in urad."""
+    """How numbers of a diagnosis are shown: angles that go round in degrees, small ones in urad."""
     factor, unit, _ = readable(next(iter(d.noise_floor), "x_m"))
     return UNITS | ({"rad": (factor, unit)} if unit == "deg" else {})
 
@@ -222,7 +225,7 @@ def _curve(rest: Mapping[str, Any]) -> list[str]:
 
 def _at(curve: Mapping[str, Any], k: int) -> str:
     factor, unit = UNITS.get(curve["unit"], (1.0, curve["unit"])) if curve["unit"] != "s" else (1.0, "s")
-    factor, unit = degrees_of(curve["unit"], curve["coordinate"]) or (factor, unit)
+    factor, unit = degrees_of(curve["unit"], curve["column"]) or (factor, unit)
     return f"{curve['grid'][k] * factor:.3g} {unit}".strip()
 
 

@@ -1,16 +1,97 @@
-"""Effects of an encoder at the mechanics: chip and magnet off the axis of rotation, and play."""
+"""Effects of an encoder at the mechanics and the clock: what lies off the axis, play, and latency."""
+
+from math import cos, radians, sin
 
 import casadi as ca
 import numpy as np
 
-from hallsym.families.parts import Make, P, add, free
+from hallsym.errors import InputError
+from hallsym.families.mechanisms import P, free
 from hallsym.families.play import stop_operator
-from hallsym.families.rotary.effects.parts import REFERENCE, ahead, harmonic
-from hallsym.model import Model, Parameter, Signals
-from hallsym.model.derived import Computed, Stretch
+from hallsym.families.rotary.effects.field import field_harmonics
+from hallsym.families.rotary.effects.parts import (
+    LATE,
+    MAGNET,
+    PLATES,
+    REFERENCE,
+    TURNED,
+    add_ahead,
+    decodes,
+    free_ellipse,
+    harmonic,
+)
+from hallsym.model import Facts, Model, Parameter, Signals, effect
+from hallsym.model.arguments import ANY, one_of, searched
+from hallsym.model.derived import Computed, Stretch, rate
+
+STEP_DEG = 30.0
+"""Distance of the directions in which the chip may lie off the axis."""
 
 
-def off_axis(effect: str, direction_rad: float, tilted: bool = False) -> Make:
+def _tried(form: str, model: Model, facts: Facts) -> bool:
+    """An ellipse already holds what a chip off the axis does alone, and shows no direction of it."""
+    return form != "chip" if free_ellipse(model) else form != "curved"
+
+
+DIRECTION = searched(
+    [STEP_DEG * k for k in range(6)],
+    "direction in which the chip is off the axis, if it is known",
+    label="chip towards {:.0f} deg",
+    valid=ANY,
+    instead=True,
+    shapes=1,
+    finer=lambda direction: [direction + STEP_DEG * k / 8 for k in (-4, -2, -1, 1, 2, 4)],
+    when=lambda value, model, facts: not free_ellipse(model),
+)
+
+
+@effect(link="mechanics", separate=f"{MAGNET}; or {TURNED}", waves=(1, 2))
+def eccentricity(
+    model: Model,
+    form: str = one_of(
+        {
+            "chip": "chip off the axis",
+            "both": "chip and magnet off the axis",
+            "curved": "and the field's curvature",
+        },
+        "what is off the axis: chip, both, or both in a curved field",
+        default="both",
+        when=_tried,
+    ),
+    direction_deg: float | None = DIRECTION,
+) -> Model:
+    """Chip or magnet off the axis of rotation.
+
+    Harmonics of the field of a chip and a magnet off the axis, or both with the chip in a known
+    direction.
+    """
+    if direction_deg is not None:
+        return off_axis(model, "eccentricity", radians(direction_deg))
+    orders = {"both": (2,), "curved": (2, 3), "chip": (-1,)}[form]
+    return field_harmonics(model, "eccentricity", "mechanics", orders)
+
+
+@effect(link="mechanics", separate=f"{MAGNET}; or {TURNED}", waves=(1, 2))
+def magnet_tilt(
+    model: Model,
+    form: str = one_of(
+        {"chip": "chip tilted", "both": "magnet tilted, chip off the axis"},
+        "what is tilted: the chip, or the magnet with the chip off the axis",
+        default="both",
+        when=_tried,
+    ),
+    direction_deg: float | None = DIRECTION,
+) -> Model:
+    """The axis of the magnet or the chip is tilted.
+
+    Harmonics of the field of a tilted magnet and a chip off the axis, or of a tilted chip.
+    """
+    if direction_deg is not None:
+        return off_axis(model, "magnet_tilt", radians(direction_deg), tilted=True)
+    return field_harmonics(model, "magnet_tilt", "mechanics", {"both": (2,), "chip": (-1,)}[form])
+
+
+def off_axis(model: Model, effect: str, direction_rad: float, tilted: bool = False) -> Model:
     """Chip and magnet both off the axis of rotation, to second order in what they are off.
 
     Near the axis the field in the frame of the magnet is 1 + a |w|^2 + (a/2) w^2 for a displacement w of the
@@ -19,43 +100,76 @@ def off_axis(effect: str, direction_rad: float, tilted: bool = False) -> Make:
     gives harmonics 2 and 0 by their product and -1 by the chip alone. A `tilted` magnet gives the same with
     other shares of both parts of harmonic 0, free within bounds: without harmonic 2 there is none.
     """
+    names = [f"{effect}_{part}" for part in ("both_re", "both_im", "chip")]
+    c, d = cos(2 * direction_rad), sin(2 * direction_rad)
 
-    def make(model: Model) -> Model:
-        names = [f"{effect}_{part}" for part in ("both_re", "both_im", "chip")]
-        cos, sin = float(np.cos(2 * direction_rad)), float(np.sin(2 * direction_rad))
+    def step(s: Signals, p: P) -> None:
+        re, im, chip = (p[n] for n in names)
+        a, b = (p["mirrored"], p["turned"]) if tilted else (ca.SX(1), ca.SX(1))
+        harmonic(s, 2, re, im)
+        harmonic(s, 0, a * re + b * (re * c - im * d), -a * im + b * (re * d + im * c))
+        harmonic(s, -1, chip * c, chip * d)
 
-        def step(s: Signals, p: P) -> None:
-            re, im, chip = (p[n] for n in names)
-            a, b = (p["mirrored"], p["turned"]) if tilted else (ca.SX(1), ca.SX(1))
-            harmonic(s, 2, re, im)
-            harmonic(s, 0, a * re + b * (re * cos - im * sin), -a * im + b * (re * sin + im * cos))
-            harmonic(s, -1, chip * cos, chip * sin)
-
-        new = free(names, 0.5, "1", "field off the axis")
-        if tilted:
-            shares = ("mirrored", "turned")
-            new += tuple(
-                Parameter(n, 0.5, -2.0, 3.0, "1", "part of harmonic 2 in harmonic 0") for n in shares
-            )
-        return add(model, "mechanics", effect, new, step)
-
-    return make
+    parts = ("chip and magnet, real part", "chip and magnet, imaginary part", "the chip alone")
+    meanings = [f"change of the field off the axis by {part}" for part in parts]
+    new = free(dict(zip(names, meanings, strict=True)), 0.5, "1")
+    if tilted:
+        what = "part of harmonic 2 of the field that is also in harmonic 0"
+        new += tuple(Parameter(n, 0.5, -2.0, 3.0, "1", f"{n} {what}") for n in ("mirrored", "turned"))
+    return model.with_step("mechanics", step, effect=effect, parameters=new)
 
 
-def hysteresis(width_rad: float) -> Make:
-    """The angle lags in the direction of motion by a constant, whatever the speed: play, magnetic memory."""
+@effect(link="clock", separate=LATE, needs=("t_s",))
+def time_skew(
+    model: Model,
+    per: str = one_of(
+        {"log": "one delay", "plate": "a delay per plate"},
+        "one delay for the log or for each plate",
+        when=lambda per, model, facts: per == "log" or not decodes(model),
+    ),
+) -> Model:
+    """Constant delay between readings and reference: latency.
 
-    def make(model: Model) -> Model:
-        column = direction(width_rad)
-
-        def step(s: Signals, p: P) -> None:
-            ahead(s, -p["play"] * s[column.name])
-
-        return add(
-            model, "mechanics", "hysteresis", free(["play"], 0.5, "rad", "half the play"), step, column
+    A multiplexed converter has one per plate.
+    """
+    speed = rate(REFERENCE)
+    if per == "log":
+        delay = free({"delay": "delay of the readings"}, 1.0, "s")
+        return add_ahead(
+            model, "time_skew", "reference", delay, lambda s, p: -p["delay"] * s[speed.name], speed
         )
+    if decodes(model):
+        raise InputError(
+            f"Model {model.name} reads the angle alone here; a delay per plate needs both voltages."
+        )
+    new = free({f"delay_{k}": f"delay of the {k} plate" for k in PLATES}, 1.0, "s")
 
-    return make
+    def step(s: Signals, p: P) -> None:
+        for plate in PLATES:
+            s[f"v_{plate}"] = s[f"v_{plate}"].ahead(-p[f"delay_{plate}"] * s[speed.name])
+
+    return model.with_columns(speed).with_step("transducer", step, effect="time_skew", parameters=new)
+
+
+@effect(
+    link="mechanics",
+    needs=("t_s",),
+    separate="both directions at several speeds: play does not grow with the speed, a delay does",
+)
+def hysteresis(
+    model: Model,
+    half_width_rad: float = searched(
+        (1e-3, 1e-2, 0.1),
+        "half the angle within which the direction turns over after a reversal",
+        label="within {:g} rad",
+    ),
+) -> Model:
+    """The angle depends on the direction, not on the speed.
+
+    It lags by a constant in the direction of motion: play, magnetic memory.
+    """
+    column, new = direction(half_width_rad), free({"play": "half the play"}, 0.5, "rad")
+    return add_ahead(model, "hysteresis", "mechanics", new, lambda s, p: -p["play"] * s[column.name], column)
 
 
 def direction(width_rad: float) -> Computed:

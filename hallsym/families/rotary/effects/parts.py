@@ -1,18 +1,32 @@
-"""What effects of an encoder share: its plates, harmonics of its field, and terms of each voltage."""
+"""What effects of an encoder share: its ports, the harmonics of its field, and how they are declared."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 
-from hallsym.families.data_functions import Columns
-from hallsym.families.parts import Make, P, add, free
+from hallsym.families.mechanisms import P, Port, port
 from hallsym.families.rotary import models as rotary
+from hallsym.families.rotary.effects.direct import direct
 from hallsym.families.rotary.waves import Wave
-from hallsym.model import Model, Signals
+from hallsym.model import Facts, Model, Parameter, Signals
+from hallsym.model.derived import Computed
 
 (REFERENCE,) = rotary.REFERENCES
 SPEED = f"d1_{REFERENCE}"
 PLATES = ("sin", "cos")
+MAGNET = "a turn at each of several known angles of the stator (or the chip) against the magnet"
+LATE = "speeds so high that a low-pass lowers the amplitude, which a delay does not"
+TURNED = "a turn with the reference coupled at each of several other angles"
+
+
+def _write(s: Signals, values: Sequence[Wave]) -> None:
+    s["v_sin"], s["v_cos"] = values
+
+
+VOLTAGES = Port(lambda model: PLATES, lambda s: (s["v_sin"], s["v_cos"]), _write)
+"""Voltages of the plates as waves of the angle of the magnet."""
+READINGS = port("reading", lambda model: PLATES)
+"""Both voltages as they are read."""
 
 
 def decodes(model: Model) -> bool:
@@ -20,14 +34,24 @@ def decodes(model: Model) -> bool:
     return model.channels == rotary.ANGLE
 
 
+def short(model: Model) -> Model:
+    """Return the model with atan2 itself where it has no run summaries anyway: the series would be long."""
+    return direct(model) if decodes(model) and model.computed else model
+
+
+def with_voltages(value: object, model: Model, facts: Facts) -> bool:
+    """Return whether both voltages are read: what an angle alone cannot tell is not tried."""
+    return not decodes(model)
+
+
+def free_ellipse(model: Model) -> bool:
+    """Return whether the model has offsets, amplitudes and phase of its own: an ellipse."""
+    return "Vx" in model.names
+
+
 def amplitude(model: Model) -> float:
     """Return the nominal amplitude of the voltages [V], 1 where only the angle is read."""
     return next(p.nominal for p in model.parameters if p.name in ("A", "Ax"))
-
-
-def volt(model: Model) -> str:
-    """Return the unit of the readings."""
-    return "1" if decodes(model) else "V"
 
 
 def ahead(s: Signals, angle: ca.SX) -> None:
@@ -35,28 +59,24 @@ def ahead(s: Signals, angle: ca.SX) -> None:
     s["cosine"], s["sine"] = s["cosine"].ahead(angle), s["sine"].ahead(angle)
 
 
+def add_ahead(
+    model: Model,
+    effect: str,
+    link: str,
+    parameters: tuple[Parameter, ...],
+    angle: Callable[[Signals, P], ca.SX],
+    *columns: Computed,
+) -> Model:
+    """Return the model whose field is that at another angle of the magnet, `angle` ahead."""
+
+    def step(s: Signals, p: P) -> None:
+        ahead(s, angle(s, p))
+
+    return model.with_columns(*columns).with_step(link, step, effect=effect, parameters=parameters)
+
+
 def harmonic(s: Signals, n: int, re: ca.SX, im: ca.SX) -> None:
     """Add (re + i im) exp(i n u) to the field."""
     sign = 1.0 if n >= 0 else -1.0
     s["cosine"] = s["cosine"] + Wave({abs(n): (re, -sign * im if n else ca.SX(0))})
     s["sine"] = s["sine"] + Wave({abs(n): (im, sign * re if n else ca.SX(0))})
-
-
-def per_plate(
-    effect: str, terms: int, read: Callable[[Signals, Wave, int], Wave], columns: Columns = ()
-) -> Make:
-    """Each voltage v becomes v + sum of c_j read(s, v, j), c per plate."""
-
-    def make(model: Model) -> Model:
-        names = {plate: [f"{effect}{j}_{plate}" for j in range(terms)] for plate in PLATES}
-
-        def step(s: Signals, p: P) -> None:
-            for plate in PLATES:
-                v = s[f"v_{plate}"]
-                for j, name in enumerate(names[plate]):
-                    s[f"v_{plate}"] = s[f"v_{plate}"] + read(s, v, j) * p[name]
-
-        new = free([n for row in names.values() for n in row], 100.0, "1", "strength")
-        return add(model, "transducer", effect, new, step, *columns)
-
-    return make

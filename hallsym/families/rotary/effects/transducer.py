@@ -1,63 +1,137 @@
-"""Effects of an encoder at the transducer: offsets, gains, axes and bends of the two plates."""
+"""Effects of an encoder at the transducer: offsets, gains, axes, bends, drifts and lag of the two plates."""
 
-from collections.abc import Sequence
+import casadi as ca
 
-from hallsym.families.parts import Make, P, add, free
-from hallsym.families.rotary.effects.parts import PLATES, amplitude, per_plate, volt
-from hallsym.families.rotary.waves import Wave
-from hallsym.model import Model, Signals
+from hallsym.families.mechanisms import (
+    EVEN,
+    ODD,
+    Functions,
+    P,
+    following,
+    free,
+    nonlinearity,
+    powers_to,
+    temperature_drift,
+    time_drift,
+)
+from hallsym.families.rotary.effects.parts import (
+    LATE,
+    MAGNET,
+    PLATES,
+    REFERENCE,
+    SPEED,
+    VOLTAGES,
+    amplitude,
+    decodes,
+)
+from hallsym.model import Model, Parameter, Signals, effect
+from hallsym.model.derived import rate
+
+WARM = "warm up and cool down, so that temperature is not a function of time"
+AGAIN = "the first run again at the end; log the temperature"
+FINER = tuple(1.35**k for k in (-2, -1, 1, 2))
 
 
-def offset(effect: str, link: str = "transducer") -> Make:
+def offset(model: Model, effect: str) -> Model:
     """A constant in each voltage."""
-
-    def make(model: Model) -> Model:
-        names = [f"{effect}_{plate}" for plate in PLATES]
-
-        def step(s: Signals, p: P) -> None:
-            for plate, name in zip(PLATES, names, strict=True):
-                s[f"v_{plate}"] = s[f"v_{plate}"] + p[name]
-
-        return add(model, "transducer", effect, free(names, 10.0, volt(model), "offset"), step)
-
-    return make
+    unit, constant = "1" if decodes(model) else "V", Functions(["plate"], lambda s: [ca.SX(1)])
+    names = [f"{effect}_{{k}}"]
+    return following(model, effect, "transducer", VOLTAGES, constant, 10.0, unit, names=names)
 
 
+@effect(link="transducer", label="both plates", separate=MAGNET, waves=(1,))
+def offset_error(model: Model) -> Model:
+    """Constant offset of sine or cosine."""
+    return offset(model, "offset_error")
+
+
+@effect(link="transducer", label="one ratio", separate=MAGNET, waves=(2,))
 def gain_mismatch(model: Model) -> Model:
-    """The gains of sine and cosine differ by a share."""
+    """Sine and cosine have different gains."""
 
     def step(s: Signals, p: P) -> None:
         s["v_sin"] = s["v_sin"] * (1 + p["mismatch"] / 2)
         s["v_cos"] = s["v_cos"] * (1 - p["mismatch"] / 2)
 
-    return add(
-        model, "transducer", "gain_mismatch", free(["mismatch"], 1.0, "1", "difference of gains"), step
-    )
+    new = free({"mismatch": "relative difference of the gains of sine and cosine"}, 1.0, "1")
+    return model.with_step("transducer", step, effect="gain_mismatch", parameters=new)
 
 
+@effect(link="transducer", label="one angle", separate=MAGNET, waves=(2,))
 def orthogonality_error(model: Model) -> Model:
-    """The sine plate sees a share of the cosine: the axes are not perpendicular."""
+    """The axes of sine and cosine are not perpendicular."""
 
     def step(s: Signals, p: P) -> None:
         s["v_sin"] = s["v_sin"] + s["v_cos"] * p["skewed"]
 
-    return add(
-        model, "transducer", "orthogonality_error", free(["skewed"], 1.0, "rad", "angle off 90 deg"), step
-    )
+    new = free({"skewed": "angle by which the axes of the plates are off 90 deg"}, 1.0, "rad")
+    return model.with_step("transducer", step, effect="orthogonality_error", parameters=new)
 
 
-def nonlinearity(effect: str, powers: Sequence[int]) -> Make:
+def _bent(model: Model, effect: str, order: int) -> Model:
     """Voltage v becomes v + sum of c v^n / A^(n - 1), c per plate, A the nominal amplitude."""
+    names = {f"{effect}{j}_{{k}}": n for j, n in enumerate(powers_to(order))}
+    return nonlinearity(model, effect, "transducer", VOLTAGES, names, 100.0, amplitude(model))
 
-    def make(model: Model) -> Model:
-        size = amplitude(model)
 
-        def read(s: Signals, v: Wave, j: int) -> Wave:
-            out = v
-            for _ in range(powers[j] - 1):
-                out = out * v * (1 / size)
-            return out
+@effect(
+    link="transducer",
+    waves=(4,),
+    separate="another air gap: the field's own harmonics do not follow the amplitude",
+)
+def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
+    """Cubic deviation of each voltage from a line."""
+    return _bent(model, "odd_nonlinearity", order)
 
-        return per_plate(effect, len(powers), read)(model)
 
-    return make
+@effect(link="transducer", separate="another air gap", waves=(3,))
+def even_nonlinearity(model: Model, order: int = EVEN) -> Model:
+    """Square deviation of each voltage from a line."""
+    return _bent(model, "even_nonlinearity", order)
+
+
+@effect(link="transducer", label="one time constant", needs=("t_s",), separate=LATE)
+def first_order_lag(model: Model) -> Model:
+    """Low-pass in the path of the readings.
+
+    Of both voltages, at the speed of the moment: every harmonic loses its share.
+    """
+
+    def step(s: Signals, p: P) -> None:
+        def share(n: int) -> tuple[ca.SX, ca.SX]:
+            x = n * p["lag"] * s[SPEED]
+            return 1 / (1 + x**2), -x / (1 + x**2)  # 1 / (1 + i x)
+
+        for plate in PLATES:
+            s[f"v_{plate}"] = s[f"v_{plate}"].filtered(share)
+
+    lag = Parameter("lag", 0.0, 0.0, 1.0, "s", "time constant of the low-pass")
+    wide = model.with_columns(rate(REFERENCE))
+    return wide.with_step("transducer", step, effect="first_order_lag", parameters=(lag,))
+
+
+def gains_follow(model: Model, effect: str, functions: Functions) -> Model:
+    """Each voltage times 1 + sum of g f, g per plate; an angle shows only the ratio of both."""
+    only = ("sin",) if decodes(model) else None
+    return following(model, effect, "transducer", VOLTAGES, functions, 100.0, "1", gain=True, only=only)
+
+
+def offsets_follow(model: Model, effect: str, functions: Functions) -> Model:
+    """Each voltage plus sum of o f, o per plate."""
+    return following(model, effect, "transducer", VOLTAGES, functions, 100.0, "1")
+
+
+gain_temperature_drift = temperature_drift(
+    "gain_temperature_drift", "Gains follow the logged temperature.", gains_follow, separate=WARM
+)
+offset_temperature_drift = temperature_drift(
+    "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow, separate=WARM
+)
+gain_time_drift = time_drift(
+    "gain_time_drift", "Gains drift smoothly over the campaign.", gains_follow, (16, 8, 4, 2), FINER,
+    separate=AGAIN, needs=("t_s",),
+)  # fmt: skip
+offset_time_drift = time_drift(
+    "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 8, 4, 2), FINER,
+    separate=AGAIN, needs=("t_s",),
+)  # fmt: skip

@@ -1,80 +1,76 @@
 """Effects of the stage at the electronics: what is added to a reading, and where it stops."""
 
-from collections.abc import Sequence
-from math import pi
+from collections.abc import Callable
 
 import casadi as ca
-import numpy as np
 
-from hallsym.families.parts import Make, P, add, free
-from hallsym.families.stage.effects.parts import AXES, UNIT, labels
-from hallsym.model import Model, Signals
-from hallsym.model.derived import Computed, Stretch, rate
-
-
-def motor_stray_field(positions: Sequence[str] = ()) -> Make:
-    """Reading plus C times acceleration, C per probe and axis; also times position where named."""
-
-    def make(model: Model) -> Model:
-        terms = ["", *positions]
-        names = [
-            [f"stray_{k}_{a}{'_' + q if q else ''}" for q in terms for a in model.pose] for k in labels(model)
-        ]
-        columns = [rate(c, 2) for c in AXES]
-
-        def step(s: Signals, p: P) -> None:
-            pushes = [s[c.name] * (s[q] / UNIT if q else 1) for q in terms for c in columns]
-            rows = [sum(p[n] * f for n, f in zip(row, pushes, strict=True)) for row in names]
-            s["reading"] = s["reading"] + ca.vertcat(*rows)
-
-        new = free([n for row in names for n in row], 1e-2, "m s2/m", "reading per acceleration")
-        return add(model, "electronics", "motor_stray_field", new, step, *columns)
-
-    return make
+from hallsym.errors import InputError
+from hallsym.families.faults import inject_rails
+from hallsym.families.mechanisms import LINE, P, add_terms, at_frequency, clipping, following, rails
+from hallsym.families.stage.effects.parts import AXES, READING, UNIT
+from hallsym.model import Model, Signals, effect
+from hallsym.model.arguments import Valid, beside, found, one_of
+from hallsym.model.derived import rate
 
 
-def mains_hum(frequency_hz: float, harmonics: Sequence[int] = (1,)) -> Make:
-    """Reading plus a sine at the mains frequency (and harmonics), amplitude and phase per probe."""
+@effect(link="transducer", separate="the same stroke at several frequencies; log the currents")
+def motor_stray_field(
+    model: Model,
+    terms: str = one_of(
+        {"acceleration": "by acceleration", "position": "by acceleration and position"},
+        "whether the field also changes with the position",
+    ),
+) -> Model:
+    """Field of the motor currents, in proportion to acceleration.
 
-    def make(model: Model) -> Model:
-        waves = [_wave(kind, n * frequency_hz) for n in harmonics for kind in ("sin", "cos")]
-        names = [[f"hum_{w.name}_{k}" for w in waves] for k in labels(model)]
+    Reading plus C times acceleration, C per probe and axis; also times position over 0.5 mm.
+    """
+    columns = [rate(c, 2) for c in AXES]
+    places = ["", *(model.pose if terms == "position" else ())]
+    pushes = {
+        f"stray_{{k}}_{axis}{q and '_' + q}": f"reading of probe {{k}} per acceleration of {axis}"
+        + (f", per {UNIT:g} of {q}" if q else "")
+        for q in places
+        for axis in model.pose
+    }
 
-        def step(s: Signals, p: P) -> None:
-            rows = [sum(p[n] * s[w.name] for n, w in zip(row, waves, strict=True)) for row in names]
-            s["reading"] = s["reading"] + ca.vertcat(*rows)
+    def pushed(s: Signals, p: P) -> Callable[[ca.SX, int], list[ca.SX]]:
+        values = [s[c.name] * (s[q] / UNIT if q else 1) for q in places for c in columns]
+        return lambda reading, k: values
 
-        new = free([n for row in names for n in row], 1e-4, "m", "amplitude of the hum")
-        return add(model, "electronics", "mains_hum", new, step, *waves)
-
-    return make
-
-
-def _wave(kind: str, frequency_hz: float) -> Computed:
-    """Return a sine or cosine of campaign time, as a column."""
-    wave = np.sin if kind == "sin" else np.cos
-
-    def column(s: Stretch) -> np.ndarray:
-        return np.asarray(wave(2 * pi * frequency_hz * (s.data["t_s"] - s.origin_s)))
-
-    return Computed(f"{kind}_{frequency_hz:.9g}", (), column)
+    return add_terms(
+        model, "motor_stray_field", "electronics", READING, pushes, pushed, 1e-2, "m s2/m", *columns
+    )
 
 
-def clipping(low: Sequence[float], high: Sequence[float]) -> Make:
-    """Readings beyond `low` and `high` [m, one per probe] lose the share that is the parameter (1: hard)."""
+@effect(link="electronics", separate="strokes of several lengths", inject=inject_rails)
+def saturation(
+    model: Model,
+    low_m: tuple[float, ...] = beside("lowest reading of each probe"),
+    high_m: tuple[float, ...] = found(rails("low_m", "high_m", alike=True), "highest reading of each probe"),
+) -> Model:
+    """Readings stop at a rail."""
+    if not len(low_m) == len(high_m) == len(model.layout):
+        raise InputError(f"Rails of saturation must be {len(model.layout)} numbers each, as -2e-4/-2e-4.")
+    return clipping(model, READING, low_m, high_m)
 
-    def make(model: Model) -> Model:
-        names = [f"clipped_{k}" for k in labels(model)]
 
-        def step(s: Signals, p: P) -> None:
-            rows = []
-            for k, name in enumerate(names):
-                m = s["reading"][k]
-                over = ca.fmax(m - high[k], 0) if np.isfinite(high[k]) else 0
-                under = ca.fmax(low[k] - m, 0) if np.isfinite(low[k]) else 0
-                rows.append(m - p[name] * (over - under))
-            s["reading"] = ca.vertcat(*rows)
+@effect(link="electronics", separate="a run at rest on the full clock")
+def mains_hum(
+    model: Model,
+    frequency_hz: float = LINE,
+    harmonics: int = one_of(
+        {1: "", 3: " and harmonics"},
+        "how many multiples of the frequency",
+        valid=Valid(lambda n: 1 <= n <= 9, "1 to 9"),
+    ),
+) -> Model:
+    """50 or 60 Hz pick-up.
 
-        return add(model, "electronics", "saturation", free(names, 1.5, "1", "share clipped"), step)
-
-    return make
+    Reading plus a sine at the mains frequency (and harmonics), amplitude and phase per probe.
+    """
+    waves = at_frequency(frequency_hz, harmonics, ("sin", "cos"), "{wave}_{hz:.9g}")
+    names = [
+        f"hum_{wave}_{n * frequency_hz:.9g}_{{k}}" for n in range(1, harmonics + 1) for wave in ("sin", "cos")
+    ]
+    return following(model, "mains_hum", "electronics", READING, waves, 1e-4, "m", names=names)

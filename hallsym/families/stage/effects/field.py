@@ -1,96 +1,113 @@
-"""Effects of the stage in the field: what a probe feels is bent, leaks across, remembers or jumps."""
+"""Effects of the stage in the field: what a probe senses is bent, leaks across, or remembers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import casadi as ca
 import numpy as np
 
-from hallsym.families.parts import Make, P, add, column, free
+from hallsym.families.mechanisms import EVEN, ODD, P, add_terms, free, nonlinearity, powers_to
 from hallsym.families.play import stop_state
-from hallsym.families.stage.effects.parts import AXES, UNIT, across, labels
-from hallsym.model import Model, Parameter, Signals
+from hallsym.families.stage.effects.parts import AXES, SENSED, UNIT, across, labels
+from hallsym.model import Model, Parameter, Signals, effect
+from hallsym.model.arguments import one_of, searched
 from hallsym.model.derived import Computed, Stretch
 
 
-def nonlinearity(effect: str, powers: Sequence[int]) -> Make:
-    """Displacement u becomes u + sum of c u^n / UNIT^(n - 1), c per probe."""
+def _bent(model: Model, effect: str, order: int) -> Model:
+    """Displacement u becomes u + sum of c u^n / (0.5 mm)^(n - 1), c per probe."""
+    names = {f"{effect}{n}_{{k}}": n for n in powers_to(order)}
+    return nonlinearity(model, effect, "field", SENSED, names, 0.5, UNIT, by_channel=False)
 
-    def make(model: Model) -> Model:
-        names = {n: [f"{effect}{n}_{k}" for k in labels(model)] for n in powers}
 
-        def step(s: Signals, p: P) -> None:
-            u = s["displacement"]
-            for n in powers:
-                s["displacement"] = s["displacement"] + column(p, names[n]) * u**n / UNIT ** (n - 1)
+@effect(link="field", separate="strokes of several lengths")
+def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
+    """Cubic deviation of the reading from a line."""
+    return _bent(model, "odd_nonlinearity", order)
 
-        new = free([n for row in names.values() for n in row], 0.5, "1", "share of 0.5 mm at 0.5 mm")
-        return add(model, "field", effect, new, step)
 
-    return make
+@effect(link="field", separate="strokes of several lengths on both sides of zero")
+def even_nonlinearity(model: Model, order: int = EVEN) -> Model:
+    """Square deviation of the reading from a line."""
+    return _bent(model, "even_nonlinearity", order)
 
 
 CROSS = {"uv": (1, 1), "vv": (0, 2), "uuv": (2, 1), "uvv": (1, 2), "vvv": (0, 3)}
+"""Powers of the motion along (u) and across (v) the sensing axis, second order first."""
 
 
-def cross_axis_sensitivity(terms: Sequence[str]) -> Make:
-    """Displacement u gains c u^i v^j / UNIT^(i + j - 1): leakage of the motion across the sensing axis."""
+@effect(link="field", separate="x and y moved together, and each alone")
+def cross_axis_sensitivity(
+    model: Model, order: int = one_of({2: "second order", 3: "up to third order"}, "highest order")
+) -> Model:
+    """Leakage of the motion across the sensing axis.
 
-    def make(model: Model) -> Model:
-        names = {t: [f"cross_{t}_{k}" for k in labels(model)] for t in terms}
+    Displacement u gains c u^i v^j / (0.5 mm)^(i + j - 1), v the motion across the sensing axis.
+    """
 
-        def step(s: Signals, p: P) -> None:
-            u, v = s["displacement"], across(model, s, p)
-            for t in terms:
-                i, j = CROSS[t]
-                s["displacement"] = s["displacement"] + column(p, names[t]) * u**i * v**j / UNIT ** (
-                    i + j - 1
-                )
+    used = {name: (i, j) for name, (i, j) in CROSS.items() if i + j <= order}
+    leaks = {
+        f"cross_{name}_{{k}}": f"leakage of along^{i} across^{j} into probe {{k}}, relative at {UNIT:g} m"
+        for name, (i, j) in used.items()
+    }
 
-        new = free([n for row in names.values() for n in row], 0.5, "1", "share of 0.5 mm at 0.5 mm")
-        return add(model, "field", "cross_axis_sensitivity", new, step)
+    def terms(s: Signals, p: P) -> Callable[[ca.SX, int], list[ca.SX]]:
+        def of(u: ca.SX, k: int) -> list[ca.SX]:
+            v = across(model, s, p, k)
+            return [u**i * v**j / UNIT ** (i + j - 1) for i, j in used.values()]
 
-    return make
+        return of
+
+    return add_terms(
+        model, "cross_axis_sensitivity", "field", SENSED, leaks, terms, 0.5, "1", by_channel=False
+    )
 
 
 WIDTH = "half_width"
 """Name of the parameter of a play."""
 
 
-def hysteresis(width_m: float) -> Make:
-    """Displacement plus h z, z the elastic part of a play; h per probe, and one half-width [m of reading].
+@effect(link="field", separate="the same stroke at several speeds: a loop keeps its width, a delay does not")
+def hysteresis(
+    model: Model,
+    half_width_m: float = searched(
+        (2e-6, 6e-6, 1.5e-5, 4e-5, 1e-4, 2.5e-4),
+        "half-width of the loop, in reading, where a fit begins",
+        label=lambda width: f"half-width {1e6 * width:.3g} um",
+        finer=lambda width: [width * 1.22**k for k in (-3, -2, -1, 1, 2, 3)],
+    ),
+) -> Model:
+    """Memory of the direction of motion.
 
-    `width_m`: about the half-width; a fit moves it, by the slope of z with it. Of the state in which a run
-    starts nobody knows anything: see `stop_state`.
+    Displacement plus h z, z the elastic part of a play; h per probe, and one half-width [m of reading].
+
+    A fit moves the half-width, by the slope of z with it. Nobody knows the state in which a run starts: see
+    `stop_state`.
     """
+    probes = labels(model)
+    columns = [
+        [_play(what, model, k, half_width_m) for what in ("state", "slope", "width")]
+        for k in range(len(probes))
+    ]
 
-    def make(model: Model) -> Model:
-        probes = labels(model)
-        names = [f"loop_{k}" for k in probes]
-        columns = [
-            [_play(what, model, k, width_m) for what in ("state", "slope", "width")]
-            for k in range(len(probes))
-        ]
+    def step(s: Signals, p: P) -> None:
+        rows = []
+        for k, row in zip(probes, columns, strict=True):
+            state, slope, at = (s[c.name] for c in row)
+            rows.append(p[f"loop_{k}"] * (state + slope * (p[WIDTH] / p[f"eta_{k}"] - at)))
+        s["displacement"] = s["displacement"] + ca.vertcat(*rows)
 
-        def step(s: Signals, p: P) -> None:
-            rows = []
-            for k, row in zip(probes, columns, strict=True):
-                state, slope, at = (s[c.name] for c in row)
-                rows.append(p[f"loop_{k}"] * (state + slope * (p[WIDTH] / p[f"eta_{k}"] - at)))
-            s["displacement"] = s["displacement"] + ca.vertcat(*rows)
-
-        new = (
-            *free(names, 1e-4, "m", "half loop"),
-            Parameter(WIDTH, width_m, width_m / 4, width_m * 4, "m", "half-width of the loop, of reading"),
-        )
-        return add(model, "field", "hysteresis", new, step, *(c for row in columns for c in row))
-
-    return make
+    loops = free({f"loop_{k}": f"half the height of the loop of probe {k}" for k in probes}, 1e-4, "m")
+    width = Parameter(
+        WIDTH, half_width_m, half_width_m / 4, half_width_m * 4, "m", "half-width of the loop, of reading"
+    )
+    wide = model.with_columns(*(c for row in columns for c in row))
+    return wide.with_step("field", step, effect="hysteresis", parameters=(*loops, width))
 
 
 def _play(what: str, model: Model, k: int, width: float) -> Computed:
     """Return `state`, `slope` or `width` of the play of probe k as a column; `width` in m of reading.
 
-    The play is in what the probe feels: its half-width there is that of the reading over the gain at rest.
+    The play is in what the probe senses: its half-width there is that of the reading over the gain at rest.
     `slope` is d state / d half-width [1/m], `width` the half-width [m] at which both are taken.
     """
     label = labels(model)[k]
@@ -101,7 +118,7 @@ def _play(what: str, model: Model, k: int, width: float) -> Computed:
         def column(s: Stretch) -> np.ndarray:
             if what == "width":
                 return np.full(len(s.data["t_s"]), at)
-            both = s.once(("play", label, at), lambda: stop_state(_felt(model, k, s), at))
+            both = s.once(("play", label, at), lambda: stop_state(_sensed(model, k, s), at))
             return both[("state", "slope").index(what)]
 
         return Computed(f"{what}_{label}_{width:.6g}", AXES, column, taken, f"{at:.17g}")
@@ -109,34 +126,9 @@ def _play(what: str, model: Model, k: int, width: float) -> Computed:
     return taken({})
 
 
-def _felt(model: Model, k: int, s: Stretch) -> np.ndarray:
+def _sensed(model: Model, k: int, s: Stretch) -> np.ndarray:
     """Displacement of probe k by the nominal layout and the smoothed reference."""
     probe = model.layout[k]
     (px, py), (nx, ny) = probe.position, probe.senses
     x, y, rz = (s.rate(c, 0) for c in AXES)
     return nx * x + ny * y + (px * ny - py * nx) * rz
-
-
-def mount_slip(probe: int, instant_s: float) -> Make:
-    """One probe moves at an instant: its gain, lever arm and offset step."""
-
-    def make(model: Model) -> Model:
-        label = labels(model)[probe]
-        column = Computed(
-            f"after_{instant_s:.9g}", (), lambda s: (s.data["t_s"] - s.origin_s >= instant_s) * 1.0
-        )
-        new = (
-            Parameter(f"slip_gain_{label}", 0.0, -0.5, 0.5, "1", "step of the gain"),
-            Parameter(f"slip_offset_{label}", 0.0, -1e-3, 1e-3, "m", "step of the offset"),
-        )
-        unit = ca.DM.zeros(len(model.layout))
-        unit[probe] = 1
-
-        def step(s: Signals, p: P) -> None:
-            after = s[column.name]
-            moved = s["displacement"] + p[new[1].name] * after * unit
-            s["displacement"] = moved + p[new[0].name] * after * moved * unit
-
-        return add(model, "field", "mount_slip", new, step, column)
-
-    return make

@@ -1,54 +1,119 @@
-"""Effects of the stage at the mechanics: vertical motion and finite rotation that displace a probe."""
+"""Effects of the stage at the mechanics and the clock: motion that displaces a probe, and when it is read."""
+
+from collections.abc import Callable
 
 import casadi as ca
 
-from hallsym.families.parts import P, add, free
+from hallsym.errors import InputError
+from hallsym.families.mechanisms import DELAY, P, add_terms, free, late
 from hallsym.families.stage import models as stage
-from hallsym.families.stage.effects.parts import labels
-from hallsym.model import Model, Signals
+from hallsym.families.stage.effects.parts import AXES, SENSED, along, labels
+from hallsym.model import Facts, Model, Parameter, Signals, effect
+from hallsym.model.arguments import Try, beside, found, one_of
+from hallsym.model.derived import Computed
+
+PER = one_of({"log": "one delay", "probe": "a delay per probe"}, "one value for the log or for each probe")
 
 
+@effect(
+    link="clock",
+    separate="the same motion at several frequencies: a lag turns into phase that bends, a delay does not",
+)
+def time_skew(model: Model, per: str = PER) -> Model:
+    """Constant delay between readings and reference."""
+    shared = per == "log"
+    return late(model, "time_skew", "reference", SENSED, DELAY, rates_along(model), shared=shared)
+
+
+def rates_along(model: Model) -> Callable[[Signals, P, int], list[ca.SX]]:
+    """Return the time derivatives of what each probe senses, from the rates of the reference."""
+    return lambda s, p, n: along(model, p, *(s[f"d{n}_{c}"] for c in AXES))
+
+
+@effect(
+    link="mechanics",
+    label="nine lever arms",
+    separate="Z, Rx, Ry moved within a run while x, y, Rz stand still",
+)
 def vertical_offset_coupling(model: Model) -> Model:
-    """Displacement plus c . (Z, Rx, Ry), c per probe: probe lever arm, tilt of probe or magnet."""
-    names = [[f"tilt_{k}_{c}" for c in stage.STATE] for k in labels(model)]
+    """Reading follows Z, Rx, Ry whatever the stroke.
 
-    def step(s: Signals, p: P) -> None:
-        rows = [sum(p[n] * s[c] for n, c in zip(row, stage.STATE, strict=True)) for row in names]
-        s["displacement"] = s["displacement"] + ca.vertcat(*rows)
+    Displacement plus c . (Z, Rx, Ry), c per probe: probe lever arm, tilt of probe or magnet.
+    """
+    arms = {f"tilt_{{k}}_{c}": f"displacement of probe {{k}} per {c}" for c in stage.STATE}
 
-    new = free([n for row in names for n in row], 1.0, "1", "displacement per vertical motion")
-    return add(model, "mechanics", "vertical_offset_coupling", new, step)
+    def terms(s: Signals, p: P) -> Callable[[ca.SX, int], list[ca.SX]]:
+        return lambda u, k: [s[c] for c in stage.STATE]
+
+    return add_terms(model, "vertical_offset_coupling", "mechanics", SENSED, arms, terms, 1.0, "1")
 
 
-def second_order_rotation(model: Model) -> Model:
-    """Share of the finite-rotation terms x Rz, y Rz, Rz^2 that Eq. (8) drops: 1 for a rigid stage."""
-    new = free(["finite_rotation"], 3.0, "1", "share of the finite rotation")
+@effect(link="mechanics", unless=("exact_rotation",), separate="large Rz while x and y are off centre")
+def second_order_rotation(
+    model: Model,
+    form: str = one_of(
+        {"rigid": "rigid stage", "terms": "term by term"}, "terms of one stage, or each by itself"
+    ),
+) -> Model:
+    """Finite rotation that the small-angle model drops.
+
+    Share of the finite-rotation terms x Rz, y Rz, Rz^2 that Eq. (8) drops: 1 for a rigid stage.
+
+    Term by term, with the translation stated in the turned frame: only the terms with Rz^2 remain free.
+    """
+    rigid = form == "rigid"
+    names = ["finite_rotation"] if rigid else ["rotation_x", "rotation_y", "rotation_rz"]
 
     def step(s: Signals, p: P) -> None:
         x, y, rz = s["x_m"], s["y_m"], s["rz_rad"]
+        of_x, of_y, of_rz = (p[n] for n in (names * 3 if rigid else names))
         rows = []
         for k, probe in enumerate(model.layout):
             (px, py), (nx, ny) = stage.position(k, probe, p), stage.direction(probe, p)
-            rows.append(nx * (-y * rz - px * rz**2 / 2) + ny * (x * rz - py * rz**2 / 2))
-        s["displacement"] = s["displacement"] + p["finite_rotation"] * ca.vertcat(*rows)
-
-    return add(model, "mechanics", "second_order_rotation", new, step)
-
-
-def second_order_rotation_body(model: Model) -> Model:
-    """The same with the translation stated in the turned frame: only the terms with Rz^2 remain free."""
-    names = ["rotation_x", "rotation_y", "rotation_rz"]
-
-    def step(s: Signals, p: P) -> None:
-        x, y, rz = s["x_m"], s["y_m"], s["rz_rad"]
-        rows = []
-        for k, probe in enumerate(model.layout):
-            (px, py), (nx, ny) = stage.position(k, probe, p), stage.direction(probe, p)
-            rows.append(
-                -p[names[0]] * nx * y * rz
-                + p[names[1]] * ny * x * rz
-                - p[names[2]] * (nx * px + ny * py) * rz**2 / 2
-            )
+            turned = of_rz * (nx * px + ny * py) * rz**2 / 2
+            rows.append(-of_x * nx * y * rz + of_y * ny * x * rz - turned)
         s["displacement"] = s["displacement"] + ca.vertcat(*rows)
 
-    return add(model, "mechanics", "second_order_rotation", free(names, 3.0, "1", "share"), step)
+    new = free(dict.fromkeys(names, "share of the finite rotation: 1 for a rigid stage"), 3.0, "1")
+    return model.with_step("mechanics", step, effect="second_order_rotation", parameters=new)
+
+
+def slips(model: Model, facts: Facts) -> list[Try]:
+    """Return the probes and instants of the slips that a log may show."""
+    names = labels(model)
+    return [
+        Try(
+            {"probe": names[k], "instant_s": t},
+            f"probe {names[k]} at {t:.6g} s",
+            shapes=1,
+            tried=facts.instants_tried,
+        )
+        for k, t in facts.instants
+    ]
+
+
+@effect(link="mechanics", separate="the first setting again at the end and in between")
+def mount_slip(
+    model: Model,
+    probe: str = beside("letter of the probe that moved"),
+    instant_s: float = found(slips, "time since the first sample of the log"),
+) -> Model:
+    """One probe or magnet moved at an instant.
+
+    Its gain, lever arm and offset step.
+    """
+    if probe not in labels(model):
+        known = ", ".join(labels(model))
+        raise InputError(f"Probe of mount_slip must be one of {known}; it is {probe!r}.")
+    column = Computed(f"after_{instant_s:.9g}", (), lambda s: (s.data["t_s"] - s.origin_s >= instant_s) * 1.0)
+    gain = Parameter(f"slip_gain_{probe}", 0.0, -0.5, 0.5, "1", f"step of the gain of probe {probe}")
+    offset = Parameter(f"slip_offset_{probe}", 0.0, -1e-3, 1e-3, "m", f"step of the offset of probe {probe}")
+    unit = ca.DM([float(k == probe) for k in labels(model)])
+
+    def step(s: Signals, p: P) -> None:
+        after = s[column.name]
+        moved = s["displacement"] + p[offset.name] * after * unit
+        s["displacement"] = moved + p[gain.name] * after * moved * unit
+
+    wide = model.with_columns(column)
+    return wide.with_step("field", step, effect="mount_slip", parameters=(gain, offset))

@@ -1,51 +1,114 @@
-"""Effects of the stage at the transducer: the gain of a probe with height and tilts."""
+"""Effects of the stage at the transducer: the gain of a probe with height, temperature, time; its lag."""
+
+from collections.abc import Callable
 
 import casadi as ca
 
-from hallsym.families.parts import P, add, column, free
+from hallsym.families.mechanisms import (
+    LOW_PASS,
+    Functions,
+    P,
+    add_terms,
+    following,
+    late,
+    temperature_drift,
+    time_drift,
+)
 from hallsym.families.stage import models as stage
-from hallsym.families.stage.effects.parts import labels
-from hallsym.model import Model, Signals
+from hallsym.families.stage.effects.mechanics import rates_along
+from hallsym.families.stage.effects.parts import GAIN, READING, SENSED
+from hallsym.model import Model, Signals, effect
+from hallsym.model.arguments import one_of
 
 
+@effect(
+    link="transducer",
+    label="a, b, c",
+    separate="runs at several heights and tilts",
+    unless=("vertical_coupling", "tied_vertical_coupling"),
+)
 def vertical_gain_coupling(model: Model) -> Model:
-    """The a, b, c terms of Model (31) under the field's name."""
+    """Gain follows height and tilts (a, b, c of Model (31))."""
     return stage.vertical_coupling(model)
 
 
-def height_quadratic_tied(model: Model) -> Model:
-    """Gain gains e h^2 per probe, h the height of the probe's place on a rigid stage."""
-    names = [f"bend_{k}" for k in labels(model)]
-    coupled = "vertical_coupling" in model.effects
+@effect(link="transducer", separate="more than three heights, spread wide")
+def height_quadratic(
+    model: Model,
+    form: str = one_of(
+        {"tied": "height of each probe", "full": "all second-order terms"},
+        "square of the height of each probe (tied), or all squares and products of Z, Rx, Ry (full)",
+        default="full",
+    ),
+) -> Model:
+    """The gain bends with height.
 
-    def step(s: Signals, p: P) -> None:
-        rows = []
-        for k, probe in enumerate(model.layout):
-            a, label = p.get(f"a_{probe.label}"), probe.label
-            if coupled:
-                h = s["z_m"] + (p[f"b_{label}"] * s["rx_rad"] + p[f"c_{label}"] * s["ry_rad"]) / a
-            else:
-                px, py = stage.position(k, probe, p)
-                h = s["z_m"] + py * s["rx_rad"] - px * s["ry_rad"]
-            rows.append(h**2)
-        s["gain"] = s["gain"] + column(p, names) * ca.vertcat(*rows)
+    Gain gains e h^2 per probe, h the height of its place on a rigid stage, or six terms per probe.
+    """
+    state, pairs = stage.STATE, [(i, j) for i in range(3) for j in range(i, 3)]
+    if form == "tied":
+        bends = {"bend_{k}": "square term of the gain of probe {k} with its height"}
+    else:
+        bends = {f"bend_{{k}}_{i}{j}": f"term of the gain of probe {{k}} with {state[i]} {state[j]}"
+                 for i, j in pairs}  # fmt: skip
 
-    return add(model, "transducer", "height_quadratic", free(names, 1e6, "1/m2", "bend with height"), step)
+    def terms(s: Signals, p: P) -> Callable[[ca.SX, int], list[ca.SX]]:
+        if form == "tied":
+            return lambda gain, k: [_height(model, s, p, k) ** 2]
+        return lambda gain, k: [s[state[i]] * s[state[j]] for i, j in pairs]
+
+    return add_terms(model, "height_quadratic", "transducer", GAIN, bends, terms, 1e6, "1/m2")
 
 
-PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))
+def _height(model: Model, s: Signals, p: P, k: int) -> ca.SX:
+    """Height of probe k by the motion of a rigid stage."""
+    probe = model.layout[k]
+    if "vertical_coupling" in model.effects:
+        a, b, c = (p[f"{q}_{probe.label}"] for q in "abc")
+        return s["z_m"] + (b * s["rx_rad"] + c * s["ry_rad"]) / a
+    px, py = stage.position(k, probe, p)
+    return s["z_m"] + py * s["rx_rad"] - px * s["ry_rad"]
 
 
-def height_quadratic(model: Model) -> Model:
-    """Gain gains all second-order terms of Z, Rx, Ry: six per probe."""
-    names = [[f"bend_{k}_{i}{j}" for i, j in PAIRS] for k in labels(model)]
+@effect(
+    link="transducer",
+    separate="the same motion at higher frequencies: a lag lowers the amplitude, a delay does not",
+)
+def first_order_lag(
+    model: Model,
+    per: str = one_of(
+        {"log": "one time constant", "probe": "a time constant per probe"},
+        "one value for the log or for each probe",
+    ),
+) -> Model:
+    """Low-pass in the path of the readings."""
+    shared, rates = per == "log", rates_along(model)
+    return late(model, "first_order_lag", "transducer", SENSED, LOW_PASS, rates, shared=shared, least=0.0)
 
-    def step(s: Signals, p: P) -> None:
-        state = [s[c] for c in stage.STATE]
-        rows = [
-            sum(p[n] * state[i] * state[j] for n, (i, j) in zip(row, PAIRS, strict=True)) for row in names
-        ]
-        s["gain"] = s["gain"] + ca.vertcat(*rows)
 
-    new = free([n for row in names for n in row], 1e6, "1/m2", "bend of the gain")
-    return add(model, "transducer", "height_quadratic", new, step)
+def gain_follows(model: Model, effect: str, functions: Functions) -> Model:
+    """Gain times 1 + sum of g f, g per probe."""
+    return following(model, effect, "transducer", GAIN, functions, 1.0, "1", gain=True, by_channel=False)
+
+
+def offset_follows(model: Model, effect: str, functions: Functions) -> Model:
+    """Reading plus sum of o f, o per probe."""
+    return following(model, effect, "electronics", READING, functions, 1e-3, "m", by_channel=False)
+
+
+gain_temperature_drift = temperature_drift(
+    "gain_temperature_drift", "Gain follows the logged temperature.", gain_follows,
+    separate="warm up and cool down, so that temperature is not a function of time",
+)  # fmt: skip
+offset_temperature_drift = temperature_drift(
+    "offset_temperature_drift", "Offset follows the logged temperature.", offset_follows,
+    separate="long runs over which the temperature changes",
+)  # fmt: skip
+gain_time_drift = time_drift(
+    "gain_time_drift", "Gain drifts smoothly over the campaign.", gain_follows, (16, 5),
+    separate="the first setting again at the end; log the temperature",
+)  # fmt: skip
+offset_time_drift = time_drift(
+    "offset_time_drift", "Offset drifts smoothly over the campaign.", offset_follows, (16, 5),
+    separate="long runs at rest; log the temperature",
+)  # fmt: skip

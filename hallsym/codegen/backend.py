@@ -1,0 +1,404 @@
+"""One decoupler in one arithmetic: its table, its C, the same arithmetic in numpy, self-test and proofs.
+
+A `Backend` says what numbers are in C, how steps are printed and run, and what is proved of them. What is the
+same for every arithmetic is here; `float_backend` and `integer_backend` are the two there are.
+"""
+
+import json
+import struct
+import textwrap
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hallsym.codegen.bounds import Bounds
+from hallsym.codegen.decoupler import Decoupler, flag_bit
+from hallsym.codegen.entries import short, unit
+from hallsym.codegen.templates import MARK, filled, tree
+
+VERSION = 1
+"""Of the generated interface and of the head of the table."""
+BINARY = "params/decoupler_params.bin"
+COUNT = 48
+"""Vectors within the box that the self-test lists."""
+BATCH = 1 << 16
+"""Samples that are computed at a time."""
+REFERENCE = 1e-15
+"""Rounding [m, rad] of the model's own pose, computed in double and written with 13 digits."""
+C_TYPES = {"f4": "float", "f8": "double", "i4": "int32_t", "u4": "uint32_t", "i2": "int16_t"}
+
+
+def mix(x: np.ndarray) -> np.ndarray:
+    """Return 32 well-mixed bits of each 32-bit number (the `mix` of test/selftest.c)."""
+    x = np.asarray(x, dtype=np.uint32).copy()
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        x ^= x >> np.uint32(shift)
+        x *= np.uint32(factor)
+    return x ^ (x >> np.uint32(16))
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """An entry of the table as C holds it: a number () or a row (n,), little-endian; `note`: for the header."""
+
+    name: str
+    values: np.ndarray
+    note: str
+    unit: str = ""
+
+    @property
+    def member(self) -> str:
+        """Its declaration in the struct of the table."""
+        size = f"[{len(self.values)}]" if self.values.ndim else ""
+        return f"{C_TYPES[self.values.dtype.str[1:]]} {self.name}{size}; /**< {self.note} */"
+
+
+@dataclass(frozen=True)
+class Port:
+    """An input or output of the generated functions: its C type and name, unit, and the SI value of 1."""
+
+    column: str
+    type: str
+    member: str
+    unit: str
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Vectors:
+    """Listed vectors: `inputs` (n_inputs, s), `held` those brought back into the box [SI], `status` (s,), `pose`
+    (n_pose, s) of the model in double.
+    """
+
+    inputs: np.ndarray
+    held: np.ndarray
+    pose: np.ndarray
+    status: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Backend(ABC):
+    """What is printed, run and proved of a decoupler in one arithmetic.
+
+    `record`: what the table came from (model, sha256 of the calibration, options), for its JSON form.
+    """
+
+    decoupler: Decoupler
+    record: Mapping[str, Any]
+
+    tree: ClassVar[str]
+    """Folder of templates."""
+    hashed: ClassVar[tuple[int, int]]
+    """Samples in the short and the long hash of the self-test."""
+    batch: ClassVar[int] = BATCH
+    """Random samples that are drawn at a time."""
+
+    @property
+    @abstractmethod
+    def type(self) -> str:
+        """The name of its numbers: float, double or q31."""
+
+    @property
+    @abstractmethod
+    def bounds(self) -> Bounds:
+        """Range and rounding error bound of the pose over the box."""
+
+    @property
+    @abstractmethod
+    def error_bound(self) -> Mapping[str, float]:
+        """Bound of |computed - model| [SI] by pose column: rounding, approximations, everything."""
+
+    @abstractmethod
+    def summary(self) -> dict[str, Any]:
+        """Return what the record of a generation says of this arithmetic alone."""
+
+    # -- the arithmetic ------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def inputs(self) -> Sequence[Port]:
+        """Readings, then state."""
+
+    @property
+    @abstractmethod
+    def outputs(self) -> Sequence[Port]:
+        """Pose coordinates."""
+
+    @property
+    def limited(self) -> Sequence[str]:
+        """Inputs that have a range."""
+        return self.decoupler.inputs
+
+    @property
+    @abstractmethod
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest value of the inputs in their own numbers, (n_inputs, 1) each."""
+
+    @property
+    def span(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same, between which random inputs are drawn."""
+        return self.ends
+
+    @abstractmethod
+    def run(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose (n_pose, s) and bits of the flags (s,) of inputs within the box: the same bits as C."""
+
+    @abstractmethod
+    def sample(self, numbers: np.ndarray) -> np.ndarray:
+        """Return inputs (n_inputs, s) of numbered samples, as `sample` of test/selftest.c makes them."""
+
+    @abstractmethod
+    def _words(self, pose: np.ndarray) -> np.ndarray:
+        """Return the 32 bits (n_pose, s) of a pose that the hash takes."""
+
+    @abstractmethod
+    def _rounded(self, inputs: np.ndarray) -> np.ndarray:
+        """Return inputs as numbers of this arithmetic."""
+
+    @abstractmethod
+    def _chosen(self) -> np.ndarray:
+        """Return the inputs (n_inputs, s) that the self-test lists."""
+
+    def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return inputs brought back into the box, and the status bits (s,) of those that were not in it."""
+        low, high = self.ends
+        with np.errstate(all="ignore"):
+            above, below = ~(inputs <= high), inputs < low
+        bits = (1 << np.arange(len(inputs), dtype=np.uint32))[:, None]
+        return np.where(above, high, np.where(below, low, inputs)), ((above | below) * bits).sum(axis=0)
+
+    def step(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose (n_pose, s) and status (s,) of inputs (n_inputs, s), whatever their bits, as C does."""
+        held, status = self.hold(inputs)
+        pose, flags = self.run(held)
+        return pose, status.astype(np.uint32) | flags.astype(np.uint32)
+
+    def hash(self, count: int) -> int:
+        """Return the hash of status and pose over samples 0 to count - 1."""
+        total, width = 0, np.uint32(len(self.decoupler.pose) + 1)
+        for first in range(0, count, BATCH):
+            n = np.arange(first, min(first + BATCH, count), dtype=np.uint32)
+            pose, status = self.step(self.sample(n))
+            for k, row in enumerate((status, *self._words(pose))):
+                total += int(mix(row ^ mix(n * width + np.uint32(k))).astype(np.uint64).sum())
+        return total & 0xFFFFFFFF
+
+    def errors(self, samples: int = 100_000, seed: int = 0) -> dict[str, float]:
+        """Return the largest error of each pose coordinate against the model in double, over random inputs."""
+        d, rng, most = self.decoupler, np.random.default_rng(seed), np.zeros(len(self.decoupler.pose))
+        low, high = self.span
+        for first in range(0, samples, self.batch):
+            share = rng.random((len(low), min(self.batch, samples - first)))
+            inputs = self._rounded(low + (high - low) * share)
+            pose, status = self.step(inputs)
+            error = d.difference(_si(pose, self.outputs), d.exact(_si(inputs, self.inputs)))
+            most = np.maximum(most, np.abs(error[:, status == 0]).max(axis=1, initial=0.0))
+        return dict(zip(d.pose, most.tolist(), strict=True))
+
+    @cached_property
+    def vectors(self) -> Vectors:
+        """The vectors of the self-test: where a flag says that there is no pose, what is computed."""
+        d, inputs = self.decoupler, self._chosen()
+        held = _si(self.hold(inputs)[0], self.inputs)
+        pose, status = self.step(inputs)
+        found, exact = _si(pose, self.outputs), d.exact(held)
+        if d.model.period:  # on the branch of what is computed
+            exact = found - d.difference(found, exact)
+        weak = status >= flag_bit(len(d.flags) - 1) if d.flags else np.zeros(len(status), bool)
+        return Vectors(inputs, held, np.where(weak, found, exact), status)
+
+    # -- the table -----------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def entries(self) -> Sequence[Stored]:
+        """Coefficients and limits, rows of numbers that steps look up, and zeros, in the order of the table."""
+
+    @property
+    @abstractmethod
+    def layout(self) -> int:
+        """CRC-32 over names, units and arithmetic: code and table belong together if it is the same."""
+
+    @abstractmethod
+    def _json(self) -> dict[str, Any]:
+        """Return what the JSON form of the table says of its numbers."""
+
+    @abstractmethod
+    def _literal(self, value: Any) -> str:
+        """Return a number of the table in C."""
+
+    @property
+    def head(self) -> tuple[tuple[str, int], ...]:
+        """Words before the entries."""
+        return ("version", VERSION), ("layout", self.layout), ("crc", self.crc)
+
+    @cached_property
+    def covered(self) -> bytes:
+        """The bytes that the CRC covers: not the zeros, which a reset changes."""
+        return b"".join(entry.values.tobytes() for entry in self.entries[: -len(self.decoupler.pose)])
+
+    @property
+    def crc(self) -> int:
+        """CRC-32 (IEEE 802.3, as zlib has it)."""
+        return zlib.crc32(self.covered)
+
+    @property
+    def binary(self) -> bytes:
+        """The table as it lies in the flash of a little-endian controller."""
+        head = struct.pack(f"<{len(self.head)}I", *(word for _, word in self.head))
+        return head + b"".join(entry.values.tobytes() for entry in self.entries)
+
+    def json(self) -> str:
+        """Return the table as a readable record."""
+        record = {
+            "format": "hallsym decoupler parameters 1",
+            "generator": MARK,
+            **self.record,
+            "version": VERSION,
+            "layout": f"0x{self.layout:08x}",
+            "crc32": f"0x{self.crc:08x}",
+            "type": self.type,
+            **self._json(),
+        }
+        return json.dumps(record, indent=1) + "\n"
+
+    def _values(self) -> list[str]:
+        """The table as an initializer in C."""
+        rows = []
+        for name, word in self.head:
+            rows.append(f"    .{name} = {f'0x{word:08X}' if name in ('layout', 'crc') else word}UL,")
+        for entry in self.entries:
+            remark = f" /* [{entry.unit}] */" if entry.unit else ""
+            if entry.values.ndim:
+                text = textwrap.wrap(", ".join(map(self._literal, entry.values.tolist())), 104)
+                rows += [f"    .{entry.name} = {{{remark}", *(f"        {line}" for line in text), "    },"]
+            else:
+                sign = "U" if entry.values.dtype.kind == "u" else ""
+                rows.append(f"    .{entry.name} = {self._literal(entry.values.item())}{sign},{remark}")
+        return rows
+
+    # -- files ---------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _of_input(self, port: Port) -> dict[str, Any]:
+        """Return what templates of this arithmetic say of an input beyond `_inputs`."""
+
+    @abstractmethod
+    def _of_output(self, port: Port) -> dict[str, Any]:
+        """Return what templates of this arithmetic say of an output beyond `_outputs`."""
+
+    def _inputs(self) -> list[dict[str, Any]]:
+        d, out = self.decoupler, []
+        for k, port in enumerate(self.inputs):
+            low, high = ends(d, port.column)
+            out.append({
+                **_record(k, port), "bit": bit(port.column), "mask": f"0x{1 << k:08X}UL",
+                "low": low, "high": high, "least": of_params(low), "greatest": of_params(high),
+                "lowest": f"{d.ends(port.column)[0]:.6g}", "highest": f"{d.ends(port.column)[1]:.6g}",
+                **self._of_input(port),
+            })  # fmt: skip
+        return out
+
+    def _outputs(self, errors: Mapping[str, float]) -> list[dict[str, Any]]:
+        out, found = [], self.bounds
+        for k, port in enumerate(self.outputs):
+            c = port.column
+            out.append({
+                **_record(k, port), "zero": f"zero_{short(c)}",
+                "lowest": f"{found.low[c]:.6g}", "highest": f"{found.high[c]:.6g}",
+                "error": _small(self.error_bound[c], c), "met": _small(errors[c], c), **self._of_output(port),
+            })  # fmt: skip
+        return out
+
+    @abstractmethod
+    def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+        """Return the fields of the templates that are not the same for every arithmetic."""
+
+    def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
+        """Return the files of the folder by path; `errors`: largest met, `notes`: on the calibration."""
+        fields = self.fields(errors, notes)
+        made: dict[str, str | bytes] = {
+            name: filled(path, fields) for name, path in self._templates().items()
+        }
+        return made | {"params/decoupler_params.json": self.json(), BINARY: self.binary}
+
+    def _templates(self) -> dict[str, str]:
+        """Return the template of each file."""
+        return dict(tree(self.tree))
+
+    def fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+        """Return the fields of all templates."""
+        d, inputs, outputs = self.decoupler, self._inputs(), self._outputs(errors)
+        short_hash, long_hash = (f"0x{self.hash(n):08X}UL" for n in self.hashed)
+        flags = [
+            {"name": f.name, "mask": f"0x{flag_bit(k):08X}UL", "meaning": f.meaning}
+            for k, f in enumerate(d.flags)
+        ]
+        raised = sum(flag_bit(k) for k in range(len(d.flags)))
+        return {
+            "in": inputs,
+            "limited": [i for i in inputs if i["column"] in self.limited],
+            "out": outputs,
+            "bounded": [o for o in outputs if "outer_low" in o],
+            "flag": flags,
+            "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
+            "model": d.model.name,
+            "family": d.model.family,
+            "sha256": self.record["calibration_sha256"],
+            "version": VERSION,
+            "layout": f"0x{self.layout:08X}UL",
+            "table_layout": f"0x{self.layout:08x}",
+            "table_bytes": len(self.binary),
+            "inputs": len(d.inputs),
+            "pose": len(d.pose),
+            "width": len(d.pose) + 1,
+            "first": self.entries[0].name,
+            "last": self.entries[-len(d.pose)].name,
+            "table": [f"uint32_t {n}; /**< 0 */" for n, _ in self.head[3:]]
+            + [e.member for e in self.entries],
+            "values": self._values(),
+            "without_flags": f" & ~({' | '.join(f'DECOUPLER_{f.name}' for f in d.flags)})" if d.flags else "",
+            "status_or_flags": f"status == 0 || status == 0x{raised:08X}" if d.flags else "status == 0",
+            "vectors": self.vectors.inputs.shape[1],
+            "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
+            "hash_short": short_hash,
+            "hash_long": long_hash,
+            **self._fields(errors, notes),
+        }
+
+
+def _si(values: np.ndarray, ports: Sequence[Port]) -> np.ndarray:
+    """Return numbers of an arithmetic (n, s) in SI."""
+    return values.astype(float) * np.array([[port.scale] for port in ports])
+
+
+def _record(k: int, port: Port) -> dict[str, Any]:
+    cast = "(uint32_t)" if port.type == "uint32_t" else ""
+    return {**vars(port), "name": short(port.column), "number": k + 1, "index": k, "cast": cast}
+
+
+def _small(value: float, column: str) -> str:
+    return f"{value * 1e9:.3g} n{unit(column)}" if value > 1e-13 else f"{value:.2g} {unit(column)}"
+
+
+def ends(d: Decoupler, column: str) -> tuple[str, str]:
+    """Return the C text of the ends of an input's range."""
+    name = short(column)
+    if d.box.symmetric(column):
+        return f"-p->limit_{name}", f"p->limit_{name}"
+    return f"p->low_{name}", f"p->high_{name}"
+
+
+def of_params(text: str) -> str:
+    """Return C with the entries taken from the constant table."""
+    return text.replace("p->", "decoupler_params.")
+
+
+def bit(column: str) -> str:
+    """Return the name of an input's status bit."""
+    return f"DECOUPLER_{short(column).upper()}"

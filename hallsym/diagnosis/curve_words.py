@@ -1,0 +1,150 @@
+"""A curve in words: what follows the coordinate, with which period, where it is largest, who sees it."""
+
+import numpy as np
+
+from hallsym.diagnosis.curves import Curve
+from hallsym.diagnosis.record import Statement
+from hallsym.diagnosis.residual_table import ResidualTable, phase
+from hallsym.diagnosis.words import percent, plain, shown
+from hallsym.units import readable
+
+ALIKE = 0.9
+"""Part of the largest wave's power from which on a slower one is as likely, see `waves_per_period`."""
+ROUGH = 0.4
+"""Part of a fine map's power that is short against the range, from which on it counts as fine structure."""
+COARSE = 6
+"""Waves per range up to which a map is no fine structure."""
+SLOWEST = 5
+"""Waves per range from which on a line of a map is a ripple with a period."""
+ONE_LINE = 0.5
+"""Part of a map's power that a ripple and its neighbours hold."""
+CLEARLY = 4.0
+"""Times that gains must be larger than offsets (squares), or the reverse, to be named alone."""
+MOST_ORDERS, FASTEST, TENTH = 3, 104, 0.1
+"""Waves that are named at most, the most per period that are looked for, and the part of an error's squares
+that each holds. 104 are the waves of a stepper of 50 pole pairs and their neighbours."""
+ABOVE_ALL = 0.7
+"""Part of a curve that one sensor must see to be named."""
+
+
+def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool) -> Statement:
+    """Return the statement that `share` of the excess follows a curve, a `further` one beside others."""
+    coordinate = c.coordinate
+    at, form, more = "", "", "a further " if further else ""
+    period: float | None = None
+    waves: tuple[int, ...] = ()
+    if coordinate.period is not None:  # which has no ends
+        period, waves = coordinate.period, waves_of(r, c)
+        per = "turn" if coordinate.unit == "rad" else "period"
+        form = f", {' and '.join(map(str, waves))} waves per {per}" if waves else ""
+    elif c.fine:
+        period = _period(c)
+        power = _power(c)
+        rough = power[COARSE:].sum() > ROUGH * power.sum()
+        ripples = f", in ripples of {shown(period, coordinate.unit)}" if period else ""
+        form = ripples or (", in fine structure" if rough else "")
+    else:
+        form = _part(r, c)
+    if coordinate.ordered and coordinate.period is None:
+        at = _most(c)
+    text = f"{more}{percent(share)} of the excess goes with {coordinate.name}{form}"
+    text += f", {at}" if at else ""
+    sensor = _mostly(r, c)
+    text += f"; seen by {plain(sensor)} above all" if sensor else ""
+    return Statement(
+        coordinate.name, at, share, p, text, kind="coordinate", unit=coordinate.unit, period=period,
+        waves=waves, sensor=sensor,
+    )  # fmt: skip
+
+
+def _part(r: ResidualTable, c: Curve) -> str:
+    """Whether the gain follows the coordinate or the reading as such."""
+    if c.coordinate.of and c.coordinate.gain:
+        k = len(c.coordinate.of)
+        offset, gain = (float((c.offset[:, at : at + k] ** 2).sum()) for at in (0, k))
+        parts = (c.offset**2).sum(axis=0).reshape(2, k).sum(axis=0)
+        names = (readable(n)[2].capitalize() for n in c.coordinate.of)
+        each = (f"{a} {percent(x)}" for a, x in zip(names, parts / parts.sum(), strict=True))
+        what = "the gain: " if gain > CLEARLY * offset else "the offset: " if offset > CLEARLY * gain else ""
+        return f" ({what}{', '.join(each)})"
+    if c.gain is None:
+        return ""
+    along = c.gain - c.gain.mean(axis=1, keepdims=True)
+    level = c.offset - c.offset.mean(axis=1, keepdims=True)
+    gain, offset = float((along**2).mean()), float((level**2).mean())
+    return " (the gain)" if gain > CLEARLY * offset else " (the offset)" if offset > CLEARLY * gain else ""
+
+
+def waves_of(r: ResidualTable, c: Curve) -> tuple[int, ...]:
+    """Return the waves per period that hold most of the error which a curve makes of its own coordinate."""
+    reference = next(x for x in r.references if c.coordinate.column == phase(x))
+    error = (r.towards[reference] * c.predicted).sum(axis=0)
+    return waves_per_period(c.values * (2 * np.pi / r.period[reference]), error)
+
+
+def waves_per_period(at: np.ndarray, error: np.ndarray) -> tuple[int, ...]:
+    """Return the waves per period of up to three sines that hold a tenth of an error's squares each.
+
+    `at`: phase [rad]. The largest first, each fitted beside those before it: where half of a table's knots
+    are held out, a wave has images at other orders. Of alike ones the slowest is meant.
+    """
+    waves = np.exp(-1j * np.outer(np.arange(1, FASTEST + 1), at))
+    columns = [np.ones_like(at)]
+    said: list[int] = []
+    rest = error - error.mean()
+    least = TENTH * float(rest @ rest)
+    while len(said) < MOST_ORDERS:
+        power = 2 * np.abs(waves @ rest) ** 2 / len(at)
+        k = int(np.argmax(power >= ALIKE * power.max()))
+        if power[k] <= least:
+            break
+        said.append(k + 1)
+        columns += [waves[k].real, waves[k].imag]
+        X = np.array(columns).T
+        rest = error - X @ np.linalg.lstsq(X, error, rcond=None)[0]
+    return tuple(said)
+
+
+def _period(c: Curve) -> float | None:
+    """Period of a fine map, where one line holds most of its power."""
+    power = _power(c)
+    k = int(np.argmax(power))
+    if k < SLOWEST or power[k - 1 : k + 2].sum() < ONE_LINE * power.sum():
+        return None
+    near = power[k - 1 : k + 2]
+    centre = float(np.arange(k - 1, k - 1 + len(near)) @ near / near.sum())
+    return float((c.at[1] - c.at[0]) * len(c.at) / centre)
+
+
+def _power(c: Curve) -> np.ndarray:
+    """Power of a fine map by waves per range."""
+    return (np.abs(np.fft.rfft(c.offset - c.offset.mean(axis=1, keepdims=True), axis=1)) ** 2).sum(axis=0)
+
+
+def _most(c: Curve) -> str:
+    """Where along the coordinate the predicted error is largest."""
+    x = c.values if c.values.ndim == 2 else np.broadcast_to(c.values, c.predicted.shape)
+    low, high = np.quantile(x, [0.005, 0.995])
+    place, error = ((x - low) / (high - low)).ravel(), (c.predicted**2).ravel()
+    parts = [
+        error[mask].mean() if (mask := (place >= a) & (place < b)).any() else 0.0
+        for a, b in ((-1, 0.25), (0.25, 0.75), (0.75, 2))
+    ]
+    unit = c.coordinate.unit
+    span = f"({shown(low, unit, sign=True)} to {shown(high, unit, sign=True)})"
+    if min(parts[0], parts[2]) > 1.5 * parts[1]:
+        return f"most at the ends of the range {span}"
+    if parts[2] > 2 * max(parts[0], parts[1]):
+        return f"most at the upper end, near {shown(high, unit, sign=True)}"
+    if parts[0] > 2 * max(parts[1], parts[2]):
+        return f"most at the lower end, near {shown(low, unit, sign=True)}"
+    if parts[1] > 1.5 * max(parts[0], parts[2]):
+        return f"most in the middle of the range {span}"
+    return f"all over the range {span}"
+
+
+def _mostly(r: ResidualTable, c: Curve) -> str | None:
+    """Return the sensor that sees most of a curve, if there is one."""
+    seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
+    k = int(np.argmax(seen))
+    return r.channels[k] if seen[k] > ABOVE_ALL * seen.sum() else None

@@ -1,0 +1,278 @@
+"""Curves of a residual over a coordinate: fitted, left out run by run, and tested against chance.
+
+Per sensor the residual may have an offset and a gain that follow the coordinate smoothly: linear
+interpolation between knots, bending penalised. What a curve explains is counted on runs that it was not
+fitted on, so that it cannot exceed what is there. Its p-value rests on signs: without the effect the blocks'
+products with the curve are as often positive as negative, whatever the noise within a block. Blocks count
+alike, however large their residual. Products of a block with itself and with its neighbour in the same run
+are left out, so that correlation in time does not count.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from hallsym.diagnosis.coordinates import Coordinate, hats, knots
+from hallsym.diagnosis.p_values import of_signs
+from hallsym.diagnosis.regression import regression, ridge
+from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.families.play import stop_operator
+
+BEND = 0.01
+"""Weight of the bending penalty against the data."""
+TINY = 1e-6
+"""The same on the curves themselves, so that what no sample determines stays 0."""
+MEMORIES = (0.05, 0.15, 0.4, 1.0)
+"""Half-widths of the play that is looked for, over the standard deviation of what a sensor senses."""
+FEWEST_PARTS = 3
+"""Stretches of a run from which on they may predict one another."""
+FINE = 96
+"""Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """How a residual follows a coordinate.
+
+    `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * sensed / scale [m]; `gain`
+    None where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
+    `explained`: whitened squares that it removes from runs it was not fitted on; `predicted`: (K, n).
+    """
+
+    coordinate: Coordinate
+    values: np.ndarray
+    at: np.ndarray
+    offset: np.ndarray
+    gain: np.ndarray | None
+    spread: np.ndarray
+    gain_spread: np.ndarray | None
+    scale: float
+    explained: float
+    p_value: float
+    predicted: np.ndarray
+    fine: bool = False
+
+
+class Smooth:
+    """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
+
+    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+        self.r, self.coordinate = r, coordinate
+        values = coordinate.values(r)
+        self.values = values
+        if values is None:
+            return
+        self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
+        self.at, self.phi = self._features(values)
+        K, nf, n = self.phi.shape
+        flat = self.phi.reshape(K * nf, n)
+        P = np.kron(r.precision, np.ones((nf, nf)))
+        self.gram = np.array([flat[:, s] @ flat[:, s].T * P for s in _slices(r.fold)])
+        total = self.gram.sum(axis=0)
+        size = np.diag(total).reshape(K, nf)
+        self.penalty = _penalty(size, len(self.at), nf // len(self.at))
+
+    def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r, c = self.r, self.coordinate
+        if not c.ordered:
+            phi = _unordered(r, c, r)
+            return np.array(MEMORIES) if c.memory else np.arange(float(phi.shape[1])), phi
+        each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
+        at = knots(each)
+        phi = np.array([hats(row, at) for row in each])
+        if c.gain:
+            phi = np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1)
+        return at, phi
+
+    def curve(self, residual: np.ndarray) -> Curve | None:
+        """Return the curve of a residual (K, n): a parabola, or a smooth curve where that explains more."""
+        if self.values is None:
+            return None
+        r = self.r
+        K, nf, n = self.phi.shape
+        weighted = r.precision @ residual
+        b_of = np.einsum("kfn,kn->kfn", self.phi, weighted).reshape(K * nf, n)
+        sums = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.fold)])
+        blocks = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.block)])
+        blocks *= level_weights(r, residual, r.block)[:, None]
+        fits = [self._fit(V, sums, blocks) for V in self._bases()]
+        p = min(1.0, len(fits) * min(f[-1] for f in fits))
+        explained, coefficients, left, _ = max(fits, key=lambda f: f[0])
+        beta, U, m = coefficients.reshape(K, nf), len(left), len(self.at)
+        error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0)).reshape(K, nf)
+        predicted = np.einsum("kf,kfn->kn", beta, self.phi)
+        both = nf == 2 * m and self.coordinate.gain
+        return Curve(
+            self.coordinate, self.values, self.at, beta[:, :m], beta[:, m:] if both else None, error[:, :m],
+            error[:, m:] if both else None, self.scale, explained, p, predicted,
+        )  # fmt: skip
+
+    def _bases(self) -> list[np.ndarray]:
+        """Columns that coefficients may be made of: all knots; parabolas through them."""
+        size, m = len(self.penalty), len(self.at)
+        every = [np.eye(size)]
+        if not self.coordinate.ordered or m <= 3:
+            return every
+        x = 2 * (self.at - self.at[0]) / (self.at[-1] - self.at[0]) - 1
+        return [np.kron(np.eye(size // m), np.vander(x, 3)), *every]
+
+    def _fit(
+        self, V: np.ndarray, sums: np.ndarray, blocks: np.ndarray
+    ) -> tuple[float, np.ndarray, np.ndarray, float]:
+        """What coefficients V a explain on runs left out, they of all, they without each, and the p-value."""
+        gram, penalty = V.T @ self.gram @ V, V.T @ self.penalty @ V
+        fit = regression(gram, (sums @ V)[:, :, None], penalty)
+        scores = blocks @ V
+        p = of_signs(
+            scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T), self.r.run_of(self.r.block)
+        )
+        return float(fit.squares.sum()), V @ fit.all[:, 0], fit.left_out[:, :, 0] @ V.T, p
+
+
+class FineMap:
+    """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell."""
+
+    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+        self.r, self.coordinate = r, coordinate
+        x = coordinate.values(r)
+        if x is None:
+            self.values = None
+            return
+        self.values = x
+        each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
+        low, high = np.quantile(each, [0.002, 0.998])
+        noise = max((r.sigma.get(c, 0.0) for c in r.sigma if c.endswith(f"_{coordinate.unit}")), default=0.0)
+        self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, FINE))
+        self.width = (high - low) / self.bins
+        self.at = low + self.width * (np.arange(self.bins) + 0.5)
+        self.bin = np.clip(((each - low) / self.width).astype(int), 0, self.bins - 1)
+        self.prior = r.residual.size / max(r.excess, 1e-3 * r.residual.size)
+
+    def curve(self, residual: np.ndarray) -> Curve | None:
+        """Return the map of a residual (K, n)."""
+        if self.values is None:
+            return None
+        r, K = self.r, len(residual)
+        n, sums = self._sums(residual, r.fold)
+        N, S = n.sum(axis=0), sums.sum(axis=0)
+        left = (S - sums) / (N - n + self.prior)
+        weight = np.diag(r.precision)[:, None]
+        explained = float((weight * (2 * sums * left - n * left**2)).sum())
+        mean = S / (N + self.prior)
+        _, parts = self._sums(residual, r.block)
+        parts *= level_weights(r, residual, r.block)[:, None, None]
+        scores = (parts * np.sqrt(weight / (N + self.prior))).reshape(len(parts), -1)
+        U = len(left)
+        error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
+        predicted = np.array([mean[k][self.bin[k]] for k in range(K)])
+        return Curve(
+            self.coordinate, self.values, self.at, mean, None, error, None, 1.0, explained,
+            of_signs(scores @ scores.T, r.run_of(r.block)), predicted, True,
+        )  # fmt: skip
+
+    def _sums(self, residual: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Samples and sums of the residual by group, sensor and bin, (groups, K, bins) each."""
+        _, index = np.unique(group, return_inverse=True)
+        groups, K = index.max() + 1, len(residual)
+        place = (index * K + np.arange(K)[:, None]) * self.bins + self.bin
+        flat = place.ravel()
+        shape = (groups, K, self.bins)
+        size = groups * K * self.bins
+        n = np.bincount(flat, minlength=size).reshape(shape).astype(float)
+        return n, np.bincount(flat, residual.ravel(), size).reshape(shape)
+
+
+def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
+    """Return what a gain of its own in every run explains, and its p-value.
+
+    Each stretch of a run is predicted by the other stretches of the same run.
+    """
+    products = r.sensed * (r.precision @ residual)
+    parts = _slices(r.part)
+    cross = np.array([products[:, s].sum(axis=1) for s in parts])
+    gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
+    run = np.array([r.run[s.start] for s in parts])
+    explained, q = 0.0, np.zeros((len(parts), len(parts)))
+    even = level_weights(r, residual, r.part)[:, None] * cross
+    for number in np.unique(run):
+        at = np.flatnonzero(run == number)
+        if len(at) < FEWEST_PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
+            continue
+        penalty = ridge(gram[at])
+        explained += float(regression(gram[at], cross[at][:, :, None], penalty).squares.sum())
+        q[np.ix_(at, at)] = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
+    return explained, of_signs(q, run)
+
+
+def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return 1 / rms of the whitened residual in each group: a few wild blocks do not decide on their own."""
+    squares = np.einsum("kn,kl,ln->n", residual, r.precision, residual)
+    means = np.array([squares[s].mean() for s in _slices(group)])
+    return np.asarray(1.0 / np.sqrt(np.maximum(means, 1e-300)))
+
+
+def _unordered(r: ResidualTable, c: Coordinate, like: ResidualTable) -> np.ndarray:
+    """Features of a coordinate that is no place on a line, (K, features, n), scaled as on `like`."""
+    if c.memory:
+        size = float(np.std(like.sensed))
+        return np.stack([_memory(r, size * w) for w in MEMORIES], axis=1)
+    old, new = (np.array([x.columns[n] for n in c.of]) for x in (like, r))
+    spread = np.maximum(old.std(axis=1), 1e-300)[:, None]
+    if not c.gain:
+        rows = new / spread
+        return np.broadcast_to(rows, (len(r.channels), *rows.shape)).copy()
+    rows = (new - old.mean(axis=1)[:, None]) / spread
+    gains = rows * (r.sensed / (float(np.sqrt(np.mean(like.sensed**2))) or 1.0))[:, None, :]
+    return np.concatenate([np.broadcast_to(rows, gains.shape), gains], axis=1)
+
+
+def predicted(c: Curve, fitted: ResidualTable, other: ResidualTable) -> np.ndarray | None:
+    """Return what a curve of `fitted` says of other samples, (K, n); None where they lack the coordinate."""
+    x = c.coordinate.values(other)
+    if x is None:
+        return None
+    if not c.coordinate.ordered:
+        return np.asarray(np.einsum("kf,kfn->kn", c.offset, _unordered(other, c.coordinate, fitted)))
+    each = x if x.ndim == 2 else np.broadcast_to(x, other.sensed.shape)
+    if c.fine:
+        step = c.at[1] - c.at[0]
+        bins = np.clip(np.rint((each - c.at[0]) / step).astype(int), 0, len(c.at) - 1)
+        return np.take_along_axis(c.offset, bins, axis=1)
+    out = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.offset, strict=True)])
+    if c.gain is not None:
+        gain = np.array([np.interp(row, c.at, curve) for row, curve in zip(each, c.gain, strict=True)])
+        out = out + gain * other.sensed / c.scale
+    return out
+
+
+def _memory(r: ResidualTable, width: float) -> np.ndarray:
+    """Elastic part of a play of half-width `width` in what a sensor senses: its memory of the direction."""
+    out = np.empty_like(r.sensed)
+    for s in _slices(r.run):
+        for k, row in enumerate(r.sensed[:, s]):
+            out[k, s] = stop_operator(row, width)
+    return out
+
+
+def _slices(group: np.ndarray) -> list[slice]:
+    """Consecutive samples of one group each."""
+    edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def _penalty(size: np.ndarray, m: int, curves: int) -> np.ndarray:
+    """Penalty on the second differences of each sensor's curves, and a trace of one on their size."""
+    D = np.diff(np.eye(m), 2, axis=0)
+    bend = D.T @ D if m > 2 else np.zeros((m, m))
+    out = []
+    for row in size:
+        for part in row.reshape(curves, m):
+            weight = max(float(part.mean()), 1e-300)
+            out.append(BEND * weight * bend + TINY * weight * np.eye(m))
+    n = sum(len(p) for p in out)
+    penalty, at = np.zeros((n, n)), 0
+    for p in out:
+        penalty[at : at + m, at : at + m] = p
+        at += m
+    return penalty

@@ -1,0 +1,66 @@
+"""A recording of one or two runs, taken to pieces that can be held out: a turn of a shaft, a table of knots.
+
+Only for models whose runs have nothing of their own (no zeros): any piece then judges a fit of the others.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from hallsym.errors import counted
+from hallsym.log import Log
+from hallsym.log.findings import FEWEST_SAMPLES
+
+PIECES = 20
+"""Stretches of time: every second is held out, so that ten are fitted and held against each other."""
+GROUPS = 22
+"""Groups of knots: eleven are fitted. Each goes round the turn, so that waves of it do not lean on another;
+an odd number takes every phase of a pattern of two or four knots into each group."""
+LEAST = 6
+"""Pieces of a short recording: three are fitted, three judge."""
+FEWEST = LEAST * FEWEST_SAMPLES
+"""Samples that a recording must have to be taken to pieces."""
+BLOCK = 4
+"""Knots of a block. Every second is held out, the other ones in the next block, so that a pattern of two or
+four knots (a stepper's) is seen on both sides."""
+TIME = "t_s"
+
+
+def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, ...]]:
+    """Return the log in pieces as runs, with a note that says how it was done, and the pieces to hold out.
+
+    With time, pieces are stretches of it, every second held out. Without, samples are knots: every second is
+    held out, and a counter stands for the time that the log does not have. `spikes` (samples,) are left out.
+    """
+    n, timed = log.rows, TIME in log.columns
+    at, count = np.arange(n), _pieces(n, timed)
+    piece = at * count // n if timed else _group(at, count)
+    held = tuple(range(1, count, 2))
+    order = np.argsort(piece, kind="stable")
+    notes = []
+    if spikes is not None and spikes.any():
+        order = order[~spikes[order]]
+        gone = int(spikes.sum())
+        are = "is an isolated spike and was" if gone == 1 else "are isolated spikes and were"
+        notes.append(f"{gone} of {n} knots {are} left out.")
+    columns = {c: log.array(c)[order] for c in log.columns if c != "run"}
+    columns = {TIME: at[: len(order)].astype(float)} | columns | {"run": piece[order]}
+    how = f"{count} {'stretches of time' if timed else 'groups of single knots, each round the turn'}"
+    short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
+    many = counted(len(log.runs), "run")
+    notes.append(f"{many} cannot be held out whole: taken as {how}, every second held out.")
+    return replace(short, notes=(*log.notes, *notes), path=log.path), held
+
+
+def _pieces(n: int, timed: bool) -> int:
+    """How many pieces of `n` samples: as many as leave each the samples that a run must have."""
+    at = np.arange(n)
+    for count in range(PIECES if timed else GROUPS, LEAST, -4):  # half of it stays even, or odd
+        smallest = n // count if timed else int(np.bincount(_group(at, count), minlength=count).min())
+        if smallest >= FEWEST_SAMPLES:
+            return count
+    return LEAST
+
+
+def _group(at: np.ndarray, count: int) -> np.ndarray:
+    return 2 * (at // 2 % (count // 2)) + (at + at // BLOCK) % 2

@@ -1,0 +1,311 @@
+"""Normal equations of a model and of candidate effects, run by run.
+
+One pass over the log stacks, sample by sample, the columns [zeros | parameters | effects | residual]: the
+derivatives of the reading with respect to each, and the residual of the model. Of each run only the products
+of these columns are kept, twice: weighted by the noise of the readings (what a fit minimises) and mapped to
+the decoded pose (what the gap metric measures). The zeros of a run are eliminated at once. With these
+matrices any set of effects can be fitted, cross-validated and judged without reading the log again.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.derivatives import Slopes
+from hallsym.estimation.decoding import columns_of, decoding_gain
+from hallsym.log.batches import Batch, batches
+from hallsym.log.derived import extended
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+
+UNITS = 64
+"""Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
+TOGETHER = 16
+"""Blocks whose products are made in one call: a matrix each, of some 0.5 MB with the whole catalogue."""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
+
+    `likelihood`, `output`: (units, c, c). `count`: (units,) samples. `runs`: the runs of each unit.
+    `span`: columns of each candidate, by its key; the base's parameters are under "".
+    """
+
+    likelihood: np.ndarray
+    output: np.ndarray
+    count: np.ndarray
+    runs: tuple[tuple[int, ...], ...]
+    span: dict[str, slice]
+    follow: np.ndarray
+    """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
+    order: tuple[int, ...]
+    """The runs of `follow`."""
+    spoiled: frozenset[str] = frozenset()
+    """Candidates whose slope is not finite somewhere; their columns are 0."""
+
+    def units(self, runs: Sequence[int]) -> np.ndarray:
+        """Return the index of the units whose runs are all among `runs`."""
+        known = set(runs)
+        return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
+
+
+Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
+"""Runs, products for the likelihood, products in the output, samples."""
+
+
+def _reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
+    s = model.symbols
+    reading = s.full(s.reading)
+    parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
+    inputs = [s.parameters, s.zeros, s.pose, s.state]
+    return on_arrays(ca.Function("base", inputs, [ca.densify(part) for part in parts]))
+
+
+def normal_equations(
+    base: Base,
+    candidates: Mapping[str, tuple[Model, Sequence[str]]],
+    on_rows: Callable[[int], None] | None = None,
+) -> NormalEquations:
+    """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
+
+    New parameters are taken at their nominal value, where they have no effect.
+    """
+    work = Accumulator(base, candidates)
+    for batch in work.batches(on_rows=on_rows):
+        work.add(batch, batch.weights(base.keep))
+    return work.result()
+
+
+def following(M: np.ndarray, z: int) -> np.ndarray:
+    """Return how the first z columns follow the others in least squares, (z, c - z), from products (c, c)."""
+    return -np.asarray(np.linalg.lstsq(M[:z, :z], M[:z, z:], rcond=1e-12)[0])
+
+
+def eliminated(M: np.ndarray, follow: np.ndarray) -> np.ndarray:
+    """Return products (..., c - z, c - z) once the first z columns follow the others as `follow` says."""
+    z = len(follow)
+    half = (M[..., z:, :z] + 0.5 * follow.T @ M[..., :z, :z]) @ follow
+    return M[..., z:, z:] + half + half.swapaxes(-1, -2)
+
+
+@dataclass
+class Stretch:
+    """Products (c, c) of consecutive samples of a run: `size` readings from `start_s` [s of the log] on."""
+
+    run: int
+    start_s: float
+    products: np.ndarray
+    size: float
+
+
+class Accumulator:
+    """Accumulates the products of each run."""
+
+    def __init__(
+        self, base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
+    ) -> None:
+        self.base = base
+        model = base.model
+        self.read = model.remember("reading, derivatives", lambda: _reading_and_derivatives(model))
+        self.gain = decoding_gain(model)
+        self.z, self.n = len(base.model.zeros), len(base.free)
+        self.slopes = Slopes(base.model, base.p, candidates or {})
+        self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
+        own = self.z + self.n
+        self.size = own + self.slopes.columns + 1
+        self.span = {"": slice(0, self.n)}
+        self.span |= {k: slice(self.n + s.start, self.n + s.stop) for k, s in self.slopes.span.items()}
+        self.near = np.array([*range(own), self.size - 1])
+        self.precision = np.linalg.inv(base.covariance)
+        self.whiten = np.linalg.cholesky(self.precision).T
+        self.run: int | None = None
+        self.done: list[Unit] = []
+        self.order: list[int] = []
+        self.begun = 0
+        self.follow: list[np.ndarray] = []
+
+    def batches(self, *further: str, on_rows: Callable[[int], None] | None = None) -> Iterator[Batch]:
+        """Yield the log with the columns that the model and its candidates read, and `further` ones."""
+        base, wide = self.base, self.base.model
+        for model in self.models:
+            wide = wide.with_columns(*model.computed)
+        columns = dict.fromkeys((*(c for m in self.models for c in columns_of(m)), *further))
+        yield from batches(extended(base.log, wide, base.sigma, base.values), tuple(columns), on_rows)
+
+    def add(self, batch: Batch, weights: np.ndarray | None) -> None:
+        """Add a batch to the runs that it belongs to."""
+        near, D = self._near(batch, weights)
+        rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
+        metric = np.einsum("iks,ils->kls", D, D)
+        for first, last in batch.groups(TOGETHER):
+            lay = batch.layout(first, last)
+            own, others = lay(near), [lay(r) for r in rows]
+            white = self._products(own, others, self.precision[:, :, None, None])
+            out = self._products(own, others, lay(metric))
+            for k, block in enumerate(batch.blocks[first:last]):
+                part = slice(batch.edges[first + k], batch.edges[first + k + 1])
+                count = float(part.stop - part.start if weights is None else weights[part].sum())
+                self._gather(block.run, white[k], out[k], count)
+
+    def _products(self, near: np.ndarray, rows: list[np.ndarray], metric: np.ndarray) -> np.ndarray:
+        """Products (blocks, c, c) of all columns with zeros, parameters and residual, and of each candidate
+        with itself, under `metric` (K, K, blocks or 1, samples or 1).
+
+        `near`: (own, K, blocks, samples); `rows`: (rows, blocks, samples) of each channel. Products between
+        two candidates are nobody's business and stay 0.
+        """
+        own, K = len(near), near.shape[1]
+        M = np.zeros((near.shape[2], self.size, self.size))
+        mapped = np.zeros_like(near)
+        for k in range(K):
+            for j in range(K):
+                if np.any(metric[k, j]):
+                    mapped[:, k] += metric[k, j] * near[:, j]
+        inner = np.zeros((near.shape[2], own, own))
+        for k in range(K):
+            inner += _dot(near[:, k], mapped[:, k])
+        M[:, self.near[:, None], self.near] = inner
+        first = self.z + self.n
+        for k, block in enumerate(rows):
+            if len(block):
+                across = _dot(block, mapped[:, k])
+                M[:, (first + self.slopes.column[k])[:, None], self.near] += across
+        M[:, self.near[:-1], first:-1] = M[:, first:-1, self.near[:-1]].swapaxes(1, 2)
+        M[:, -1, first:-1] = M[:, first:-1, -1]
+        for k in range(K):
+            for j in range(k, K):
+                if len(rows[k]) and len(rows[j]) and np.any(metric[k, j]):
+                    self._own(M, rows[k] * metric[k, j], rows[j], k, j)
+        return M
+
+    def _own(self, M: np.ndarray, left: np.ndarray, right: np.ndarray, k: int, j: int) -> None:
+        """Add the products of each candidate's rows in channel k with its own in channel j."""
+        first = self.z + self.n
+        for a, b in zip(self.slopes.parts[k], self.slopes.parts[j], strict=True):
+            if a.start == a.stop or b.start == b.stop:
+                continue
+            P = _dot(left[a], right[b])
+            at, to = first + self.slopes.column[k][a], first + self.slopes.column[j][b]
+            M[:, at[:, None], to] += P
+            if k != j:
+                M[:, to[:, None], at] += P.swapaxes(1, 2)
+
+    def _near(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Columns of zeros, parameters and residual, (own + 1, K, samples), and what maps them to the pose.
+
+        The second, (pose, K, samples), turns them into the decoded pose, rotation as length.
+        """
+        base, model = self.base, self.base.model
+        samples, K, own = len(batch), len(model.channels), self.z + self.n
+        pose, state = batch.columns(model.references), batch.columns(model.state)
+        A = np.empty((own + 1, K, samples))
+        reading, *slopes = self.read(base.p, self.base.zeros_of(batch), pose, state)
+        A[self.z : own] = slopes[0].reshape(-1, K, samples)[list(base.free)]
+        if self.z:
+            A[: self.z] = slopes[1].reshape(-1, K, samples)
+        A[-1] = np.array(batch.columns(model.channels)) - reading
+        if weights is not None:
+            A *= np.sqrt(weights)
+        (spread,) = self.gain(base.p, pose, state, base.weight)
+        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * base.pose_weights[:, None, None]
+        return A, D
+
+    def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
+        """Return all columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
+        near, _ = self._near(batch, weights)
+        A = np.zeros((self.size, *near.shape[1:]))
+        A[self.near] = near
+        for k, rows in enumerate(self.slopes.rows(batch, self.base.zeros_of(batch), weights)):
+            A[self.z + self.n + self.slopes.column[k], k] = rows
+        return np.einsum("jk,cks->cjs", self.whiten, A)
+
+    def stretches(self, length: int) -> Iterator[list[Stretch]]:
+        """Yield the stretches of `length` samples of each run; zeros are the first columns."""
+        run: list[Stretch] = []
+        seen, origin = 0, None
+        for batch in self.batches("t_s"):
+            white = self.whitened(batch, batch.weights(self.base.keep))
+            t = batch.data["t_s"]
+            origin = float(t[0]) if origin is None else origin
+            for block, part in batch.parts():
+                if run and run[0].run != block.run:
+                    yield run
+                    run, seen = [], 0
+                edges = range(part.start - seen % length, part.stop, length)
+                for low, high in ((max(e, part.start), min(e + length, part.stop)) for e in edges):
+                    here = white[:, :, low:high].reshape(len(white), -1)
+                    products = here @ here.T
+                    if (seen + low - part.start) % length:  # goes on from the block before
+                        run[-1].products += products
+                        run[-1].size += here.shape[1]
+                    else:
+                        run.append(Stretch(block.run, float(t[low]) - origin, products, here.shape[1]))
+                seen += part.stop - part.start
+        if run:
+            yield run
+
+    def _gather(self, run: int, white: np.ndarray, out: np.ndarray, count: float) -> None:
+        if run != self.run:
+            self.done.append(((run,), white, out, count))
+            self.order.append(run)
+            self.begun += 1
+            self.run = run
+        else:
+            _, w, o, c = self.done[-1]
+            self.done[-1] = ((run,), w + white, o + out, c + count)
+        if len(self.done) > 1 and len(self.follow) < self.begun - 1:
+            self.done[-2] = self._reduced(self.done[-2])
+            if len(self.done) > 2 * UNITS:
+                self._pool()
+
+    def _pool(self) -> None:
+        """Pool neighbouring units of the same side, all but the last, which is still being read."""
+        sides: dict[bool, list[Unit]] = {True: [], False: []}
+        for unit in self.done[:-1]:
+            sides[unit[0][0] in self.base.apart].append(unit)
+        pooled = []
+        for units in sides.values():
+            for k in range(0, len(units), 2):
+                pair = units[k : k + 2]
+                runs = tuple(run for r, *_ in pair for run in r)
+                white = np.sum([w for _, w, _, _ in pair], axis=0)
+                out = np.sum([o for _, _, o, _ in pair], axis=0)
+                pooled.append((runs, white, out, float(sum(count for *_, count in pair))))
+        self.done[:-1] = pooled
+
+    def _reduced(self, entry: Unit) -> Unit:
+        """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
+        run, white, out, count = entry
+        z = self.z
+        if z == 0:
+            self.follow.append(np.zeros((0, self.size)))
+            return entry
+        follow = following(white, z)
+        # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
+        self.follow.append(follow[:, :0] if self.slopes.columns else follow)
+        own = white[z:, z:] + white[z:, :z] @ follow  # what `eliminated` is where the same products say so
+        return run, own, eliminated(out, follow), count
+
+    def result(self) -> NormalEquations:
+        """Return what has been gathered."""
+        if self.done and len(self.follow) < self.begun:
+            self.done[-1] = self._reduced(self.done[-1])
+        return NormalEquations(
+            np.array([w for _, w, _, _ in self.done]),
+            np.array([o for _, _, o, _ in self.done]),
+            np.array([c for *_, c in self.done]),
+            tuple(runs for runs, *_ in self.done),
+            self.span,
+            np.array(self.follow),
+            tuple(self.order),
+            frozenset(self.slopes.spoiled),
+        )
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Products of rows (m, blocks, samples) with rows (n, blocks, samples), (blocks, m, n)."""
+    return a.transpose(1, 0, 2) @ b.transpose(1, 2, 0)

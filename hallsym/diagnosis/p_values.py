@@ -1,0 +1,109 @@
+"""P-values, without the import time of scipy.stats.
+
+Block-wise and by signs they hold for noise that is correlated in time, whatever its size in each block."""
+
+import numpy as np
+from scipy.special import bdtrc, chdtrc, chdtri, fdtrc, fdtri, gammainc, gammaincc, stdtr
+
+
+def chance(statistic: float, freedom: float) -> float:
+    """Return the probability that chi-square with `freedom` degrees exceeds `statistic`."""
+    return float(chdtrc(freedom, max(statistic, 0.0)))
+
+
+def statistic_at(p: float, freedom: float) -> float:
+    """Return the value that chi-square with `freedom` degrees exceeds with probability `p`."""
+    return float(chdtri(freedom, min(max(p, 1e-300), 1.0)))
+
+
+def beyond(values: np.ndarray, noise: np.ndarray | None = None) -> float:
+    """Return the one-sided p-value of the sum of independent `values` being above 0 (Student's t).
+
+    The values are one number per run or block of runs, so that what happens within a run may be correlated.
+    `noise`: what of each value the effect itself does not explain, where that is known: a strong effect in
+    few runs scatters and is no less certain for it.
+    """
+    n = len(values)
+    if n < 2:
+        return 1.0
+    rest = values - np.mean(values) if noise is None else noise
+    error = float(np.sqrt((rest**2).sum() * n / (n - 1)))
+    total = float(np.sum(values))
+    if error <= 0.0:
+        return 1.0 if total <= 0 else 0.0
+    return float(stdtr(n - 1, -total / error))
+
+
+def exceeds(values: np.ndarray, freedom: int, limit: float) -> float:
+    """Return the probability that one of `values` exceeds `limit`, as far as their body says.
+
+    `values`: (n,) squared distances with `freedom` directions. Their median and upper 5 % give the scale and
+    the weight of the tails of an F distribution (noise of Student's t; chi-square for Gaussian noise), so
+    that noise with heavy tails is expected to exceed often.
+    """
+    middle, high = np.quantile(values, [0.5, 0.95])
+    if middle <= 0.0:
+        return 1.0
+    ratio = float(high / middle)
+
+    def tails(logarithm: float) -> float:
+        weight = 10.0**logarithm
+        return float(fdtri(freedom, weight, 0.95) / fdtri(freedom, weight, 0.5)) - ratio
+
+    light, heavy = 4.0, 0.0
+    if tails(light) >= 0.0:
+        return chance(limit * statistic_at(0.5, freedom) / float(middle), freedom)
+    for _ in range(40):
+        weight = 0.5 * (light + heavy)
+        light, heavy = (light, weight) if tails(weight) >= 0.0 else (weight, heavy)
+    weight = 10.0**light
+    return float(fdtrc(freedom, weight, limit * float(fdtri(freedom, weight, 0.5)) / float(middle)))
+
+
+def as_many(count: int, expected: float) -> float:
+    """Return the probability of `count` or more rare events where `expected` are (Poisson)."""
+    return float(gammainc(count, max(expected, 1e-300))) if count > 0 else 1.0
+
+
+def as_often(count: int, of: int, each: float) -> float:
+    """Return the probability of `count` or more among `of` trials with probability `each` (binomial)."""
+    return float(bdtrc(count - 1, of, each)) if count > 0 else 1.0
+
+
+def student(statistic: float, freedom: int) -> float:
+    """Return the one-sided p-value of Student's t."""
+    return float(stdtr(freedom, -statistic))
+
+
+def beyond_one(value: float, others: np.ndarray) -> float:
+    """Return the probability that one more of the same kind as `others` exceeds `value` (Student's t)."""
+    n = len(others)
+    spread = float(np.std(others, ddof=1)) * np.sqrt(1 + 1 / n)
+    return float(stdtr(n - 1, -(value - float(others.mean())) / max(spread, 1e-300)))
+
+
+FEWEST_BLOCKS = 6
+"""Blocks from which on their signs may say something: of fewer all signs alike are no evidence."""
+LEAST_SKEW = 0.05
+"""Least skewness of the gamma distribution that stands for the one over the signs; 0 would be Gaussian."""
+
+
+def of_signs(q: np.ndarray, run: np.ndarray) -> float:
+    """Return the probability that random signs of the blocks make as much of `q` as there is, one-sided.
+
+    `q`: (blocks, blocks) products of the blocks' scores; `run`: (blocks,) where each lies. Products of a
+    block with itself and with its neighbours in the same run are left out. The distribution over the signs is
+    taken as a gamma distribution with the mean, variance and skewness that quadratic forms have.
+    """
+    q = q.copy()
+    k = np.arange(len(q))
+    near = (np.abs(k[:, None] - k) <= 1) & (run[:, None] == run)
+    q[near | np.eye(len(q), dtype=bool)] = 0.0
+    variance = 2 * float((q**2).sum())
+    if variance <= 0 or len(q) < FEWEST_BLOCKS:
+        return 1.0
+    z = float(q.sum()) / np.sqrt(variance)
+    skew = max(8 * float(np.einsum("ij,ji->", q @ q, q)) / variance**1.5, LEAST_SKEW)
+    shape = 4 / skew**2  # gamma with mean 0, variance 1 and this skewness
+    x = shape + z * np.sqrt(shape)
+    return float(gammaincc(shape, x)) if x > 0 else 1.0

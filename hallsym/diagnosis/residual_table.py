@@ -1,0 +1,165 @@
+"""The residual of a model, sample by sample, beside what it may depend on.
+
+At most `ROOM` samples are held, evenly decimated, so that memory does not grow with the log.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.residuals import pieces
+from hallsym.diagnosis.spectrum import Spectrum
+from hallsym.estimation.decoding import decoding_gain
+from hallsym.model.arrays import on_arrays
+
+ROOM = 60_000
+"""Samples that are held."""
+FOLDS = 64
+"""Groups of neighbouring runs that are left out in turn, at most."""
+BLOCKS = 48
+"""Blocks that significance rests on, at least: runs, or stretches of runs where there are fewer runs."""
+FEWEST = 24
+"""Runs from which on a run is a block."""
+PARTS = 4
+SHORTEST = 20
+"""A run is cut into that many parts at least, of that many samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTable:
+    """Residual of the readings on some runs and what it may depend on.
+
+    `residual`, `sensed`, `rate`: (K, n) residual, expected reading at the smoothed reference, and its rate.
+    `columns`: (n,) each; of a periodic reference also `phase_<reference>`, the place within its period.
+    `precision`: (K, K) inverse covariance of one residual. `fold`, `block`, `part`: (n,) index of the group
+    of runs, of the block for significance, of the stretch of a run. `output`: (n_pose, K) turns a residual
+    into decoded pose. `state`: logged columns that the model reads. `weights`: (n_pose,) of the pose metric.
+    `towards`: (K, n) of a periodic reference, turns a residual into an error of it. `period`: by reference.
+    `words`, `together`: what a person calls columns, and all of the state. `timed`: with a clock.
+    """
+
+    channels: tuple[str, ...]
+    pose: tuple[str, ...]
+    references: tuple[str, ...]
+    state: tuple[str, ...]
+    run: np.ndarray
+    residual: np.ndarray
+    sensed: np.ndarray
+    rate: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    precision: np.ndarray
+    fold: np.ndarray
+    block: np.ndarray
+    part: np.ndarray
+    output: np.ndarray
+    weights: np.ndarray
+    sigma: Mapping[str, float]
+    spectrum: Spectrum = field(default_factory=Spectrum)
+    timed: bool = True
+    period: Mapping[str, float] = field(default_factory=dict)
+    towards: Mapping[str, np.ndarray] = field(default_factory=dict)
+    words: Mapping[str, str] = field(default_factory=dict)
+    together: str = ""
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Whitened square of each sample, (n,); K on average where there is noise only."""
+        return np.einsum("kn,kl,ln->n", self.residual, self.precision, self.residual)
+
+    def run_of(self, group: np.ndarray) -> np.ndarray:
+        """Return the run in which each of the consecutive groups begins."""
+        first = np.flatnonzero(np.diff(group, prepend=group[0] - 1))
+        return self.run[first]
+
+    @property
+    def excess(self) -> float:
+        """Sum of the whitened squares above what the noise explains."""
+        return float(self.squares.sum()) - self.residual.size
+
+
+def residual_table(base: Base, runs: Sequence[int]) -> ResidualTable | None:
+    """Return what `base` leaves on `runs`; None where no sample of them counts."""
+    model, wanted = base.model, frozenset(runs)
+    read, decode = on_arrays(model.reading), decoding_gain(model)
+    back = np.linalg.inv(base.whiten)
+    stride = max(1, -(-base.log.rows // ROOM))
+    out: dict[str, list[np.ndarray]] = {}
+    spectrum = Spectrum()
+    for piece in pieces(base, wanted):
+        spectrum.add(piece)
+        at = np.flatnonzero(piece.used)[::stride]
+        data = {c: v[at] for c, v in piece.data.items()}
+        state = [data[c] for c in model.state]
+        if model.period:
+            (gain,) = decode(base.p, [data[c] for c in model.references], state, base.weight)
+            gain = np.asarray(gain).reshape(len(model.channels), len(model.pose), -1)
+        for k, c in enumerate(model.references):
+            if c in model.period:
+                data[phase(c)] = data[f"d0_{c}"] % model.period[c]
+                data[f"towards_{c}"] = np.broadcast_to(gain[:, k], (len(gain), len(at)))
+            data[f"d0_{c}"] = at_rest(data[f"d0_{c}"], base.sigma.get(c, 0.0))
+        smooth = [data[f"d0_{c}"] for c in model.references]
+        (sensed,) = read(base.p, base.zeros_in(piece.run), smooth, state)
+        rows = {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at], "sensed": sensed}
+        for name, values in {**data, **rows, "run": np.full(len(at), piece.run)}.items():
+            out.setdefault(name, []).append(values)
+    if not out or sum(len(v) for v in out["run"]) == 0:
+        return None
+    joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
+    run = joined.pop("run")
+    spread = np.asarray(model.noise_gain(base.p, [float(joined[c].mean()) for c in model.state], base.weight))
+    fold, block, part = _blocks(run)
+    made = {c.name for c in model.computed}
+    return ResidualTable(
+        channels=model.channels,
+        pose=model.pose,
+        references=model.references,
+        state=tuple(c for c in model.state if c not in made),
+        run=run,
+        residual=joined.pop("residual"),
+        sensed=joined.pop("sensed"),
+        rate=joined.pop("rate"),
+        towards={c: joined.pop(f"towards_{c}") for c in model.references if c in model.period},
+        columns=joined,
+        precision=np.linalg.inv(base.covariance),
+        fold=fold,
+        block=block,
+        part=part,
+        output=spread,
+        weights=base.pose_weights,
+        sigma=base.sigma,
+        spectrum=spectrum,
+        timed=base.timed,
+        period={c: model.period[c] for c in model.references if c in model.period},
+        words=model.family.words,
+        together=model.family.together,
+    )
+
+
+def phase(reference: str) -> str:
+    """Return the column of the place of a reference within its period."""
+    return f"phase_{reference}"
+
+
+STILL = 5.0
+"""An axis that moves less than this many sigma of its noise (rms) is at rest.
+
+Its logged place is then noise to 4 % of its variance, and that noise is in the residual too."""
+
+
+def at_rest(x: np.ndarray, sigma: float) -> np.ndarray:
+    """Return where an axis was: its mean where all that moved it is noise, which is part of the residual."""
+    return x if len(x) == 0 or np.std(x) > STILL * sigma else np.full(len(x), x.mean())
+
+
+def _blocks(run: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Group of runs to leave out, block for significance and stretch of a run of each sample."""
+    _, first, order, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
+    fold = order * min(FOLDS, len(first)) // len(first)
+    parts = max(PARTS, -(-BLOCKS // len(first)))
+    place = np.arange(len(run)) - first[order]
+    each = np.clip(counts // SHORTEST, 1, parts)[order]
+    part = order * parts + place * each // counts[order]
+    return fold, (fold if len(first) >= FEWEST else part), part

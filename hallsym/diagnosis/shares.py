@@ -1,0 +1,158 @@
+"""What each output, sensor, frequency and run takes of the excess by itself, beside its part of the noise.
+
+An output or a sensor is named when it has more than its part: noise that is larger than it was stated is
+larger everywhere, and is no place where a gap lies.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.diagnosis.p_values import beyond, beyond_one
+from hallsym.diagnosis.record import Share, Statement
+from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.spectrum import MOTION, Band
+from hallsym.diagnosis.words import percent, plain
+
+LEVEL = 0.01
+"""Significance that a statement must have, all that was tried counted."""
+LEAST = 0.03
+"""Share of the excess that a statement must have."""
+CERTAIN = 1e-3
+"""Significance of the excess as a whole, and of a single run among many."""
+MORE = 0.1
+"""Share beyond its part of the noise from which on an output or a sensor is named."""
+CLIP = 9.0
+"""Whitened square per reading at which a sample stops counting when runs are compared."""
+TOLD, HALF = 0.8, 0.5
+"""Shares that coordinates have told of from which on runs, and bands of frequency, add nothing."""
+FEWEST_RUNS, FEWEST_FOR_ONE = 4, 6
+"""Runs from which on frequencies, and a single run, are judged."""
+ONE_RUN = 3.0
+"""Times its part that a single run must have of the excess."""
+TWICE = 2.0
+"""Times its part of white noise that a band must have."""
+NAMED = 2
+"""Bands that are named at most."""
+
+Found = tuple[list[Share], list[Statement]]
+
+
+@dataclass(frozen=True, eq=False)
+class Powers:
+    """Squares of outputs or sensors on some samples: `squares` (k, n) and what noise makes of them (k,)."""
+
+    kind: str
+    names: tuple[str, ...]
+    squares: np.ndarray
+    noise: np.ndarray
+    weight: np.ndarray
+    """(k,) what each counts by: outputs as in the gap metric, sensors by their own noise."""
+
+    @property
+    def rms(self) -> np.ndarray:
+        """Root mean squares, (k,), in the unit of each."""
+        return np.sqrt(self.squares.mean(axis=1))
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Share of the excess of all together, (k,); nan where there is none."""
+        above = (self.squares.sum(axis=1) - self.noise * self.squares.shape[1]) * self.weight
+        return above / above.sum() if above.sum() > 0 else np.full(len(above), np.nan)
+
+    @property
+    def parts(self) -> np.ndarray:
+        """Share of the noise of all together, (k,)."""
+        own = self.noise * self.weight
+        return own / own.sum()
+
+
+def outputs(r: ResidualTable) -> Powers:
+    """Return the squares of the residual as it moves the decoded pose."""
+    covariance = r.output @ np.linalg.inv(r.precision) @ r.output.T
+    return Powers("output", r.pose, (r.output @ r.residual) ** 2, np.diag(covariance).copy(), r.weights**2)
+
+
+def sensors(r: ResidualTable) -> Powers:
+    """Return the squares of the residual of the readings."""
+    noise = np.diag(np.linalg.inv(r.precision)).copy()
+    return Powers("sensor", r.channels, r.residual**2, noise, 1 / noise)
+
+
+def of_powers(p: Powers, block: np.ndarray) -> Found:
+    """Which of several outputs or sensors have more than their part of the excess."""
+    if len(p.names) < 2:
+        return [], []
+    over = p.squares / p.noise[:, None]
+    rows, said = [], []
+    for k, name in enumerate(p.names):
+        chance = min(1.0, len(p.names) * beyond(means(over[k] - over.mean(axis=0), block)))
+        share = float(np.clip(p.shares[k], 0.0, 1.0))
+        rows.append(Share(p.kind, name, share, chance))
+        if chance < LEVEL and share > p.parts[k] + MORE:
+            seen = "is seen by" if p.kind == "sensor" else "lies in"
+            text = f"{percent(share)} of the excess {seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
+            said.append(Statement(p.kind, name, share, chance, text, kind=p.kind))
+    return rows, sorted(said, key=lambda s: -s.share)
+
+
+def means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the mean of `values` (n,) in each group."""
+    _, index = np.unique(group, return_inverse=True)
+    return np.bincount(index, values) / np.bincount(index)
+
+
+def of_runs(r: ResidualTable, told: float) -> Found:
+    """Whether one run has much more than its part of the excess."""
+    order, index = np.unique(r.run, return_inverse=True)
+    squares = np.minimum(r.squares, CLIP * len(r.residual)) - len(r.residual)
+    sums, counts = np.bincount(index, squares), np.bincount(index)
+    level = np.log(sums / counts + len(r.residual))
+    k, U = int(np.argmax(level)), len(order)
+    if U < FEWEST_FOR_ONE or sums[k] <= 0:
+        return [], []
+    p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
+    share = float(np.clip(sums[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
+    rows = [Share("run", f"run {order[k]}", share, p)]
+    if p >= CERTAIN or share < max(ONE_RUN / U, 2 * LEAST) or told >= TOLD:
+        return rows, []
+    text = f"{percent(share)} of the excess lies in run {order[k]}, one of {U} fitted runs"
+    return rows, [Statement("run", f"run {order[k]}", share, p, text, kind="run")]
+
+
+def of_frequencies(r: ResidualTable, told: float) -> Found:
+    """Kinds of frequency that hold more than twice their part of what white noise would have."""
+    s = r.spectrum
+    runs = sorted({run for kind in s.white.values() for run in kind})
+    if len(runs) < FEWEST_RUNS or not r.timed:
+        return [], []
+    white = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.white.items()}
+    power = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.power.items()}
+    everything = np.sum(list(white.values()), axis=0)
+    excess = float(sum(v.sum() for v in power.values()) - everything.sum())
+    if excess <= 0:
+        return [], []
+    rows, worth = [], []
+    for band, own in white.items():
+        over, part = power[band] - own, float(own.sum() / everything.sum())
+        share = float(over.sum()) / excess
+        p = min(1.0, len(white) * beyond(over / everything))
+        rows.append(Share("frequency", band.name, float(np.clip(share, 0.0, 1.0)), p))
+        named = band.kind == "mains" or told <= HALF
+        if p < LEVEL and share >= max(TWICE * part, part + MORE) and named:
+            worth.append((share, band, p))
+    return rows, _frequencies(worth, s.motion_hz)
+
+
+def _frequencies(worth: Sequence[tuple[float, Band, float]], motion_hz: Sequence[float]) -> list[Statement]:
+    said, rest = [], 1.0
+    for share, band, p in sorted(worth, key=lambda w: -w[0])[:NAMED]:
+        share = min(share, rest)  # bands below the noise make the others more than the whole
+        rest -= share
+        if share >= LEAST:
+            text = f"{percent(share)} of the excess lies at {band.name}"
+            if band == MOTION and motion_hz:
+                text += f" (strongest near {float(np.median(motion_hz)):.3g} Hz)"
+            said.append(Statement("frequency", band.name, share, p, text, kind=band.kind))
+    return said

@@ -1,0 +1,238 @@
+"""Faults of a recording, which no model holds: what to do instead, and how a self-test injects each."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.families.cordic import MOST_STEPS, cordic_angle, worst_of
+from hallsym.log.phase import wrapped
+
+Size = dict[str, tuple[float, str]]
+"""Parameter -> value in SI, unit."""
+Noisy = np.ndarray | float
+"""Noise of the readings, (K, rows), or 0."""
+Draw = Callable[[str], np.random.Generator]
+"""The generator of random numbers of that name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording without faults: `clean` readings and their velocity `speed` per second, each (K, rows).
+
+    `run`: of each sample. `step_s`: sampling interval. `sigma`: typical noise of a reading, in `unit`.
+    `decoded`: the reading is the decoded angle, one channel without rails or other wires.
+    """
+
+    channels: tuple[str, ...]
+    clean: np.ndarray
+    speed: np.ndarray
+    run: np.ndarray
+    step_s: float
+    sigma: float
+    unit: str
+    decoded: bool
+
+    @property
+    def most(self) -> float:
+        """Largest size [unit] of what is added to a reading and still looks like one."""
+        return 1e-2 if self.unit == "m" else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Injection:
+    """An effect or a fault that can be given any size.
+
+    `make(amount, noise)`: the readings, (K, rows). `size(amount)`: its parameters. `most`: amount beyond
+    which it is no longer what its name says. `start`: an amount to begin the search from. `sized`: False
+    where there is nothing to scale (an exchanged channel). `name`, `link`: of the effect or fault.
+    """
+
+    form: str
+    make: Callable[[float, Noisy], np.ndarray]
+    size: Callable[[float], Size]
+    most: float = 1.0
+    start: float = 1.0
+    sized: bool = True
+    name: str = ""
+    link: str = ""
+
+
+Inject = Callable[[Recording, Draw], Injection | str]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingFault:
+    """A fault that no effect can model. `remedy`: what to do instead.
+
+    `inject(recording, draw)`: how a self-test makes it, or why this recording cannot have it.
+    """
+
+    name: str
+    link: str
+    meaning: str
+    remedy: str
+    inject: Inject
+
+    @property
+    def refusal(self) -> str:
+        """What a message says after the name of the fault."""
+        return f"is a fault of the recording, which no model holds: {self.remedy}"
+
+
+def _one(name: str, unit: str) -> Callable[[float], Size]:
+    return lambda amount: {name: (amount, unit)}
+
+
+# -- single samples ----------------------------------------------------------------------------------------
+
+OUTLIERS = 0.003
+"""Share of samples that are spikes."""
+HOLD = 3
+"""Samples for which a stale reading is held at most."""
+MOST_SHARE = 0.3
+"""Share of stale or clipped samples beyond which a recording is no longer one."""
+FEWEST_STEPS = 4
+"""Steps of CORDIC of which an encoder has at least: 7 deg of error."""
+
+
+def _spikes(r: Recording, draw: Draw) -> Injection:
+    rng = draw("outliers")
+    hit = (rng.random(r.clean.shape) < OUTLIERS) * rng.choice([-1.0, 1.0], r.clean.shape)
+
+    def make(amount: float, noise: Noisy) -> np.ndarray:
+        return r.clean + noise + amount * hit
+
+    return Injection(
+        f"{100 * OUTLIERS:g} % of the samples", make, _one("spike", r.unit), r.most, 10 * r.sigma
+    )
+
+
+def _stale(r: Recording, draw: Draw) -> Injection:
+    old = draw("dropped_samples").random(r.run.shape)
+    length = draw("dropped").integers(1, 1 + HOLD, r.run.shape)
+
+    def make(amount: float, noise: Noisy) -> np.ndarray:
+        return r.clean - r.speed * r.step_s * ages(old < amount, length, r.run) + noise
+
+    return Injection(f"held for 1 to {HOLD} samples", make, _one("share", "1"), MOST_SHARE, 0.01)
+
+
+def ages(begins: np.ndarray, length: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Return the age in samples of each reading: 0 fresh; after a begin it grows until the hold ends."""
+    age = np.zeros(len(begins))
+    for k in np.flatnonzero(begins):
+        n = int(length[k])
+        last = min(int(k) + n, len(age))
+        aged = np.arange(1, n + 1)[: last - int(k)]
+        age[k:last] = np.where(run[k:last] == run[k], aged, age[k:last])
+    return age
+
+
+def _jitter(r: Recording, draw: Draw) -> Injection:
+    shift = draw("clock_jitter").standard_normal(r.run.shape)
+
+    def make(amount: float, noise: Noisy) -> np.ndarray:
+        return r.clean + noise + amount * r.speed * shift
+
+    return Injection("rms of the sampling instants", make, _one("jitter", "s"), 10 * r.step_s, 0.1 * r.step_s)
+
+
+def _steps(r: Recording, draw: Draw) -> Injection:
+    def make(amount: float, noise: Noisy) -> np.ndarray:
+        return np.round((r.clean + noise) / amount) * amount
+
+    return Injection("one step for all channels", make, _one("step", r.unit), r.most / 10, 3 * r.sigma)
+
+
+def _chip(r: Recording, draw: Draw) -> Injection | str:
+    """An angle computed with whole steps of CORDIC; the amount is its largest error [rad]."""
+    if not r.decoded:
+        return "the readings are no angles"
+
+    def steps(amount: float) -> int:
+        """The number whose error is nearest, by ratio."""
+        known = range(FEWEST_STEPS, MOST_STEPS + 1)
+        return min(known, key=lambda n: abs(float(np.log(worst_of(n) / amount))))
+
+    def make(amount: float, noise: Noisy) -> np.ndarray:
+        angle = r.clean + noise
+        return angle + wrapped(cordic_angle(np.sin(angle), np.cos(angle), steps(amount)) - angle, 2 * np.pi)
+
+    def size(amount: float) -> Size:
+        return {"steps": (float(steps(amount)), "1"), "error_at_most": (worst_of(steps(amount)), "rad")}
+
+    return Injection("whole steps", make, size, worst_of(FEWEST_STEPS), 2 * r.sigma)
+
+
+def inject_rails(r: Recording, draw: Draw) -> Injection | str:
+    """Return hard clipping; the amount is the share of the samples beyond the rail of each channel."""
+    if r.decoded:
+        return "an angle has no rails; the voltages are not logged"
+
+    def levels(share: float) -> np.ndarray:
+        return np.quantile(np.abs(r.clean), 1 - share, axis=1)
+
+    def make(amount: float, noise: Noisy) -> np.ndarray:
+        rail = levels(amount)[:, None]
+        return np.clip(r.clean + noise, -rail, rail)
+
+    def size(amount: float) -> Size:
+        return {f"rail_{c}": (float(v), r.unit) for c, v in zip(r.channels, levels(amount), strict=True)}
+
+    return Injection("both rails, hard", make, size, MOST_SHARE, 0.03)
+
+
+# -- wires -------------------------------------------------------------------------------------------------
+
+
+def _wired(change: Callable[[np.ndarray, list[int], int], None], said: Callable) -> Inject:
+    """Return how readings (K, rows) are changed in place, by two channels of a pair and one channel."""
+
+    def inject(r: Recording, draw: Draw) -> Injection | str:
+        if r.decoded:
+            return "one channel has no wires to mix up"
+        rng = draw("wiring")
+        pair = np.sort(rng.choice(len(r.clean), 2, replace=False)).tolist()
+        one = int(rng.integers(len(r.clean)))
+
+        def make(_: float, noise: Noisy) -> np.ndarray:
+            out = r.clean + noise
+            change(out, pair, one)
+            return out
+
+        return Injection(said(r.channels, pair, one), make, lambda _: {}, sized=False)
+
+    return inject
+
+
+def _swap(out: np.ndarray, pair: list[int], one: int) -> None:
+    out[pair] = out[pair[::-1]]
+
+
+def _invert(out: np.ndarray, pair: list[int], one: int) -> None:
+    out[one] *= -1
+
+
+REWIRE = "put the wiring right, or fit with --resolve-wiring."
+FAULTS = {
+    fault.name: fault
+    for fault in (
+        RecordingFault("outliers", "electronics", "single readings are far off: spikes",
+                       "fit with --loss auto or tukey, which leave spikes out or weigh them down.", _spikes),
+        RecordingFault("dropped_samples", "clock", "readings that are older than their time stamp",
+                       "repair the acquisition, or leave the samples out (--loss tukey).", _stale),
+        RecordingFault("clock_jitter", "clock", "sampling instants that scatter",
+                       "take readings and reference on one clock, and record again.", _jitter),
+        RecordingFault("adc_quantisation", "electronics", "readings that come in steps",
+                       "use a finer range or converter; the fit counts step / sqrt(12) as noise.", _steps),
+        RecordingFault("cordic_steps", "electronics", "an angle computed with few steps of CORDIC",
+                       "let the chip take more steps, or take its raw voltages; an angle stands for a "
+                       "range of angles, so that no correction takes more than a few percent off.", _chip),
+        RecordingFault("channel_swap", "electronics", "two channels exchanged", REWIRE,
+                       _wired(_swap, lambda names, pair, one: " and ".join(names[k] for k in pair))),
+        RecordingFault("sign_inversion", "electronics", "a channel of the other sign", REWIRE,
+                       _wired(_invert, lambda names, pair, one: names[one])),
+    )
+}  # fmt: skip
+"""By name: what a diagnosis may find and no fit can add."""

@@ -1,0 +1,351 @@
+"""Mechanisms that several families share, each written once: an effect of a family is one call of them.
+
+A family states its ports (the values of its channels along the chain); a mechanism changes what passes
+there. New parameters are 0 where the effect is absent.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from hallsym.model import Effect, Facts, Model, Parameter, Signals, effect
+from hallsym.model.arguments import POSITIVE, Try, from_log, one_of, searched
+from hallsym.model.derived import Computed, Stretch, campaign_time, rate
+
+P = Mapping[str, ca.SX]
+"""Parameters of a step, by name."""
+
+
+def free(meanings: Mapping[str, str], limit: float, unit: str) -> tuple[Parameter, ...]:
+    """Return parameters (name -> meaning) that are 0 where the effect is absent, between -limit and limit."""
+    return tuple(Parameter(name, 0.0, -limit, limit, unit, meaning) for name, meaning in meanings.items())
+
+
+# -- terms that each channel has a coefficient of -----------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Port:
+    """The values of all channels at one place of the chain: an expression, or a wave, for each label."""
+
+    labels: Callable[[Model], Sequence[str]]
+    read: Callable[[Signals], Sequence[Any]]
+    write: Callable[[Signals, Sequence[Any]], None]
+
+
+def port(signal: str, labels: Callable[[Model], Sequence[str]]) -> Port:
+    """Return the port of a signal that is a column with one entry per channel."""
+
+    def write(s: Signals, values: Sequence[Any]) -> None:
+        s[signal] = ca.vertcat(*values)
+
+    return Port(labels, lambda s: ca.vertsplit(s[signal]), write)
+
+
+Terms = Callable[[Signals, P], Callable[[Any, int], Sequence[Any]]]
+"""`terms(signals, parameters)(value, k)`: the terms of channel k, of which each has a coefficient."""
+
+
+def add_terms(
+    model: Model,
+    effect: str,
+    link: str,
+    port: Port,
+    coefficients: Mapping[str, str],
+    terms: Terms,
+    limit: float,
+    unit: str,
+    *columns: str | Computed,
+    by_channel: bool = True,
+    only: Sequence[str] | None = None,
+) -> Model:
+    """Return the model in which each value of `port` gains the sum of coefficient times term.
+
+    `coefficients`: name -> meaning, one for each term, `{k}` standing for the label of the channel; they
+    lie between -limit and limit, ordered by channel, else by term. `columns` are what the terms read,
+    `only` the channels that have them (all by default).
+    """
+    labels = port.labels(model)
+    used = labels if only is None else only
+    pairs = (
+        [(n, k) for k in used for n in coefficients]
+        if by_channel
+        else [(n, k) for n in coefficients for k in used]
+    )
+    new = [Parameter(n.format(k=k), 0.0, -limit, limit, unit, coefficients[n].format(k=k)) for n, k in pairs]
+
+    def step(s: Signals, p: P) -> None:
+        values, of = list(port.read(s)), terms(s, p)
+        for k, label in enumerate(labels):
+            if label in used:
+                for name, term in zip(coefficients, of(values[k], k), strict=True):
+                    values[k] = values[k] + term * p[name.format(k=label)]
+        port.write(s, values)
+
+    return model.with_columns(*columns).with_step(link, step, effect=effect, parameters=tuple(new))
+
+
+def power(value: Any, n: int, unit: float) -> Any:
+    """Return value^n / unit^(n - 1), also of a wave."""
+    if isinstance(value, ca.SX):
+        return value**n / unit ** (n - 1)
+    out = value
+    for _ in range(n - 1):
+        out = out * value * (1 / unit)
+    return out
+
+
+ORDERS = {2: "square", 3: "cubic", 4: "fourth-power", 5: "quintic"}
+
+
+def nonlinearity(
+    model: Model,
+    effect: str,
+    link: str,
+    port: Port,
+    powers: Mapping[str, int],
+    limit: float,
+    unit: float,
+    *,
+    by_channel: bool = True,
+) -> Model:
+    """Each value v becomes v + sum of c v^n / unit^(n - 1), c per channel; `powers`: name of c -> n."""
+    coefficients = {
+        name: f"{ORDERS[n]} deviation of {{k}} from a line, relative at {unit:g}"
+        for name, n in powers.items()
+    }
+
+    def terms(s: Signals, p: P) -> Callable[[Any, int], Sequence[Any]]:
+        return lambda value, k: [power(value, n, unit) for n in powers.values()]
+
+    return add_terms(model, effect, link, port, coefficients, terms, limit, "1", by_channel=by_channel)
+
+
+ODD = one_of({3: "cubic", 5: "cubic and quintic"}, "highest power")
+EVEN = one_of({2: "square", 4: "square and fourth power"}, "highest power")
+
+
+def powers_to(order: int) -> tuple[int, ...]:
+    """Return the odd powers 3, 5, or the even ones 2, 4, up to `order`."""
+    return ((3, 5) if order % 2 else (2, 4))[: order // 2]
+
+
+def clipping(model: Model, port: Port, low: Sequence[float], high: Sequence[float]) -> Model:
+    """Readings beyond `low` and `high`, one per channel, lose the share that is the parameter (1: hard)."""
+
+    def beyond(value: ca.SX, k: int) -> list[ca.SX]:
+        over = ca.fmax(value - high[k], 0) if np.isfinite(high[k]) else ca.SX(0)
+        under = ca.fmax(low[k] - value, 0) if np.isfinite(low[k]) else ca.SX(0)
+        return [under - over]
+
+    cut = {"clipped_{k}": "share of what lies beyond the rail of {k} that is cut off (1: hard)"}
+    return add_terms(model, "saturation", "electronics", port, cut, lambda s, p: beyond, 1.5, "1")
+
+
+def rails(low: str, high: str, *, alike: bool) -> Callable[[Model, Facts], list[Try]]:
+    """Return the rule that finds rails, named `low` and `high`: where readings repeat, and four quantiles.
+
+    `alike`: both rails of a channel are as far from zero.
+    """
+
+    def tries(model: Model, facts: Facts) -> list[Try]:
+        out = []
+        if np.isfinite(facts.rails).any():
+            below, above = np.array(facts.rails).T.tolist()
+            out.append(Try({low: below, high: above}, "where readings repeat", shapes=1))
+        for k, (above, below) in enumerate(zip(facts.extremes[0::2], facts.extremes[1::2], strict=True)):
+            if alike:
+                above = np.maximum(above, -below)
+                below = -above
+            numbers = {low: below.tolist(), high: above.tolist()}
+            out.append(Try(numbers, f"rails, try {k + 1}", shapes=1, tried=4))
+        return out
+
+    return tries
+
+
+# -- functions of time, temperature and runs that gains and offsets follow ----------------------------------
+
+
+class Functions(NamedTuple):
+    """Functions of data alone: what each is, their values, and the columns that they read."""
+
+    meanings: Sequence[str]
+    values: Callable[[Signals], Sequence[ca.SX]]
+    columns: Sequence[str | Computed] = ()
+
+
+def column(made: Computed, meaning: str) -> Functions:
+    """Return a computed column as a function."""
+    return Functions([meaning], lambda s: [s[made.name]], [made])
+
+
+def following(
+    model: Model,
+    effect: str,
+    link: str,
+    port: Port,
+    functions: Functions,
+    limit: float,
+    unit: str,
+    *,
+    gain: bool = False,
+    names: Sequence[str] | None = None,
+    by_channel: bool = True,
+    only: Sequence[str] | None = None,
+) -> Model:
+    """Each value v gains the sum of c f, or of c f v for a `gain`; c per channel and function f.
+
+    `names`: of c, for each function, with `{k}` for the channel; by default the effect's name and a number.
+    """
+
+    what = "relative change of the gain" if gain else "offset"
+    names = names or [f"{effect}{j}_{{k}}" for j in range(len(functions.meanings))]
+    coefficients = {n: f"{what} of {{k}} {f}" for n, f in zip(names, functions.meanings, strict=True)}
+
+    def terms(s: Signals, p: P) -> Callable[[Any, int], Sequence[Any]]:
+        values = functions.values(s)
+        return lambda value, k: [value * f for f in values] if gain else values
+
+    return add_terms(
+        model, effect, link, port, coefficients, terms, limit, unit, *functions.columns,
+        by_channel=by_channel, only=only,
+    )  # fmt: skip
+
+
+def over_time(duration_s: float, degree: int, settling_s: float | None) -> Functions:
+    """Return exp(-t / settling_s), or Legendre polynomials of campaign time of degree 1 to `degree`."""
+    time = campaign_time()
+    if settling_s is not None:
+        return Functions(["at the start, settling"], lambda s: [ca.exp(-s[time.name] / settling_s)], [time])
+
+    def legendre(s: Signals) -> list[ca.SX]:
+        x = 2 * s[time.name] / duration_s - 1
+        return [x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2][:degree]
+
+    return Functions([f"over the campaign, degree {n}" for n in range(1, degree + 1)], legendre, [time])
+
+
+def with_temperature(mean_degc: float) -> Functions:
+    """Return the logged temperature above its mean."""
+    name = "temperature_degc"
+    return Functions(["per degC"], lambda s: [s[name] - mean_degc], [name])
+
+
+def in_runs(runs: Sequence[int]) -> Functions:
+    """Return 1 in some runs, 0 in the others."""
+
+    def rule(s: Stretch) -> np.ndarray:
+        return np.full(len(s.data["t_s"]), float(s.run in runs))
+
+    return column(Computed(f"on_in_{'_'.join(map(str, runs))}", (), rule), "in the runs with the field on")
+
+
+def at_frequency(
+    frequency_hz: float,
+    harmonics: int = 1,
+    waves: Sequence[str] = ("cos", "sin"),
+    name: str = "{wave}_{n}x{base:.9g}hz",
+) -> Functions:
+    """Return cosine and sine of a frequency and its harmonics over the campaign; `name`: of their columns."""
+
+    def made(wave: str, n: int) -> Computed:
+        def rule(s: Stretch) -> np.ndarray:
+            return np.asarray(getattr(np, wave)(2 * pi * n * frequency_hz * (s.data["t_s"] - s.origin_s)))
+
+        return Computed(name.format(wave=wave, n=n, base=frequency_hz, hz=n * frequency_hz), (), rule)
+
+    pairs = [(wave, n) for n in range(1, harmonics + 1) for wave in waves]
+    columns = [made(wave, n) for wave, n in pairs]
+    meanings = [f"at {n * frequency_hz:.5g} Hz, {wave} part" for wave, n in pairs]
+    return Functions(meanings, lambda s: [s[c.name] for c in columns], columns)
+
+
+# -- effects that follow those functions, in one line for a family ------------------------------------------
+
+Follow = Callable[[Model, str, Functions], Model]
+"""`follow(model, effect, functions)`: how gains, or offsets, of a family follow functions of data."""
+LINE = searched(
+    lambda facts: facts.lines_hz, "mains frequency, as the clock of the log shows it",
+    label="{:.5g} Hz", shapes=1, tried=lambda facts: facts.lines_tried,
+)  # fmt: skip
+
+
+def temperature_drift(name: str, meaning: str, follow: Follow, **about: Any) -> Effect:
+    """Return the effect that gains or offsets follow the logged temperature; `about` as for `effect`."""
+    mean = from_log(lambda facts: facts.temperature or 0.0, "mean temperature of the log")
+
+    def drift(model: Model, mean_degc: float = mean) -> Model:
+        return follow(model, name, with_temperature(mean_degc))
+
+    needs = ("temperature_degc",)
+    return effect(link="transducer", name=name, meaning=meaning, label="linear", needs=needs, **about)(drift)
+
+
+def time_drift(
+    name: str, meaning: str, follow: Follow, parts: Sequence[int], finer: Sequence[float] = (), **about: Any
+) -> Effect:
+    """Return the effect that gains or offsets drift over the campaign: polynomials, or an exponential.
+
+    `parts`: of the campaign, tried as its time constant; the best one is then tried times `finer`.
+    """
+    duration = from_log(lambda facts: facts.duration_s, "length of the campaign", valid=POSITIVE)
+    degrees = one_of({n: f"polynomial of degree {n}" for n in (1, 2, 3)}, "degree of the polynomial of time")
+    settling = searched(
+        lambda facts: [facts.duration_s / n for n in parts],
+        "time constant of the exponential that the drift follows instead",
+        label="settling, {:.3g} s", instead=True, shapes=1,
+        finer=(lambda tau: [tau * f for f in finer]) if finer else None,
+    )  # fmt: skip
+
+    def drift(
+        model: Model, duration_s: float = duration, degree: int = degrees, settling_s: float | None = settling
+    ) -> Model:
+        return follow(model, name, over_time(duration_s, degree, settling_s))
+
+    return effect(link="transducer", name=name, meaning=meaning, **about)(drift)
+
+
+# -- delay and low-pass ------------------------------------------------------------------------------------
+
+DELAY, LOW_PASS = (-1.0, 1 / 2, -1 / 6, 1 / 24), (-1.0, 1.0, -1.0, 1.0)
+"""Factors of tau^n d^n/dt^n, to fourth order in tau times frequency: a delay, and 1 / (1 + tau d/dt)."""
+
+
+def late(
+    model: Model,
+    effect: str,
+    link: str,
+    port: Port,
+    series: Sequence[float],
+    moved: Callable[[Signals, P, int], Sequence[ca.SX]],
+    *,
+    shared: bool,
+    least: float = -0.05,
+) -> Model:
+    """Values are of the past: each gains the sum of factor tau^n d^n value / dt^n, one tau or one per
+    channel.
+
+    `moved(s, p, n)`: the n-th time derivative of each value, from the rates of the reference.
+    """
+    labels = port.labels(model)
+    names = [f"tau_{effect}" if shared else f"tau_{effect}_{k}" for k in labels]
+    what = "delay of the readings" if series is DELAY else "time constant of the low-pass"
+    new = {
+        n: Parameter(n, 0.0, least, 0.05, "s", what if shared else f"{what}, channel {k}")
+        for n, k in zip(names, labels, strict=True)
+    }
+
+    def step(s: Signals, p: P) -> None:
+        values = list(port.read(s))
+        for n, factor in enumerate(series, start=1):
+            for k, slope in enumerate(moved(s, p, n)):
+                values[k] = values[k] + factor * p[names[k]] ** n * slope
+        port.write(s, values)
+
+    columns = [rate(c, n) for n in range(1, len(series) + 1) for c in model.references]
+    return model.with_columns(*columns).with_step(link, step, effect=effect, parameters=tuple(new.values()))

@@ -1,0 +1,232 @@
+"""Every effect is complete: numbers, texts, parameters with a meaning, and nothing where they are 0."""
+
+import json
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from hallsym.cli.main import main
+from hallsym.errors import InputError
+from hallsym.families import FAMILIES, build, effects
+from hallsym.families.faults import FAULTS, Injection, Recording
+from hallsym.log import Meta
+from hallsym.model import LINKS, Effect, Facts, Model, Parameter, effect
+from hallsym.model.arguments import example_facts, from_log, one_of, searched
+
+ANGLE = Meta(columns=("angle_rad", "angle_ref_rad"))
+MODELS = [build("stage15"), build("stage31"), build("rotary_ideal"), build("rotary"),
+          build("rotary_ideal", meta=ANGLE), build("rotary", meta=ANGLE)]  # fmt: skip
+CASES = [
+    pytest.param(model, e, id=f"{model.name}-{len(model.channels)}-{e.name}")
+    for model in MODELS
+    for e in effects(model.family).values()
+    if e.name not in model.effects
+]
+
+
+@pytest.mark.parametrize(("model", "known"), CASES)
+def test_an_effect_says_all_about_itself(model: Model, known: Effect) -> None:
+    assert known.link in LINKS
+    assert known.meaning.endswith(".")
+    assert known.separate
+    assert all(number.meaning for number in known.numbers.values())
+    variants = known.variants(model, example_facts(model))
+    assert len({v.label for v in variants}) == len(variants)
+    rng = np.random.default_rng(0)
+    for variant in variants:
+        wide = variant.make(model)
+        # what is saved builds it again
+        assert known.added(model, variant.text) is wide
+        stated = {n: v for n, v in known.values(variant.text).items() if v is not None}
+        assert known.text(**stated) == variant.text
+        assert build(model.name, meta=layout_of(model), added=(variant.text,)).names == wide.names
+        (new,) = [e for e in wide.effects if e not in model.effects]
+        assert wide.texts[new] == variant.text
+        # each parameter has a meaning and moves a reading
+        old = {p.name for p in (*model.parameters, *model.zeros)}
+        added = [p for p in (*wide.parameters, *wide.zeros) if p.name not in old]
+        if not known.diagnosed:  # may add none, such as an exact rotation
+            continue
+        assert added
+        for p in added:
+            assert p.unit, p.name
+            assert len(p.meaning) > 5, p.name
+            assert "{" not in p.meaning, p.name
+            assert -np.inf < p.lower <= p.nominal <= p.upper < np.inf
+            assert p.lower < p.upper
+        s = wide.symbols
+        symbols = ca.vertcat(s.parameters, s.zeros)
+        moves = np.array(ca.DM(ca.jacobian(s.full(s.reading), symbols).sparsity(), 1)).any(axis=0)
+        names = [*wide.names, *(z.name for z in wide.zeros)]
+        assert all(moves[names.index(p.name)] for p in added)
+        # nothing at its nominal values, which are 0 but for widths and rails
+        p, zeros, own = wide.nominal.copy(), np.zeros(len(wide.zeros)), len(model.names)
+        p[:own] += 0.01 * rng.uniform(0.5, 1.0, own)
+        pose = 1e-3 * rng.standard_normal(len(wide.pose))
+        state = dict(zip(wide.state, 1e-3 * rng.standard_normal(len(wide.state)), strict=True))
+        before = model.reading(p[:own], zeros[: len(model.zeros)], pose, [state[c] for c in model.state])
+        after = wide.reading(p, zeros, pose, list(state.values()))
+        moved = np.asarray(after - before).ravel()
+        assert np.allclose(moved - 2 * np.pi * np.round(moved / (2 * np.pi)), 0, atol=1e-12)
+
+
+def layout_of(model: Model) -> Meta:
+    return Meta(probes=[dict(p.entry) for p in model.layout])
+
+
+def test_a_family_lists_each_effect_once() -> None:
+    for family in FAMILIES:
+        names = [e.name for e in family.effects]
+        assert len(set(names)) == len(names)
+        assert all(isinstance(e, Effect) for e in family.effects)
+        assert not set(names) & set(FAULTS)
+
+
+def test_a_fault_of_a_recording_has_a_remedy_and_is_injected() -> None:
+    n = np.arange(400)
+    angle = Recording(
+        ("angle_rad",), np.sin(n / 50)[None], np.cos(n / 50)[None], n // 200, 1e-3, 1e-4, "rad", True
+    )
+    volts = Recording(
+        ("v_sin_v", "v_cos_v"), np.array([np.sin(n / 50), np.cos(n / 50)]),
+        np.array([np.cos(n / 50), -np.sin(n / 50)]), n // 200, 1e-3, 1e-4, "V", False,
+    )  # fmt: skip
+    for name, fault in FAULTS.items():
+        assert name == fault.name
+        assert fault.link in LINKS
+        assert fault.remedy.endswith(".")
+        made = [fault.inject(r, lambda _: np.random.default_rng(1)) for r in (angle, volts)]
+        assert any(isinstance(m, Injection) for m in made)
+        for r, m in zip((angle, volts), made, strict=True):
+            if isinstance(m, Injection):
+                there = m.make(m.most, 0.0)
+                assert there.shape == r.clean.shape
+                assert np.abs(there - r.clean).max() > 0
+            else:
+                assert m
+
+
+# -- what a signature declares -----------------------------------------------------------------------------
+
+
+@effect(link="field", separate="several speeds")
+def bent(
+    model: Model,
+    order: int = one_of({3: "cubic", 5: "quintic"}, "power"),
+    width_m: float = searched((1.0, 2.0), "width", label=" of {:g}", finer=lambda w: [w / 2, w * 2]),
+    length_s: float = from_log(lambda facts: facts.duration_s, "length"),
+) -> Model:
+    """A bend.
+
+    Of some order.
+    """
+    size = Parameter("size", 0.0, -1.0, 1.0, "1", f"size {order} {width_m} {length_s}")
+    return model.with_step("field", lambda s, p: None, effect="bent", parameters=(size,))
+
+
+def test_a_signature_is_what_is_tried_and_typed() -> None:
+    model, facts = build("stage15"), Facts(60.0, ())
+    tried = bent.variants(model, facts)
+    assert [v.label for v in tried] == ["cubic of 1", "cubic of 2", "quintic of 1", "quintic of 2"]
+    assert [v.tried for v in tried] == [2] * 4
+    assert tried[0].text == "bent:width_m=1,length_s=60"
+    assert tried[3].text == "bent:order=5,width_m=2,length_s=60"
+    finer = bent.around(tried[3])
+    assert finer is not None
+    assert [v.text for v in finer.variants(model, facts)] == [
+        "bent:order=5,width_m=1,length_s=60",
+        "bent:order=5,width_m=4,length_s=60",
+    ]
+    assert bent.lacking("bent:width_m=3") == ("length_s",)
+    wide = bent(model, width_m=1.0000000001, length_s=2.0)
+    assert wide.parameters[-1].meaning == "size 3 1.0 2.0"  # as a calibration would build it again
+    assert wide.texts == {"bent": "bent:width_m=1,length_s=2"}
+    assert (bent.meaning, bent.link) == ("A bend.", "field")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ({"width_m": 1.0}, "needs length_s"),
+        ({"order": 4, "width_m": 1.0, "length_s": 1.0}, "must be one of 3, 5"),
+        ({"width_m": -1.0, "length_s": 1.0}, "must be a positive number"),
+        ({"with_m": 1.0}, "did you mean 'width_m'"),
+    ],
+)
+def test_numbers_are_checked_from_python_as_on_the_command_line(numbers, said) -> None:
+    with pytest.raises(InputError, match=said):
+        bent(build("stage15"), **numbers)
+
+
+def test_a_number_needs_a_default() -> None:
+    with pytest.raises(InputError, match="Argument size of effect broken must have a default"):
+
+        @effect(link="field")
+        def broken(model: Model, size: float) -> Model:
+            """No default."""
+            return model
+
+    with pytest.raises(InputError, match="Link of an effect must be one of clock, mechanics"):
+        effect(link="magnet")
+
+
+OWN = '''
+from hallsym.model import Parameter, effect
+from hallsym.model.arguments import one_of
+
+
+@effect(link="transducer")
+def speed_gain(model, power=one_of({1: "linear", 2: "square"}, "power of the speed")):
+    """Gain that follows the velocity of x."""
+    slope = Parameter("speed_gain", 0.0, -100.0, 100.0, "s/m", "gain per speed")
+
+    def step(s, p):
+        s["gain"] = s["gain"] * (1 + p["speed_gain"] * s["z_m"] ** power)
+
+    return model.with_step("transducer", step, effect="speed_gain", parameters=(slope,))
+
+
+EFFECTS = (speed_gain,)
+'''
+
+
+def test_an_own_effect_has_numbers_that_are_typed_saved_and_read_back(tmp_path, capsys) -> None:
+    path, calib = tmp_path / "mine.py", tmp_path / "calib.json"
+    path.write_text(OWN)
+    own = ["--effects", str(path)]
+    log = str(Path(__file__).parents[2] / "data" / "campaign")
+    assert main(["fit", log, "--model", "stage30", "--effect", "speed_gain:power=2", *own, "-o", str(calib),
+                 "--solver", "direct"]) in (0, 3)  # fmt: skip
+    record = json.loads(calib.read_text())
+    assert record["added"] == record["own_effects"] == ["speed_gain:power=2"]
+    assert main(["evaluate", str(calib), log, *own]) == 0
+    assert main(["evaluate", str(calib), log]) == 2
+    assert "an effect of your own" in capsys.readouterr().err
+
+
+# -- explained ---------------------------------------------------------------------------------------------
+
+
+def test_info_explains_every_effect_and_fault(capsys) -> None:
+    for name in (*effects(), *FAULTS):
+        assert main(["info", name]) == 0
+        said = capsys.readouterr().out
+        assert name in said
+        assert main(["info", name, "--json"]) == 0
+        record = json.loads(capsys.readouterr().out)
+        if name in FAULTS:
+            assert record["remedy"] in said
+            continue
+        for family in FAMILIES:
+            if name not in effects(family):
+                continue
+            entry = record["families"][family.name]
+            assert entry["parameters"] or not entry["diagnosed"]
+            for text in entry["examples"]:
+                assert f"--effect {text}" in said
+                build(entry["parameters_of"], added=(text,))
+            for parameter in entry["parameters"].values():
+                assert set(parameter) == {"unit", "nominal", "lower", "upper", "meaning"}
+            assert effects(family)[name].meaning in said
