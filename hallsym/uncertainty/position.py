@@ -199,6 +199,20 @@ class UncertaintyMap:
         where = {c: float(v[k]) for (c, v), k in zip(self.axes.items(), spot, strict=True)}
         return {**self.fixed, **where}, float(grid[spot])
 
+    def over(self) -> "Recorded":
+        """Return rms and worst over the points of the map."""
+        worst = {c: self.worst(c) for c in self.pose}
+        return Recorded(
+            span={c: (float(v[0]), float(v[-1])) for c, v in self.axes.items()},
+            rms=named(
+                self.pose, np.sqrt(np.mean(self.expanded**2, axis=tuple(range(1, self.expanded.ndim))))
+            ),
+            worst={c: u for c, (_, u) in worst.items()},
+            where={c: at for c, (at, _) in worst.items()},
+            samples=self.expanded[0].size,
+            turning=self.turning,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the map as plain numbers in SI: one nested list per pose coordinate."""
         return {

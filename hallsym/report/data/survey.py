@@ -72,7 +72,7 @@ class Survey:
     state: np.ndarray
     drift: np.ndarray
     reach: np.ndarray
-    designed: ErrorTable
+    nominal: ErrorTable
     fitted: ErrorTable
     errors: tuple[Trace, Trace]
     time: Trace | None
@@ -121,7 +121,7 @@ def _survey(
         state=np.array([r.state for r in found]),
         drift=travel[:, n:],
         reach=np.column_stack([low, high]) if count.any() else np.zeros((len(low), 2)),
-        designed=tables[0],
+        nominal=tables[0],
         fitted=tables[1],
         errors=errors,
         time=time,

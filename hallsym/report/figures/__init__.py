@@ -30,7 +30,7 @@ from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
 from hallsym.report.figures.profiles import ends_in_words, profiles
 from hallsym.report.figures.saving import SUFFIXES, save_figures
-from hallsym.report.figures.sensitivity import save_sensitivity_pictures
+from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
 from hallsym.report.figures.spectrum import sorts, spectrum
 from hallsym.report.figures.style import DPI, STYLE, WIDTH, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
@@ -50,6 +50,7 @@ __all__ = [
     "correlation",
     "coverage",
     "criterion_by_runs",
+    "drawable",
     "effects",
     "ends_in_words",
     "errors_before_after",

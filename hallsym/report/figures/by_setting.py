@@ -76,7 +76,7 @@ def _series(
     size = {"ms": 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0}
     looks: list[dict[str, Any]] = [{"marker": "s", "mfc": "white", "color": BEFORE}]
     found: list[tuple[str, ErrorTable, list[list[int]], dict[str, Any], Any]] = [
-        ("designed", survey.designed, every, looks[0] | size, 0.0)
+        ("nominal", survey.nominal, every, looks[0] | size, 0.0)
     ]
     for k, (label, table) in enumerate(steps.items()):
         look = {"marker": MARKERS[k % len(MARKERS)], "mfc": "white", "color": SERIES[(k + 2) % len(SERIES)]}

@@ -116,7 +116,7 @@ def _number_words(fit: Fit, row: int) -> str:
         return "at its bound"
     if fit.determined[row]:
         return plus_minus(float(fit.values[row]), COVERAGE * float(fit.std[row]), p.unit)
-    return "not determined, held" if p.name in fit.held else "not determined"
+    return "not identifiable, fixed" if p.name in fit.held else "not determined"
 
 
 def beside(ax: Axes, row: float, text: str) -> None:
@@ -129,7 +129,7 @@ def _combinations(
 ) -> None:
     """List what the data determine instead of single parameters, one picture row per line."""
     width, height = figure.get_size_inches()
-    rows = [("Determined instead", "")]
+    rows = [("Identifiable combinations", "")]
     for (lines, _), value in zip(below, instead, strict=True):
         indents = (1, *[3] * (len(lines) - 1))
         rows += [(" " * i + line, "") for i, line in zip(indents, lines, strict=True)]
@@ -169,5 +169,5 @@ def _parameter_legend(figure: Figure, fit: Fit) -> None:
     if fit.at_bound:
         handles.append(key("estimate at its bound", marker="s", **POINT))
     if not np.all(fit.determined):
-        handles.append(key("not determined by the data", marker="o", mfc="white", **POINT))
+        handles.append(key("not identifiable from the data", marker="o", mfc="white", **POINT))
     legend(figure, handles, "upper left", ncols=len(handles))

@@ -47,7 +47,7 @@ def intervals(report: Identifiability) -> Figure:
     """Draw where each 95 % interval lies within the bounds (left) and its width as a share of them (middle).
 
     The numbers stand on the right, with how the interval was found unless it is a normal one; combinations
-    that are determined instead of parameters stand below.
+    that are identifiable where parameters are not stand below.
     """
     entries = shown(report)
     words, header = [in_words(entry) for entry in entries], "95 % interval"
@@ -137,7 +137,7 @@ def _shares(ax: Axes, entries: list[ParameterReport]) -> None:
 def _instead(report: Identifiability) -> list[str]:
     if not report.combinations:
         return []
-    lines = ["Determined instead"]
+    lines = ["Identifiable combinations"]
     for c in report.combinations:
         lines += ["  " + line for line in broken(f"{typeset(c.expression)}: {in_words(c)}", 6.7)]
     return lines

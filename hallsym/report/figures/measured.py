@@ -49,7 +49,7 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> F
     timed = survey.time is not None
     looks: tuple[tuple[str, dict[str, Any]], ...] = (
         ("reference", {"color": LIGHT, "lw": 3.2}),
-        ("decoded, designed parameters", {"color": BLACK, "lw": 0.7, "ls": DASHED}),
+        ("decoded, nominal parameters", {"color": BLACK, "lw": 0.7, "ls": DASHED}),
         ("decoded, fitted", {"color": AFTER, "lw": 0.9}),
     )
     for column, (run, trace) in enumerate(zip(chosen, traces, strict=True)):

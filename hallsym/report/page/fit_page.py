@@ -26,7 +26,7 @@ from hallsym.report.words import name
 
 NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
-LOOKS = {"designed": "before", "fitted": "after", "held out": "apart", "this log": "after"}
+LOOKS = {"nominal": "before", "fitted": "after", "held out": "apart", "this log": "after"}
 
 Gap = Mapping[str, Mapping[str, float]]
 
@@ -48,7 +48,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
     shown = {k: v for k, v in rows.items() if v is not None}
     notes = _notes(log, fit, found, same)
     sections = [
-        Section("asked", "What was asked", _asked(log, fit, found, same)),
+        Section("input", "Input", _input(log, fit, found, same)),
         Section("errors", "Errors against the noise floor", _errors(shown, fit, same)),
         Section("maps", "Where the error is", parts.maps_section(found.maps, fit.noise_floor)),
         Section("series", "Decoded minus reference over time", all_series(found.series)),
@@ -89,7 +89,7 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
 
 def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
     """Return the rows to judge by: held-out runs where there are any."""
-    key = next(k for k in ("held out", "this log", "fitted", "designed") if k in rows)
+    key = next(k for k in ("held out", "this log", "fitted", "nominal") if k in rows)
     return key, rows[key]
 
 
@@ -115,11 +115,11 @@ def _determined(fit: Fit) -> str:
 
 def _rows(fit: Fit, found: Gathered) -> dict[str, Gap | None]:
     """Errors as the fit recorded them: without the outliers that it left out."""
-    rows = fit.error_rows or {"designed": found.survey.designed.over(), "fitted": found.survey.fitted.over()}
-    return {"designed": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
+    rows = fit.error_rows or {"designed": found.survey.nominal.over(), "fitted": found.survey.fitted.over()}
+    return {"nominal": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
 
 
-def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
+def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
     runs, apart = found.survey.runs, [r for r in fit.log["holdout"] if same]
     fitted = [r for r in runs if r not in apart]
     count = int(np.diff(found.survey.edges).sum())
@@ -148,7 +148,7 @@ def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> Markup:
     drawn = {label: (LOOKS[label], gap) for label, gap in rows.items()}
     note = "Dashed line: noise floor. "
     none = ", no zero deviations" if fit.model.zeros else ""
-    note += f"Designed: nominal parameters{none}. " if same else ""
+    note += f"Nominal: every parameter at its nominal value{none}. " if same else ""
     note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
     return join(
         [
