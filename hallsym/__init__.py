@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from hallsym.diagnosis.selftest import SelfTest as SelfTest
     from hallsym.diagnosis.selftest import selftest as selftest
     from hallsym.errors import InputError as InputError
-    from hallsym.estimation.calibration import Fit as Fit
-    from hallsym.estimation.calibration import load_fit as load_fit
-    from hallsym.estimation.decoding import ErrorTable as ErrorTable
-    from hallsym.estimation.fit import fit as fit
-    from hallsym.estimation.fit import refit as refit
-    from hallsym.estimation.gauss_newton import judge as judge
+    from hallsym.estimation import ErrorTable as ErrorTable
+    from hallsym.estimation import Fit as Fit
+    from hallsym.estimation import fit as fit
+    from hallsym.estimation import judge as judge
+    from hallsym.estimation import load_fit as load_fit
+    from hallsym.estimation import refit as refit
     from hallsym.experiment import Plan as Plan
     from hallsym.experiment import Ranges as Ranges
     from hallsym.experiment import paper_ranges as paper_ranges
@@ -51,6 +51,9 @@ if TYPE_CHECKING:
     from hallsym.simulation import simulate_blocks as simulate_blocks
     from hallsym.simulation import table8_noise as table8_noise
     from hallsym.simulation import write_campaign as write_campaign
+    from hallsym.trajectory import Curve as Curve
+    from hallsym.trajectory import choose_curve as choose_curve
+    from hallsym.trajectory import read_curve as read_curve
     from hallsym.uncertainty import Budget as Budget
     from hallsym.uncertainty import Source as Source
     from hallsym.uncertainty import position_budget as position_budget
@@ -65,10 +68,7 @@ _PUBLIC = {
     "hallsym.diagnosis": ("Diagnosis", "diagnose"),
     "hallsym.diagnosis.selftest": ("SelfTest", "selftest"),
     "hallsym.errors": ("InputError",),
-    "hallsym.estimation.calibration": ("Fit", "load_fit"),
-    "hallsym.estimation.decoding": ("ErrorTable",),
-    "hallsym.estimation.fit": ("fit", "refit"),
-    "hallsym.estimation.gauss_newton": ("judge",),
+    "hallsym.estimation": ("ErrorTable", "Fit", "fit", "judge", "load_fit", "refit"),
     "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),
     "hallsym.families": ("build", "published"),
     "hallsym.inference": ("Identifiability", "identify"),
@@ -78,6 +78,7 @@ _PUBLIC = {
         "Campaign", "NoiseModel", "bundled_campaign", "paper_campaign", "read_campaign", "simulate",
         "simulate_blocks", "table8_noise", "write_campaign",
     ),
+    "hallsym.trajectory": ("Curve", "choose_curve", "read_curve"),
     "hallsym.uncertainty": ("Budget", "Source", "position_budget", "read_budget", "uncertainty_map"),
     "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
 }  # fmt: skip

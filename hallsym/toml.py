@@ -1,7 +1,9 @@
 """Reading TOML files that people write: what a key must hold, and one sentence when it does not."""
 
+from __future__ import annotations
+
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +11,13 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.files import reason
+from hallsym.units import UNITS, split_unit
 
 
-def read_toml(path: Path, what: str) -> dict[str, Any]:
+def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Return what a TOML file holds; `what` names it in errors, such as "Campaign file"."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"{what} {path} does not exist; give the path of a TOML file.") from None
     except OSError as error:
@@ -23,48 +26,175 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
         raise InputError(f"{what} {path} is not valid TOML: {' '.join(str(error).split())}.") from None
 
 
-def tables(raw: Any, key: str, where: str) -> list[Mapping[str, Any]]:
-    """Return the `[[key]]` tables of a file."""
-    if not isinstance(raw, list) or not all(isinstance(entry, Mapping) for entry in raw):
-        raise InputError(f"In {where}, {key} must be [[{key}]] tables; instead received {raw!r}.")
-    return raw
+class Table:
+    """A table of a file with readers for its keys; `where` is what messages call it.
 
+    Readers take the name of a key and what stands for it where the file does not have it; without such a
+    default the key is required.
+    """
 
-def table(raw: Any, key: str, where: str) -> Mapping[str, Any]:
-    """Return the `[key]` table of a file."""
-    if not isinstance(raw, Mapping):
-        raise InputError(f"In {where}, {key} must be a table; instead received {raw!r}.")
-    return raw
+    def __init__(self, raw: Mapping[str, Any], where: str, keys: Sequence[str] | None = None) -> None:
+        """Take a table; a key that is not one of `keys` would be ignored and is refused."""
+        self.raw, self.where = raw, where
+        self._file, self._path = where, ""
+        for key in raw:
+            if keys is not None and key not in keys:
+                raise InputError(
+                    f"Unknown key {key!r} in {where}{nearest(key, list(keys))}; known are {', '.join(keys)}."
+                )
 
+    @classmethod
+    def read(cls, path: str | Path, what: str, keys: Sequence[str] | None = None) -> Table:
+        """Read a file; `what` as in `read_toml`; messages about keys say `campaign file next.toml`."""
+        return cls(read_toml(path, what), f"{what.lower()} {Path(path).name}", keys)
 
-def numbers(value: Any, key: str, where: str, check: Callable[..., float] | None = None) -> list[float]:
-    """Return a list of at least one number, each checked by `number` or `positive`."""
-    if not isinstance(value, list) or not value:
-        raise InputError(f"'{key}' of {where} must be a list of numbers; instead received {value!r}.")
-    return [(check or number)(entry, key, where) for entry in value]
+    def __contains__(self, key: str) -> bool:
+        """Return whether the file states this key."""
+        return key in self.raw
 
+    def number(self, key: str, default: float | None = None, *, least: float = -np.inf) -> float:
+        """Return a finite number, at least `least`."""
+        return number(self.raw.get(key, default), key, self.where, least)
 
-def known(raw: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
-    """Refuse a table with a key that would be ignored."""
-    for key in raw:
-        if key not in keys:
+    def positive(self, key: str, default: float | None = None) -> float:
+        """Return a finite number above 0."""
+        return positive(self.raw.get(key, default), key, self.where)
+
+    def whole(self, key: str, default: int | None = None, *, least: int = 1) -> int:
+        """Return a whole number, at least `least`."""
+        return whole(self.raw.get(key, default), key, self.where, least)
+
+    def numbers(self, key: str, check: Callable[..., float] | None = None) -> list[float]:
+        """Return a list of at least one number, each checked by `number` or `positive`."""
+        value = self.raw.get(key)
+        if not isinstance(value, list) or not value:
             raise InputError(
-                f"Unknown key {key!r} in {where}{nearest(key, list(keys))}; known are {', '.join(keys)}."
+                f"'{key}' of {self.where} must be a list of numbers; instead received {value!r}."
             )
+        return [(check or number)(entry, key, self.where) for entry in value]
+
+    def pair(self, key: str) -> tuple[float, float]:
+        """Return `[lowest, highest]`, not inverted."""
+        found = self.numbers(key)
+        if len(found) != 2:
+            raise InputError(
+                f"'{key}' of {self.where} must be [lowest, highest]; instead received {self.raw[key]!r}."
+            )
+        if found[0] > found[1]:
+            raise InputError(
+                f"'{key}' of {self.where} is inverted: {self.raw[key]!r} must run from lowest to highest."
+            )
+        return found[0], found[1]
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """Return text that is not empty."""
+        value = self.raw.get(key, default)
+        if not isinstance(value, str) or not value.strip():
+            raise InputError(f"'{key}' of {self.where} must be text; instead received {value!r}.")
+        return value.strip()
+
+    def flag(self, key: str, default: bool) -> bool:
+        """Return true or false."""
+        value = self.raw.get(key, default)
+        if not isinstance(value, bool):
+            raise InputError(f"'{key}' of {self.where} must be true or false; instead received {value!r}.")
+        return value
+
+    def choice(self, key: str, known: Sequence[str], default: str | None = None) -> str:
+        """Return one of the `known` words."""
+        value = self.raw.get(key, default)
+        if value not in known:
+            raise InputError(
+                f"'{key}' of {self.where} must be one of {', '.join(known)}; instead received {value!r}"
+                f"{nearest(str(value), list(known))}."
+            )
+        return str(value)
+
+    def table(self, key: str, keys: Sequence[str] | None = None, where: str = "") -> Table:
+        """Return the `[key]` table, empty where there is none."""
+        raw, path = self.raw.get(key, {}), f"{self._path}{key}"
+        if not isinstance(raw, Mapping):
+            raise InputError(f"In {self._file}, {key} must be a table [{path}]; instead received {raw!r}.")
+        found = Table(raw, where or f"[{path}] of {self._file}", keys)
+        found._file, found._path = self._file, f"{path}."
+        return found
+
+    def tables(self, key: str, keys: Sequence[str] | None = None) -> list[Table]:
+        """Return the `[[key]]` tables, none where there are none."""
+        raw = self.raw.get(key, [])
+        if not isinstance(raw, list) or not all(isinstance(entry, Mapping) for entry in raw):
+            raise InputError(f"In {self.where}, {key} must be [[{key}]] tables; instead received {raw!r}.")
+        return [Table(entry, f"a [[{key}]] of {self.where}", keys) for entry in raw]
+
+    def columns(self, known: Sequence[str], but: Sequence[str] = ()) -> Iterator[tuple[str, str, float]]:
+        """Yield each key, but those in `but`, with the column it names in any unit and the factor to SI.
+
+        Refuses a key that is no column of `known` and a column that is given twice.
+        """
+        found: set[str] = set()
+        for key in self.raw:
+            if key not in but:
+                column, factor = column_of(key, known, self.where)
+                if column in found:
+                    raise InputError(f"'{key}' of {self.where} is given twice, as {column}; keep one.")
+                found.add(column)
+                yield key, column, factor
 
 
 def number(value: Any, key: str, where: str, least: float = -np.inf) -> float:
     """Return a finite number, at least `least`."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < np.inf:
-        wanted = "a finite number" if least == -np.inf else f"a number >= {least:g}"
-        raise InputError(f"'{key}' of {where} must be {wanted}; instead received {value!r}.")
-    if value == -np.inf:
+    if not (_is_number(value) and abs(value) < np.inf):
         raise InputError(f"'{key}' of {where} must be a finite number; instead received {value!r}.")
+    if value < least:
+        raise InputError(f"'{key}' of {where} must be a number >= {least:g}; instead received {value!r}.")
     return float(value)
 
 
 def positive(value: Any, key: str, where: str) -> float:
     """Return a finite number above 0."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+    if not (_is_number(value) and 0 < value < np.inf):
         raise InputError(f"'{key}' of {where} must be a positive number; instead received {value!r}.")
     return float(value)
+
+
+def whole(value: Any, key: str, where: str, least: int = 1) -> int:
+    """Return a whole number, at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise InputError(
+            f"'{key}' of {where} must be a whole number, {least} or more; instead received {value!r}."
+        )
+    return int(value)
+
+
+def column_of(key: str, known: Sequence[str], where: str) -> tuple[str, float]:
+    """Return the column that `key` names in any unit, and the factor to SI: `z_um` is `z_m`, 1e-6."""
+    stem, unit = split_unit(key)
+    for column in known:
+        ours, si = split_unit(column)
+        if ours == stem:
+            if unit is None or si is None or unit.si != si.si:
+                raise InputError(f"'{key}' of {where} must end with a unit of {ours!r}, such as {column!r}.")
+            return column, unit.factor
+    raise InputError(
+        f"Unknown key {key!r} in {where}{nearest(key, list(known))}; known are {', '.join(known)} "
+        "(in any unit)."
+    )
+
+
+def unit_of(suffix: str, where: str) -> tuple[str, float]:
+    """Return SI unit and factor of a key's unit; none is a plain number, `ppm` a millionth of one.
+
+    Temperatures are differences here: no offset.
+    """
+    if suffix in ("", "1", "ppm", "percent"):
+        return "1", {"ppm": 1e-6, "percent": 1e-2}.get(suffix, 1.0)
+    if suffix not in UNITS:
+        known = [*UNITS, "ppm", "percent"]
+        raise InputError(
+            f"Unit {suffix!r} of {where} is not known{nearest(suffix, known)}; known are {', '.join(known)}."
+        )
+    return UNITS[suffix].si, UNITS[suffix].factor
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

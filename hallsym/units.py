@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +44,7 @@ UNITS["k"] = Unit("k", "degc", 1.0, -273.15)
 
 # What hallsym's own names measure: a name that fits a row has one of its SI units.
 _QUANTITIES: tuple[tuple[str, tuple[str, ...]], ...] = (
-    (r"hall_[a-z0-9]+", ("m", "v", "t", "count")),
+    (r"hall_[a-z0-9]+(_\d+)*", ("m", "v", "t", "count")),
     (r"(col|v)_[a-z0-9]+", ("v", "t", "count")),
     (r"[xyz](_ref)?", ("m",)),
     (r"r[xyz](_ref)?", ("rad",)),
@@ -113,16 +114,87 @@ def from_si(column: str, values: Array) -> Array:
     return (np.asarray(values, float) - unit.offset) / unit.factor
 
 
-ANGLES = re.compile(r"angle\w*")
-"""Angles that go round are read in degrees; the small ones of a stage in urad."""
-READ = {"m": (1e6, "um"), "rad": (1e6, "urad"), "v": (1e3, "mV"), "s": (1e3, "ms"), "degc": (1.0, "degC")}
-"""Unit of a column -> factor and unit for reading."""
+# -- units that people read ------------------------------------------------------------------------------
+
+_LADDERS: dict[str, tuple[tuple[float, str], ...]] = {
+    "m": ((1e9, "nm"), (1e6, "um"), (1e3, "mm"), (1.0, "m")),
+    "rad": ((1e9, "nrad"), (1e6, "urad"), (1e3, "mrad"), (1.0, "rad")),
+    "v": ((1e6, "uV"), (1e3, "mV"), (1.0, "V")),
+    "s": ((1e3, "ms"), (1.0, "s")),
+    "1": ((1e6, "ppm"), (1.0, "1")),
+    "turn": ((1e3 / _DEGREE, "mdeg"), (1 / _DEGREE, "deg")),
+}
+"""SI unit -> factors and units, small to large; "turn" is an angle that goes round."""
+_TABLES = {"m": "um", "rad": "urad", "v": "mV", "s": "ms", "turn": "deg"}
+"""The step of the ladder that tables of text use, whatever the size of the value."""
+_RATES = {"degc": (1.0, "degC"), "m/s": (1e3, "mm/s"), "v/s": (1.0, "V/s"), "rad/s": (30 / math.pi, "rpm")}
+_BELOW = {"um": 0.02, "urad": 0.02, "deg": 0.5}
+_ABOVE = {"um": 2e4, "urad": 2e4, "mm": 500.0, "mrad": 500.0, "mV": 500.0, "ms": 500.0}
+"""A picture steps down where its largest value is below the one, and up where it is above the other."""
+_TURNING = re.compile(r"angle\w*")
+"""hallsym's own names of angles that go round, for text about a log or a record without a model."""
 
 
-def readable(column: str) -> tuple[float, str, str]:
-    """Return factor, unit and short name of a column: `x_ref_m` -> 1e6, "um", "x_ref"."""
-    name, _, unit = column.rpartition("_")
-    if unit == "rad" and ANGLES.fullmatch(name):
-        return 180 / np.pi, "deg", name
-    factor, shown = READ.get(unit, (1.0, unit))
-    return factor, shown, name
+def si_unit(column: str) -> str:
+    """Return the SI unit that a column's name ends with: `x_ref_m` -> "m"; "" where it ends with none."""
+    unit = split_unit(column)[1]
+    return unit.si if unit else ""
+
+
+def reading_unit(si: str, *, turns: bool = False) -> tuple[float, str]:
+    """Return factor and unit in which tables of text show an SI unit; `turns`: an angle that goes round."""
+    kind = "turn" if turns and si == "rad" else si
+    steps = {unit: factor for factor, unit in _LADDERS.get(kind, ())}
+    if kind in _TABLES:
+        return steps[_TABLES[kind]], _TABLES[kind]
+    return _RATES.get(si, (1.0, si))
+
+
+def readable(column: str, turning: Collection[str] | None = None) -> tuple[float, str, str]:
+    """Return factor, unit and short name of a column: `x_ref_m` -> 1e6, "um", "x_ref".
+
+    `turning`: columns that go round, `Model.period`; without a model, hallsym's own names of such columns.
+    """
+    name, _, si = column.rpartition("_")
+    return *reading_unit(si, turns=_goes_round(column, turning)), name
+
+
+def scaled(column: str, largest: float, turning: Collection[str] | None = None) -> tuple[float, str]:
+    """Return factor and unit for values of a column up to `largest`: those of text tables if near them."""
+    factor, unit, _ = readable(column, turning)
+    kind = "turn" if unit == "deg" else column.rpartition("_")[2]
+    ladder = _LADDERS.get(kind, ()) if kind in _TABLES else ()
+    if not ladder:
+        return factor, unit
+    k = ladder.index((factor, unit))
+    k -= 0 <= largest * factor <= _BELOW.get(unit, -1.0)
+    while largest * ladder[k][0] > _ABOVE.get(ladder[k][1], math.inf):
+        k += 1
+    return ladder[k]
+
+
+def fitting(si: str, largest: float, *, turns: bool = False) -> tuple[float, str]:
+    """Return factor and the smallest unit in which values up to `largest` stay below 1000."""
+    ladder = _LADDERS.get("turn" if turns and si == "rad" else si, ((1.0, si),))
+    return next((step for step in ladder if abs(largest) * step[0] < 1000.0), ladder[-1])
+
+
+def parameter_unit(si: str, *, millimetres: bool = False) -> tuple[float, str]:
+    """Return factor and unit in which a parameter is shown: angles in degrees, others in their SI unit.
+
+    `millimetres`: lengths in mm and nothing for a plain number, where room is short.
+    """
+    if si == "rad":
+        return 1 / _DEGREE, "deg"
+    return {"m": (1e3, "mm"), "1": (1.0, "")}.get(si, (1.0, si)) if millimetres else (1.0, si)
+
+
+def typeset(unit: str) -> str:
+    """Return a unit as it is printed: `um` -> µm, `degC` -> °C."""
+    return re.sub(r"^u(?=m$|rad$|V$)", "µ", unit).replace("degC", "°C")
+
+
+def _goes_round(column: str, turning: Collection[str] | None) -> bool:
+    if turning is None:
+        return bool(_TURNING.fullmatch(column.rpartition("_")[0]))
+    return column in turning

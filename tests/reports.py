@@ -8,12 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from twins import SIGMAS, TRUTH, record, with_noise
 
-from hallsym.estimation.fit import fit
+from hallsym.estimation import fit
 from hallsym.families import build
-from hallsym.inference import Identifiability, identify
-from hallsym.inference.intervals import Interval
-from hallsym.inference.profile_walk import Side
-from hallsym.inference.verdict import Verdict
+from hallsym.inference import Identifiability, Interval, Side, Verdict, identify
 from hallsym.report.figures import WIDTH
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 

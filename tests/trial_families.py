@@ -9,7 +9,9 @@ from math import pi
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen import Box, Decoupler, Entry, Margin, Step, limits
 from hallsym.model import Example, Family, Model, Parameter, PoseMetric, effect
+from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import rate
 
 LENGTH = 0.03
@@ -123,8 +125,59 @@ def late_readings(model):
 
 
 def lowered(model, p, weight, box):
-    """The C of three column sums: arctangent and logarithm are the library's, so no integers."""
-    raise NotImplementedError
+    """The C of three sums near x = 0: the arctangent of x and the logarithm of z are odd series."""
+
+    v = model.named(p)
+    inputs, columns = [ca.SX.sym(f"col_{k}") for k in range(3)], model.channels
+    grid = np.array([g.ravel() for g in np.meshgrid(*(np.linspace(*box.ends[c], 9) for c in model.pose))])
+    read = np.array([np.asarray(model.reading(p, [], q, [])).ravel() for q in grid.T])
+    ends = Box(dict(zip(columns, zip(read.min(axis=0), read.max(axis=0), strict=True), strict=True)))
+    middle = float(np.exp(-2 * np.mean(box.ends["z_m"]) / LC))
+    entries = {"middle": (middle, "1"), "level": (float(np.mean(box.ends["z_m"])), "m")}
+    for name, turn in (("sin", np.sin), ("cos", np.cos)):
+        factors = [2 / 3 * turn(u - v["phase"]) / v[f"g{k}"] for k, u in enumerate(THIRDS)]
+        entries |= {f"{name}_{k}": (float(f), "1/V") for k, f in enumerate(factors)}
+        entries[f"{name}_rest"] = -sum(f * v[f"o{k}"] for k, f in enumerate(factors)), "1"
+    e = {name: ca.SX.sym(name) for name in (*entries, "zero_x", "zero_z")}
+    made = {n: ca.SX.sym(n) for n in ("sine", "cosine", "size", "q", "qq", "t", "tt")}
+    sin, cos, size, q, qq, t, tt = made.values()
+    sums = [sum((e[f"{n}_{k}"] * m for k, m in enumerate(inputs)), e[f"{n}_rest"]) for n in ("sin", "cos")]
+    steps = (
+        Step("sine", sums[0]),
+        Step("cosine", sums[1]),
+        Step("size", sin * sin + cos * cos),
+        Step("q", sin / cos),
+        Step("qq", q * q),
+        Step("t", (size - e["middle"]) / (size + e["middle"])),
+        Step("tt", t * t),
+        Step("x", e["zero_x"] + LC * odd_series(q, qq, [(-1) ** n / (2 * n + 1) for n in range(8)]), "[m]"),
+        Step(
+            "z",
+            (e["zero_z"] + e["level"]) - LC * odd_series(t, tt, [1 / (2 * n + 1) for n in range(8)]),
+            "[m]",
+        ),
+    )
+
+    symbol = ca.SX.sym("v", 3)
+    closed = on_arrays(ca.Function("closed", [symbol], [model.begin(symbol, v)]))
+
+    return Decoupler(
+        model=model, inputs=columns, limits=limits(columns, ends), at_pose=(), box=ends,
+        exact=lambda readings: closed(list(readings))[0], rest=tuple(read.mean(axis=0)),
+        table=tuple(Entry(name, *value, name) for name, value in entries.items()), steps=steps,
+        zeros=tuple(Entry(f"zero_{a}", 0.0, "m", f"added to {a}_m") for a in "xz"),
+        margins=(Margin(columns[0], "middle"),), approximation=1e-8,
+        symbols={**dict(zip(columns, inputs, strict=True)), **e, **made,
+                 "x_m": ca.SX.sym("x"), "z_m": ca.SX.sym("z")},
+    )  # fmt: skip
+
+
+def odd_series(x, square, factors):
+    """x (f0 + f1 x^2 + ...) by Horner's rule."""
+    total = ca.SX(factors[-1])
+    for f in reversed(factors[:-1]):
+        total = total * square + f
+    return x * total
 
 
 ARRAY = Family(
@@ -135,6 +188,7 @@ ARRAY = Family(
     pose_metric=PoseMetric("m"),
     effects=(second_harmonic, late_readings),
     words={"x_ref_m": "x along the array"},
+    decoder=lowered,
     example=Example(
         campaign={
             "step_s": 2e-3,
@@ -161,11 +215,14 @@ PLACES = [(k * LENGTH / 3, side) for side in (-0.02, 0.02) for k in range(3)]
 
 
 def array_6dof(layout=None):
-    """A mover with an array along x and one along y, each over two rows of three sensors; small rotations."""
+    """A mover with an array along x and one along y, each over two rows of three sensors; small rotations.
+
+    Within one period: a turned mover is not the same a period further.
+    """
     channels = tuple(f"hall_{a}_{k}_v" for a in "xy" for k in range(6))
 
     def field(s, p):
-        rows = []
+        s["waves"] = []
         for axis in "xy":
             for k, (along, across) in enumerate(PLACES):
                 px, py = (along, across) if axis == "x" else (across, along)
@@ -173,9 +230,11 @@ def array_6dof(layout=None):
                 u = -(dx + s["rz_rad"] * dy) if axis == "x" else -(dy - s["rz_rad"] * dx)
                 height = s["z_m"] + s["rx_rad"] * dy - s["ry_rad"] * dx
                 fade = ca.exp(-height / LC)
-                wave = [s.derive(f"{f.__name__} {axis}{k}", fade * f(u / LC)) for f in (ca.cos, ca.sin)]
-                rows.append(wave_of(wave, p[f"phase_{axis}"]))
-        s["field"] = ca.vertcat(*rows)
+                s["waves"] += [
+                    [s.derive(f"{f.__name__} {axis}{k}", fade * f(u / LC)) for f in (ca.cos, ca.sin)]
+                ]
+        phases = [p[f"phase_{axis}"] for axis in "xy" for _ in PLACES]
+        s["field"] = ca.vertcat(*map(wave_of, s["waves"], phases))
 
     def begin(v, p):
         place, height = [], []
@@ -208,6 +267,19 @@ def array_6dof(layout=None):
             (k * LENGTH / 4, j * LENGTH / 4, 5e-3, 0.0, 0.0, 0.0) for k in range(4) for j in range(4)
         ),
     )
+
+
+def second_harmonic_along(model, axis):
+    """A machine whose array along one axis has a second harmonic: 3e-3 of the first."""
+
+    def step(s, p):
+        rows = []
+        for k, (cos, sin) in enumerate(s["waves"]):
+            size = 3e-3 if axis == "xy"[k // len(PLACES)] else 0.0
+            rows.append(size * wave_of((cos * cos - sin * sin, 2 * cos * sin), 2 * p[f"phase_{axis}"]))
+        s["field"] = s["field"] + ca.vertcat(*rows)
+
+    return model.with_step("field", step, effect="second_harmonic_along")
 
 
 PLANE = Family(

@@ -12,8 +12,9 @@ COMMANDS = {
     "codegen": "C for the controller",
     "plan": "choose what to record next, within your ranges and your time",
     "tolerances": "which tolerance of the machine is worth money, before any data",
+    "trajectory": "a curve through points or of an expression, with the error it makes",
     "simulate": "write the log a known machine would record",
-    "info": "what a log, calibration or campaign file holds; or what hallsym knows",
+    "info": "what a log, calibration or campaign file holds, or what a model is",
 }
 """Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 

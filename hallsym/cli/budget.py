@@ -9,12 +9,22 @@ from typing import Any
 import numpy as np
 
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import assignment, command, log_options, noted, open_log, say, seed
+from hallsym.cli.common import (
+    assignment,
+    column_numbers,
+    column_ranges,
+    command,
+    log_options,
+    noted,
+    open_log,
+    say,
+    seed,
+)
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.log import Log, Noise
 from hallsym.log.noise import check_noise_keys
-from hallsym.report.text.budget import budget_text, comparison_text, position_words, recorded_text
+from hallsym.report.text import budget_text, comparison_text, position_words, recorded_text
 from hallsym.uncertainty import (
     Budget,
     Comparison,
@@ -31,7 +41,6 @@ from hallsym.uncertainty import (
     read_settings,
     uncertainty_map,
 )
-from hallsym.uncertainty.settings import column_value
 
 LOG_OPTIONS = ("column", "column_file", "format", "delimiter", "drop_bad")
 EPILOG = """\
@@ -148,7 +157,9 @@ def _position(options: Namespace) -> int:
     pictures = _pictures(options, worst or budgets, grid, log)
     shown = grid if options.map or options.range else None
     parts = _position_text(budgets, list(found.values()), recorded, shown, settings)
-    parts.insert(0, f"position at {position_words(at)}; fit covariance: {fit.covariance_method}")
+    parts.insert(
+        0, f"position at {position_words(at, fit.model.period)}; fit covariance: {fit.covariance_method}"
+    )
     parts += ["", *noted(said)] if said else []
     say(options, record, lambda: "\n".join([*parts, *pictures]))
     return NOT_DETERMINED if fit.undetermined_by_log else OK
@@ -166,7 +177,7 @@ def _position_text(
     parts = [f"\n{budget_text(budget)}" for budget in budgets.values()]
     parts += [f"\n{comparison_text(found)}"] if found else []
     parts += [f"\n{recorded_text(recorded, f'U ({coverage}), recorded workspace')}"] if recorded else []
-    parts += [f"\n{recorded_text(_over_map(grid), f'U ({coverage}), map')}"] if grid else []
+    parts += [f"\n{recorded_text(grid.over(), f'U ({coverage}), map')}"] if grid else []
     return parts
 
 
@@ -182,47 +193,17 @@ def _at(given: Sequence[str], fit: Fit) -> dict[str, float]:
     """`x_um=100` as column -> SI value."""
     at: dict[str, float] = {}
     for text in given:
-        key, _, value = text.partition("=")
-        column, factor = column_value(key, (*fit.model.pose, *fit.model.state), "--at")
+        column, (value,) = column_numbers(text, (*fit.model.pose, *fit.model.state), "--at", "x_um=100")
         if column in at:
             raise InputError(f"--at gives {column} twice; keep one.")
-        at[column] = _number(value, "--at", text, "x_um=100") * factor
+        at[column] = value
     return at
-
-
-def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
-    """`x_um=-300:300` as column -> least and greatest SI value."""
-    ranges: dict[str, tuple[float, float]] = {}
-    axes = map_axes(fit.model)
-    for text in given:
-        key, _, value = text.partition("=")
-        column, factor = column_value(key, axes, "--range")
-        low, _, high = value.partition(":")
-        ends = [_number(v, "--range", text, "x_um=-300:300") * factor for v in (low, high)]
-        if not ends[0] < ends[1]:
-            raise InputError(
-                f"--range must go from the lesser to the greater value; instead received {text!r}."
-            )
-        ranges[column] = (ends[0], ends[1])
-    return ranges
-
-
-def _number(text: str, option: str, whole: str, example: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise InputError(
-            f"{option} must be numbers with the unit in the name, such as {example}; got {whole!r}."
-        )
-    return value
 
 
 def _map(
     options: Namespace, fit: Fit, settings: Settings, at: Mapping[str, float], recorded: Recorded | None
 ) -> UncertaintyMap:
-    ranges = _ranges(options.range, fit)
+    ranges = column_ranges(options.range, map_axes(fit.model))
     spans = recorded.span if recorded else {}
     axes = {c: ranges.get(c) or spans.get(c) for c in map_axes(fit.model)}
     for column, span in axes.items():
@@ -231,7 +212,12 @@ def _map(
                 f"A map needs to know what it shall cover: give a LOG, or --range {column}=LOW:HIGH "
                 f"(a calibration does not hold its workspace)."
             )
-    lines = {c: sorted(set(span)) for c, span in axes.items() if span}  # one height, where Z never moved
+    turn = fit.model.period
+    lines = {
+        c: (0.0, turn[c]) if c in turn and span[1] - span[0] > turn[c] else sorted(set(span))
+        for c, span in axes.items()
+        if span
+    }  # one turn of what went round more often; one height, where Z never moved
     return uncertainty_map(fit, lines, settings, fixed={c: v for c, v in at.items() if c not in axes})
 
 
@@ -251,25 +237,13 @@ def _worst(
     return worst
 
 
-def _over_map(grid: UncertaintyMap) -> Recorded:
-    """rms and worst over the points of a map."""
-    worst = {c: grid.worst(c) for c in grid.pose}
-    return Recorded(
-        span={c: (float(v[0]), float(v[-1])) for c, v in grid.axes.items()},
-        rms={c: float(np.sqrt(np.mean(u**2))) for c, u in zip(grid.pose, grid.expanded, strict=True)},
-        worst={c: u for c, (_, u) in worst.items()},
-        where={c: at for c, (at, _) in worst.items()},
-        samples=grid.expanded[0].size,
-    )
-
-
 def _pictures(
     options: Namespace, budgets: Mapping[str, Budget], grid: UncertaintyMap | None, log: Log | None
 ) -> list[str]:
     """Save the pictures asked for; returns the lines that say so."""
     if not options.plots:
         return []
-    from hallsym.report.figures.uncertainty import save_budget_pictures
+    from hallsym.report.figures import save_budget_pictures
 
     paths = save_budget_pictures(
         Path(options.plots), budgets, grid, worst=log is not None or grid is not None

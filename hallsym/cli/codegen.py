@@ -1,21 +1,16 @@
 """`hallsym codegen`: a calibration as C for the controller."""
 
 from argparse import Namespace
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import command, noted, say
-from hallsym.codegen import Generated, Integers, generate, generate_q31
+from hallsym.cli.common import column_numbers, column_ranges, command, noted, say
+from hallsym.codegen import Generated, generate
+from hallsym.codegen.checks import sha256
 from hallsym.codegen.folder import options_of
-from hallsym.codegen.rotary_correction import KINDS
-from hallsym.codegen.table import sha256
-from hallsym.errors import InputError
+from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.uncertainty.settings import column_value
 
 EPILOG = """\
 examples:
@@ -56,7 +51,7 @@ def add(sub: Any) -> None:
         "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table",
     )  # fmt: skip
     parser.add_argument(
-        "--correction", choices=KINDS,
+        "--correction", choices=CORRECTIONS,
         help="encoders: a series of waves, or a table of 64 to 1024 entries (default: auto, fewer bytes)",
     )  # fmt: skip
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
@@ -75,29 +70,19 @@ def run(options: Namespace) -> int:
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
-def _made(fit: Fit, options: Namespace) -> Generated | Integers:
+def _made(fit: Fit, options: Namespace) -> Generated:
     digest = sha256(Path(options.calibration).read_bytes())
-    ranges, allow = _ranges(options.range, fit), options.allow_undetermined
+    columns = (*fit.model.pose, *fit.model.state, *fit.model.channels)
+    ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
     before = options_of(Path(options.output)) if options.params_only else {}
     accuracy, correction = _accuracy(options.accuracy, fit), options.correction
     if accuracy is None:
         accuracy = before.get("accuracy")
     if correction is None:
         correction = before.get("correction")
-    if options.arithmetic == "q31":
-        for name in ("double", "jacobian"):
-            if getattr(options, name):
-                raise InputError(f"--{name} belongs to --arithmetic float; leave it out, or the integers.")
-        return generate_q31(
-            fit,
-            ranges=ranges,
-            accuracy=accuracy,
-            correction=correction,
-            allow_undetermined=allow,
-            calibration_sha256=digest,
-        )
     return generate(
         fit,
+        arithmetic=options.arithmetic,
         ranges=ranges,
         double=options.double,
         jacobian=options.jacobian,
@@ -108,7 +93,7 @@ def _made(fit: Fit, options: Namespace) -> Generated | Integers:
     )
 
 
-def _text(made: Generated | Integers, options: Namespace) -> list[str]:
+def _text(made: Generated, options: Namespace) -> list[str]:
     record = made.to_dict()
     lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
     for c, met in record["error_met"].items():
@@ -125,31 +110,4 @@ def _accuracy(given: str | None, fit: Fit) -> float | None:
     """`angle_mrad=1` in SI."""
     if given is None:
         return None
-    key, _, value = given.partition("=")
-    _, factor = column_value(key, fit.model.pose, "--accuracy")
-    try:
-        return float(value) * factor
-    except ValueError:
-        raise InputError(
-            f"--accuracy must be a column of the pose and a number, such as angle_mrad=1; got {given!r}."
-        ) from None
-
-
-def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
-    """`z_um=-200:200` as column -> least and greatest SI value."""
-    ranges: dict[str, tuple[float, float]] = {}
-    known = (*fit.model.pose, *fit.model.state, *fit.model.channels)
-    for text in given:
-        key, _, value = text.partition("=")
-        column, factor = column_value(key, known, "--range")
-        low, _, high = value.partition(":")
-        try:
-            ends = (float(low) * factor, float(high) * factor)
-        except ValueError:
-            ends = (np.nan, np.nan)
-        if not ends[0] < ends[1] or not np.isfinite(ends).all():
-            raise InputError(
-                f"--range must go from the lesser to the greater value, such as z_um=-200:200; got {text!r}."
-            )
-        ranges[column] = ends
-    return ranges
+    return column_numbers(given, fit.model.pose, "--accuracy", "angle_mrad=1")[1][0]

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,9 @@ from hallsym.families.user import load_effects
 from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
 from hallsym.log.noise import check_noise_keys
 from hallsym.model import Effect, Model
+from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
+from hallsym.toml import column_of
 
 
 def command(
@@ -127,6 +130,34 @@ def assignment(text: str) -> tuple[str, float]:
     return name, sigma
 
 
+def column_numbers(text: str, columns: Sequence[str], option: str, example: str) -> tuple[str, list[float]]:
+    """Read `x_um=100` or `x_um=-300:300` of an option: the column and its finite values in SI."""
+    key, _, value = text.partition("=")
+    column, factor = column_of(key, columns, option)
+    try:
+        found = [float(number) * factor for number in value.split(":")]
+    except ValueError:
+        found = []
+    if len(found) != 1 + example.count(":") or not all(map(math.isfinite, found)):
+        raise InputError(
+            f"{option} must be numbers with the unit in the name, such as {example}; got {text!r}."
+        )
+    return column, found
+
+
+def column_ranges(given: Sequence[str], columns: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Read every `--range x_um=-300:300`: column -> least and greatest SI value."""
+    ranges = {}
+    for text in given:
+        column, (low, high) = column_numbers(text, columns, "--range", "x_um=-300:300")
+        if not low < high:
+            raise InputError(
+                f"--range must go from the lesser to the greater value; instead received {text!r}."
+            )
+        ranges[column] = low, high
+    return ranges
+
+
 def run_numbers(text: str) -> list[int]:
     """`2,7,12` or `40-45` as run numbers."""
     runs: list[int] = []
@@ -145,7 +176,7 @@ def run_numbers(text: str) -> list[int]:
 
 
 def progress_of(options: Namespace) -> Callable[[str], None]:
-    """One line on a terminal's stderr, overwritten; silent elsewhere."""
+    """Return what shows one line on a terminal's stderr, overwriting the last; silent elsewhere."""
     if options.json or not sys.stderr.isatty():
         return lambda _: None
 
@@ -199,7 +230,7 @@ def campaign_of(options: Namespace) -> Campaign:
 def truth_of(
     options: Namespace, machine: Machine, campaign: Campaign | None = None
 ) -> tuple[Model, dict[str, float]]:
-    """Model and values of the twin: a calibration's, else the published ones as far as the model has them.
+    """Return model and values of the simulated machine: a calibration's, else the published ones it has.
 
     Where no model is named, that of the axes which `campaign` moves.
     """
@@ -207,7 +238,7 @@ def truth_of(
         known = load_fit(options.values)
         if options.model and options.model != known.model.name:
             raise InputError(f"--values holds a {known.model.name}; leave --model out or give that name.")
-        return known.model, dict(zip(known.model.names, known.values.tolist(), strict=True))
+        return known.model, named(known.model.names, known.values)
     runs = campaign.runs if campaign else ()
     moved = {axis for run in runs for axis in (*run.setting, *run.motion)}
     model = build(
@@ -224,7 +255,7 @@ def truth_of(
 
 
 def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Noise by column: the campaign file's own, else Table 8's.
+    """Return the noise by column: the campaign file's own, else the example's of the family, else Table 8's.
 
     A file may state the noise of every form in which a family is read (two voltages, or an angle).
     """
@@ -237,7 +268,7 @@ def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dic
     other = [c for c in campaign.noise if c in (own or {}) and c not in columns]
     stated = {c: s for c, s in campaign.noise.items() if c not in other}
     check_noise_keys(stated, columns, "the campaign's [noise]")
-    found = {c: s.value for c, s in Noise.given(stated, columns).sigmas.items()}
+    found = Noise.given(stated, columns).std
     lacking = [c for c in model.channels if c not in found]
     if other and lacking:
         raise InputError(

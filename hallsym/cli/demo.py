@@ -6,7 +6,7 @@ from typing import Any
 
 from hallsym.cli import OK, paper
 from hallsym.cli.common import command, progress_of, save_fit_pictures, say
-from hallsym.report.tables import fit_text
+from hallsym.report.text.fit import fit_text
 
 
 def add(sub: Any) -> None:

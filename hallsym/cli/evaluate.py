@@ -6,10 +6,10 @@ from typing import Any
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, noted, open_log, own_effects, own_option, say
 from hallsym.errors import InputError
+from hallsym.estimation import noise_of
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.channel_assignment import as_read, rewired
 from hallsym.estimation.decoding import logged_columns
-from hallsym.estimation.fit import noise_of
 from hallsym.estimation.gauss_newton import judge
 from hallsym.log import Log, check_log
 from hallsym.report.tables import error_rows
@@ -38,7 +38,7 @@ def run(options: Namespace) -> int:
     _belongs(log, known)
     log = as_read(log, known.model, known.wiring)
     noise = noise_of(log, known.model)
-    table = judge(log, known.model, known.values, {c: s.value for c, s in noise.sigmas.items()})
+    table = judge(log, known.model, known.values, noise.std)
     rows: dict[str, Any] = {"all runs": table.over()}
     if options.by_run:
         rows |= {f"run {run}": table.over([run]) for run in table.runs}
@@ -51,7 +51,13 @@ def run(options: Namespace) -> int:
         "noise": {c: {"value": s.value, "source": s.source} for c, s in noise.sigmas.items()},
         "notes": notes,
     }
-    say(options, record, lambda: "\n".join([error_rows(known.model.pose, rows, None), *noted(notes)]))
+    say(
+        options,
+        record,
+        lambda: "\n".join(
+            [error_rows(known.model.pose, rows, None, turning=known.model.period), *noted(notes)]
+        ),
+    )
     return OK
 
 

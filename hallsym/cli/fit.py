@@ -23,7 +23,7 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.families.machine_file import read_machine
 from hallsym.model import Model
-from hallsym.report.tables import fit_text
+from hallsym.report.text.fit import fit_text
 
 
 def add(sub: Any) -> None:
@@ -54,7 +54,7 @@ def add(sub: Any) -> None:
         "--solver",
         default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
-        "or the global stage: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
+        "or the global search: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
     )
     group.add_argument(
         "--loss", default="auto", help="auto (take out isolated spikes if there are any), none, reject, tukey"
@@ -64,7 +64,7 @@ def add(sub: Any) -> None:
         action="store_true",
         help="find channel order and signs instead of refusing wrong ones",
     )
-    group.add_argument("--seed", type=seed, default=0, help="of the global stage (default 0)")
+    group.add_argument("--seed", type=seed, default=0, help="of the global search (default 0)")
     log_options(parser)
 
 
@@ -116,7 +116,7 @@ def exit_code(result: Fit) -> int:
         what = ", ".join(result.undetermined_by_log)
         print(
             f"hallsym: this log does not determine {what} of {result.model.name}: "
-            "they are held or combined as the table says; record runs that move what they belong to.",
+            "they are fixed or combined as the table says; record runs that move what they belong to.",
             file=sys.stderr,
         )
         return NOT_DETERMINED

@@ -2,16 +2,19 @@
 
 from argparse import Namespace
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, noted, open_log, say
+from hallsym.estimation import LOSSES, SOLVERS, noise_of
 from hallsym.estimation.calibration import load_fit
-from hallsym.estimation.fit import LOSSES, SOLVERS, noise_of
-from hallsym.families import effects, models
+from hallsym.families import build, effects, models
 from hallsym.log import Log, check_log, spans
-from hallsym.report.tables import fit_text, grid
+from hallsym.report.tables import grid
 from hallsym.report.text.effect import effect_record, effect_text, is_explained
+from hallsym.report.text.fit import fit_text
+from hallsym.report.text.model import model_record, model_text
 from hallsym.simulation import Campaign, read_campaign
 from hallsym.units import readable
 
@@ -21,14 +24,16 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "info", run,
         "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a\n"
-        "campaign file. An effect by name: what it means, its numbers, the parameters it adds, what\n"
-        "recording separates it from others. Without a file: the models, effects and solvers there are.",
+        "campaign file. A model by name: its chain of links, parameters, zeros, effects it can take. An\n"
+        "effect by name: what it means, its numbers, the parameters it adds, what recording separates it\n"
+        "from others. Without an argument: the models, effects and solvers there are.\n\n"
+        "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis",
     )  # fmt: skip
     parser.add_argument(
         "file",
         metavar="FILE",
         nargs="?",
-        help="log, calibration (.json), campaign (.toml), or the name of an effect, such as hysteresis",
+        help="log, calibration (.json), campaign (.toml), or the name of a model or an effect",
     )
     log_options(parser)
 
@@ -43,6 +48,9 @@ def run(options: Namespace) -> int:
             "losses": list(LOSSES),
         }
         say(options, record, lambda: _listing(record))
+    elif options.file in models() and not Path(options.file).exists():
+        record = model_record(build(options.file))
+        say(options, record, lambda: model_text(record))
     elif is_explained(options.file):
         record = effect_record(options.file)
         say(options, record, lambda: effect_text(record))

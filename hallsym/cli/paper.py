@@ -27,7 +27,7 @@ def reproduce(on_progress: Callable[[str], None] | None = None) -> tuple[Log, Fi
     both = [run for run, z in heights.items() if abs(abs(z) - HEIGHT) < 20e-6]
     full = fit(log, "stage31", on_progress=on_progress)
     assert full.errors is not None
-    steps = [_step("designed values, Model (15), Z = +-250 um", 2, 15, full.errors.designed.over(both))]
+    steps = [_step("nominal values, Model (15), Z = +-250 um", 2, 15, full.errors.designed.over(both))]
     steps.append(_step("Model (30), both heights in one fit", 4, 30, _fitted(log, both)))
     each = [_fitted(log, [r for r in both if heights[r] * sign > 0]) for sign in (-1, 1)]
     steps.append(_step("Model (30), each height by itself", 4, 30, _joined(each)))

@@ -17,13 +17,14 @@ from hallsym.cli.common import (
     truth_of,
 )
 from hallsym.errors import InputError
+from hallsym.estimation import fit, noise_of
 from hallsym.estimation.calibration import load_fit
-from hallsym.estimation.fit import fit, noise_of
 from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.report.text.plan import plan_text
+from hallsym.records import named
+from hallsym.report.text import plan_text
 from hallsym.simulation import (
     Campaign,
     is_the_papers,
@@ -99,7 +100,7 @@ def run(options: Namespace) -> int:
     if options.output:
         write_campaign(found.campaign, options.output, comment=_comment(found))
     if options.plots:
-        from hallsym.report.figures.plan import save_plan_pictures
+        from hallsym.report.figures import save_plan_pictures
 
         written += save_plan_pictures(found, options.plots, log or against, "recorded" if log else name)
     say(
@@ -124,7 +125,7 @@ def _truth(options: Namespace, machine: Machine, log: Log | None) -> tuple[Model
         where = options.values or ("Table 7" if machine.probes is None else "the machine file")
         return model, values, f"planned for the values of {where}; other values make other plans."
     fitted = fit(log, options.model, solver="direct", parameters=machine.parameters, effects=options.effect)
-    values = dict(zip(fitted.model.names, fitted.values.tolist(), strict=True))
+    values = named(fitted.model.names, fitted.values)
     return fitted.model, values, f"planned for values fitted to {log.name}."
 
 
@@ -135,10 +136,10 @@ def _noise(
     if ranges.noise:
         return None, "noise as the ranges file states it."
     if log is not None:
-        return {c: s.value for c, s in noise_of(log, model).sigmas.items()}, f"noise as in {log.name}."
+        return noise_of(log, model).std, f"noise as in {log.name}."
     if options.values:
         known = load_fit(options.values).noise
-        return {c: s.value for c, s in known.sigmas.items()}, f"noise as in {options.values}."
+        return known.std, f"noise as in {options.values}."
     if is_the_papers(model):
         return dict(table8_noise(model, values).sigma), "noise that reproduces Table 8."
     return None, ""

@@ -20,14 +20,12 @@ from hallsym.cli.common import (
     truth_of,
 )
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import load_fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import fit, load_fit
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
-from hallsym.inference import Identifiability, identify
-from hallsym.inference.comparison import beside_text, compared
-from hallsym.report.text.identifiability import report_text
+from hallsym.inference import Identifiability, comparison, identify
+from hallsym.report.text.identifiability import comparison_text, report_text
 from hallsym.simulation import campaign_from, paper_campaign, read_campaign
 
 PAPER = "the paper's campaign"
@@ -87,12 +85,12 @@ def run(options: Namespace) -> int:
     """Carry the command out."""
     report = _planned(options) if options.plan is not None else _recorded(options)
     others = [_other(options, report, name) for name in options.beside]
-    record = report.to_dict() | ({"beside": compared(report, others)} if others else {})
+    record = report.to_dict() | ({"beside": comparison(report, others)} if others else {})
     written = _written(options, report, record)
 
     def text() -> str:
         parts = [report_text(report, zeros=options.zeros)]
-        parts += ["", beside_text(report, others)] if others else []
+        parts += ["", comparison_text(report, others)] if others else []
         return "\n".join([*parts, *(f"wrote {path}" for path in written)])
 
     say(options, record, text)
@@ -156,7 +154,7 @@ def _written(options: Namespace, report: Identifiability, record: dict[str, Any]
         atomic_write(options.output, json.dumps(record, indent=1, allow_nan=False) + "\n")
         written.append(Path(options.output))
     if options.plots:
-        from hallsym.report.figures.sensitivity import save_sensitivity_pictures
+        from hallsym.report.figures import save_sensitivity_pictures
 
         written += save_sensitivity_pictures(report, options.plots)
     return written
@@ -164,7 +162,7 @@ def _written(options: Namespace, report: Identifiability, record: dict[str, Any]
 
 def _exit_code(report: Identifiability) -> int:
     """0, or 3 with one sentence when this recording leaves something undetermined or a result is missing."""
-    lost = report.evidence.undetermined_by_log
+    lost = report.evidence.uncertainty.undetermined_by_log
     if lost:
         print(
             f"hallsym: {report.evidence.recorded} does not determine {', '.join(lost)} of "

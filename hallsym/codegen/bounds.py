@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen.decoupler import Decoupler, Step
 from hallsym.codegen.entries import short
-from hallsym.codegen.intervals import Enclosure, enclose
-from hallsym.codegen.parts import Decoupler, Step
+from hallsym.codegen.intervals import Enclosure, constant, enclose
 
 LEAST_GAIN = 0.1
 """Share of its gain at rest below which a probe must not fall within the box."""
@@ -55,7 +55,7 @@ def _reach(d: Decoupler, symbols: Mapping[str, ca.SX], columns: Sequence[str]) -
     return most
 
 
-def bounds(d: Decoupler, digits: int = 24) -> Bounds:
+def pose_bounds(d: Decoupler, digits: int = 24) -> Bounds:
     """Return the bounds of one table, by interval arithmetic on the printed expressions."""
     if d.bounded is None:
         found = _enclosed(d, ca.vertsplit(d.folded), digits)
@@ -84,9 +84,7 @@ def slope_errors(d: Decoupler, digits: int = 24) -> dict[str, float]:
 
 def _enclosed(d: Decoupler, expressions: list[ca.SX], digits: int) -> list[Enclosure]:
     dtype = np.float32 if digits == 24 else np.float64
-    inputs = [Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs]
-    entries = (*d.table, *d.zeros)
-    constants = [Enclosure(e.value, e.value, abs(e.value - float(dtype(e.value)))) for e in entries]
-    names = [*d.inputs, *(e.name for e in entries)]
-    scalar = ca.Function("enclosed", [d.symbols[n] for n in names], expressions)
-    return enclose(scalar, [*inputs, *constants], digits)
+    given = {d.symbols[c].name(): Enclosure(*(float(dtype(v)) for v in d.ends(c))) for c in d.inputs} | {
+        d.symbols[e.name].name(): constant(e.value, digits) for e in (*d.table, *d.zeros)
+    }
+    return enclose(expressions, given, digits)

@@ -1,12 +1,12 @@
 """What a calibration must be before C is generated from it, and what its user should know."""
 
+import hashlib
 import json
 
 import numpy as np
 
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds
-from hallsym.codegen.parts import Decoupler
-from hallsym.codegen.table import sha256
+from hallsym.codegen.decoupler import Decoupler
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
 from hallsym.model import Model
@@ -115,7 +115,12 @@ def digest_of(fit: Fit) -> str:
         "model": fit.model.name,
         "effects": list(fit.model.effects),
         "parameters": dict(zip(fit.model.names, fit.values.tolist(), strict=True)),
-        "noise": {c: s.value for c, s in fit.noise.sigmas.items()},
+        "noise": fit.noise.std,
         "log": dict(fit.log),
     }
     return sha256(json.dumps(record, sort_keys=True).encode())
+
+
+def sha256(data: bytes) -> str:
+    """Return the SHA-256 of a file's bytes in hex."""
+    return hashlib.sha256(data).hexdigest()

@@ -2,21 +2,20 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from hallsym.codegen.box import Box
 from hallsym.codegen.checks import check_columns
+from hallsym.codegen.decoupler import Bits, Decoupler, Lookup, Whole
 from hallsym.codegen.entries import unit
-from hallsym.codegen.families import made
-from hallsym.codegen.parts import Bits, Decoupler, Lookup, Whole
+from hallsym.codegen.lowering import lowered
+from hallsym.codegen.operations import graph
 from hallsym.model import Model
 
 TYPICAL = {"m": 5e-4, "rad": 5e-4, "degC": 10.0}
-"""Reach of a column by its unit where no box is given: what a stage moves."""
+"""Reach of a column by its unit where no box is given: a fine stroke, some ten degrees of temperature."""
 HEAD = 12
 """Bytes before the entries of a table."""
-NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
 
 
 @dataclass(frozen=True)
@@ -33,15 +32,13 @@ class Cost:
         return self.operations + self.moves
 
 
-def cost(d: Decoupler) -> Cost:
+def firmware_cost(d: Decoupler) -> Cost:
     """Return the cost of a decoupler's arithmetic, range test and status apart."""
     operations, read = 0, set()
     for step in d.steps:
-        operations += 3 * isinstance(step, Lookup) + isinstance(step, Whole | Bits)
-        symbols = ca.symvar(step.expression)
-        f = ca.Function("step", symbols, [ca.densify(step.expression)])
-        operations += sum(f.instruction_id(k) not in NO_WORK for k in range(f.n_instructions()))
-        read |= {s.name() for s in symbols}
+        found = graph([step.expression])
+        operations += found.count + 3 * isinstance(step, Lookup) + isinstance(step, Whole | Bits)
+        read |= {o.symbol for o in found.operations if o.op == "input"}
     entries = {e.name for e in (*d.table, *d.zeros)}
     moves = len(read & entries) + len(d.inputs) + len(d.pose)
     return Cost(
@@ -59,4 +56,4 @@ def cost_of(model: Model, p: np.ndarray | None = None) -> Cost:
     check_columns(model)
     reach = {c: TYPICAL.get(unit(c), 1.0) for c in (*model.pose, *model.state)}
     box = Box({c: (-most, most) for c, most in reach.items()})
-    return cost(made(model, model.nominal if p is None else p, np.ones(len(model.channels)), box))
+    return firmware_cost(lowered(model, model.nominal if p is None else p, np.ones(len(model.channels)), box))

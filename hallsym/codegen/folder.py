@@ -10,11 +10,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from hallsym.codegen.project import MARK
+from hallsym.codegen.backend import BINARY
+from hallsym.codegen.templates import MARK
 from hallsym.errors import InputError
 from hallsym.files import reason, replacing
-
-BINARY = "params/decoupler_params.bin"
 
 
 def write_folder(folder: Path, files: Mapping[str, str | bytes], *, force: bool = False) -> None:

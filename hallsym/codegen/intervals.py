@@ -1,123 +1,268 @@
-"""Ranges and rounding errors of an SX graph: our own interval argument for the generated arithmetic.
+"""Ranges and rounding errors of an SX graph by interval arithmetic, on many intervals at once.
 
-Each node carries an enclosure of its exact value and a bound of |computed - exact|. One rounding to nearest
-adds at most u |z| (u = 2^-24 in float32), and the smallest subnormal where a result underflows (IEEE 754).
+Each operation gets an enclosure of its exact value, rounded outwards, and, for arithmetic in float32 or
+double, a bound of |computed - exact|. One rounding to nearest adds at most u |z| (u = 2^-24 in float32), and
+the smallest subnormal where a result underflows (IEEE 754). A comparison that an interval does not decide is
+either, so the derivative of `fmin` at its kink is the hull of both sides.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import pi
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen.operations import TESTS, Operation, graph
 from hallsym.errors import InputError
 
 TINY = {24: 2.0**-149, 53: 2.0**-1074}
+"""Smallest subnormal number by digits of the significand."""
+ULPS = 8 * np.finfo(float).eps
+"""Relative widening of a range after each operation, more than any of numpy's functions is off by."""
+
+Numbers = Any
+"""A float, or one per interval (s,)."""
+Range = tuple[Numbers, Numbers]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Enclosure:
     """Exact value within [low, high]; the computed one differs by at most `error`."""
 
-    low: float
-    high: float
-    error: float = 0.0
+    low: Numbers
+    high: Numbers
+    error: Numbers = 0.0
 
     @property
-    def most(self) -> float:
+    def most(self) -> Numbers:
         """Largest magnitude that the computed value can have."""
-        return max(abs(self.low), abs(self.high)) + self.error
+        return np.maximum(np.abs(self.low), np.abs(self.high)) + self.error
 
 
-UNBOUNDED = Enclosure(-np.inf, np.inf, np.inf)
-_BRANCHES = (ca.OP_FABS, ca.OP_SIGN, ca.OP_NOT, ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO)
+def constant(value: float, digits: int) -> Enclosure:
+    """Return the enclosure of a number as it is stored in `digits` bits of significand."""
+    stored = float(np.float32(value)) if digits == 24 else value
+    return Enclosure(value, value, abs(value - stored))
 
 
-def enclose(function: ca.Function, inputs: Sequence[Enclosure], digits: int = 24) -> list[Enclosure]:
-    """Return the enclosures of the outputs of an SX function of scalars, `digits` bits of significand.
+def enclose(
+    expressions: Sequence[ca.SX], inputs: Mapping[str, Enclosure], digits: int | None = 24
+) -> list[Enclosure]:
+    """Return the enclosure of each scalar expression over enclosures of its symbols, by name.
 
-    `inputs`: one per scalar input, with the rounding error that it has already.
+    `digits`: bits of the significand in which each operation is computed, the errors of the inputs going
+    before; None for the exact value alone, of functions such as sine too. Raises `InputError` for an
+    operation that has no range here.
     """
-    work: dict[int, Enclosure] = {}
-    out: list[Enclosure] = [Enclosure(0.0, 0.0)] * function.n_out()
-    for k in range(function.n_instructions()):
-        code, i, o = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if code == ca.OP_CONST:
-            value = function.instruction_constant(k)
-            stored = float(np.float32(value)) if digits == 24 else value
-            work[o[0]] = Enclosure(value, value, abs(value - stored))
-        elif code == ca.OP_INPUT:
-            work[o[0]] = inputs[i[0]]
-        elif code == ca.OP_OUTPUT:
-            out[o[0]] = work[i[0]]
-        else:
-            work[o[0]] = _apply(code, [work[j] for j in i], digits)
-    return out
+    found = graph(expressions)
+    made: list[Enclosure] = []
+    with np.errstate(all="ignore"):
+        for operation in found.operations:
+            if operation.op == "input":
+                made.append(inputs[operation.symbol])
+            elif operation.op == "const":
+                made.append(constant(operation.value, digits or 53))
+            elif other := _other(operation, found.operations):
+                made.append(Enclosure(*_share(made[operation.args[0]], made[other])))
+            else:
+                made.append(_enclosed(operation.op, [made[k] for k in operation.args], digits))
+    return [made[k] for k in found.results]
 
 
-def _apply(code: int, a: list[Enclosure], digits: int) -> Enclosure:
-    if not all(np.isfinite(v.most) for v in a):
-        return UNBOUNDED
-    if code in _BRANCHES:
-        return _branch(code, a)
-    if code == ca.OP_NEG:
-        return Enclosure(-a[0].high, -a[0].low, a[0].error)
-    if code in (ca.OP_FMIN, ca.OP_FMAX):
-        pick = min if code == ca.OP_FMIN else max
-        return Enclosure(pick(a[0].low, a[1].low), pick(a[0].high, a[1].high), max(a[0].error, a[1].error))
-    if code == ca.OP_SQ:
-        ends = sorted((a[0].low * a[0].low, a[0].high * a[0].high))
-        low = 0.0 if a[0].low <= 0 <= a[0].high else ends[0]
-        return _rounded(low, ends[1], a[0].error * (2 * a[0].most + a[0].error), digits)
-    if code == ca.OP_TWICE:
-        return Enclosure(2 * a[0].low, 2 * a[0].high, 2 * a[0].error)
-    if code == ca.OP_INV:
-        return _apply(ca.OP_DIV, [Enclosure(1.0, 1.0), a[0]], digits)
-    x, y = a
-    if code == ca.OP_ADD:
-        return _rounded(x.low + y.low, x.high + y.high, x.error + y.error, digits)
-    if code == ca.OP_SUB:
-        return _rounded(x.low - y.high, x.high - y.low, x.error + y.error, digits)
-    if code == ca.OP_MUL:
-        ends = [p * q for p in (x.low, x.high) for q in (y.low, y.high)]
-        return _rounded(min(ends), max(ends), x.error * y.most + y.error * x.most, digits)
-    if code == ca.OP_DIV:
-        if y.low - y.error <= 0 <= y.high + y.error:
-            return UNBOUNDED
-        ends = [p / q for p in (x.low, x.high) for q in (y.low, y.high)]
-        least = min(abs(y.low), abs(y.high)) - y.error
-        error = (x.error + max(map(abs, ends)) * y.error) / least
-        return _rounded(min(ends), max(ends), error, digits)
-    raise InputError(f"Operation {code} of the model has no C without libm.")
+def _other(operation: Operation, operations: Sequence[Operation]) -> int | None:
+    """The number of y where an operation is x / (x + y) of two comparisons: a derivative of fmin and fmax."""
+    if operation.op != "div" or operations[operation.args[0]].op not in TESTS:
+        return None
+    x, total = operation.args[0], operations[operation.args[1]]
+    if total.op != "add" or x not in total.args or any(operations[k].op not in TESTS for k in total.args):
+        return None
+    return total.args[1 - total.args.index(x)]
 
 
-def _branch(code: int, a: list[Enclosure]) -> Enclosure:
-    """Comparisons (1 or 0) and what hangs on them; a comparison that rounding can turn has error 1."""
-    if code == ca.OP_FABS:
-        most = max(abs(a[0].low), abs(a[0].high))
-        low = 0.0 if a[0].low <= 0 <= a[0].high else min(abs(a[0].low), abs(a[0].high))
-        return Enclosure(low, most, a[0].error)
-    if code == ca.OP_SIGN:
-        sure = a[0].low - a[0].error > 0 or a[0].high + a[0].error < 0
-        low, high = float(np.sign(a[0].low)), float(np.sign(a[0].high))
-        return Enclosure(low, high, 0.0 if sure or not a[0].error else 2.0)
-    if code == ca.OP_NOT:
-        return Enclosure(1 - a[0].high, 1 - a[0].low, a[0].error)
-    x, y = a
-    if code == ca.OP_IF_ELSE_ZERO:
-        if x.low == x.high and not x.error:
-            return y if x.low else Enclosure(0.0, 0.0)
-        return Enclosure(min(y.low, 0.0), max(y.high, 0.0), y.most if x.error else y.error)
+def _enclosed(op: str, args: list[Enclosure], digits: int | None) -> Enclosure:
+    if op not in _RANGES or (digits and op not in _ERRORS):
+        raise InputError(f"Operation {op} of the model has no C without libm.")
+    low, high = _RANGES[op](*args)
+    if op not in _EXACT:
+        room = ULPS * np.maximum(np.abs(low), np.abs(high)) + 1e-300
+        unknown = np.isnan(low) | np.isnan(high)
+        low, high = np.where(unknown, -np.inf, low - room), np.where(unknown, np.inf, high + room)
+    if not digits:
+        return Enclosure(low, high)
+    error = _ERRORS[op](*args)
+    if op not in _EXACT:
+        most = np.maximum(np.abs(low), np.abs(high)) + error
+        error = np.where(np.isfinite(most), error + most * 2.0**-digits + TINY[digits], np.inf)
+    return Enclosure(low, high, error)
+
+
+# -- ranges ------------------------------------------------------------------------------------------------
+
+
+def _hull(*values: Numbers) -> Range:
+    stacked = np.array(np.broadcast_arrays(*values))
+    return stacked.min(axis=0), stacked.max(axis=0)
+
+
+def _across(x: Enclosure) -> Numbers:
+    return (x.low <= 0) & (x.high >= 0)
+
+
+def _product(x: Enclosure, y: Enclosure) -> Range:
+    return _hull(x.low * y.low, x.low * y.high, x.high * y.low, x.high * y.high)
+
+
+def _inverse(x: Enclosure) -> Range:
+    """1 / x, for the computed divisor too."""
+    across = (x.low - x.error <= 0) & (x.high + x.error >= 0)
+    low, high = np.asarray(x.low, dtype=float), np.asarray(x.high, dtype=float)
+    return np.where(across, -np.inf, 1 / high), np.where(across, np.inf, 1 / low)
+
+
+def _quotient(x: Enclosure, y: Enclosure) -> Range:
+    return _product(x, Enclosure(*_inverse(y)))
+
+
+def _share(x: Enclosure, y: Enclosure) -> Range:
+    """x / (x + y) of two comparisons that are not both false."""
+    low, high = x.low / (x.low + y.high), x.high / (x.high + y.low)
+    return np.where(np.isnan(low), 0.0, low), np.where(np.isnan(high), 1.0, high)
+
+
+def _size(x: Enclosure) -> Range:
+    low, high = _hull(np.abs(x.low), np.abs(x.high))
+    return np.where(_across(x), 0.0, low), high
+
+
+def _square(x: Enclosure) -> Range:
+    low, high = _size(x)
+    return low * low, high * high
+
+
+def _wave(function: Callable[[Numbers], Numbers], peak: float) -> Callable[[Enclosure], Range]:
+    """Sine or cosine: the ends, and 1 or -1 where a peak or a trough lies between them."""
+
+    def within(x: Enclosure, at: float) -> Numbers:
+        return np.floor((x.high - at) / (2 * pi) + 1e-12) >= np.ceil((x.low - at) / (2 * pi) - 1e-12)
+
+    def found(x: Enclosure) -> Range:
+        low, high = _hull(function(x.low), function(x.high))
+        return np.where(within(x, peak + pi), -1.0, low), np.where(within(x, peak), 1.0, high)
+
+    return found
+
+
+def _growing(function: Callable[[Numbers], Numbers]) -> Callable[[Enclosure], Range]:
+    return lambda x: (function(x.low), function(x.high))
+
+
+def _arctangent(y: Enclosure, x: Enclosure) -> Range:
+    """atan2: its corners; a whole turn where the cut may be crossed."""
+    low, high = _hull(*(np.arctan2(b, a) for a in (x.low, x.high) for b in (y.low, y.high)))
+    cut = (x.low <= 0) & _across(y)
+    return np.where(cut, -pi, low), np.where(cut, pi, high)
+
+
+def _power(x: Enclosure, n: Enclosure) -> Range:
+    exponent = float(np.asarray(n.low).flat[0])
+    if np.size(n.low) > 1 or exponent != int(exponent) or exponent < 1:
+        return np.full_like(x.low, np.nan), np.full_like(x.high, np.nan)
+    low, high = (x.low, x.high) if exponent % 2 else _size(x)
+    return low**exponent, high**exponent
+
+
+def _less(x: Enclosure, y: Enclosure, or_equal: bool) -> Range:
     room = x.error + y.error
-    if x.high + room < y.low:
-        return Enclosure(1.0, 1.0)
-    if x.low - room > y.high:
-        return Enclosure(0.0, 0.0)
-    return Enclosure(0.0, 1.0, 1.0 if room else 0.0)
+    sure = x.high + room <= y.low if or_equal else x.high + room < y.low
+    never = x.low - room > y.high if or_equal else x.low - room >= y.high
+    return np.where(sure, 1.0, 0.0), np.where(never, 0.0, 1.0)
 
 
-def _rounded(low: float, high: float, error: float, digits: int) -> Enclosure:
-    most = max(abs(low), abs(high)) + error
-    if not np.isfinite(most):
-        return UNBOUNDED
-    return Enclosure(low, high, error + most * 2.0**-digits + TINY[digits])
+def _decided(c: Enclosure) -> tuple[Numbers, Numbers]:
+    """Whether a condition is never and always met."""
+    return (c.low == 0) & (c.high == 0) & (c.error == 0), ((c.low > 0) | (c.high < 0)) & (c.error == 0)
+
+
+def _chosen(c: Enclosure, x: Enclosure) -> Range:
+    never, always = _decided(c)
+    low = np.where(never, 0.0, np.where(always, x.low, np.minimum(x.low, 0.0)))
+    return low, np.where(never, 0.0, np.where(always, x.high, np.maximum(x.high, 0.0)))
+
+
+_RANGES: dict[str, Callable[..., Range]] = {
+    "assign": lambda x: (x.low, x.high),
+    "neg": lambda x: (-x.high, -x.low),
+    "twice": lambda x: (2 * x.low, 2 * x.high),
+    "fabs": _size,
+    "sign": lambda x: (np.sign(x.low), np.sign(x.high)),
+    "fmin": lambda x, y: (np.minimum(x.low, y.low), np.minimum(x.high, y.high)),
+    "fmax": lambda x, y: (np.maximum(x.low, y.low), np.maximum(x.high, y.high)),
+    "lt": lambda x, y: _less(x, y, False),
+    "le": lambda x, y: _less(x, y, True),
+    "not": lambda x: (1.0 - x.high, 1.0 - x.low),
+    "if_else_zero": _chosen,
+    "add": lambda x, y: (x.low + y.low, x.high + y.high),
+    "sub": lambda x, y: (x.low - y.high, x.high - y.low),
+    "mul": _product,
+    "div": _quotient,
+    "inv": _inverse,
+    "sq": _square,
+    "sqrt": _growing(np.sqrt),
+    "exp": _growing(np.exp),
+    "tanh": _growing(np.tanh),
+    "atan": _growing(np.arctan),
+    "sin": _wave(np.sin, pi / 2),
+    "cos": _wave(np.cos, 0.0),
+    "atan2": _arctangent,
+    "constpow": _power,
+    "pow": _power,
+}
+_EXACT = ("assign", "neg", "twice", "fabs", "sign", "fmin", "fmax", *TESTS, "not", "if_else_zero")
+"""Operations that do not round."""
+
+
+# -- what errors of the arguments make of the result, its own rounding left out ------------------------------
+
+
+def _of_quotient(x: Enclosure, y: Enclosure) -> Numbers:
+    low, high = _quotient(x, y)
+    least = np.minimum(np.abs(y.low), np.abs(y.high)) - y.error
+    return (x.error + np.maximum(np.abs(low), np.abs(high)) * y.error) / least
+
+
+def _of_comparison(x: Enclosure, y: Enclosure) -> Numbers:
+    """A comparison that rounding can turn is off by 1."""
+    low, high = _less(x, y, False)
+    return np.where((low != high) & (x.error + y.error > 0), 1.0, 0.0)
+
+
+def _of_choice(c: Enclosure, x: Enclosure) -> Numbers:
+    return np.where(_decided(c)[0], 0.0, np.where(c.error > 0, x.most, x.error))
+
+
+def _of_sign(x: Enclosure) -> Numbers:
+    sure = (x.low - x.error > 0) | (x.high + x.error < 0) | (x.error == 0)
+    return np.where(sure, 0.0, 2.0)
+
+
+_ERRORS: dict[str, Callable[..., Numbers]] = {
+    "assign": lambda x: x.error,
+    "neg": lambda x: x.error,
+    "twice": lambda x: 2 * x.error,
+    "fabs": lambda x: x.error,
+    "sign": _of_sign,
+    "fmin": lambda x, y: np.maximum(x.error, y.error),
+    "fmax": lambda x, y: np.maximum(x.error, y.error),
+    "lt": _of_comparison,
+    "le": _of_comparison,
+    "not": lambda x: x.error,
+    "if_else_zero": _of_choice,
+    "add": lambda x, y: x.error + y.error,
+    "sub": lambda x, y: x.error + y.error,
+    "mul": lambda x, y: x.error * y.most + y.error * x.most,
+    "div": _of_quotient,
+    "inv": lambda x: _of_quotient(Enclosure(1.0, 1.0), x),
+    "sq": lambda x: x.error * (2 * x.most + x.error),
+}

@@ -12,11 +12,12 @@ import numpy as np
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.p_values import beyond, statistic_at
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.residuals import pieces
 from hallsym.diagnosis.survey import Survey
-from hallsym.diagnosis.verdict import SURE
 from hallsym.estimation.outliers import residuals
+from hallsym.families.faults import FAULTS
 from hallsym.log import Block, Log
 from hallsym.log.batches import Weigh
 
@@ -54,11 +55,15 @@ class Fault:
     """A fault of samples: `power` is its share of the whitened residual's variance, `p_value` uncorrected."""
 
     name: str
-    link: str
     text: str
     power: float
     parameters: dict[str, Estimate]
     p_value: float
+
+    @property
+    def link(self) -> str:
+        """Link of the chain that the fault belongs to."""
+        return FAULTS[self.name].link
 
 
 def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
@@ -68,7 +73,7 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     """
 
     def certain(p: float) -> bool:
-        return p * tested < SURE
+        return p * tested < POLICY.certain
 
     out = []
     variance = max(found.variance, 1e-12)
@@ -76,17 +81,17 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     rare = found.bursts < BURSTS
     if rare and certain(found.spike_p) and found.spike_power > SPIKES * tail:
         out.append(
-            Fault("outliers", "electronics", f"{100 * found.spike_share:.2g} % of the samples are spikes",
+            Fault("outliers", f"{100 * found.spike_share:.2g} % of the samples are spikes",
                   tail / variance, {"share": Estimate(found.spike_share, None, "1")}, found.spike_p)
         )  # fmt: skip
     elif rare and certain(found.stale_p) and abs(found.one_sided) > ONE_SIDED:
         out.append(
-            Fault("dropped_samples", "clock", f"{100 * found.stale_share:.2g} % of the samples are old",
+            Fault("dropped_samples", f"{100 * found.stale_share:.2g} % of the samples are old",
                   tail / variance, {"share": Estimate(found.stale_share, None, "1")}, found.stale_p)
         )  # fmt: skip
     elif certain(found.jitter_p) and found.smooth < SMOOTH:
         out.append(
-            Fault("clock_jitter", "clock", f"sampling instants scatter by {1e6 * found.jitter_s:.3g} us rms",
+            Fault("clock_jitter", f"sampling instants scatter by {1e6 * found.jitter_s:.3g} us rms",
                   found.jitter_power / variance, {"jitter": Estimate(found.jitter_s, None, "s")},
                   found.jitter_p)
         )  # fmt: skip
@@ -105,7 +110,7 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
             for c, q in zip(base.model.channels, steps, strict=True)
         }
         out.append(
-            Fault("adc_quantisation", "electronics", _steps(base.model.channels, steps),
+            Fault("adc_quantisation", _steps(base.model.channels, steps),
                   power / variance, fine, found.step_p)
         )  # fmt: skip
     return sorted(out, key=lambda f: -f.power)
@@ -128,7 +133,7 @@ def _chip(base: Base, found: Survey) -> Fault | None:
     many, worst = 2 * len(chip.angles), np.degrees(chip.worst)
     text = f"{chip.steps} steps of CORDIC: {many} angles a turn, up to {worst:.2g} deg off"
     power = (chip.rms / sigma) ** 2 / found.variance
-    return Fault("cordic_steps", "electronics", text, power, fine, seen.p_value)
+    return Fault("cordic_steps", text, power, fine, seen.p_value)
 
 
 def _unit(channel: str) -> str:

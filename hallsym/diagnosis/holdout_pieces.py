@@ -1,4 +1,4 @@
-"""A recording of one or two runs, taken to pieces that can be held out: an encoder's turn, a table of knots.
+"""A recording of one or two runs, taken to pieces that can be held out: a turn of a shaft, a table of knots.
 
 Only for models whose runs have nothing of their own (no zeros): any piece then judges a fit of the others.
 """

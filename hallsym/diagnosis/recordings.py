@@ -1,6 +1,6 @@
 """Recordings that could be made next: short runs on the same machine, inside the ranges of its log."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ BETWEEN = 1.0
 PER_TURN = 24
 """Samples per turn at the highest speed that is proposed."""
 SWING = 0.05
-"""Part of a turn over which an encoder is swung to and fro: 18 deg."""
+"""Part of a turn over which a shaft is swung to and fro: 18 deg."""
 WARM = 5.0
 """Kelvin by which a temperature cycle goes up and down."""
 
@@ -31,7 +31,8 @@ class Range:
 
     `amplitude`: half the range of each pose and vertical column [m, rad]; `frequency_hz` of the pose;
     `start_s`, `end_s`: of the log. `speed`: near the highest of the first pose coordinate [its unit per s];
-    `turn`: its period, 0 where it does not go round. `step_s`: the usual one, of an encoder the shortest.
+    `turn`: its period, 0 where it cannot go on and on. `step_s`: the usual one, of what turns the shortest.
+    `noun`: what the machine is called.
     """
 
     pose: tuple[str, ...]
@@ -45,6 +46,7 @@ class Range:
     temperature: float | None
     speed: float = 0.0
     turn: float = 0.0
+    noun: str = "machine"
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,8 @@ class Recording:
 def range_of(base: Base) -> Range:
     """Return what the log of `base` moved, from a sample of it."""
     model = base.model
-    vertical = tuple(c for c in ("z_m", "rx_rad", "ry_rad") if c in model.state)
+    vertical = tuple(c for c in model.state if c in model.family.axes)
+    turn = model.period.get(model.pose[0], 0.0) if model.pose[0] in model.family.endless else 0.0
     columns = (*model.references, *vertical, "temperature_degc")
     seen: dict[str, list[np.ndarray]] = {}
     slopes: dict[str, list[np.ndarray]] = {}
@@ -88,10 +91,11 @@ def range_of(base: Base) -> Range:
     return Range(
         model.pose, vertical, {names.get(c, c): v for c, v in half.items()},
         {names.get(c, c): v for c, v in middle.items()}, max(typical, default=1.0),
-        float(np.nanmin(step) if model.pose[0] in model.period else np.nanmedian(step)),
+        float(np.nanmin(step) if turn else np.nanmedian(step)),
         first or 0.0, last, middle.get("temperature_degc"),
         float(np.quantile(np.abs(np.concatenate(slopes[model.references[0]])), 0.95)),
-        model.period.get(model.pose[0], 0.0),
+        turn,
+        model.family.noun or model.family.name,
     )  # fmt: skip
 
 
@@ -101,7 +105,7 @@ def recordings(r: Range) -> list[Recording]:
 
 
 def _turns(r: Range) -> list[Recording]:
-    """What an encoder can do: turn at a speed, both ways, swing, rest, or turn while it gets warm."""
+    """What a shaft can do: turn at a speed, both ways, swing, rest, or turn while it gets warm."""
     seconds = min(LENGTH, LONGEST * r.step_s)
     fastest = r.turn / (PER_TURN * r.step_s)
     v = min(r.speed, fastest)
@@ -132,7 +136,7 @@ def _turns(r: Range) -> list[Recording]:
         add(
             f"swings to and fro over {reach:.2g} deg at {_speed(swing, r.turn)}", *both_ways(swing) * shuttles
         )
-    add("the encoder at rest", (1.0, 0.0))
+    add(f"the {r.noun} at rest", (1.0, 0.0))
     if r.temperature is not None:
         middle = r.temperature
         add(f"turns in both directions at {_speed(v, r.turn)} through a temperature cycle of +-{WARM:g} K",
@@ -153,7 +157,7 @@ def _speed(value: float, turn: float) -> str:
 
 
 def _strokes(r: Range) -> list[Recording]:
-    """What a stage can do."""
+    """What a machine of limited travel can do."""
     fastest = 1.0 / (PER_PERIOD * r.step_s)
     seconds = min(LENGTH, LONGEST * r.step_s)
     f = min(max(r.frequency_hz, 2.0 / seconds), fastest)
@@ -172,11 +176,12 @@ def _strokes(r: Range) -> list[Recording]:
         add(f"{all_axes} together, slowly, at {_hz(f / 4)}", _sines(r, f / 4))
     add(f"{all_axes} together over a fifth of the stroke at {_hz(f)}", _sines(r, f, 0.2))
     tones = [x for x in f * np.array([0.5, 1.0, 2.0, 4.0, 8.0]) if x <= fastest]
-    add(f"{all_axes} with {len(tones)} frequencies at once, up to {_hz(tones[-1])}",
-        {c: multi_sine(2 * r.amplitude[c], [x * s for x in tones])
-         for c, s in zip(r.pose, SPREAD, strict=False)})  # fmt: skip
+    add(
+        f"{all_axes} with {len(tones)} frequencies at once, up to {_hz(tones[-1])}",
+        {c: multi_sine(2 * r.amplitude[c], [x * s for x in tones]) for c, s in _spread(r.pose)},
+    )
     add(f"{all_axes} at constant speed to and fro, at {_hz(f)}",
-        {c: _to_and_fro(r.amplitude[c], f * s) for c, s in zip(r.pose, SPREAD, strict=False)})  # fmt: skip
+        {c: _to_and_fro(r.amplitude[c], f * s) for c, s in _spread(r.pose)})  # fmt: skip
     for c in r.pose:
         add(f"{_names((c,))} alone at {_hz(f)}", {c: sine(r.amplitude[c], f)})
     add("everything at rest", {})
@@ -195,12 +200,13 @@ def _strokes(r: Range) -> list[Recording]:
     return out
 
 
-SPREAD = (1.0, 0.83, 0.69)
-"""Frequencies of the axes over each other, so that no two move alike."""
+def _spread(pose: Sequence[str]) -> Iterator[tuple[str, float]]:
+    """Coordinates with their frequencies over the first one's: no two move alike."""
+    return ((c, round(0.83**k, 2)) for k, c in enumerate(pose))
 
 
 def _to_and_fro(amplitude: float, frequency_hz: float) -> AtTimes:
-    """Return a triangle with rounded turning points: its first four harmonics, which any stage can follow."""
+    """Return a triangle with rounded turning points: its first four harmonics, easy to follow."""
 
     def at(t: np.ndarray) -> np.ndarray:
         x = 2 * np.pi * frequency_hz * t
@@ -211,7 +217,7 @@ def _to_and_fro(amplitude: float, frequency_hz: float) -> AtTimes:
 
 
 def _sines(r: Range, frequency_hz: float, part: float = 1.0) -> dict[str, AtTimes]:
-    return {c: sine(part * r.amplitude[c], frequency_hz * s) for c, s in zip(r.pose, SPREAD, strict=False)}
+    return {c: sine(part * r.amplitude[c], frequency_hz * s) for c, s in _spread(r.pose)}
 
 
 def _hz(value: float) -> str:

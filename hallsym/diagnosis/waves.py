@@ -1,6 +1,6 @@
 """The error of a periodic coordinate by waves per period: as designed, with the model, with its effects.
 
-What makes 1, 2 or 4 waves per turn is the first question of anybody who mounts an encoder, and the model's
+What makes 1, 2 or 4 waves per turn is the first question of anybody who mounts a sensor, and the model's
 own offsets, amplitudes and phase absorb most of it before a diagnosis asks what is left.
 """
 
@@ -23,6 +23,9 @@ SHOWN = 0.03
 """Part of the largest amplitude of a coordinate from which on a wave is shown."""
 PER_WAVE = 2
 """Samples per wave that are needed at least."""
+COVERED = 0.01
+"""Least eigenvalue of the mean products of 1 and the first `LONG` waves where a log covers the period."""
+LONG = 3
 
 
 def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
@@ -50,7 +53,8 @@ def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
 def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> np.ndarray:
     """Amplitudes of waves of the decoded error of each periodic coordinate over its own period, SI.
 
-    Shape (periodic, orders); fitted together, over all samples of the log.
+    Shape (periodic, orders); fitted together, over all samples of the log. 0 where the log does not cover the
+    period.
     """
     model, decode = base.model, errors_of(base)
     columns = [model.references[k] for k in periodic]
@@ -66,5 +70,9 @@ def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> n
                 wx = x if weights is None else x * weights[at]
                 M[j] += wx @ x.T
                 b[j] += wx @ errors[k]
-    found = [np.linalg.lstsq(*normal, rcond=1e-9)[0] for normal in zip(M, b, strict=True)]
-    return np.array([np.hypot(*f[1:].reshape(2, -1)) for f in found])
+    out = np.zeros((len(columns), len(orders)))
+    for j in range(len(columns)):
+        long = [0, *(1 + n + k * len(orders) for k in (0, 1) for n in range(min(LONG, len(orders))))]
+        if np.linalg.eigvalsh(M[j][np.ix_(long, long)])[0] > COVERED * M[j, 0, 0]:
+            out[j] = np.hypot(*np.linalg.lstsq(M[j], b[j], rcond=1e-9)[0][1:].reshape(2, -1))
+    return out

@@ -1,1 +1,111 @@
-"""Finding the parameters: run statistics, likelihood, starts, optimum, outliers, the saved calibration."""
+"""Fit a model to a log.
+
+The path of a fit, file by file:
+
+- `run_statistics`: the log, read once, becomes one small triangle per run (`linearised`: for models that have
+  no such statistics).
+- `likelihood`: the cost of those runs with exact derivatives; `normal_equations` eliminates each run's own
+  offsets.
+- `start`, `channel_assignment`: a closed-form start, and checks that reference and channels belong together.
+- `identifiable`: which parameters the data determine, and which are therefore held.
+- `optimum`: global stage, IPOPT, Newton; `gauss_newton`: by passes over the log.
+- `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
+- `covariance`: standard uncertainties; `result`, `calibration`: the record that is printed and saved.
+
+`task` puts these in order, `fit` is what users call.
+"""
+
+from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, added_effects, load_fit
+from hallsym.estimation.channel_assignment import Wiring, as_read, check_wiring, find_wiring, rewired
+from hallsym.estimation.coefficients import Coefficients
+from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
+from hallsym.estimation.decoding import (
+    ErrorTable,
+    columns_of,
+    decoder,
+    decoding_gain,
+    error_tables,
+    logged_columns,
+    pose_errors,
+)
+from hallsym.estimation.fit import LOSSES, fit
+from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
+from hallsym.estimation.identifiable import (
+    Determination,
+    determine,
+    feature_scale,
+    least_information,
+    linear_combinations,
+    scales,
+    structural_directions,
+    structural_null,
+    structural_rank,
+)
+from hallsym.estimation.likelihood import Cost, cost_of
+from hallsym.estimation.linearised import exact, summarise_at
+from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
+from hallsym.estimation.optimum import BUDGET, SOLVERS, Solution, refit
+from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
+from hallsym.estimation.run_statistics import RunStatistics, summarise
+from hallsym.estimation.start import LinearFit, closed_form, linear_fit
+from hallsym.estimation.task import noise_of
+
+__all__ = [
+    "BUDGET",
+    "LOSSES",
+    "SOLVERS",
+    "Coefficients",
+    "CombinationEstimate",
+    "Cost",
+    "Determination",
+    "ErrorTable",
+    "Errors",
+    "Fit",
+    "LinearFit",
+    "RunStatistics",
+    "Solution",
+    "Uncertainty",
+    "Wiring",
+    "added_effects",
+    "as_read",
+    "check_wiring",
+    "closed_form",
+    "column_spikes",
+    "columns_of",
+    "cost_near",
+    "cost_of",
+    "decoder",
+    "decoding_gain",
+    "determine",
+    "eliminate",
+    "error_tables",
+    "exact",
+    "feature_scale",
+    "find_wiring",
+    "fit",
+    "inverse",
+    "judge",
+    "least_information",
+    "linear_combinations",
+    "linear_fit",
+    "load_fit",
+    "logged_columns",
+    "noise_floor",
+    "noise_of",
+    "pose_errors",
+    "pseudo_inverse",
+    "refit",
+    "reject_spikes",
+    "residuals",
+    "rewired",
+    "scales",
+    "solve",
+    "structural_directions",
+    "structural_null",
+    "structural_rank",
+    "summarise",
+    "summarise_at",
+    "tukey",
+    "uncertainty",
+    "zeros_of",
+]

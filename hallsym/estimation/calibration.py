@@ -1,10 +1,10 @@
-"""A fit: parameter values with honest uncertainties, what is determined instead, errors before and after."""
+"""A calibration: values with uncertainties, identifiable combinations, errors; saved as readable JSON."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
+from hallsym.model.effect import read_text
 
 FORMAT = "hallsym calibration 1"
 
@@ -31,6 +32,30 @@ class CombinationEstimate:
     unit: str
     factors: Mapping[str, float] | None = None
     """Of a linear combination: factor by parameter."""
+
+
+class SolverRecord(TypedDict):
+    """How the optimum was found; `share_at_optimum`: of the starts that were refined."""
+
+    name: str
+    loss: str
+    cost: float
+    cost_per_degree_of_freedom: float
+    evaluations: int
+    starts: int
+    share_at_optimum: float
+    seed: int
+
+
+class LogRecord(TypedDict):
+    """The log that was fitted; `span`: least and greatest value by column of reference and state."""
+
+    path: str | None
+    sha256: str | None
+    rows: int
+    runs: int
+    holdout: list[int]
+    span: dict[str, list[float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +102,8 @@ class Fit:
     noise_floor: Mapping[str, float]
     status: str
     message: str
-    solver: Mapping[str, Any]
-    log: Mapping[str, Any]
+    solver: SolverRecord
+    log: LogRecord
     seconds: float
     notes: tuple[str, ...] = ()
     errors: Errors | None = None
@@ -206,7 +231,7 @@ def _from_dict(
         for n, (low, high) in raw["zero_bounds"].items()
     }
     probes = [dict(entry) for entry in raw["layout"]]
-    unknown = [name for name in raw.get("own_effects", ()) if name not in own]
+    unknown = [name for name in raw.get("own_effects", ()) if read_text(name)[0] not in own]
     if unknown:
         raise InputError(
             f"The calibration was fitted with {', '.join(unknown)}, an effect of your own; "

@@ -1,16 +1,17 @@
 """Which channel is which: order and signs of the readings against the layout of the probes."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from hallsym.errors import InputError
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.start import LinearFit
 from hallsym.log import Log, Noise
 from hallsym.log.phase import continuous
+from hallsym.log.table import TableLike, View
 from hallsym.model import Model
 
 MISWIRED = 0.5
@@ -20,15 +21,12 @@ Wiring = tuple[tuple[str, int], ...]
 """For each nominal channel: the channel that carries it and its sign."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Rewired:
+class _Rewired(View):
     """The table of a log whose channels are taken from other channels, with a sign."""
 
-    table: Any
-    sources: dict[str, tuple[str, int]]
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.table, name)
+    def __init__(self, table: TableLike, sources: dict[str, tuple[str, int]]) -> None:
+        super().__init__(table)
+        self.sources = sources
 
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[dict[str, np.ndarray]]:
         wanted = tuple(dict.fromkeys(self.sources.get(c, (c, 1))[0] for c in columns))
@@ -47,8 +45,7 @@ def rewired(log: Log, channels: Sequence[str], wiring: Wiring | None) -> Log:
     sources = dict(zip(channels, wiring, strict=True))
     sigmas = dict(log.noise.sigmas)
     sigmas |= {c: log.noise.sigmas[s] for c, (s, _) in sources.items() if s in log.noise.sigmas}
-    table: Any = _Rewired(log.table, sources)
-    return replace(log, table=table, noise=Noise(sigmas))
+    return replace(log, table=_Rewired(log.table, sources), noise=Noise(sigmas))
 
 
 def as_read(log: Log, model: Model, wiring: Wiring | None = None) -> Log:
@@ -61,8 +58,6 @@ def find_wiring(cost: Cost, linear: LinearFit) -> tuple[Wiring, float]:
 
     Compares each channel's response to the axes that moved, freed of its gain, with the nominal one.
     """
-    from scipy.optimize import linear_sum_assignment  # takes long, and only a fit needs it
-
     features, model = cost.summary.features, cost.summary.model
     index = [j for j in range(features.size) if features.label(j) in model.pose and linear.moved[j]]
     nominal = cost.coefficients.first(model.nominal)[0][0]
@@ -72,7 +67,7 @@ def find_wiring(cost: Cost, linear: LinearFit) -> tuple[Wiring, float]:
     distance = np.linalg.norm(
         expected[:, :, None, None] - found[:, None, :, None] * np.array([1.0, -1.0]), axis=0
     )
-    rows, columns = linear_sum_assignment(distance.min(axis=2))
+    rows, columns = scipy.optimize.linear_sum_assignment(distance.min(axis=2))
     signs = np.where(distance[rows, columns].argmin(axis=1) == 0, 1, -1)
     best = distance.min(axis=2)[rows, columns].sum()
     k = np.arange(len(model.channels))

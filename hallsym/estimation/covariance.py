@@ -8,7 +8,8 @@ import numpy as np
 
 from hallsym.estimation.calibration import CombinationEstimate
 from hallsym.estimation.identifiable import UNDETERMINED, Determination, linear_combinations
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.likelihood import TOGETHER, Cost
+from hallsym.estimation.normal_equations import inverse, solve
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.quantities import combination, linear
@@ -20,7 +21,7 @@ FEW_RUNS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Uncertainty:
     """Uncertainty of every parameter and determined combination; see `Fit` for the fields."""
 
     std: np.ndarray
@@ -34,24 +35,23 @@ class Estimate:
     cost_per_dof: float
 
 
-def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
+def uncertainty(cost: Cost, p: np.ndarray, found: Determination) -> Uncertainty:
     """Return the uncertainties at the optimum `p` of `cost`."""
     model = cost.summary.model
     point = cost.at(p)
     at_bound = _at_bound(model.bounds, p, found)
     free = np.array([k for k in range(len(p)) if k not in found.held and k not in at_bound], dtype=int)
     runs = point.information(1.0)
-    information = np.tensordot(cost.weights, runs, axes=1)
     dof = max(_degrees_of_freedom(cost, len(free)), 1.0)
     per_dof = point.value / dof
-    spread = runs + _turning_noise(cost, p)
     covariance = np.zeros((len(p), len(p)))
     method, reason = "likelihood", "there was nothing to estimate"
     if len(free):
+        own = np.ix_(np.arange(len(runs)), free, free)
+        more = _turning_noise(cost, p)
         sub, method, reason = _covariance(
-            information[np.ix_(free, free)],
-            runs[:, free][:, :, free],
-            spread[:, free][:, :, free],
+            runs[own],
+            None if more is None else more[own],
             0.5 * point.run_gradients[:, free],
             cost.weights,
             per_dof,
@@ -61,7 +61,7 @@ def estimate(cost: Cost, p: np.ndarray, found: Determination) -> Estimate:
     determined = np.isin(np.arange(len(p)), free) & ~_loose(model.names, std, found)
     combinations, lost = _combinations(cost, p, covariance, found, determined)
     loose = [n for k, n in enumerate(model.names) if _by_log(model, k, found, determined, at_bound)]
-    return Estimate(
+    return Uncertainty(
         std=np.where(determined, std, np.nan),
         determined=determined,
         covariance=covariance,
@@ -82,26 +82,17 @@ def _by_log(
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
-def inverse(information: np.ndarray) -> np.ndarray:
-    """Return the covariance (n, n) that belongs to an information matrix (n, n): its inverse.
-
-    The matrix is brought to unit diagonal first, so the units of the parameters cost no digits.
-    """
-    scale = 1.0 / np.sqrt(np.diag(information))
-    return np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-
-
-def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | float:
+def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | None:
     """What the covariance of each run's scores has beyond its information, (r, n, n).
 
     The cost weighs every residual of a run by the mean of their covariances C (`likelihood`). Where the
     noise of the reference acts along an ellipse, C goes round with the pose: scores g^T W r, g = dr/dp and W
     the inverse of the mean C, then have the covariance sum of g^T W C W g, and the estimate the sandwich of
-    both (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). 0 where readings are linear in the pose.
+    both (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). None where readings are linear in the pose.
     """
     summary, s = cost.summary, cost.summary.model.symbols
     if not summary.places or not np.any(cost.column_variance):
-        return 0.0
+        return None
     K, n = len(cost.reading_variance), len(p)
     reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
     slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
@@ -114,7 +105,7 @@ def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | float:
         g, j, z = (np.transpose(v.reshape(-1, K, places.shape[1]), (2, 1, 0)) for v in found)
         if z.shape[2]:  # what the run's zeros leave of a slope
             square, both = (np.einsum("ski,kl,slj->ij", z, W, v) for v in (z, g))
-            g = g - z @ np.linalg.solve(square, both)
+            g = g - z @ solve(square, both)
         C = (j * cost.column_variance) @ np.swapaxes(j, 1, 2)
         weighed = W @ g
         more = np.einsum("ski,skl,slj->ij", weighed, C - C.mean(axis=0), weighed)
@@ -123,25 +114,31 @@ def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | float:
 
 
 def _covariance(
-    information: np.ndarray,
-    runs: np.ndarray,
-    spread: np.ndarray,
-    scores: np.ndarray,
-    weights: np.ndarray,
-    per_dof: float,
+    runs: np.ndarray, more: np.ndarray | None, scores: np.ndarray, weights: np.ndarray, per_dof: float
 ) -> tuple[np.ndarray, str, str]:
     """Likelihood covariance, or one from the scatter between runs when white noise does not explain it.
 
-    `spread`: (r, n, n) covariance of each run's scores by the noise; `runs` where all samples are alike.
+    `runs`: (r, n, n) information of each run. `more`: what the covariance of its scores by the noise has
+    beyond that, None where all samples are alike. `scores`: (r, n).
     """
-    plain = inverse(information)
-    scores = scores * weights[:, None]
-    share = (runs * weights[:, None, None]) @ plain  # leverage of each run on its own scores
-    whole = np.tensordot(weights, spread, axes=1)
+    plain = inverse(np.tensordot(weights, runs, axes=1))
+    whole = np.tensordot(weights, runs if more is None else runs + more, axes=1)
     naive = plain @ whole @ plain
-    known = spread * weights[:, None, None]
-    left = known - share @ known - np.swapaxes(share @ known, 1, 2) + share @ whole @ np.swapaxes(share, 1, 2)
-    lost = len(plain) - float(np.tensordot(inverse(whole), left.sum(axis=0)))
+    scores = scores * weights[:, None]
+    parts = [slice(first, first + TOGETHER) for first in range(0, len(runs), TOGETHER)]
+
+    def leverage(part: slice) -> np.ndarray:
+        """Leverage of each run on its own scores, (r, n, n)."""
+        return (runs[part] * weights[part, None, None]) @ plain
+
+    left = np.zeros_like(plain)
+    for part in parts:
+        known = (runs[part] if more is None else runs[part] + more[part]) * weights[part, None, None]
+        share = leverage(part)
+        both = share @ known
+        others = share @ whole @ np.swapaxes(share, 1, 2)
+        left += (known - both - np.swapaxes(both, 1, 2) + others).sum(axis=0)
+    lost = len(plain) - float(np.tensordot(inverse(whole), left))
     expected = max(len(plain) - lost, 1e-9)
     scatter = float(np.einsum("ri,ij,rj->", scores, inverse(whole), scores)) / expected
     limit = 1.0 + SCATTER * np.sqrt(2.0 * lost) / expected
@@ -153,14 +150,12 @@ def _covariance(
         return naive, "likelihood", told
     if n < FEW_RUNS:
         factor = max(scatter, per_dof, 1.0)
-        return (
-            naive * factor,
-            "likelihood, scaled",
-            f"{told}; {n} runs are too few for a covariance of their own",
-        )
+        reason = f"{told}; {n} runs are too few for a covariance of their own"
+        return naive * factor, "likelihood, scaled", reason
     # jackknife-like correction (CR3) for the leverage a run has on its own residuals
-    corrected = np.linalg.solve(np.eye(len(plain)) - share, scores[..., None])[..., 0]
-    root = plain @ corrected.T
+    one = np.eye(len(plain))
+    corrected = [np.linalg.solve(one - leverage(part), scores[part, :, None])[..., 0] for part in parts]
+    root = plain @ np.concatenate(corrected).T
     return root @ root.T, "runs as blocks", told
 
 

@@ -48,7 +48,8 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
     weight = 1.0 / np.asarray(reading_variance)
 
     def decode(p: np.ndarray, zeros: np.ndarray, readings: list, states: list) -> np.ndarray:
-        return run(p, zeros, readings, states, weight)[0]
+        with np.errstate(all="ignore"):  # readings that no pose gives have none: nan
+            return run(p, zeros, readings, states, weight)[0]
 
     return decode
 
@@ -64,7 +65,14 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     if model.typical:
         return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
     still = model.remember("gain at rest, on arrays", lambda: on_arrays(model.noise_gain))
-    return lambda p, pose, state, weight: still(p, state, weight)
+    if model.state:
+        return lambda p, pose, state, weight: still(p, state, weight)
+    size = len(model.channels) * len(model.pose)
+
+    def same(p: np.ndarray, pose: list, state: list, weight: np.ndarray) -> list[np.ndarray]:
+        return [np.broadcast_to(still(p, state, weight)[0].reshape(size, 1), (size, np.size(pose[0])))]
+
+    return same
 
 
 Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
@@ -112,11 +120,13 @@ def error_tables(
     column, for the columns that are computed; those of parameters are taken at the last version's.
     """
     errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
-    sums: list[dict[int, list]] = [{} for _ in versions]
+    runs: list[int] = []
+    sums: list[list[tuple[int, np.ndarray, np.ndarray]]] = [[] for _ in versions]
     span: dict[str, tuple[float, float]] = {}
     wide = extended(log, model, sigma, model.named(versions[-1][0]))
     for batch in batches(wide, columns_of(model), on_rows):
         weights, lengths = batch.weights(keep), np.diff(batch.edges)
+        runs += [block.run for block in batch.blocks]
         for column in (*model.references, *model.state):
             used = batch.data[column] if weights is None else batch.data[column][weights > 0]
             if used.size:
@@ -125,9 +135,30 @@ def error_tables(
         for (p, zeros), total in zip(versions, sums, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
             error = errors_of(p, np.repeat(own, lengths, axis=0).T, batch.data)
-            for block, at in batch.parts():
-                _add(total, block.run, error[:, at] if weights is None else error[:, at][:, weights[at] > 0])
-    return [_table(model, total, span) for total in sums]
+            for _, at in batch.parts():
+                e = error[:, at] if weights is None else error[:, at][:, weights[at] > 0]
+                peak = np.maximum(e.max(axis=1, initial=0.0), -e.min(axis=1, initial=0.0))
+                total.append((e.shape[1], np.einsum("ij,ij->i", e, e), peak))
+    return [_table(model, runs, total, span) for total in sums]
+
+
+def _table(
+    model: Model,
+    runs: Sequence[int],
+    blocks: Sequence[tuple[int, np.ndarray, np.ndarray]],
+    span: Mapping[str, tuple[float, float]],
+) -> ErrorTable:
+    """Join what the blocks of each run gave: a run's blocks are consecutive."""
+    starts = np.flatnonzero(np.r_[True, np.diff(runs) != 0])
+    count, squares, peak = (np.array(column) for column in zip(*blocks, strict=True))
+    return ErrorTable(
+        model.pose,
+        tuple(np.array(runs)[starts].tolist()),
+        np.add.reduceat(count.astype(float), starts),
+        np.add.reduceat(squares, starts),
+        np.maximum.reduceat(peak, starts),
+        span,
+    )
 
 
 def columns_of(model: Model) -> tuple[str, ...]:
@@ -140,28 +171,3 @@ def logged_columns(model: Model) -> tuple[str, ...]:
     made = {c.name for c in model.computed}
     needed = [c for m in model.computed for c in m.needs] + (["t_s"] if made else [])
     return tuple(dict.fromkeys(c for c in (*columns_of(model), *needed) if c not in made))
-
-
-def _add(total: dict[int, list], run: int, error: np.ndarray) -> None:
-    n = error.shape[1]
-    squares = np.einsum("ij,ij->i", error, error)
-    peak = np.maximum(error.max(axis=1), -error.min(axis=1)) if n else np.zeros(len(error))
-    if run in total:
-        entry = total[run]
-        entry[0] += n
-        entry[1] = entry[1] + squares
-        entry[2] = np.maximum(entry[2], peak)
-    else:
-        total[run] = [n, squares, peak]
-
-
-def _table(model: Model, total: dict[int, list], span: Mapping[str, tuple[float, float]]) -> ErrorTable:
-    rows = list(total.values())
-    return ErrorTable(
-        model.pose,
-        tuple(total),
-        np.array([r[0] for r in rows], dtype=float),
-        np.array([r[1] for r in rows]),
-        np.array([r[2] for r in rows]),
-        span,
-    )

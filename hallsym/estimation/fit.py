@@ -1,35 +1,27 @@
-"""Fit a model to a log: summaries, starts, global search, refinement, uncertainty, error tables.
+"""Fit a model to a log: run statistics, starts, global search, refinement, uncertainty, error tables.
 
-The path is the same for every family: one pass over the log gives run summaries; a closed form and SHTLBO
+The path is the same for every family: one pass over the log gives run statistics; a closed form and SHTLBO
 give starting points; IPOPT refines them inside the bounds; a second pass tabulates errors.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.channel_assignment import as_read, find_wiring, rewired
+from hallsym.estimation.channel_assignment import as_read
 from hallsym.estimation.decoding import logged_columns
-from hallsym.estimation.gauss_newton import optimum
 from hallsym.estimation.linearised import exact
-from hallsym.estimation.optimum import SOLVERS, refit
+from hallsym.estimation.optimum import SOLVERS
 from hallsym.estimation.result import result_of, zero_notes
-from hallsym.estimation.task import Progress, State, Task
+from hallsym.estimation.task import Progress, Task
 from hallsym.families import adapted, build, default_model, plain
-from hallsym.log import Log, Noise, check_log, clean_log, estimate_noise
-from hallsym.log.drop import Drop, without
-from hallsym.log.phase import continuous
+from hallsym.log import Log, check_log, clean_log
 from hallsym.model import Inspection, Model
 
-__all__ = ["LOSSES", "SOLVERS", "fit", "noise_of", "refit"]
-
 LOSSES = ("auto", "none", "reject", "tukey")
-LEAST_SIGMA = 1e-13
-"""Standard deviation [m] given to a reading that shows no noise at all (a noise-free simulation)."""
 
 
 def fit(
@@ -60,7 +52,7 @@ def fit(
     without (`hysteresis:half_width_m=6e-05`; `hallsym.diagnosis.choose.model_on` finds them on a log). `own`:
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
-    A model that has no run summaries (memory, rates, a term of higher order in the zeros) is fitted from the
+    A model that has no run statistics (memory, rates, a term of higher order in the zeros) is fitted from the
     optimum of the model without its effects by Gauss-Newton steps, one pass over the log each.
 
     Raises `InputError` for a log that cannot be what the model needs.
@@ -80,77 +72,22 @@ def fit(
     mounted = model.inspect(model, log) if model.inspect else Inspection()
     notes += mounted.notes
     log = as_read(log, model, mounted.wiring)
-    apart = _apart(log, log.meta.holdout if holdout is None else holdout)
-    if not exact(model):
-        first = None
-        if exact(base := plain(model)):
-            first = fit(
-                log, base, solver=solver, holdout=apart, loss=loss, resolve_wiring=resolve_wiring, seed=seed,
-                on_progress=on_progress,
-            )  # fmt: skip
-        result = _by_passes(log, model, first, apart, notes, solver, loss, seed, start, say, began)
-        everything = tuple(dict.fromkeys((*mounted.notes, *result.notes)))
-        return replace(result, wiring=result.wiring or mounted.wiring, notes=everything)
-    task = Task(log, model, noise_of(log, model, apart), solver, seed, say, start)
-    state = task.solve(task.summary(), apart)
-    wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
-    if gain > 0:
-        log = rewired(log, model.channels, wiring)
-        task = replace(task, log=log, noise=noise_of(log, model, apart))
-        state = task.solve(task.summary(), state.holdout)
-    errors = task.errors(state, None)
-    keep = None
-    if task.suspicious(state, errors) if loss == "auto" else loss != "none":
-        state, keep, said = task.without_outliers(state, loss)
-        errors = task.errors(state, keep) if keep else errors
-        notes += said
-    task.check(state)
-    result = result_of(
-        task,
-        state,
-        errors,
-        tuple(notes),
-        wiring if gain > 0 else mounted.wiring,
-        loss,
-        perf_counter() - began,
-    )
-    return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
-
-
-def _by_passes(
-    log: Log,
-    model: Model,
-    first: Fit | None,
-    apart: tuple[int, ...],
-    notes: Sequence[str],
-    solver: str,
-    loss: str,
-    seed: int,
-    start: np.ndarray | None,
-    say: Progress,
-    began: float,
-) -> Fit:
-    """Fit a model without run summaries, from `first`: the fit of what it is without its effects."""
-    begin, keep, wiring = model.nominal, None, None
-    if first is not None:
-        log, keep, wiring = first.source or log, first.keep, first.wiring
-        known = dict(zip(first.model.names, first.values.tolist(), strict=True))
-        begin = model.vector({n: v for n, v in known.items() if n in model.names})
+    held_out = _holdout(log, log.meta.holdout if holdout is None else holdout)
+    task = Task(log, model, held_out, solver, loss, seed, say, start)
+    if exact(model):
+        solved = task.by_statistics(resolve_wiring)
+        return result_of(solved, (*notes, *solved.notes), solved.wiring or mounted.wiring, began)
+    first = None
+    if exact(base := plain(model)):
+        first = fit(
+            log, base, solver=solver, holdout=held_out, loss=loss, resolve_wiring=resolve_wiring, seed=seed,
+            on_progress=on_progress,
+        )  # fmt: skip
         zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
         notes = [note for note in first.notes if note not in zeros]
-    noise = noise_of(log, model, apart)
-    if first is not None:
-        noise = noise.merged(first.noise)
-    task = Task(log, model, noise, solver, seed, say, start)
-    found = optimum(log, model, task.sigmas, begin if start is None else start, apart, keep, say)
-    state = State(found.everything, found.fitted, found.determination, found.search, apart)
-    errors = task.errors(state, keep)
-    seconds = perf_counter() - began
-    result = result_of(task, state, errors, tuple(notes), wiring, loss, seconds)
-    return replace(result, keep=keep, source=log, likelihood=state.fitted, determination=state.found)
-
-
-# -- pieces ----------------------------------------------------------------------------------------------
+    solved = task.by_passes(first)
+    told = dict.fromkeys((*mounted.notes, *notes))
+    return result_of(solved, tuple(told), solved.wiring or mounted.wiring, began)
 
 
 def _choice(name: str, known: Sequence[str], what: str) -> None:
@@ -161,24 +98,7 @@ def _choice(name: str, known: Sequence[str], what: str) -> None:
         )
 
 
-def noise_of(log: Log, model: Model | None, apart: Sequence[int] = ()) -> Noise:
-    """Return the noise of every column a model uses (all columns without one): given, else estimated.
-
-    Runs in `apart` (held out) take no part in the estimate.
-    """
-    columns = logged_columns(model) if model else tuple(c for c in log.columns if c not in ("run", "t_s"))
-    columns = tuple(c for c in columns if c != "t_s")
-    log = continuous(log, model) if model else log
-    missing = [c for c in columns if c not in log.noise]
-    used = without(log, Drop(runs=frozenset(apart))) if missing and apart else log
-    noise = log.noise.merged(estimate_noise(used, missing)) if missing else log.noise
-    sigmas = {c: noise[c] for c in columns}
-    for c in model.channels if model else ():
-        sigmas[c] = replace(sigmas[c], value=max(sigmas[c].value, LEAST_SIGMA))
-    return Noise(sigmas)
-
-
-def _apart(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
+def _holdout(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
     """Held-out runs, all of them in the log and not all of the log."""
     unknown = [run for run in holdout if run not in log.runs]
     if unknown:

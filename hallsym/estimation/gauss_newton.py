@@ -1,15 +1,18 @@
-"""The optimum of a model without run summaries of its own: Gauss-Newton, one pass over the log per step."""
+"""The optimum of a model without run statistics of its own: Gauss-Newton, one pass over the log per step."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import count
 
 import numpy as np
 
+import solvers
 from hallsym.estimation.decoding import ErrorTable, error_tables
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.linearised import exact, summarise_at
-from hallsym.estimation.optimum import Search, search
+from hallsym.estimation.optimum import Search, Solution, search
 from hallsym.estimation.run_statistics import summarise
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
@@ -19,22 +22,10 @@ PASSES = 40
 DROP = 1e-3
 """Decrease of the cost, per unit of what a degree of freedom leaves, that is not worth another pass: it moves
 no parameter by more than 0.03 standard uncertainties."""
-SHORTER = 0.3
-"""Factor on a step that would raise the cost."""
 SETTLED = 1e-9
 """Change [m] of a run's zeros below which they are settled."""
 
 Zeros = Mapping[int, np.ndarray]
-
-
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """Costs of all runs and of the fitted ones, tangent at the optimum; what is determined; the search."""
-
-    everything: Cost
-    fitted: Cost
-    determination: Determination
-    search: Search
 
 
 def cost_near(
@@ -47,7 +38,7 @@ def cost_near(
     for _ in range(PASSES):
         cost = cost_of(summarise_at(log, model, p, zeros, weigh, sigma=noise), noise)
         before, zeros = zeros, zeros_of(cost, p)
-        if _change(before, zeros) < SETTLED:
+        if all(np.abs(z - before.get(run, 0.0)).max(initial=0.0) < SETTLED for run, z in zeros.items()):
             break
     return cost
 
@@ -63,10 +54,50 @@ def judge(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float]) -> 
     return error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)[0]
 
 
-def _change(before: Zeros, after: Zeros) -> float:
-    return max(
-        (float(np.abs(z - before.get(run, 0.0)).max(initial=0.0)) for run, z in after.items()), default=0.0
-    )
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """The cost of all runs, and of the fitted ones, linearised at `p`.
+
+    `before`: what the last pass found determined, None in the first.
+    """
+
+    everything: Cost
+    fitted: Cost
+    p: np.ndarray
+    before: Determination | None
+
+    @cached_property
+    def cost(self) -> float:
+        return self.fitted.at(self.p).value
+
+    @cached_property
+    def _found(self) -> tuple[Determination, np.ndarray]:
+        """What is determined here, and where the search begins.
+
+        What is held stays at its value while the rank does not change, else it goes to its nominal value.
+        """
+        found, before, model = determine(self.fitted, self.p), self.before, self.fitted.summary.model
+        if before is not None and before.null.shape == found.null.shape:
+            return replace(found, held=before.held), self.p
+        p, held = self.p.copy(), list(found.held)
+        p[held] = np.clip(model.nominal, *model.bounds)[held]
+        return found, p
+
+    @property
+    def determination(self) -> Determination:
+        return self._found[0]
+
+    @cached_property
+    def target(self) -> Search:
+        """The optimum of the linearised cost inside the bounds."""
+        found, begin = self._found
+        return search(self.fitted, self.fitted, begin, found, solver="direct", seed=0)
+
+    def moved(self, share: float) -> tuple[np.ndarray, Zeros]:
+        if share == 1.0:
+            return self.target.p, zeros_of(self.everything, self.target.p)
+        begin = self._found[1]
+        return begin + share * (self.target.p - begin), zeros_of(self.everything, begin)
 
 
 def optimum(
@@ -77,37 +108,28 @@ def optimum(
     holdout: Sequence[int],
     weigh: Weigh | None,
     say: Callable[[str], None],
-) -> Optimum:
+) -> Solution:
     """Minimise the cost of the runs that are not held out, from `start` (n,), inside the bounds."""
-    lower, upper = model.bounds
-    p = np.clip(np.asarray(start, dtype=float), lower, upper)
-    zeros: Zeros = zeros_of(cost_near(log, model, p, noise, weigh), p)
-    best: tuple[float, np.ndarray, Zeros] | None = None
-    evaluations, step, share = 0, np.zeros_like(p), 1.0
-    known: Determination | None = None
-    for count in range(PASSES):
-        say(f"pass {count + 1} over the log")
+    number, evaluations, before = count(1), 0, None
+
+    def linearise(at: tuple[np.ndarray, Zeros]) -> _Pass:
+        say(f"pass {next(number)} over the log")
+        p, zeros = at
         everything = cost_of(summarise_at(log, model, p, zeros, weigh, sigma=noise), noise)
-        used = [run for run in everything.summary.runs if run not in holdout]
-        fitted = cost_of(everything.summary.select(used), noise)
-        value = fitted.at(p).value
-        if best is not None and not value <= best[0] and share > 1e-3:
-            share *= SHORTER
-            p, zeros = best[1] + share * step, best[2]
-            continue
-        found = determine(fitted, p)
-        if known is not None and known.null.shape == found.null.shape:
-            found = replace(found, held=known.held)
-        elif found.held:
-            p[list(found.held)] = np.clip(model.nominal, lower, upper)[list(found.held)]
-        known = found
-        target = search(fitted, fitted, p, found, solver="direct", seed=0)
-        evaluations += target.evaluations
-        best, step, share = (value, p, zeros_of(everything, p)), target.p - p, 1.0
-        readings = float(fitted.summary.counts.sum()) * len(model.channels)
-        if value - target.cost <= DROP * max(value / readings, 1e-300):
-            return Optimum(everything, fitted, found, replace(target, evaluations=evaluations))
-        p, zeros = target.p, zeros_of(everything, target.p)
-    said = f"{PASSES} passes over the log did not bring it to rest"
-    stuck = replace(target, status="not converged", message=said, evaluations=evaluations)
-    return Optimum(everything, fitted, found, stuck)
+        return _Pass(everything, everything.without(holdout), p, before)
+
+    def converged(now: _Pass, gained: float) -> bool:
+        nonlocal evaluations, before
+        evaluations, before = evaluations + now.target.evaluations, now.determination
+        readings = float(now.fitted.summary.counts.sum()) * len(model.channels)
+        return now.cost - now.target.cost <= DROP * max(now.cost / readings, 1e-300)
+
+    first = np.clip(np.asarray(start, dtype=float), *model.bounds)
+    zeros = zeros_of(cost_near(log, model, first, noise, weigh), first)
+    best, outcome = solvers.gauss_newton(linearise, (first, zeros), converged, PASSES)
+    found = replace(best.target, evaluations=evaluations)
+    if outcome != "converged":
+        said = f"{next(number) - 1} passes over the log did not bring it to rest"
+        said = "no step along the tangent lowers the cost" if outcome == "stuck" else said
+        found = replace(found, status="not converged", message=said)
+    return Solution(best.everything, best.fitted, best.determination, found)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import qr
+import scipy
 
-from hallsym.estimation.likelihood import Coefficients, Cost
+from hallsym.estimation.coefficients import Coefficients
+from hallsym.estimation.likelihood import Cost
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features
@@ -57,13 +58,10 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     model = cost.summary.model
     scale, (lower, upper) = scales(model), model.bounds
     open_ = lower < upper
-    always = structural_null(cost.coefficients, feature_scale(cost), p, open_)
-    rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
-    rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
-    information = np.tensordot(cost.weights, cost.at(p).information(2.0), axes=1) * np.outer(scale, scale)
+    always, rest = structural_directions(cost, p)
+    information = cost.information(p, 2.0) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(rest.T @ information @ rest)
-    weak = values < max(UNDETERMINED**-2, ROUNDING * values.max(initial=0.0))
-    null = np.hstack([always, rest @ vectors[:, weak]])
+    null = np.hstack([always, rest @ vectors[:, values < least_information(values)]])
     inside = (lower <= model.nominal) & (model.nominal <= upper)
     held = {*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}
     moving = np.flatnonzero(np.linalg.norm(always, axis=1) > 1e-6)
@@ -72,15 +70,36 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     )
 
 
+def least_information(values: np.ndarray) -> np.ndarray:
+    """Return the information (...,) that a scaled direction needs to count as determined.
+
+    `values`: (..., m) eigenvalues of the information about scaled parameters.
+    """
+    return np.maximum(UNDETERMINED**-2, ROUNDING * values.max(axis=-1, initial=0.0))
+
+
+def structural_directions(cost: Cost, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return orthonormal bases of what no recording determines, (n, k), and of the other directions, (n, m).
+
+    Both in scaled parameters; fixed parameters are in neither.
+    """
+    lower, upper = cost.summary.model.bounds
+    open_ = lower < upper
+    always = structural_null(cost.coefficients, feature_scale(cost), p, open_)
+    rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
+    rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
+    return always, rest
+
+
 def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:
     """The parameters whose values fix every null direction best: pivoted QR of the null basis.
 
-    Those whose nominal value lies outside their bounds come last: they would not be held at nominal.
+    Those whose nominal value lies outside their bounds come last: they would not be fixed at a value inside.
     """
     if null.shape[1] == 0:
         return []
     preferred = null.T * np.where(inside, 1.0, 1e-3)
-    return [int(k) for k in qr(preferred, mode="r", pivoting=True)[1][: null.shape[1]]]
+    return [int(k) for k in scipy.linalg.qr(preferred, mode="r", pivoting=True)[1][: null.shape[1]]]
 
 
 def feature_scale(cost: Cost) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The maximum-likelihood cost of a model on run summaries, with exact derivatives.
+"""The maximum-likelihood cost of a model on run statistics, with exact derivatives.
 
 Reading and reference are both noisy, so a residual r (one entry per channel) has the covariance
 C = Sigma_reading + (dr/dcolumn) Sigma_column (dr/dcolumn)^T, which depends on the parameters. With the true
@@ -12,62 +12,16 @@ F is unbiased, docs/theory.md). F is quadratic in a run's zeros d_i: they are el
 gradient and Hessian below are those of the cost that is left.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
-from hallsym.estimation.run_statistics import Summary
-from hallsym.model.arrays import on_arrays
-from hallsym.model.features import Features
-
-
-@dataclass(frozen=True, eq=False)
-class Coefficients:
-    """c(p) and E_l(p) of a model with their derivatives, as one CasADi call each.
-
-    Arrays have the axes (1 + n_zeros, n_features, n_channels), c first, then one E_l per zero.
-    """
-
-    features: Features
-    centre: np.ndarray
-
-    @property
-    def n_zeros(self) -> int:
-        """Zeros of a run that these features carry: all of the model's, or none once projected out."""
-        return self.features.n_zeros
-
-    @cached_property
-    def population(self) -> Callable[[np.ndarray], np.ndarray]:
-        """`(m, n) parameter vectors -> (m, n_features, n_channels)` coefficients c at zero deviation."""
-        model = self.features.model
-        c = self.features.coefficients(model.symbols.parameters, ca.SX.zeros(len(model.zeros)), self.centre)
-        run = on_arrays(ca.Function("population", [model.symbols.parameters], [ca.densify(c)]))
-        shape = (len(model.channels), self.features.size)
-
-        def coefficients(points: np.ndarray) -> np.ndarray:
-            (flat,) = run(np.ascontiguousarray(points.T))
-            return np.transpose(flat.reshape(*shape, len(points)), (2, 1, 0))
-
-        return coefficients
-
-    def first(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the coefficients and their slopes, the latter (1 + n_zeros, n_features, n, n_channels)."""
-        model = self.features.model
-        shape = (1 + self.n_zeros, len(model.channels), self.features.size)
-        value, slope = (np.asarray(v) for v in self.features.expansion[0](p, self.centre))
-        return (
-            np.ascontiguousarray(np.swapaxes(value.T.reshape(shape), 1, 2)),
-            np.ascontiguousarray(np.transpose(slope.reshape(*shape, -1), (0, 2, 3, 1))),
-        )
-
-    def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
-        flat = np.swapaxes(weights, 1, 2).ravel()
-        return np.asarray(self.features.expansion[1](p, self.centre, flat))
+from hallsym.estimation.coefficients import Coefficients
+from hallsym.estimation.normal_equations import eliminate, solve
+from hallsym.estimation.run_statistics import RunStatistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,28 +33,28 @@ class Cost:
     bootstrap and cross-validation without touching a sample).
     """
 
-    summary: Summary
+    summary: RunStatistics
     coefficients: Coefficients
     reading_variance: np.ndarray
     column_variance: np.ndarray
     weights: np.ndarray
 
     anchor: "Point | None" = None
-    """A point whose run-by-run parts are shared by every re-weighting (`anchored`)."""
+    """A point whose derivatives by run are shared by every re-weighting (`anchored`)."""
     planned: bool = False
     """The logged columns hold the motion itself, without noise: a campaign that is not recorded yet."""
 
     @cached_property
     def noise_in_features(self) -> np.ndarray:
         """Q_i = sum over columns of variance * mean outer product of feature slopes, (runs, f, f)."""
-        return np.tensordot(self.summary.slopes, self.column_variance, axes=(1, 0))
+        return self.summary.noise_in_features(self.column_variance)
 
     @cached_property
     def triangles(self) -> tuple[np.ndarray, np.ndarray]:
         """The parts of each run's triangle that belong to features and to readings."""
         n = self.summary.features.size
         R = self.summary.triangles
-        return np.ascontiguousarray(R[:, :, :n]), np.ascontiguousarray(R[:, :, n:])
+        return R[:, :, :n], R[:, :, n:]
 
     @cached_property
     def grams(self) -> np.ndarray:
@@ -115,10 +69,18 @@ class Cost:
             other.__dict__[name] = getattr(self, name)
         return other
 
+    def without(self, holdout: Collection[int]) -> "Cost":
+        """Return the cost of the runs that are not in `holdout`; itself where there are none."""
+        used = [run for run in self.summary.runs if run not in holdout]
+        if len(used) == len(self.summary.runs):
+            return self
+        weights = self.weights[[run not in holdout for run in self.summary.runs]]
+        return replace(self, summary=self.summary.select(used), weights=weights)
+
     def anchored(self, p: np.ndarray) -> "Cost":
         """Return a cost whose re-weightings share what has been computed at `p`: for many refits from `p`."""
         point = self.at(p)
-        point.derivatives()
+        point.keep_derivatives()
         return replace(self.weighted(self.weights), anchor=point).weighted(self.weights)
 
     def population(self, points: np.ndarray) -> np.ndarray:
@@ -135,40 +97,43 @@ class Cost:
             return self.anchor.reweighted(self)
         return Point(self, np.asarray(p, dtype=float))
 
+    def information(self, p: np.ndarray, noise_factor: float = 1.0) -> np.ndarray:
+        """Return what all runs are expected to tell of the parameters, (n, n); see `Point.information`."""
+        return self.at(p).total_information(noise_factor)
+
 
 class Point:
     """The cost at one parameter vector: `value`, `zeros`, and derivatives on request.
 
-    Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z zeros, v = n + z.
-    `zeros`: (r, z), optimal for these parameters, as displacements [m]. `covariance`: (r, K, K).
+    Shapes: r runs, n parameters, z zeros, K channels. `zeros`: (r, z), optimal for these parameters, as
+    displacements [m]. `covariance`, `W`: (r, K, K) of a residual, and its inverse. `run_values`: (r,).
+
+    Derivatives are computed for `TOGETHER` runs at a time and summed, so that memory does not grow with them.
     """
 
     def __init__(self, cost: Cost, p: np.ndarray) -> None:
         self.cost, self.p = cost, p
-        self.c, self.dc = cost.coefficients.first(p)
-        self.R_f, R_m = cost.triangles
-        base = self.c[0]
-        # a zero's own features have no slope, so X may leave the zeros out in Q X
-        self.QX = cost.noise_in_features @ base  # (r, f, K)
-        self.covariance = np.diag(cost.reading_variance) + base.T @ self.QX
-        self.W = np.linalg.inv(self.covariance)
-        self.L = np.linalg.cholesky(self.W)
-        at_zero = R_m - self.R_f @ base
-        self.zeros = self._eliminate(at_zero)
-        self.A = at_zero - self.R_f @ np.tensordot(self.zeros, self.c[1:], axes=1)  # (r, m, K)
-        self.S = np.swapaxes(self.A, 1, 2) @ self.A
-        self.run_values = np.einsum("rkl,rlk->r", self.W, self.S)
+        first, runs = cost.coefficients.first(p), len(cost.weights)
+        starts = range(0, max(runs, 1), TOGETHER)
+        self._parts = [_Runs(cost, *first, slice(start, min(start + TOGETHER, runs))) for start in starts]
+        self._kept: list[Derivatives] | None = None
+        self.zeros = self._joined([part.zeros for part in self._parts])
+        self.run_values = self._joined([part.values for part in self._parts])
         self.value = float(cost.weights @ self.run_values)
 
-    def _eliminate(self, residual: np.ndarray) -> np.ndarray:
-        """Zeros that minimise F: linear least squares in each run."""
-        r, z, k = len(residual), len(self.c) - 1, self.cost.summary.features.n_zero
-        if z == 0:
-            return np.zeros((r, 0))
-        moved = (self.R_f[:, None, :, :k] @ self.c[1:, :k]) @ self.L[:, None]  # (r, z, m, K)
-        moved = moved.reshape(r, z, -1)
-        target = (residual @ self.L).reshape(r, -1, 1)
-        return np.linalg.solve(moved @ np.swapaxes(moved, 1, 2), moved @ target)[..., 0]
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of a residual in each run, (r, K, K)."""
+        return self._joined([part.covariance for part in self._parts])
+
+    @property
+    def W(self) -> np.ndarray:
+        """Inverse of `covariance`."""
+        return self._joined([part.W for part in self._parts])
+
+    @staticmethod
+    def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def reweighted(self, cost: Cost) -> "Point":
         """Return this point for the same runs with other weights."""
@@ -176,83 +141,42 @@ class Point:
         other.cost, other.value = cost, float(cost.weights @ self.run_values)
         return other
 
-    @cached_property
-    def _B(self) -> np.ndarray:
-        """dX / d(p, zeros), shape (r, K, f, v)."""
-        r, z, (f, n, K) = len(self.zeros), len(self.c) - 1, self.dc.shape[1:]
-        by_channel = np.ascontiguousarray(np.transpose(self.dc, (0, 3, 1, 2)))
-        B = np.empty((r, K, f, n + z))
-        B[..., :n] = by_channel[0] + np.tensordot(self.zeros, by_channel[1:], axes=1)
-        B[..., n:] = np.transpose(self.c[1:], (2, 1, 0))
-        return B
+    def keep_derivatives(self) -> None:
+        """Keep gradient and Hessian of every run, for re-weightings."""
+        self._kept = [part.derivatives() for part in self._parts]
 
-    @cached_property
-    def _G(self) -> np.ndarray:
-        """dF / dX of each run, shape (r, f, K)."""
-        return -2.0 * (np.swapaxes(self.R_f, 1, 2) @ self.A @ self.W + self.QX @ self._WSW)
+    def _derivatives(self) -> Iterable["Derivatives"]:
+        return self._kept or (part.derivatives() for part in self._parts)
 
-    @cached_property
-    def _WSW(self) -> np.ndarray:
-        return self.W @ self.S @ self.W
-
-    def _quadratic(self, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, shape (r, v, v)."""
-        r, K, f, v = self._B.shape
-        middle = fit @ (self.cost.grams[:, None] @ self._B).reshape(r, K, f * v)
-        if np.any(self.cost.column_variance):
-            middle -= noise @ (self.cost.noise_in_features[:, None] @ self._B).reshape(r, K, f * v)
-        return np.swapaxes(self._B.reshape(r, K * f, v), 1, 2) @ middle.reshape(r, K * f, v)
+    def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return F, its gradient (n,) and its exact Hessian (n, n), the zeros eliminated."""
+        n = len(self.p)
+        gradient, hessian = np.zeros(n), np.zeros((n, n))
+        bend: np.ndarray | float = 0.0
+        for part, (gradients, hessians) in zip(self._parts, self._derivatives(), strict=True):
+            weights = self.cost.weights[part.at]
+            gradient += weights @ gradients
+            hessian += np.einsum("r,rij->ij", weights, hessians)
+            bend = bend + np.tensordot(part.loads * weights[:, None], part.G, axes=(0, 0))
+        hessian += self.cost.coefficients.curvature(self.p, np.asarray(bend))
+        return self.value, gradient, 0.5 * (hessian + hessian.T)
 
     @cached_property
     def run_gradients(self) -> np.ndarray:
         """Gradient of each run's own F, shape (r, n): what the run-block covariance is made of."""
-        r, K, f, v = self._B.shape
-        G = np.swapaxes(self._G, 1, 2).reshape(r, 1, K * f)
-        return (G @ self._B.reshape(r, K * f, v))[:, 0, : len(self.p)]
+        return self._joined([gradients for gradients, _ in self._derivatives()])
 
-    @cached_property
-    def _run_hessians(self) -> np.ndarray:
-        """Hessian of each run's F with its zeros eliminated, without the curvature of c, shape (r, n, n)."""
-        n, z = len(self.p), len(self.c) - 1
-        H = 2.0 * self._quadratic(self.W, self._WSW) + self._covariance_terms()
-        if z == 0:
-            return H
-        cross = np.tensordot(self._G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
-        H_pd = H[:, :n, n:] + np.swapaxes(cross, 1, 2)
-        return H[:, :n, :n] - H_pd @ np.linalg.solve(H[:, n:, n:], np.swapaxes(H_pd, 1, 2))
-
-    @cached_property
+    @property
     def run_hessians(self) -> np.ndarray:
         """Exact Hessian of each run's own F with its zeros eliminated, shape (r, n, n)."""
-        loads = np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1)
+        hessians = self._joined([hessians for _, hessians in self._derivatives()])
         bends = [
             self.cost.coefficients.curvature(self.p, load[:, None, None] * G)
-            for load, G in zip(loads, self._G, strict=True)
+            for part in self._parts
+            for load, G in zip(part.loads, part.G, strict=True)
         ]
-        hessians = self._run_hessians + np.array(bends)
+        hessians = hessians + np.array(bends)
         return 0.5 * (hessians + np.swapaxes(hessians, 1, 2))
-
-    def derivatives(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return F, its gradient (n,) and its exact Hessian (n, n), the zeros eliminated."""
-        weights = self.cost.weights
-        hessian = np.einsum("r,rij->ij", weights, self._run_hessians)
-        loads = np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1) * weights[:, None]
-        bend = np.tensordot(loads, self._G, axes=(0, 0))
-        hessian = hessian + self.cost.coefficients.curvature(self.p, bend)
-        return self.value, weights @ self.run_gradients, 0.5 * (hessian + hessian.T)
-
-    def _covariance_terms(self) -> np.ndarray | float:
-        """Second-order terms of F through C(p) that hold dC, shape (r, v, v)."""
-        if not np.any(self.cost.column_variance):
-            return 0.0
-        r, K, _, v = self._B.shape
-        AR = np.swapaxes(self.A, 1, 2) @ self.R_f  # -A^T dA = AR B
-        both = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)[:, None] @ self._B
-        half, U = both[:, :, :K], both[:, :, K:]
-        dC = (half + np.swapaxes(half, 1, 2)).reshape(r, K * K, v)
-        inner = _kron(self._WSW, self.W) @ dC - 2.0 * (_kron(self.W, self.W) @ U.reshape(r, K * K, v))
-        terms = np.swapaxes(dC, 1, 2) @ inner
-        return terms + np.swapaxes(terms, 1, 2)
 
     def information(self, noise_factor: float = 1.0) -> np.ndarray:
         """Expected information of each run, shape (r, n, n), the zeros eliminated.
@@ -260,23 +184,127 @@ class Point:
         The reference's own noise moves the features too; `noise_factor` times its expected share is taken
         out (1: what the true motion tells; 2: nothing for a motion no larger than its noise).
         """
-        n, z = len(self.p), len(self.c) - 1
-        full = self._full_information(noise_factor)
-        if z == 0:
-            return full
-        return full[:, :n, :n] - full[:, :n, n:] @ np.linalg.solve(full[:, n:, n:], full[:, n:, :n])
+        return self._joined([part.information(noise_factor) for part in self._parts])
 
-    def _full_information(self, noise_factor: float) -> np.ndarray:
-        counts = self.cost.summary.counts[:, None, None]
-        return self._quadratic(self.W, (noise_factor - self.cost.planned) * counts * self.W)
+    def total_information(self, noise_factor: float = 1.0) -> np.ndarray:
+        """Expected information of all runs by their weights, (n, n)."""
+        total = np.zeros((len(self.p),) * 2)
+        for part in self._parts:
+            total += np.tensordot(self.cost.weights[part.at], part.information(noise_factor), axes=1)
+        return total
 
     def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
         """Covariance of each run's zero displacements [m^2], (r, z, z); `covariance`: of the parameters."""
-        n = len(self.p)
-        full = self._full_information(1.0)
-        own = np.linalg.inv(full[:, n:, n:])
-        slope = own @ full[:, n:, :n]
-        return own + slope @ covariance @ np.swapaxes(slope, 1, 2)
+        return self._joined([part.zero_covariance(covariance) for part in self._parts])
+
+
+TOGETHER = 128
+"""Runs whose derivatives are computed at once: 40 kB each for Model (31)."""
+Derivatives = tuple[np.ndarray, np.ndarray]
+"""Gradients (r, n) and Hessians (r, n, n) of runs, the latter without the curvature of c(p)."""
+
+
+class _Runs:
+    """The cost of some runs at one parameter vector.
+
+    Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z zeros, v = z + n.
+    """
+
+    def __init__(self, cost: Cost, c: np.ndarray, dc: np.ndarray, at: slice) -> None:
+        self.cost, self.c, self.dc, self.at = cost, c, dc, at
+        self.R_f, R_m = (part[at] for part in cost.triangles)
+        self.Q, base = cost.noise_in_features[at], c[0]
+        # a zero's own features have no slope, so X may leave the zeros out in Q X
+        self.QX = self.Q @ base  # (r, f, K)
+        self.covariance = np.diag(cost.reading_variance) + base.T @ self.QX
+        self.W = np.linalg.inv(self.covariance)
+        at_zero = R_m - self.R_f @ base
+        self.zeros = self._best_zeros(at_zero)
+        self.A = at_zero - self.R_f @ np.tensordot(self.zeros, c[1:], axes=1)  # (r, m, K)
+        self.S = np.swapaxes(self.A, 1, 2) @ self.A
+        self.values = np.einsum("rkl,rlk->r", self.W, self.S)
+
+    def _best_zeros(self, residual: np.ndarray) -> np.ndarray:
+        """Zeros that minimise F: linear least squares in each run."""
+        r, z, k = len(residual), len(self.c) - 1, self.cost.summary.features.n_zero
+        if z == 0:
+            return np.zeros((r, 0))
+        L = np.linalg.cholesky(self.W)
+        moved = (self.R_f[:, None, :, :k] @ self.c[1:, :k]) @ L[:, None]  # (r, z, m, K)
+        moved = moved.reshape(r, z, -1)
+        target = (residual @ L).reshape(r, -1, 1)
+        return solve(moved @ np.swapaxes(moved, 1, 2), moved @ target)[..., 0]
+
+    @property
+    def loads(self) -> np.ndarray:
+        """Factors of c and of each E_l, (r, 1 + z)."""
+        return np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1)
+
+    def _slopes(self) -> np.ndarray:
+        """dX / d(zeros, p), shape (r, K, f, v)."""
+        r, z, (f, n, K) = len(self.zeros), len(self.c) - 1, self.dc.shape[1:]
+        by_channel = np.ascontiguousarray(np.transpose(self.dc, (0, 3, 1, 2)))
+        B = np.empty((r, K, f, z + n))
+        B[..., :z] = np.transpose(self.c[1:], (2, 1, 0))
+        B[..., z:] = by_channel[0] + np.tensordot(self.zeros, by_channel[1:], axes=1)
+        return B
+
+    @cached_property
+    def _WSW(self) -> np.ndarray:
+        return self.W @ self.S @ self.W
+
+    @cached_property
+    def G(self) -> np.ndarray:
+        """dF / dX of each run, shape (r, f, K)."""
+        return -2.0 * (np.swapaxes(self.R_f, 1, 2) @ self.A @ self.W + self.QX @ self._WSW)
+
+    def derivatives(self) -> Derivatives:
+        """Gradient and Hessian of each run's F with its zeros eliminated, without the curvature of c."""
+        B, z = self._slopes(), len(self.c) - 1
+        r, K, f, v = B.shape
+        G = np.swapaxes(self.G, 1, 2).reshape(r, 1, K * f)
+        gradients = (G @ B.reshape(r, K * f, v))[:, 0, z:]
+        H = 2.0 * self._quadratic(B, self.W, self._WSW) + self._covariance_terms(B)
+        if z:
+            cross = np.tensordot(self.G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
+            H[:, :z, z:] += cross
+            H[:, z:, :z] += np.swapaxes(cross, 1, 2)
+        return gradients, eliminate(H, z)[0]
+
+    def _quadratic(self, B: np.ndarray, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, shape (r, v, v)."""
+        r, K, f, v = B.shape
+        middle = fit @ (self.cost.grams[self.at, None] @ B).reshape(r, K, f * v)
+        if np.any(self.cost.column_variance):
+            middle -= noise @ (self.Q[:, None] @ B).reshape(r, K, f * v)
+        return np.swapaxes(B.reshape(r, K * f, v), 1, 2) @ middle.reshape(r, K * f, v)
+
+    def _covariance_terms(self, B: np.ndarray) -> np.ndarray | float:
+        """Second-order terms of F through C(p) that hold dC, shape (r, v, v)."""
+        if not np.any(self.cost.column_variance):
+            return 0.0
+        r, K, _, v = B.shape
+        AR = np.swapaxes(self.A, 1, 2) @ self.R_f  # -A^T dA = AR B
+        both = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)[:, None] @ B
+        half, U = both[:, :, :K], both[:, :, K:]
+        dC = (half + np.swapaxes(half, 1, 2)).reshape(r, K * K, v)
+        inner = _kron(self._WSW, self.W) @ dC - 2.0 * (_kron(self.W, self.W) @ U.reshape(r, K * K, v))
+        terms = np.swapaxes(dC, 1, 2) @ inner
+        return terms + np.swapaxes(terms, 1, 2)
+
+    def information(self, noise_factor: float) -> np.ndarray:
+        """Expected information of each run about the parameters, (r, n, n)."""
+        return eliminate(self._full_information(noise_factor), len(self.c) - 1)[0]
+
+    def _full_information(self, noise_factor: float) -> np.ndarray:
+        counts = self.cost.summary.counts[self.at, None, None]
+        return self._quadratic(self._slopes(), self.W, (noise_factor - self.cost.planned) * counts * self.W)
+
+    def zero_covariance(self, covariance: np.ndarray) -> np.ndarray:
+        """Covariance of each run's zero displacements [m^2], (r, z, z); `covariance`: of the parameters."""
+        full, z = self._full_information(1.0), len(self.c) - 1
+        follow = eliminate(full, z)[1]
+        return np.linalg.inv(full[:, :z, :z]) + follow @ covariance @ np.swapaxes(follow, 1, 2)
 
 
 def _kron(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -285,7 +313,7 @@ def _kron(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("rij,rkl->rikjl", a, b).reshape(r, K * K, K * K)
 
 
-def cost_of(summary: Summary, noise: Mapping[str, float]) -> Cost:
+def cost_of(summary: RunStatistics, noise: Mapping[str, float]) -> Cost:
     """Return the likelihood of `summary` for standard deviations `noise` by column (absent: exact)."""
     model = summary.model
     return Cost(

@@ -1,4 +1,4 @@
-"""Run summaries of models that have none of their own: the reading as a line around a point.
+"""Run statistics of models that have none of their own: the reading as a line around a point.
 
 A reading that is no polynomial of the columns, or not linear in the zeros of a run, or that reads columns
 made from the log (rates, memory), is replaced by its tangent at parameters p0 and zeros z0:
@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.run_statistics import Summary, summarised
+from hallsym.estimation.run_statistics import RunStatistics, summarised
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh
 from hallsym.log.derived import extended
@@ -33,7 +33,7 @@ SAMPLES = 60
 
 @lru_cache(maxsize=64)
 def exact(model: Model) -> bool:
-    """Return whether the model has run summaries of its own, exact for all parameters."""
+    """Return whether the model has run statistics of its own, exact for all parameters."""
     if model.computed:
         return False
     s = model.symbols
@@ -58,6 +58,7 @@ class Program:
     zero_entries: tuple[tuple[int, int], ...]
     values: Callable[..., list[np.ndarray]]
     slopes: Callable[..., list[np.ndarray]]
+    slope_sparsity: ca.Sparsity
     by_parameter: Callable[..., list[np.ndarray]]
 
 
@@ -77,6 +78,7 @@ def program(model: Model) -> Program:
         zero_entries,
         on_arrays(ca.Function("tangents", inputs, [ca.densify(rows)])),
         on_arrays(ca.Function("tangent_slopes", inputs, [ca.densify(slopes)])),
+        slopes.sparsity(),
         on_arrays(ca.Function("by_parameter", inputs, [ca.densify(by_p)])),
     )
 
@@ -106,6 +108,10 @@ class TangentFeatures(Features):
         """
         run = program(self.model).slopes
         return lambda pose, state, zeros: run(self.at, np.zeros_like(zeros), pose, state)
+
+    @property
+    def _slope_sparsity(self) -> ca.Sparsity:
+        return program(self.model).slope_sparsity
 
     @cached_property
     def expansion(self) -> Any:
@@ -155,8 +161,8 @@ def summarise_at(
     weigh: Weigh | None = None,
     on_rows: Callable[[int], None] | None = None,
     sigma: Mapping[str, float] | None = None,
-) -> Summary:
-    """Read a log once and return its run summaries for the tangent of `model` at `p` and `zeros` by run.
+) -> RunStatistics:
+    """Read a log once and return its run statistics for the tangent of `model` at `p` and `zeros` by run.
 
     `weigh`, `on_rows` as for `summarise`; `sigma`: noise by column, for the columns that are computed.
     """

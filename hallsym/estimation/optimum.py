@@ -1,21 +1,21 @@
-"""Find the optimum of a likelihood on run summaries: global stage, IPOPT, and quick refits."""
+"""Find the optimum of a likelihood on run statistics: global search, IPOPT, and quick refits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 import solvers
-from hallsym.estimation.identifiable import Determination, scales
+from hallsym.estimation.identifiable import Determination, determine, scales
 from hallsym.estimation.likelihood import Cost
 from hallsym.model import Model
-from solvers.hybrid import EXPLORERS
 
-SOLVERS = ("hybrid", "direct", *EXPLORERS)
-"""hybrid is SHTLBO, closed form, IPOPT; direct leaves the global stage out; the others replace SHTLBO."""
+SOLVERS = ("hybrid", "direct", *solvers.EXPLORERS)
+"""hybrid is SHTLBO, closed form, IPOPT; direct leaves the global search out; the others replace SHTLBO."""
 BUDGET, SIZE, KEEP = 4040, 40, 3
-"""Evaluations and class size of the global stage; how many of its points are refined."""
+"""Evaluations and class size of the global search; how many of its points are refined."""
 WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
 """IPOPT's barrier for a start that is close already: 4 evaluations instead of 9."""
 SCREENED, ELSEWHERE = 100, 2
@@ -39,12 +39,39 @@ class Search:
     share: float
 
 
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A solved fit: the costs of all runs and of the fitted ones, the optimum and what is determined there.
+
+    `determination`: what was known before the search, and so what it held.
+    """
+
+    everything: Cost
+    fitted: Cost
+    determination: Determination
+    search: Search
+
+    @property
+    def p(self) -> np.ndarray:
+        """The optimum, shape (n,)."""
+        return self.search.p
+
+    @cached_property
+    def determined(self) -> Determination:
+        """What the fitted runs determine at the optimum, for what was held on the way there."""
+        return replace(determine(self.fitted, self.p), held=self.determination.held)
+
+    def zeros(self) -> dict[int, np.ndarray]:
+        """Zero displacements of every run, held-out ones included."""
+        return dict(zip(self.everything.summary.runs, self.everything.at(self.p).zeros, strict=True))
+
+
 def search(
     fitted: Cost, merged: Cost, first: np.ndarray, found: Determination, *, solver: str, seed: int
 ) -> Search:
-    """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global stage.
+    """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global search.
 
-    The global stage and its local refinements run on `merged`, where the zeros are projected out and the
+    The global search and its local refinements run on `merged`, where the zeros are projected out and the
     whole population is evaluated at once; IPOPT then refines the best of them on the exact cost.
     """
     free = np.array([k for k in range(len(first)) if k not in found.held], dtype=int)
@@ -89,7 +116,7 @@ def _elsewhere(problem: solvers.Problem, rng: np.random.Generator) -> np.ndarray
 
 
 def refit(cost: Cost, p: np.ndarray, held: Sequence[int]) -> np.ndarray:
-    """Return the optimum of a re-weighted cost near `p`: Newton's method on the summaries, no global stage.
+    """Return the optimum of a re-weighted cost near `p`: Newton's method on the statistics, no global search.
 
     For bootstrap, cross-validation and diagnosis; parameters with index in `held` stay as in `p`.
     """

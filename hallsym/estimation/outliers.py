@@ -3,8 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter, percentile_filter
-from scipy.special import gammaincinv
+import scipy
 
 from hallsym.log import Block
 from hallsym.log.batches import Weigh
@@ -80,7 +79,7 @@ def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
         spiky = far.any(axis=1)
         if spiky.any():
             far[spiky] &= jump[spiky] > SPIKE * _usual(jump[spiky], MOSTLY_SPIKY) / SPIKY_STD
-        worst = far & (jump == maximum_filter1d(jump, 5))
+        worst = far & (jump == scipy.ndimage.maximum_filter1d(jump, 5))
         going_on = worst.any(axis=1)
         if not going_on.any():
             break
@@ -118,7 +117,8 @@ def _usual(jump: np.ndarray, percent: int) -> np.ndarray:
         return np.zeros_like(jump)
     # one row after the other, each mirrored at its ends: one call, and filters are fastest along one row
     wide = jump[:, np.r_[half:0:-1, :n, n - 2 : n - 2 - half : -1]]
-    filtered = percentile_filter(wide.ravel(), percent, size=AROUND, mode="nearest").reshape(wide.shape)
+    filtered = scipy.ndimage.percentile_filter(wide.ravel(), percent, size=AROUND, mode="nearest")
+    filtered = filtered.reshape(wide.shape)
     about = filtered[:, half:-half]
     before = np.concatenate([np.repeat(about[:, :1], half, axis=1), about[:, :-half]], axis=1)
     after = np.concatenate([about[:, half:], np.repeat(about[:, -1:], half, axis=1)], axis=1)
@@ -204,7 +204,7 @@ def _jumps(r: np.ndarray, good: np.ndarray, stated: np.ndarray) -> tuple[np.ndar
         good = np.ones_like(good)
     at = np.arange(len(good))
     clean = np.array([np.interp(at, at[good], row[good]) for row in r])
-    middle = median_filter(r[:, good], size=(1, WINDOW), mode="mirror")
+    middle = scipy.ndimage.median_filter(r[:, good], size=(1, WINDOW), mode="mirror")
     running = np.array([np.interp(at, at[good], row) for row in middle])
     off = [np.abs(r - near) for near in _expected(clean, running, good)]
     jump = np.where(good, np.min(off, axis=0), off[0])  # a suspect has only the median to speak for it
@@ -239,7 +239,9 @@ def tukey(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> We
     """
     whiten = np.linalg.cholesky(np.linalg.inv(covariance)).T
     channels = len(covariance)
-    typical = float(np.sqrt(2 * gammaincinv(channels / 2, 0.5) / channels))  # median of Gaussian noise
+    typical = float(
+        np.sqrt(2 * scipy.special.gammaincinv(channels / 2, 0.5) / channels)
+    )  # median of Gaussian noise
 
     def weigh(block: Block) -> np.ndarray:
         distance = np.linalg.norm(whiten @ residual(block), axis=0) / np.sqrt(channels)

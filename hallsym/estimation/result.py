@@ -4,32 +4,27 @@ import platform
 from collections.abc import Sequence
 from functools import cache
 from importlib import metadata
-from typing import Any
+from time import perf_counter
 
 import numpy as np
 
-from hallsym.estimation import covariance as uncertainty
-from hallsym.estimation.calibration import Errors, Fit
-from hallsym.estimation.task import State, Task
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.channel_assignment import Wiring
+from hallsym.estimation.covariance import noise_floor, uncertainty
+from hallsym.estimation.task import Solved
 from hallsym.log.phase import home_notes
 from hallsym.model import Model
 
 
-def result_of(
-    task: Task,
-    state: State,
-    errors: Errors,
-    notes: tuple[str, ...],
-    wiring: Any,
-    loss: str,
-    seconds: float,
-) -> Fit:
-    """Return the fit that is handed out; `seconds` it took, `wiring` it found."""
-    model, found = task.model, state.found
-    estimate = uncertainty.estimate(state.fitted, state.p, found)
+def result_of(solved: Solved, notes: tuple[str, ...], wiring: Wiring | None, began: float) -> Fit:
+    """Return the fit that is handed out; `began`: when, by `perf_counter`."""
+    task, state, errors = solved.task, solved.solution, solved.errors
+    model, found = task.model, state.determined
+    estimate = uncertainty(state.fitted, state.p, found)
     gain = np.array([model.zero_scale(state.p, s) for s in state.everything.summary.first_state])
-    zeros = state.everything.at(state.p).zeros
-    delta = zeros * gain if zeros.shape[1] else zeros
+    delta = state.everything.at(state.p).zeros
+    delta = delta * gain if delta.shape[1] else delta
+    zeros = dict(zip(state.everything.summary.runs, delta, strict=True))
     return Fit(
         model=model,
         values=state.p,
@@ -42,14 +37,14 @@ def result_of(
         structural=found.structural,
         at_bound=estimate.at_bound,
         combinations=estimate.combinations,
-        zeros=dict(zip(state.everything.summary.runs, delta, strict=True)),
+        zeros=zeros,
         noise=task.noise,
-        noise_floor=uncertainty.noise_floor(state.fitted, state.p),
+        noise_floor=noise_floor(state.fitted, state.p),
         status=state.search.status,
         message=state.search.message,
         solver={
             "name": task.solver,
-            "loss": loss,
+            "loss": task.loss,
             "cost": state.search.cost,
             "cost_per_degree_of_freedom": estimate.cost_per_dof,
             "evaluations": state.search.evaluations,
@@ -62,16 +57,20 @@ def result_of(
             "sha256": None,
             "rows": task.log.rows,
             "runs": len(state.everything.summary.runs),
-            "holdout": list(state.holdout),
+            "holdout": list(task.holdout),
             "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
         },
-        seconds=seconds,
+        seconds=perf_counter() - began,
         notes=(
             *notes,
-            *zero_notes(model, state.everything.summary.runs, delta),
-            *home_notes(task.log, model, dict(zip(state.everything.summary.runs, delta, strict=True))),
+            *zero_notes(model, tuple(zeros), delta),
+            *home_notes(task.log, model, zeros),
         ),
         errors=errors,
+        keep=solved.keep,
+        source=task.log,
+        likelihood=state.fitted,
+        determination=found,
         undetermined_by_log=estimate.undetermined_by_log,
         wiring=wiring,
         versions=dict(_versions()),

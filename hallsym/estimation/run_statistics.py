@@ -1,4 +1,4 @@
-"""Run summaries: a log of any length, reduced without loss to one small triangle per run.
+"""Run statistics: a log of any length, reduced without loss to one small triangle per run.
 
 The residual of a reading is linear in the features of `hallsym.model.features`, so the R factor of
 [features | readings] holds everything a least-squares cost can ask of a run, for any parameters and any zero
@@ -26,12 +26,12 @@ MOST_PLACES = 512
 
 
 @dataclass(frozen=True, eq=False)
-class Summary:
+class RunStatistics:
     """The runs of a log as seen by one model.
 
     `triangles`: (runs, n, n), n = n_features + n_channels, readings last.
-    `slopes`: (runs, n_columns, n_features, n_features), mean outer product of d feature / d column, over the
-    columns of pose and state: how noise of a logged column enters the residual.
+    `slopes`: (runs, pairs), mean product of d feature i / d column and d feature j / d column for each entry
+    of `features.slope_pairs`: how noise of a logged column, pose or state, enters the residual.
     `counts`: samples per run (sum of weights). `first_state`: vertical state at the reset of each run.
     `mean_state`: mean vertical state of each run. `places`: per run (n_columns, samples), pose and state
     of some samples, where the noise of the reference acts in another direction at each (`Model.typical`).
@@ -52,9 +52,22 @@ class Summary:
         """The model whose features these are."""
         return self.features.model
 
-    def select(self, runs: Iterable[int]) -> "Summary":
-        """Return the summary of some of the runs, in the order given."""
-        index = [self.runs.index(run) for run in runs]
+    def noise_in_features(self, variance: np.ndarray) -> np.ndarray:
+        """Sum over columns of variance (n_columns,) * mean outer product of feature slopes, (runs, f, f)."""
+        f = self.features.size
+        out = np.zeros((len(self.runs), f, f))
+        column, i, j = self.features.slope_pairs
+        for c in np.flatnonzero(variance):
+            here = column == c
+            out[:, i[here], j[here]] += variance[c] * self.slopes[:, here]
+        upper = np.triu_indices(f, 1)
+        out[:, upper[1], upper[0]] = out[:, upper[0], upper[1]]
+        return out
+
+    def select(self, runs: Iterable[int]) -> "RunStatistics":
+        """Return the statistics of some of the runs, in the order given."""
+        place = {run: k for k, run in enumerate(self.runs)}
+        index = [place[run] for run in runs]
         return replace(
             self,
             runs=tuple(self.runs[k] for k in index),
@@ -66,7 +79,7 @@ class Summary:
             places=tuple(self.places[k] for k in index) if self.places else (),
         )
 
-    def merged(self) -> "Summary":
+    def merged(self) -> "RunStatistics":
         """Return one run for all, the features that carry zeros projected out.
 
         For constant vertical state within each run this is exactly the cost with the zeros eliminated; for
@@ -75,12 +88,12 @@ class Summary:
         k = self.features.n_zero
         rows = self.triangles if k == 0 else _projected(self.triangles, k)
         share = self.counts / self.counts.sum()
-        return Summary(
+        return RunStatistics(
             features=self.features.without_zeros,
             centre=self.centre,
             runs=(0,),
             triangles=_triangle(rows.reshape(-1, rows.shape[-1]))[None],
-            slopes=np.tensordot(share, self.slopes[:, :, k:, k:], axes=1)[None],
+            slopes=(share @ self.slopes)[None],
             counts=np.array([self.counts.sum()]),
             first_state=(share @ self.first_state)[None],
             mean_state=(share @ self.mean_state)[None],
@@ -90,8 +103,8 @@ class Summary:
 
 def summarise(
     log: Log, model: Model, weigh: Weigh | None = None, on_rows: Callable[[int], None] | None = None
-) -> Summary:
-    """Read a log once and return its run summaries for `model`.
+) -> RunStatistics:
+    """Read a log once and return its run statistics for `model`.
 
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
     `on_rows(samples so far)` is called along the way.
@@ -113,8 +126,8 @@ def summarised(
     place: Callable[[Batch], np.ndarray],
     weigh: Weigh | None = None,
     on_rows: Callable[[int], None] | None = None,
-) -> Summary:
-    """Read a log once and return the run summaries of given features.
+) -> RunStatistics:
+    """Read a log once and return the run statistics of given features.
 
     `place(batch)`: what the features are taken at: one centre (n_variables,) for all, or zeros (z, samples).
     """
@@ -127,7 +140,7 @@ def summarised(
         centre = at if at.ndim == 1 else centre
         _gather(gathered, features, at, batch, batch.weights(weigh))
     runs = list(gathered.values())
-    return Summary(
+    return RunStatistics(
         features=features,
         centre=centre,
         runs=tuple(gathered),
@@ -168,14 +181,11 @@ def _gather(
     there = at if at.ndim == 1 else at[:, pick]
     slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], there)[0]
     slopes = slopes.reshape(len(pose) + len(state), n, -1)
-    # features that carry zeros: their slope with the state is a second-order weight, left out so that the
-    # weight of a residual does not depend on the zeros
-    slopes[:, : features.n_zero] = 0.0
     for k, (block, part) in enumerate(batch.parts()):
         run = gathered.setdefault(block.run, _Run(states[:, part.start]))
         run.add(rows[part], weight[part], states[:, part])
         here = pick[edges[k] : edges[k + 1]]
-        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here])
+        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here], features.slope_pairs)
         if model.typical:
             run.places.append(np.vstack([*(v[here] for v in pose), *(v[here] for v in state)]))
 
@@ -209,8 +219,8 @@ class _Run:
         self.count += float(weight.sum())
         self.state_sum = self.state_sum + states @ weight
 
-    def add_slopes(self, slopes: np.ndarray, weight: np.ndarray) -> None:
-        self.slopes = self.slopes + (slopes * weight) @ np.swapaxes(slopes, 1, 2)
+    def add_slopes(self, slopes: np.ndarray, weight: np.ndarray, pairs: np.ndarray) -> None:
+        self.slopes = self.slopes + ((slopes * weight) @ np.swapaxes(slopes, 1, 2))[tuple(pairs)]
         self.slope_count += float(weight.sum())
 
 

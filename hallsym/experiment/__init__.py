@@ -2,11 +2,34 @@
 
 `ranges` says what may be recorded, `candidates` lists the runs, `information` says what each would tell,
 `criteria` what counts, `relaxed` bounds what any choice can reach, `exchange` chooses, `study` and `design`
-put it together, `compare` sets a plan beside another campaign.
+put it together, `comparison` sets a plan beside another campaign.
 """
 
-from hallsym.experiment.criteria import CRITERIA
+from hallsym.experiment.candidates import Candidate, candidates
+from hallsym.experiment.comparison import Comparison
+from hallsym.experiment.criteria import CRITERIA, Criterion, criterion
 from hallsym.experiment.design import Plan, plan
+from hallsym.experiment.exchange import choose, exchange, greedy
+from hallsym.experiment.information import Worst, planned_cost
 from hallsym.experiment.ranges import Ranges, paper_ranges, read_ranges
+from hallsym.experiment.relaxed import relax
 
-__all__ = ["CRITERIA", "Plan", "Ranges", "paper_ranges", "plan", "read_ranges"]
+__all__ = [
+    "CRITERIA",
+    "Candidate",
+    "Comparison",
+    "Criterion",
+    "Plan",
+    "Ranges",
+    "Worst",
+    "candidates",
+    "choose",
+    "criterion",
+    "exchange",
+    "greedy",
+    "paper_ranges",
+    "plan",
+    "planned_cost",
+    "read_ranges",
+    "relax",
+]

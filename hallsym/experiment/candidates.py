@@ -10,7 +10,7 @@ from hallsym.errors import InputError
 from hallsym.experiment.ranges import Box, Ranges, tidy
 from hallsym.model import Model
 from hallsym.simulation import Run, Signal, multi_sine, sine, triangle
-from hallsym.units import readable
+from hallsym.units import readable, si_unit
 
 MOST = 20_000
 """Candidates beyond this are refused: fewer levels say the same."""
@@ -27,11 +27,15 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Signals by axis, how far each axis goes from the middle, and the name of the trajectory."""
+    """Signals by axis, how far each axis goes from the middle, and the name of the trajectory.
+
+    `lifts`: whether vertical axes can move with it, each by a frequency of its own.
+    """
 
     name: str
     signals: Mapping[str, Signal]
     reach: Mapping[str, float]
+    lifts: bool = False
 
 
 def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
@@ -46,7 +50,7 @@ def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
         for setting in _settings(ranges, motion, model):
             if not any(_touches(zone, setting, motion) for zone in ranges.excluded):
                 place = {axis: value for axis, value in setting.items() if value or axis in rests}
-                words = _words(place, motion)
+                words = _words(place, motion, model)
                 run = Run(ranges.seconds_per_run, place, motion.signals, name=f"{words}; {motion.name}")
                 found.append(Candidate(run, words, motion.name))
         if len(found) > MOST:
@@ -90,7 +94,7 @@ def _motions(ranges: Ranges, model: Model) -> Iterator[_Motion]:
     moving = [axis for axis in model.pose if ranges.place(axis)[1] > 0]
     for motion in _planar(ranges, moving):
         yield motion
-        if ranges.vertical_motion and motion.name[:6] not in ("multi-", "raster"):
+        if ranges.vertical_motion and motion.lifts:
             yield from _lifted(ranges, motion, model.state)
 
 
@@ -110,7 +114,7 @@ def _planar(ranges: Ranges, moving: Sequence[str]) -> Iterator[_Motion]:
         yield _Motion("multi-sine " + ", ".join(map(_axis, moving)), signals, reach)
     lines = round(f[-1] / f[0])
     if "raster" in wanted and lines >= 2:
-        lengths = [axis for axis in moving if axis.endswith("_m")]
+        lengths = [axis for axis in moving if si_unit(axis) == "m"]
         for fast, slow in permutations(lengths, 2):
             reach = {axis: ranges.place(axis)[1] for axis in (fast, slow)}
             signals = {fast: triangle(reach[fast], f[-1]), slow: triangle(reach[slow], f[-1] / lines)}
@@ -121,7 +125,7 @@ def _sines(ranges: Ranges, axes: Sequence[str], frequencies: Sequence[float]) ->
     pairs = list(zip(axes, frequencies, strict=False))
     reach = {axis: ranges.place(axis)[1] for axis in axes}
     name = ", ".join(f"{_axis(axis)} {f:g} Hz" for axis, f in pairs)
-    return _Motion(name, {axis: sine(reach[axis], f) for axis, f in pairs}, reach)
+    return _Motion(name, {axis: sine(reach[axis], f) for axis, f in pairs}, reach, lifts=True)
 
 
 def _lifted(ranges: Ranges, motion: _Motion, state: Sequence[str]) -> Iterator[_Motion]:
@@ -161,10 +165,10 @@ def _touches(zone: Box, setting: Mapping[str, float], motion: _Motion) -> bool:
     )
 
 
-def _words(place: Mapping[str, float], motion: _Motion) -> str:
+def _words(place: Mapping[str, float], motion: _Motion, model: Model) -> str:
     parts = []
     for axis, value in place.items():
-        factor, unit, _ = readable(axis)
+        factor, unit, _ = readable(axis, model.period)
         about = "about " if axis in motion.signals else ""
         if value:
             parts.append(f"{_axis(axis)} {about}{factor * value:+.4g} {unit}")

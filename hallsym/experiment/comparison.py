@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.experiment.study import Study
+from hallsym.records import named
 from hallsym.simulation import Campaign
 
 
@@ -52,11 +53,11 @@ class Comparison:
             "determined": True,
             "value": self.value,
             "value_as_many": self.value_as_many,
-            "std": dict(zip(names, self.std.tolist(), strict=True)),
-            "std_as_many": dict(zip(names, self.std_as_many.tolist(), strict=True)),
-            "std_factor": dict(zip(names, self.factor.tolist(), strict=True)),
-            "position_std": dict(zip(pose, self.position.tolist(), strict=True)),
-            "position_std_as_many": dict(zip(pose, self.position_as_many.tolist(), strict=True)),
+            "std": named(names, self.std),
+            "std_as_many": named(names, self.std_as_many),
+            "std_factor": named(names, self.factor),
+            "position_std": named(pose, self.position),
+            "position_std_as_many": named(pose, self.position_as_many),
             "worst_std": self.worst,
             "worst_std_as_many": self.worst_as_many,
             "runs_same_value": self.runs_same_value,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
+from hallsym.estimation import noise_of
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.fit import noise_of
 from hallsym.estimation.likelihood import cost_of
 from hallsym.estimation.run_statistics import summarise
 from hallsym.experiment.comparison import Comparison, compare
@@ -17,10 +17,11 @@ from hallsym.experiment.criteria import CRITERIA
 from hallsym.experiment.information import Worst
 from hallsym.experiment.ranges import Ranges
 from hallsym.experiment.study import Choice, Study, study
-from hallsym.families import build
-from hallsym.log import Log, Noise, check_log
+from hallsym.families import build, default_model
+from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.log.noise import check_noise_keys
 from hallsym.model import Model
+from hallsym.records import named
 from hallsym.simulation import Campaign
 
 FORMAT = "hallsym plan 1"
@@ -91,9 +92,9 @@ class Plan:
             "recorded_runs": self.recorded,
             "worst_before": None if self.before is None else vars(self.before),
             "worst": vars(self.after),
-            "std": dict(zip(self.names, self.std.tolist(), strict=True)),
-            "position_std": dict(zip(model.pose, self.position.tolist(), strict=True)),
-            "reference": {c: ranges.reference.get(c, 1e-6) for c in model.pose},
+            "std": named(self.names, self.std),
+            "position_std": named(model.pose, self.position),
+            "reference": named(model.pose, ranges.references(model.pose)),
             "comparison": self.comparison and self.comparison.to_dict(self.names, model.pose),
             "values": {n: float(v) for n, v in self.study.values.items()},
             "noise": dict(self.study.noise),
@@ -104,7 +105,7 @@ class Plan:
 
 def plan(
     ranges: Ranges,
-    model: str | Model = "stage31",
+    model: str | Model | None = None,
     values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     *,
@@ -132,7 +133,7 @@ def plan(
             f"Criterion must be one of {', '.join(CRITERIA)}; instead received {criterion!r}"
             f"{nearest(criterion, list(CRITERIA))}."
         )
-    model = build(model) if isinstance(model, str) else model
+    model = model if isinstance(model, Model) else build(model or default_model(Meta()))
     allowed = ranges.allowed(runs, minutes)
     sigma = _noise(model, ranges.noise if noise is None else noise)
     recorded, n_recorded = (None, 0) if after is None else _recorded(after, model, model.vector(values or {}))
@@ -157,7 +158,7 @@ def plan(
 def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
     columns = columns_of(model)
     check_noise_keys(noise, columns, "the plan")
-    sigmas = {c: s.value for c, s in Noise.given(noise, columns).sigmas.items()}
+    sigmas = Noise.given(noise, columns).std
     missing = [c for c in (*model.channels, *model.references) if c not in sigmas]
     if missing:
         raise InputError(
@@ -170,10 +171,9 @@ def _noise(model: Model, noise: Mapping[str, float]) -> dict[str, float]:
 def _recorded(log: Log, model: Model, p: np.ndarray) -> tuple[np.ndarray, int]:
     """Information (n, n) of a log that was recorded, held-out runs left out, and its runs."""
     check_log(log, columns_of(model))
-    sigma = {c: s.value for c, s in noise_of(log, model, log.meta.holdout).sigmas.items()}
-    summary = summarise(log, model)
-    summary = summary.select([run for run in summary.runs if run not in log.meta.holdout])
-    return cost_of(summary, sigma).at(p).information(1.0).sum(axis=0), len(summary.runs)
+    sigma = noise_of(log, model, log.meta.holdout).std
+    cost = cost_of(summarise(log, model), sigma).without(log.meta.holdout)
+    return cost.information(p), len(cost.summary.runs)
 
 
 def _order(found: Study, choice: Choice) -> list[int]:

@@ -5,9 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.estimation.identifiable import ROUNDING, UNDETERMINED, feature_scale, scales, structural_null
-from hallsym.estimation.likelihood import Cost, cost_of
-from hallsym.estimation.run_statistics import summarise
+from hallsym.estimation import Cost, cost_of, least_information, scales, structural_directions, summarise
 from hallsym.log import Log
 from hallsym.model import Model
 from hallsym.model.quantities import combination
@@ -70,8 +68,7 @@ class Directions:
     def weak(self, information: np.ndarray) -> np.ndarray:
         """Return the scaled parameter directions (n, k) that information (m, m) leaves undetermined."""
         values, vectors = np.linalg.eigh(information)
-        few = values < max(UNDETERMINED**-2, ROUNDING * values.max(initial=0.0))
-        return (self.basis / self.scale[:, None]) @ vectors[:, few]
+        return (self.basis / self.scale[:, None]) @ vectors[:, values < least_information(values)]
 
     def std(self, gradients: np.ndarray, information: np.ndarray) -> np.ndarray:
         """Return standard uncertainties of functions with `gradients` (q, n), shape (q,), in their units."""
@@ -82,7 +79,7 @@ class Directions:
         """Return the combination that information (m, m) determines worst."""
         values, vectors = np.linalg.eigh(information)
         direction = (self.basis / self.scale[:, None]) @ vectors[:, 0]
-        determined = values[0] > max(UNDETERMINED**-2, ROUNDING * values[-1])
+        determined = values[0] > least_information(values)
         direction = direction * np.sign(direction[int(np.argmax(np.abs(direction)))])
         order = np.argsort(-np.abs(direction), kind="stable")
         kept = [int(k) for k in order if abs(direction[k]) >= 0.3 * abs(direction[order[0]])]
@@ -112,12 +109,8 @@ class Worst:
 
 def directions(cost: Cost, p: np.ndarray) -> Directions:
     """Return what can be determined about the model of `cost` at parameters `p` (n,)."""
-    model = cost.summary.model
-    scale, (lower, upper) = scales(model), model.bounds
-    open_ = lower < upper
-    null = structural_null(cost.coefficients, feature_scale(cost), p, open_)
-    rest = np.zeros((len(p), int(open_.sum()) - null.shape[1]))
-    rest[open_] = np.linalg.svd(null[open_], full_matrices=True)[0][:, null.shape[1] :]
+    model, (null, rest) = cost.summary.model, structural_directions(cost, p)
+    scale = scales(model)
     return Directions(model, scale, scale[:, None] * rest, null)
 
 

@@ -3,15 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.families import axes, published
 from hallsym.simulation import noise_table
-from hallsym.toml import known, number, numbers, positive, read_toml, table, tables
-from hallsym.units import UNITS, split_unit
+from hallsym.toml import Table, positive
 
 TRAJECTORIES = ("one-axis", "combined", "multi-sine", "raster")
 KEYS = (
@@ -71,6 +69,10 @@ class Ranges:
         low, high = self.box.get(axis, (0.0, 0.0))
         return tidy(0.5 * (low + high)), tidy(0.5 * (high - low))
 
+    def references(self, pose: tuple[str, ...]) -> np.ndarray:
+        """Return what counts as one unit of uncertainty of each pose coordinate, (n_pose,), SI."""
+        return np.array([self.reference.get(c, 1e-6) for c in pose])
+
     def allowed(self, runs: int | None, minutes: float | None) -> int:
         """Return how many runs may be recorded: `runs` or as many as fit in `minutes`, the fewer.
 
@@ -118,91 +120,50 @@ def paper_ranges() -> Ranges:
 
 def read_ranges(path: str | Path) -> Ranges:
     """Read ranges from TOML. Raises `InputError` for unknown keys and for values that cannot be."""
-    path = Path(path)
-    raw = read_toml(path, "Ranges file")
-    where = f"ranges {path.name}"
-    known(raw, KEYS, where)
+    file = Table.read(path, "Ranges file", KEYS)
     for key in ("range", "frequencies_hz", "seconds_per_run", "step_s"):
-        if key not in raw:
-            raise InputError(f"Key '{key}' is missing in {where}; nothing is assumed for it.")
+        if key not in file:
+            raise InputError(f"Key '{key}' is missing in {file.where}; nothing is assumed for it.")
+    reference = file.table("reference")
     return Ranges(
-        box=_box(raw["range"], "range", where),
-        frequencies_hz=tuple(sorted(numbers(raw["frequencies_hz"], "frequencies_hz", where, positive))),
-        seconds_per_run=positive(raw["seconds_per_run"], "seconds_per_run", where),
-        step_s=positive(raw["step_s"], "step_s", where),
-        levels=_whole(raw.get("levels", 5), "levels", where, least=2),
-        excluded=tuple(
-            _box(entry, "exclude", where) for entry in tables(raw.get("exclude", []), "exclude", where)
-        ),
-        trajectories=_trajectories(raw.get("trajectories", list(TRAJECTORIES)), where),
-        vertical_motion=_switch(raw.get("vertical_motion", False), "vertical_motion", where),
-        runs=None if "runs" not in raw else _whole(raw["runs"], "runs", where, least=1),
-        minutes=None if "minutes" not in raw else positive(raw["minutes"], "minutes", where),
-        reset_s=None if "reset_s" not in raw else number(raw["reset_s"], "reset_s", where, least=0.0),
-        noise=noise_table(raw, where),
-        reference=_reference(raw.get("reference", {}), f"[reference] of {where}"),
+        box=_box(file.table("range")),
+        frequencies_hz=tuple(sorted(file.numbers("frequencies_hz", positive))),
+        seconds_per_run=file.positive("seconds_per_run"),
+        step_s=file.positive("step_s"),
+        levels=file.whole("levels", 5, least=2),
+        excluded=tuple(map(_box, file.tables("exclude"))),
+        trajectories=_trajectories(file),
+        vertical_motion=file.flag("vertical_motion", False),
+        runs=file.whole("runs") if "runs" in file else None,
+        minutes=file.positive("minutes") if "minutes" in file else None,
+        reset_s=file.number("reset_s", least=0.0) if "reset_s" in file else None,
+        noise=noise_table(file),
+        reference={c: reference.positive(key) * factor for key, c, factor in reference.columns(axes())},
     )
 
 
-def _box(raw: Any, key: str, where: str) -> dict[str, tuple[float, float]]:
-    box, where = {}, f"[{key}] of {where}"
-    for name, value in table(raw, key, where).items():
-        axis, factor = _axis(name, where)
-        pair = numbers(value, name, where)
-        if len(pair) != 2:
-            raise InputError(f"'{name}' of {where} must be [lowest, highest]; instead received {value!r}.")
-        if pair[0] > pair[1]:
-            raise InputError(f"'{name}' of {where} is inverted: {value!r} must run from lowest to highest.")
-        if axis in box:
-            raise InputError(f"Axis {axis} of {where} is given twice; keep one.")
-        box[axis] = (tidy(pair[0] * factor), tidy(pair[1] * factor))
+def _box(raw: Table) -> dict[str, tuple[float, float]]:
+    box = {}
+    for key, axis, factor in raw.columns(axes()):
+        low, high = raw.pair(key)
+        box[axis] = (tidy(low * factor), tidy(high * factor))
     if not box:
-        raise InputError(f"{where} is empty; give axes such as z_um = [-250, 250].")
+        raise InputError(f"{raw.where} is empty; give axes such as z_um = [-250, 250].")
     return box
 
 
-def _reference(raw: Any, where: str) -> dict[str, float]:
-    found = {}
-    for key, value in table(raw, "reference", where).items():
-        axis, factor = _axis(key, where)
-        found[axis] = positive(value, key, where) * factor
-    return found
-
-
-def _axis(key: str, where: str) -> tuple[str, float]:
-    """Axis and factor to SI of a key such as `z_um`."""
-    stem, unit = split_unit(key)
-    axis = f"{stem}_{unit.si}" if unit else key
-    if axis not in axes():
-        names = [f"{a.rpartition('_')[0]}_u{a.rpartition('_')[2]}" for a in axes()]
-        raise InputError(
-            f"Unknown axis {key!r} in {where}{nearest(key, [*names, *axes()])}; known are {', '.join(names)} "
-            f"and their other units."
-        )
-    return axis, UNITS[unit.name].factor if unit else 1.0
-
-
-def _whole(value: Any, key: str, where: str, least: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InputError(f"'{key}' of {where} must be a whole number >= {least}; instead received {value!r}.")
-    return value
-
-
-def _switch(value: Any, key: str, where: str) -> bool:
-    if not isinstance(value, bool):
-        raise InputError(f"'{key}' of {where} must be true or false; instead received {value!r}.")
-    return value
-
-
-def _trajectories(value: Any, where: str) -> tuple[str, ...]:
+def _trajectories(file: Table) -> tuple[str, ...]:
+    value = file.raw.get("trajectories", list(TRAJECTORIES))
     for name in value if isinstance(value, list) else [value]:
         if name not in TRAJECTORIES:
             raise InputError(
-                f"'trajectories' of {where} must be a list of {', '.join(TRAJECTORIES)}; instead received "
-                f"{name!r}{nearest(str(name), list(TRAJECTORIES))}."
+                f"'trajectories' of {file.where} must be a list of {', '.join(TRAJECTORIES)}; instead "
+                f"received {name!r}{nearest(str(name), list(TRAJECTORIES))}."
             )
     if not value or not isinstance(value, list):
-        raise InputError(f"'trajectories' of {where} must be a list that is not empty; received {value!r}.")
+        raise InputError(
+            f"'trajectories' of {file.where} must be a list that is not empty; received {value!r}."
+        )
     return tuple(value)
 
 

@@ -1,6 +1,6 @@
 """What every choice of runs needs, computed once: the information of each candidate and what counts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -174,7 +174,6 @@ def study(
     m = infos.shape[1]
     if m == 0:
         raise InputError(f"Every parameter of {model.name} is fixed; there is nothing to plan for.")
-    reference = _references(ranges, model.pose)
     return Study(
         model=model,
         values=values,
@@ -187,7 +186,7 @@ def study(
         slopes=slopes,
         names=names,
         gradients=gradients,
-        criterion=criterion(name, m, slopes / reference[:, None]),
+        criterion=criterion(name, m, slopes / ranges.references(model.pose)[:, None]),
         seed=seed,
     )
 
@@ -198,7 +197,3 @@ def _workspace(ranges: Ranges, model: Model, p: np.ndarray) -> np.ndarray:
     rest = np.zeros((len(model.zeros), len(points)))
     pose, state = np.split(points.T, [len(model.pose)])
     return influence(model, p, list(rest), list(pose), list(state)).parameters
-
-
-def _references(ranges: Ranges, pose: Sequence[str]) -> np.ndarray:
-    return np.array([ranges.reference.get(c, 1e-6) for c in pose])

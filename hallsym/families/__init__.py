@@ -23,8 +23,8 @@ def models(families: Sequence[Family] = ()) -> dict[str, Callable[..., Model]]:
 
 
 def effects(*families: Family) -> dict[str, Effect]:
-    """Return every effect by name, of some families or of all; of a name in several the first one's."""
-    return {e.name: e for f in reversed(families or FAMILIES) for e in f.effects}
+    """Return every effect by name, of some families or of all; of one name, that of the first family."""
+    return {e.name: e for family in reversed(families or FAMILIES) for e in family.effects}
 
 
 def known_effect(text: str, family: Family) -> bool:

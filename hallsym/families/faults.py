@@ -58,6 +58,9 @@ class Injection:
     link: str = ""
 
 
+Inject = Callable[[Recording, Draw], Injection | str]
+
+
 @dataclass(frozen=True, eq=False)
 class RecordingFault:
     """A fault that no effect can model. `remedy`: what to do instead.
@@ -69,7 +72,7 @@ class RecordingFault:
     link: str
     meaning: str
     remedy: str
-    inject: Callable[[Recording, Draw], Injection | str]
+    inject: Inject
 
     @property
     def refusal(self) -> str:
@@ -183,37 +186,32 @@ def inject_rails(r: Recording, draw: Draw) -> Injection | str:
 # -- wires -------------------------------------------------------------------------------------------------
 
 
-def _wires(r: Recording, draw: Draw) -> tuple[list[int], int]:
-    """Two channels to exchange, and one to invert."""
-    rng = draw("wiring")
-    pair = np.sort(rng.choice(len(r.clean), 2, replace=False)).tolist()
-    return pair, int(rng.integers(len(r.clean)))
+def _wired(change: Callable[[np.ndarray, list[int], int], None], said: Callable) -> Inject:
+    """Return how readings (K, rows) are changed in place, by two channels of a pair and one channel."""
+
+    def inject(r: Recording, draw: Draw) -> Injection | str:
+        if r.decoded:
+            return "one channel has no wires to mix up"
+        rng = draw("wiring")
+        pair = np.sort(rng.choice(len(r.clean), 2, replace=False)).tolist()
+        one = int(rng.integers(len(r.clean)))
+
+        def make(_: float, noise: Noisy) -> np.ndarray:
+            out = r.clean + noise
+            change(out, pair, one)
+            return out
+
+        return Injection(said(r.channels, pair, one), make, lambda _: {}, sized=False)
+
+    return inject
 
 
-def _swap(r: Recording, draw: Draw) -> Injection | str:
-    if r.decoded:
-        return "one channel has no wires to mix up"
-    (a, b), _ = _wires(r, draw)
-
-    def make(_: float, noise: Noisy) -> np.ndarray:
-        out = r.clean + noise
-        out[[a, b]] = out[[b, a]]
-        return out
-
-    return Injection(f"{r.channels[a]} and {r.channels[b]}", make, lambda _: {}, sized=False)
+def _swap(out: np.ndarray, pair: list[int], one: int) -> None:
+    out[pair] = out[pair[::-1]]
 
 
-def _invert(r: Recording, draw: Draw) -> Injection | str:
-    if r.decoded:
-        return "one channel has no wires to mix up"
-    _, flipped = _wires(r, draw)
-
-    def make(_: float, noise: Noisy) -> np.ndarray:
-        out = r.clean + noise
-        out[flipped] *= -1
-        return out
-
-    return Injection(r.channels[flipped], make, lambda _: {}, sized=False)
+def _invert(out: np.ndarray, pair: list[int], one: int) -> None:
+    out[one] *= -1
 
 
 REWIRE = "put the wiring right, or fit with --resolve-wiring."
@@ -231,8 +229,10 @@ FAULTS = {
         RecordingFault("cordic_steps", "electronics", "an angle computed with few steps of CORDIC",
                        "let the chip take more steps, or take its raw voltages; an angle stands for a "
                        "range of angles, so that no correction takes more than a few percent off.", _chip),
-        RecordingFault("channel_swap", "electronics", "two channels exchanged", REWIRE, _swap),
-        RecordingFault("sign_inversion", "electronics", "a channel of the other sign", REWIRE, _invert),
+        RecordingFault("channel_swap", "electronics", "two channels exchanged", REWIRE,
+                       _wired(_swap, lambda names, pair, one: " and ".join(names[k] for k in pair))),
+        RecordingFault("sign_inversion", "electronics", "a channel of the other sign", REWIRE,
+                       _wired(_invert, lambda names, pair, one: names[one])),
     )
 }  # fmt: skip
 """By name: what a diagnosis may find and no fit can add."""

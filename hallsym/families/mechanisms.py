@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from hallsym.model import Facts, Model, Parameter, Signals
+from hallsym.model import Effect, Facts, Model, Parameter, Signals, effect
 from hallsym.model.arguments import POSITIVE, Try, from_log, one_of, searched
 from hallsym.model.derived import Computed, Stretch, campaign_time, rate
 
@@ -20,9 +20,9 @@ P = Mapping[str, ca.SX]
 """Parameters of a step, by name."""
 
 
-def free(names: Sequence[str], limit: float, unit: str, meaning: str) -> tuple[Parameter, ...]:
-    """Return parameters that are 0 where the effect is absent, between -limit and limit."""
-    return tuple(Parameter(name, 0.0, -limit, limit, unit, meaning) for name in names)
+def free(meanings: Mapping[str, str], limit: float, unit: str) -> tuple[Parameter, ...]:
+    """Return parameters (name -> meaning) that are 0 where the effect is absent, between -limit and limit."""
+    return tuple(Parameter(name, 0.0, -limit, limit, unit, meaning) for name, meaning in meanings.items())
 
 
 # -- terms that each channel has a coefficient of -----------------------------------------------------------
@@ -125,6 +125,15 @@ def nonlinearity(
     return add_terms(model, effect, link, port, coefficients, terms, limit, "1", by_channel=by_channel)
 
 
+ODD = one_of({3: "cubic", 5: "cubic and quintic"}, "highest power")
+EVEN = one_of({2: "square", 4: "square and fourth power"}, "highest power")
+
+
+def powers_to(order: int) -> tuple[int, ...]:
+    """Return the odd powers 3, 5, or the even ones 2, 4, up to `order`."""
+    return ((3, 5) if order % 2 else (2, 4))[: order // 2]
+
+
 def clipping(model: Model, port: Port, low: Sequence[float], high: Sequence[float]) -> Model:
     """Readings beyond `low` and `high`, one per channel, lose the share that is the parameter (1: hard)."""
 
@@ -208,24 +217,6 @@ def following(
     )  # fmt: skip
 
 
-DURATION = from_log(lambda facts: facts.duration_s, "length of the campaign", valid=POSITIVE)
-DEGREE = one_of({n: f"polynomial of degree {n}" for n in (1, 2, 3)}, "degree of the polynomial of time")
-MEAN_TEMPERATURE = from_log(lambda facts: facts.temperature or 0.0, "mean temperature of the log")
-
-
-def settling_time(parts: Sequence[int], finer: Sequence[float] = ()) -> Any:
-    """Return the argument for the time constant of a warm-up: so many parts of the campaign are tried.
-
-    `finer`: factors by which the best one is changed next.
-    """
-    return searched(
-        lambda facts: [facts.duration_s / n for n in parts],
-        "time constant of the exponential that the drift follows instead",
-        label="settling, {:.3g} s", instead=True, shapes=1,
-        finer=(lambda tau: [tau * f for f in finer]) if finer else None,
-    )  # fmt: skip
-
-
 def over_time(duration_s: float, degree: int, settling_s: float | None) -> Functions:
     """Return exp(-t / settling_s), or Legendre polynomials of campaign time of degree 1 to `degree`."""
     time = campaign_time()
@@ -274,10 +265,49 @@ def at_frequency(
     return Functions(meanings, lambda s: [s[c.name] for c in columns], columns)
 
 
+# -- effects that follow those functions, in one line for a family ------------------------------------------
+
+Follow = Callable[[Model, str, Functions], Model]
+"""`follow(model, effect, functions)`: how gains, or offsets, of a family follow functions of data."""
 LINE = searched(
     lambda facts: facts.lines_hz, "mains frequency, as the clock of the log shows it",
     label="{:.5g} Hz", shapes=1, tried=lambda facts: facts.lines_tried,
 )  # fmt: skip
+
+
+def temperature_drift(name: str, meaning: str, follow: Follow, **about: Any) -> Effect:
+    """Return the effect that gains or offsets follow the logged temperature; `about` as for `effect`."""
+    mean = from_log(lambda facts: facts.temperature or 0.0, "mean temperature of the log")
+
+    def drift(model: Model, mean_degc: float = mean) -> Model:
+        return follow(model, name, with_temperature(mean_degc))
+
+    needs = ("temperature_degc",)
+    return effect(link="transducer", name=name, meaning=meaning, label="linear", needs=needs, **about)(drift)
+
+
+def time_drift(
+    name: str, meaning: str, follow: Follow, parts: Sequence[int], finer: Sequence[float] = (), **about: Any
+) -> Effect:
+    """Return the effect that gains or offsets drift over the campaign: polynomials, or an exponential.
+
+    `parts`: of the campaign, tried as its time constant; the best one is then tried times `finer`.
+    """
+    duration = from_log(lambda facts: facts.duration_s, "length of the campaign", valid=POSITIVE)
+    degrees = one_of({n: f"polynomial of degree {n}" for n in (1, 2, 3)}, "degree of the polynomial of time")
+    settling = searched(
+        lambda facts: [facts.duration_s / n for n in parts],
+        "time constant of the exponential that the drift follows instead",
+        label="settling, {:.3g} s", instead=True, shapes=1,
+        finer=(lambda tau: [tau * f for f in finer]) if finer else None,
+    )  # fmt: skip
+
+    def drift(
+        model: Model, duration_s: float = duration, degree: int = degrees, settling_s: float | None = settling
+    ) -> Model:
+        return follow(model, name, over_time(duration_s, degree, settling_s))
+
+    return effect(link="transducer", name=name, meaning=meaning, **about)(drift)
 
 
 # -- delay and low-pass ------------------------------------------------------------------------------------

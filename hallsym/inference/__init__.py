@@ -1,9 +1,50 @@
-"""What data determine: per parameter, in null directions, and in the decoded pose.
+"""What a fit is worth: what the data determine, parameter by parameter, in null directions and in the pose.
 
-`workspace` holds what changes do to the decoded pose, `null` names null directions, `evidence` is where the
-numbers come from, `intervals` and `verdict` judge them, `report` puts it together, `text` prints it.
+`evidence` is where the numbers come from: a fit with its log, or a plan. `null_directions` names what cannot
+be told apart. `profiles` (with `profile_tangent`, `profile_walk`) and `bootstrap` give intervals where a
+normal one is not good enough, which `intervals` decides. `verdict` judges each parameter; `workspace` says
+what a change of it does to the decoded pose. `identifiability` puts this together, `comparison` sets models
+side by side.
 """
 
-from hallsym.inference.report import CombinationReport, Identifiability, ParameterReport, identify
+from hallsym.inference.bootstrap import Bootstrap, bootstrap
+from hallsym.inference.comparison import comparison
+from hallsym.inference.identifiability import (
+    CombinationReport,
+    Identifiability,
+    Offsets,
+    Output,
+    ParameterReport,
+    identify,
+)
+from hallsym.inference.intervals import Interval
+from hallsym.inference.null_directions import NullDirection, NullSpace
+from hallsym.inference.profile_tangent import Tangent, skewness, tangent
+from hallsym.inference.profile_walk import Side
+from hallsym.inference.profiles import Profile, profile
+from hallsym.inference.verdict import VERDICTS, Verdict
+from hallsym.inference.workspace import Change
 
-__all__ = ["CombinationReport", "Identifiability", "ParameterReport", "identify"]
+__all__ = [
+    "VERDICTS",
+    "Bootstrap",
+    "Change",
+    "CombinationReport",
+    "Identifiability",
+    "Interval",
+    "NullDirection",
+    "NullSpace",
+    "Offsets",
+    "Output",
+    "ParameterReport",
+    "Profile",
+    "Side",
+    "Tangent",
+    "Verdict",
+    "bootstrap",
+    "comparison",
+    "identify",
+    "profile",
+    "skewness",
+    "tangent",
+]

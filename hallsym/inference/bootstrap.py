@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+import scipy
 
 from hallsym.errors import InputError
-from hallsym.estimation.identifiable import ROUNDING, UNDETERMINED, scales
-from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.optimum import refit
+from hallsym.estimation import Cost, least_information, refit, scales
 from hallsym.model.quantities import Quantity
 
 CHECKED = 10
@@ -77,14 +75,14 @@ class Bootstrap:
         when few runs tell most of a parameter, because a sample of few runs does not show their tails.
         """
         value, _ = quantity.first(self.p)
-        half = float(stdtrit(self.runs - 1, 0.5 * (1 + level))) * self.std_of(quantity)
+        half = float(scipy.special.stdtrit(self.runs - 1, 0.5 * (1 + level))) * self.std_of(quantity)
         return max(value - half, quantity.lower), min(value + half, quantity.upper)
 
 
 def _middle(values: np.ndarray) -> np.ndarray:
     """Standard deviation of a normal distribution with the same middle 95 %, along the first axis."""
     low, high = np.quantile(values, [0.025, 0.975], axis=0)
-    return np.asarray((high - low) / (2.0 * ndtri(0.975)))
+    return np.asarray((high - low) / (2.0 * scipy.special.ndtri(0.975)))
 
 
 def bootstrap(
@@ -147,9 +145,8 @@ class _Steps:
         if len(self.free) == 0:
             return np.ones(len(weights), dtype=bool)
         values = np.linalg.eigvalsh(np.tensordot(weights, self.information, axes=1))
-        enough = np.maximum(UNDETERMINED**-2, ROUNDING * values[:, -1])
         curved = np.linalg.eigvalsh(np.tensordot(weights, self.hessians, axes=1))[:, 0] > 0
-        return np.asarray((values[:, 0] >= enough) & curved)
+        return np.asarray((values[:, 0] >= least_information(values)) & curved)
 
     def newton(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return one Newton step from the optimum for every draw, (m, n), and which left the box, (m,).

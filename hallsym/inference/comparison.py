@@ -1,15 +1,12 @@
-"""Two models on the same log: which parameters one determines and the other does not, and by how much."""
+"""Models on the same log: which parameters one determines and the other does not, and how certainly."""
 
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from hallsym.inference.report import Identifiability
-from hallsym.report.tables import concise, grid
+from hallsym.inference.identifiability import Identifiability
 
 
-def compared(report: Identifiability, others: Sequence[Identifiability]) -> list[dict[str, Any]]:
+def comparison(report: Identifiability, others: Sequence[Identifiability]) -> list[dict[str, Any]]:
     """Return one record per other model: rank, cost, verdict and standard uncertainty by parameter."""
     return [
         {
@@ -30,27 +27,6 @@ def compared(report: Identifiability, others: Sequence[Identifiability]) -> list
         }
         for other in others
     ]
-
-
-def beside_text(report: Identifiability, others: Sequence[Identifiability]) -> str:
-    """Return verdict and value of each parameter under every model, side by side."""
-    every = [report, *others]
-    names = list(dict.fromkeys(entry.name for one in every for entry in one.parameters))
-    rows = [["parameter", *(one.model.name for one in every)]]
-    rows += [[name, *(_cell(one, name) for one in every)] for name in names]
-    rank = [f"{one.structural.rank} of {one.structural.of}" for one in every]
-    cost = [f"{one.evidence.cost.at(one.evidence.p).value:.6g}" for one in every]
-    return grid([*rows, ["structural rank", *rank], ["cost (-2 log likelihood)", *cost]])
-
-
-def _cell(report: Identifiability, name: str) -> str:
-    if name not in report.model.names:
-        return "-"
-    entry = report[name]
-    factor, unit = (180 / np.pi, "deg") if entry.unit == "rad" else (1.0, entry.unit)
-    if entry.std is None:
-        return entry.verdict.word
-    return f"{concise(entry.value * factor, entry.std * factor)} {unit}"
 
 
 def _word(report: Identifiability, name: str) -> str | None:

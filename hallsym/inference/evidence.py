@@ -2,17 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation import covariance as uncertainty
-from hallsym.estimation.calibration import CombinationEstimate, Fit
-from hallsym.estimation.channel_assignment import as_read
-from hallsym.estimation.fit import fit
-from hallsym.estimation.gauss_newton import cost_near
-from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation import (
+    Cost,
+    Determination,
+    Fit,
+    Uncertainty,
+    as_read,
+    cost_near,
+    determine,
+    fit,
+    uncertainty,
+)
 from hallsym.families import same_layout
 from hallsym.inference.workspace import Workspace, visited
 from hallsym.log import Log
@@ -25,20 +30,15 @@ MOVED = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Likelihood `cost`, its optimum `p` (n,), what it determines, and how certain that is; see `Fit`."""
+    """Likelihood `cost`, its optimum `p` (n,), what it determines (`found`), and how certainly.
+
+    `recorded`: what to call the log or the plan.
+    """
 
     cost: Cost
     p: np.ndarray
     found: Determination
-    std: np.ndarray
-    determined: np.ndarray
-    covariance: np.ndarray
-    method: str
-    reason: str
-    at_bound: tuple[str, ...]
-    combinations: tuple[CombinationEstimate, ...]
-    undetermined_by_log: tuple[str, ...]
-    noise_floor: Mapping[str, float]
+    uncertainty: Uncertainty
     workspace: Workspace
     recorded: str
     notes: tuple[str, ...] = ()
@@ -47,6 +47,11 @@ class Evidence:
     def model(self) -> Model:
         """The model whose parameters these are."""
         return self.cost.summary.model
+
+    @cached_property
+    def information(self) -> np.ndarray:
+        """What all runs tell of the parameters, (n, n)."""
+        return self.cost.information(self.p)
 
 
 def from_fit(known: Fit, log: Log | None = None) -> Evidence:
@@ -61,31 +66,20 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         if log is None:
             raise InputError("A calibration read from a file does not hold its log; give the log as well.")
         found, notes = _fitted_again(known, log)
-    assert found.likelihood is not None
-    assert found.determination is not None
-    assert found.source is not None
-    _check_samples(found.likelihood, found.model, found.source.name)
+    cost, determination, source = found.likelihood, found.determination, found.source
+    assert cost is not None
+    assert determination is not None
+    assert source is not None
+    _check_samples(cost, found.model, source.name)
+    sigma = found.noise.std
     return Evidence(
-        cost=found.likelihood,
-        p=found.values,
-        found=found.determination,
-        std=found.std,
-        determined=found.determined,
-        covariance=found.covariance,
-        method=found.covariance_method,
-        reason=found.covariance_reason,
-        at_bound=found.at_bound,
-        combinations=found.combinations,
-        undetermined_by_log=found.undetermined_by_log,
-        noise_floor=found.noise_floor,
-        workspace=visited(
-            found.source,
-            found.model,
-            sigma={c: s.value for c, s in found.noise.sigmas.items()},
-            values=found.model.named(found.values),
-        ),
-        recorded=found.source.name,
-        notes=notes,
+        cost,
+        found.values,
+        determination,
+        uncertainty(cost, found.values, determination),
+        visited(source, found.model, sigma=sigma, values=found.model.named(found.values)),
+        source.name,
+        notes,
     )
 
 
@@ -104,23 +98,9 @@ def from_plan(
     cost = replace(cost_near(log, model, p, noise), planned=True)
     _check_samples(cost, model, name)
     found = determine(cost, p)
-    said = uncertainty.estimate(cost, p, found)
-    return Evidence(
-        cost=cost,
-        p=p,
-        found=found,
-        std=said.std,
-        determined=said.determined,
-        covariance=said.covariance,
-        method="likelihood",
-        reason="a plan: white noise of the stated size is taken for granted",
-        at_bound=said.at_bound,
-        combinations=said.combinations,
-        undetermined_by_log=said.undetermined_by_log,
-        noise_floor=uncertainty.noise_floor(cost, p),
-        workspace=visited(log, model),
-        recorded=name,
-    )
+    reason = "a plan: white noise of the stated size is taken for granted"
+    told = replace(uncertainty(cost, p, found), method="likelihood", reason=reason)
+    return Evidence(cost, p, found, told, visited(log, model), name)
 
 
 def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:

@@ -1,14 +1,14 @@
 """95 % intervals: normal where that is good enough, else by profile likelihood or from resampled runs."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.covariance import inverse
 from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.normal_equations import inverse
 from hallsym.inference.bootstrap import Bootstrap
 from hallsym.inference.bootstrap import bootstrap as resample
 from hallsym.inference.evidence import Evidence
@@ -78,12 +78,12 @@ def intervals_of(
         for name, value in ((q.name, q.first(evidence.p)[0]) for q in quantities)
         if name in std
     }
-    found = Intervals(std, intervals, evidence.method, evidence.reason)
+    found = Intervals(std, intervals, evidence.uncertainty.method, evidence.uncertainty.reason)
     if evidence.cost.planned or not quantities:
         return found
     cost = evidence.cost.anchored(evidence.p)
     if bootstrap is None:
-        bootstrap = REPLICATES if evidence.method == "runs as blocks" else 0
+        bootstrap = REPLICATES if evidence.uncertainty.method == "runs as blocks" else 0
     if bootstrap:
         say(f"refitting {bootstrap} resampled campaigns")
         found = _resampled(found, evidence, cost, quantities, bootstrap, seed)
@@ -114,11 +114,11 @@ def profile_record(profile: Profile) -> dict[str, Any]:
 
 def _quantities(evidence: Evidence) -> list[Quantity]:
     """Determined parameters and those at a bound, then determined combinations."""
-    model = evidence.model
-    names = [n for k, n in enumerate(model.names) if evidence.determined[k] or n in evidence.at_bound]
+    model, told = evidence.model, evidence.uncertainty
+    names = [n for k, n in enumerate(model.names) if told.determined[k] or n in told.at_bound]
     known = {c.expression: c for c in model.combinations}
     out = [parameter(model, name) for name in names]
-    for c in evidence.combinations:
+    for c in told.combinations:
         if c.expression in known:
             out.append(combination(model, known[c.expression]))
         elif c.factors is not None:
@@ -128,9 +128,9 @@ def _quantities(evidence: Evidence) -> list[Quantity]:
 
 
 def _std(evidence: Evidence) -> dict[str, float]:
-    names = evidence.model.names
-    std = {n: float(evidence.std[k]) for k, n in enumerate(names) if evidence.determined[k]}
-    return std | {c.expression: c.std for c in evidence.combinations}
+    names, told = evidence.model.names, evidence.uncertainty
+    std = {n: float(told.std[k]) for k, n in enumerate(names) if told.determined[k]}
+    return std | {c.expression: c.std for c in told.combinations}
 
 
 def _profiled(
@@ -166,24 +166,16 @@ def _profiled(
                 f"The profile of {quantity.name} met a better optimum (cost lower by {result.drop:.3g}): "
                 "fit again with --solver hybrid."
             )
-    return Intervals(
-        found.std,
-        intervals,
-        found.method,
-        found.reason,
-        tuple(profiles),
-        found.replicates,
-        (*found.failures, *failures),
-    )
+    failures = [*found.failures, *failures]
+    return replace(found, of=intervals, profiles=tuple(profiles), failures=tuple(failures))
 
 
 def _likelihood_std(evidence: Evidence, quantities: list[Quantity]) -> np.ndarray:
     """Standard uncertainties that the likelihood alone gives, 0 where it gives none."""
-    free = np.flatnonzero(np.diag(evidence.covariance) > 0)
-    information = np.tensordot(evidence.cost.weights, evidence.cost.at(evidence.p).information(1.0), axes=1)
+    free = np.flatnonzero(np.diag(evidence.uncertainty.covariance) > 0)
     if not len(free):
         return np.zeros(len(quantities))
-    naive = inverse(information[np.ix_(free, free)])
+    naive = inverse(evidence.information[np.ix_(free, free)])
     gradients = np.array([q.first(evidence.p)[1][free] for q in quantities])
     return np.sqrt(np.maximum(np.einsum("qi,ij,qj->q", gradients, naive, gradients), 0.0))
 
@@ -198,7 +190,7 @@ def _resampled(
 ) -> Intervals:
     """Replace standard uncertainties and intervals by those of resampled runs."""
     names = evidence.model.names
-    held = tuple(sorted({*evidence.found.held, *(names.index(n) for n in evidence.at_bound)}))
+    held = tuple(sorted({*evidence.found.held, *(names.index(n) for n in evidence.uncertainty.at_bound)}))
     drawn = resample(cost, evidence.p, held, replicates=replicates, seed=seed)
     std, intervals, failures = dict(found.std), dict(found.of), []
     for quantity in (q for q in quantities if q.name in std):
@@ -210,4 +202,6 @@ def _resampled(
             "were left out: the intervals are too short; record more runs."
         )
     method = f"block bootstrap, {drawn.replicates} refits, runs as blocks"
-    return Intervals(std, intervals, method, evidence.reason, replicates=drawn, failures=tuple(failures))
+    return Intervals(
+        std, intervals, method, evidence.uncertainty.reason, replicates=drawn, failures=tuple(failures)
+    )

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from hallsym.estimation.likelihood import Cost
+from hallsym.estimation.normal_equations import pseudo_inverse
 from hallsym.estimation.optimum import Scaled, scaled_around
 from hallsym.model.quantities import Quantity
 
@@ -45,7 +46,9 @@ def tangent(cost: Cost, p: np.ndarray, quantity: Quantity, held: Sequence[int]) 
     at, pushes = p[scaled.free], gradient[scaled.free]
     pinned = ((at - lower <= near) & (pushes > 0)) | ((upper - at <= near) & (pushes < 0))
     for moving in (scaled.free[~pinned], scaled.free):
-        along = _solved(hessian[np.ix_(moving, moving)], slope[moving])
+        own = hessian[np.ix_(moving, moving)]
+        curved = len(moving) > 0 and bool((np.diag(own) > 0).all())
+        along = pseudo_inverse(own, 1e-14) @ slope[moving] if curved else np.zeros(len(moving))
         size = float(slope[moving] @ along)
         if size > 0:
             break
@@ -54,15 +57,6 @@ def tangent(cost: Cost, p: np.ndarray, quantity: Quantity, held: Sequence[int]) 
     direction = np.zeros_like(p)
     direction[moving] = along / size
     return Tangent(quantity, scaled, p, f, value, float(np.sqrt(2.0 * size)), direction)
-
-
-def _solved(hessian: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Return H^-1 g; nothing where H has no positive curvature."""
-    diagonal = np.diag(hessian)
-    if len(slope) == 0 or not (diagonal > 0).all():
-        return np.zeros_like(slope)
-    unit = 1.0 / np.sqrt(diagonal)
-    return unit * np.linalg.lstsq(hessian * np.outer(unit, unit), unit * slope, rcond=1e-14)[0]
 
 
 @dataclass(frozen=True)
@@ -105,7 +99,7 @@ def skewness(
     lower, upper = cost.summary.model.bounds
     if not (began.std > 0 and np.isfinite(std) and std > 0):
         return Skewness(np.nan, np.nan, False)
-    aim = float(np.sqrt(chdtri(1, 1 - level)))
+    aim = float(np.sqrt(scipy.special.chdtri(1, 1 - level)))
     ratios = []
     for sign in (-1.0, 1.0):
         at = began.p + sign * aim * np.sqrt(scale) * began.std * began.direction

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from hallsym.estimation.likelihood import Cost
 from hallsym.inference.profile_tangent import tangent
@@ -59,11 +59,9 @@ class Profile:
         """Return values and rises on a fine grid, for a picture: the signed root is nearly a line."""
         if len(self.values) < 2:
             return self.values, self.rises
-        from scipy.interpolate import PchipInterpolator  # takes long, and only pictures need it
-
         grid = np.linspace(self.values[0], self.values[-1], points)
         root = np.sign(self.values - self.value) * np.sqrt(np.maximum(self.rises, 0.0))
-        return grid, PchipInterpolator(self.values, root)(grid) ** 2
+        return grid, scipy.interpolate.PchipInterpolator(self.values, root)(grid) ** 2
 
 
 def profile(
@@ -85,7 +83,7 @@ def profile(
     about evenly spaced. For several quantities give `cost.anchored(p)`: what belongs to `p` is computed once.
     """
     began = tangent(cost, p, quantity, held)
-    threshold = float(chdtri(1, 1 - level)) * scale
+    threshold = float(scipy.special.chdtri(1, 1 - level)) * scale
     step = float(std) / np.sqrt(scale) if std is not None and np.isfinite(std) and std > 0 else began.std
     pull = Pull(cost, began, step, threshold)
     walks = [Walk(pull, sign) for sign in (-1.0, 1.0)]

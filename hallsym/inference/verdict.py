@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.inference.evidence import Evidence
-from hallsym.inference.null import NullDirection, NullSpace
+from hallsym.inference.null_directions import NullDirection, NullSpace
 
 VERDICTS = ("determined", "weak", "at bound", "not determined", "no effect", "fixed")
 WEAK = 1 / 3
@@ -40,8 +40,7 @@ def verdicts(
 
 def _idle(evidence: Evidence) -> np.ndarray:
     """Which parameters may cross their whole bounds without a visible trace in these readings."""
-    information = np.tensordot(evidence.cost.weights, evidence.cost.at(evidence.p).information(1.0), axes=1)
-    return np.diag(information) * evidence.found.scale**2 < 1.0
+    return np.diag(evidence.information) * evidence.found.scale**2 < 1.0
 
 
 def _verdict(
@@ -52,21 +51,21 @@ def _verdict(
     practical: NullSpace,
     correlation: np.ndarray,
 ) -> Verdict:
-    parameter, names = evidence.model.parameters[k], evidence.model.names
+    parameter, names, told = evidence.model.parameters[k], evidence.model.names, evidence.uncertainty
     if parameter.width == 0:
         return Verdict("fixed")
-    if parameter.name in evidence.at_bound:
+    if parameter.name in told.at_bound:
         return Verdict("at bound", _bound(evidence, k))
     shared = [d for d in structural.null if parameter.name in d.parameters]
-    if shared and not evidence.determined[k]:
+    if shared and not told.determined[k]:
         return Verdict("not determined" if len(shared[0].parameters) > 1 else "no effect", _instead(*shared))
     if idle:
         return Verdict("no effect", "its whole range leaves no trace in these readings")
-    if not evidence.determined[k]:
+    if not told.determined[k]:
         lost = [d for d in practical.null if parameter.name in d.parameters]
         return Verdict("not determined", _instead(*lost, cause="by this recording"))
-    share = 2 * INTERVAL * evidence.std[k] / parameter.width if np.isfinite(parameter.width) else 0.0
-    alone = evidence.std[k] / abs(evidence.p[k]) if not share and evidence.p[k] else 0.0
+    share = 2 * INTERVAL * told.std[k] / parameter.width if np.isfinite(parameter.width) else 0.0
+    alone = told.std[k] / abs(evidence.p[k]) if not share and evidence.p[k] else 0.0
     if share > WEAK or alone > WEAK_ALONE:
         traded = [f"{n} (r = {r:+.2f})" for n, r in strongest(correlation, names, k) if abs(r) > TRADED]
         spans = f"its interval spans {100 * share:.0f} % of its bounds"

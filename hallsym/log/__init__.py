@@ -1,17 +1,22 @@
 """Sensor logs: read, check and write them; SI units, split into runs, with what is known of their noise."""
 
+from hallsym.log.batches import Batch, Weigh, batches, remembered
 from hallsym.log.check import check_log, clean_log, spans
 from hallsym.log.columns import Foreign, parse_column_option, read_column_file
 from hallsym.log.core import Block, Log
+from hallsym.log.derived import extended
+from hallsym.log.drop import Drop, without
 from hallsym.log.estimate import estimate_noise
 from hallsym.log.meta import Meta
-from hallsym.log.noise import Noise, Sigma
+from hallsym.log.noise import Noise, Sigma, check_noise_keys
 from hallsym.log.read import read_log
 from hallsym.log.scan import Span, Spans
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [
+    "Batch",
     "Block",
+    "Drop",
     "Foreign",
     "Log",
     "LogWriter",
@@ -20,12 +25,18 @@ __all__ = [
     "Sigma",
     "Span",
     "Spans",
+    "Weigh",
+    "batches",
     "check_log",
+    "check_noise_keys",
     "clean_log",
     "estimate_noise",
+    "extended",
     "parse_column_option",
     "read_column_file",
     "read_log",
+    "remembered",
     "spans",
+    "without",
     "write_log",
 ]

@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hallsym.log import Block, Log
+from hallsym.log.core import Block, Log
 
 SIZE = 8192
 """Samples handled at once: many short runs or a piece of a long one; the working set stays in cache."""

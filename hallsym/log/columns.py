@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
+from hallsym.toml import read_toml
 from hallsym.units import Array, quantity, require_unit, si_name, split_unit
 
 RUN = "run"
@@ -76,12 +76,7 @@ def read_column_file(path: str | Path) -> ColumnFile:
 
     A sign or scale is stated as `hall_b_m = {name = "HallB", sign = -1}` (or `scale = 0.5`).
     """
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"Cannot read column file {path}: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"Column file {path} must be TOML: {error}.") from error
+    content = read_toml(path, "Column file")
     for key in content:
         if key not in ("columns", "noise", "counts_per_turn"):
             raise InputError(

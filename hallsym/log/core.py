@@ -14,7 +14,7 @@ from hallsym.errors import InputError
 from hallsym.log.columns import RUN, Binding, bind
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise
-from hallsym.log.table import CHUNK_ROWS, Arrays, Piece, Table, TableLike
+from hallsym.log.table import CHUNK_ROWS, Arrays, Piece, Table, TableLike, joined
 from hallsym.units import Array
 
 
@@ -114,12 +114,11 @@ class Log:
         parts = [block.data for block in self.blocks(wanted) if block.run == run]
         if not parts:
             raise InputError(f"{self.name} has no run {run}; it has runs {_few(self.runs)}.")
-        return parts[0] if len(parts) == 1 else {c: np.concatenate([p[c] for p in parts]) for c in wanted}
+        return joined(parts, wanted)
 
     def array(self, column: str) -> Array:
         """Return one whole column, float64 of shape (rows,)."""
-        parts = [piece[column] for piece in self.table.pieces((column,), CHUNK_ROWS)]
-        return _float(parts[0] if len(parts) == 1 else np.concatenate(parts or [np.empty(0)]))
+        return _float(joined(list(self.table.pieces((column,), CHUNK_ROWS)), (column,))[column])
 
 
 class RunOrder:

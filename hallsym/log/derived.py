@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from hallsym.log import Block, Log
+from hallsym.log.core import Block, Log
 from hallsym.model import Model
 from hallsym.model.derived import HALVES, Computed, Stretch
 
@@ -143,7 +143,7 @@ def extended(
     """
     if not model.computed:
         return log
-    known = {c: s.value for c, s in log.noise.sigmas.items()} | dict(sigma or {})
+    known = log.noise.std | dict(sigma or {})
     return ExtendedLog(log, [c.at(values) if c.at and values else c for c in model.computed], known)
 
 

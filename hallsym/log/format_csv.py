@@ -14,10 +14,10 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.extras import available, load
-from hallsym.log.table import CHUNK_ROWS
+from hallsym.log.table import Source
 from hallsym.units import Array
 
-_IN_MEMORY_BYTES = 250_000_000
+IN_MEMORY_BYTES = 250_000_000
 _MISSING = ("", "nan", "NaN", "NAN")
 _TYPED = {"\t": "$'\\t'"}  # in a shell
 _SAY = {"\t": "tabs", ";": "';'", "|": "'|'", ",": "','"}
@@ -32,7 +32,7 @@ class Header:
     delimiter: str
 
 
-class CsvSource:
+class CsvSource(Source):
     """Columns of one CSV file; an empty cell is NaN. Read by pyarrow where it is installed, else by numpy."""
 
     def __init__(self, path: Path, delimiter: str | None = None) -> None:
@@ -40,9 +40,7 @@ class CsvSource:
         self.path = path
         self.header = _read_header(path, delimiter)
         self.names = self.header.names
-        self.small = path.stat().st_size <= _IN_MEMORY_BYTES
-        self.aliases: Mapping[str, str] = {}
-        self.left_out: Mapping[str, str] = {}
+        self.small = path.stat().st_size <= IN_MEMORY_BYTES
         self._rows: int | None = None
 
     def count(self) -> int:
@@ -54,8 +52,7 @@ class CsvSource:
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns."""
-        parts = list(self.chunks(names, CHUNK_ROWS)) or [dict.fromkeys(names, np.empty(0))]
-        columns = {name: np.concatenate([part[name] for part in parts]) for name in names}
+        columns = super().read(names)
         self._rows = len(next(iter(columns.values()), ())) if names else self._rows
         return columns
 

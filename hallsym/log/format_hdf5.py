@@ -16,13 +16,13 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.log.columns import RUN
 from hallsym.log.extras import load
-from hallsym.log.table import IN_MEMORY_ROWS
+from hallsym.log.table import IN_MEMORY_ROWS, Source
 from hallsym.units import Array
 
 Lengths = dict[str, int]
 
 
-class Hdf5Source:
+class Hdf5Source(Source):
     """Vectors of one HDF5 file; a row (1, n) or column (n, 1) matrix, as MATLAB stores it, is a vector.
 
     `parts` holds one entry per run group, `(run id or None, {column: dataset})`.
@@ -38,15 +38,6 @@ class Hdf5Source:
         found = list(self.parts[0][1]) if self.parts else []
         self.names = (RUN, *found) if self.parts and self.parts[0][0] is not None else tuple(found)
         self.small = self.rows <= IN_MEMORY_ROWS
-
-    def count(self) -> int:
-        """Return the number of rows."""
-        return self.rows
-
-    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
-        """Return whole columns."""
-        parts = list(self.chunks(names, max(1, self.rows)))
-        return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most `size` rows."""

@@ -11,13 +11,13 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.extras import load
-from hallsym.log.table import IN_MEMORY_ROWS
+from hallsym.log.table import IN_MEMORY_ROWS, Source
 from hallsym.units import Array
 
 _BUFFER = 1 << 20
 
 
-class ParquetSource:
+class ParquetSource(Source):
     """Columns of one Parquet file; a large one is decoded batch by batch."""
 
     def __init__(self, path: Path) -> None:
@@ -27,12 +27,6 @@ class ParquetSource:
             self.names = tuple(file.schema_arrow.names)
             self.rows = int(file.metadata.num_rows)
         self.small = self.rows <= IN_MEMORY_ROWS
-        self.aliases: Mapping[str, str] = {}
-        self.left_out: Mapping[str, str] = {}
-
-    def count(self) -> int:
-        """Return the number of rows."""
-        return self.rows
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns."""

@@ -38,6 +38,11 @@ class Noise(Mapping[str, Sigma]):
                 sigmas[column] = Sigma(values[key] * _factor(key), "given")
         return Noise(sigmas)
 
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation by channel, in SI."""
+        return {channel: sigma.value for channel, sigma in self.sigmas.items()}
+
     def merged(self, other: Noise) -> Noise:
         """Return this noise with what only `other` knows added; what is here already stays."""
         return Noise({**other.sigmas, **self.sigmas})

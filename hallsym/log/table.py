@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -19,36 +19,40 @@ Piece = dict[str, Array]
 RowFilter = Callable[[Piece], Array | None]
 
 
-class Source(Protocol):
-    """A file's columns under their own names."""
+class Source:
+    """A file's columns under their own names; each format has one.
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The columns' own names."""
+    `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
+    name. `aliases`: short names by long name, a path in a struct or a group.
+    """
 
-    @property
-    def small(self) -> bool:
-        """Whether whole columns may be kept in memory."""
-
-    @property
-    def left_out(self) -> Mapping[str, str]:
-        """Why a vector cannot be a column, by name."""
-
-    @property
-    def aliases(self) -> Mapping[str, str]:
-        """Short names by long name, a path in a struct or a group."""
+    names: tuple[str, ...]
+    rows: int
+    small: bool
+    left_out: Mapping[str, str] = {}
+    aliases: Mapping[str, str] = {}
 
     def count(self) -> int:
         """Return the number of rows."""
+        return self.rows
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
+        return joined(list(self.chunks(names, CHUNK_ROWS)), names)
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
+        raise NotImplementedError
 
 
-class Arrays:
+def joined(parts: Sequence[Mapping[str, Array]], names: Sequence[str]) -> Piece:
+    """Return the columns `names` of consecutive pieces, one after the other."""
+    if len(parts) == 1:
+        return {name: parts[0][name] for name in names}
+    return {name: np.concatenate([p[name] for p in parts] or [np.empty(0)]) for name in names}
+
+
+class Arrays(Source):
     """A source that holds its columns already: each of shape (rows,)."""
 
     small = True
@@ -57,20 +61,11 @@ class Arrays:
         """Take the arrays as they are."""
         self.columns = dict(columns)
         self.names = tuple(self.columns)
-        self.left_out: Mapping[str, str] = {}
-        self.aliases: Mapping[str, str] = {}
-
-    def count(self) -> int:
-        """Return the number of rows."""
-        return len(next(iter(self.columns.values()), ()))
-
-    def read(self, names: Sequence[str]) -> Mapping[str, Array]:
-        """Return whole columns."""
-        return {name: self.columns[name] for name in names}
+        self.rows = len(next(iter(self.columns.values()), ()))
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield everything at once."""
-        yield self.read(names)
+        yield {name: self.columns[name] for name in names}
 
 
 class Table:
@@ -147,7 +142,19 @@ class Table:
         }
 
 
-class Filtered:
+class View:
+    """A table whose samples are seen in another way; all else is the table's own."""
+
+    def __init__(self, table: TableLike) -> None:
+        """Look at `table`."""
+        self.table = table
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the table itself knows."""
+        return getattr(self.table, name)
+
+
+class Filtered(View):
     """A table seen through a row filter, which may carry state along one pass.
 
     `make` starts a fresh filter; it is shown the columns `needs` beside those asked for and returns the rows
@@ -156,10 +163,8 @@ class Filtered:
 
     def __init__(self, table: TableLike, needs: Sequence[str], make: Callable[[], RowFilter]) -> None:
         """Put a filter before a table."""
-        self.table, self.needs, self.make = table, tuple(needs), make
-        self.columns: tuple[str, ...] = table.columns
-        self.where: str = table.where
-        self.in_memory: bool = table.in_memory
+        super().__init__(table)
+        self.needs, self.make = tuple(needs), make
         self._rows: int | None = None
         self._mask: Array | None = None
         self._held: Piece = {}
@@ -196,17 +201,5 @@ class Filtered:
             self._held[name] = kept
         return {name: self._held[name] for name in columns}
 
-    def require(self, columns: Sequence[str]) -> None:
-        """Refuse columns that the log does not have."""
-        self.table.require(columns)
 
-    def source_name(self, column: str) -> str:
-        """Return the name that an SI column has in the file."""
-        return self.table.source_name(column)
-
-    def counts_per_turn(self, column: str) -> float | None:
-        """Return how many counts of the file make a turn, for an angle in counts."""
-        return self.table.counts_per_turn(column)
-
-
-TableLike = Table | Filtered
+TableLike = Table | View

@@ -14,6 +14,7 @@ from hallsym.files import reason, replacing
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.formats import Writer, format_of
+from hallsym.log.table import joined
 from hallsym.units import Array, si_name, to_si
 
 
@@ -87,14 +88,8 @@ class LogWriter:
 
     def _drain(self) -> None:
         if self._waiting and self._names:
-            parts = self._waiting
-            joined = (
-                parts[0]
-                if len(parts) == 1
-                else {n: np.concatenate([p[n] for p in parts]) for n in self._names}
-            )
             with self._reported():
-                self._writer.write(joined)
+                self._writer.write(joined(self._waiting, self._names))
             self._waiting, self._rows = [], 0
 
     @contextmanager

@@ -15,6 +15,19 @@ from hallsym.model.model import (
 )
 
 __all__ = [
-    "LINKS", "Combination", "Effect", "Example", "Facts", "Family", "Inspection", "Model", "Parameter",
-    "PoseMetric", "Signals", "Step", "Symbols", "Variant", "effect",
-]  # fmt: skip
+    "LINKS",
+    "Combination",
+    "Effect",
+    "Example",
+    "Facts",
+    "Family",
+    "Inspection",
+    "Model",
+    "Parameter",
+    "PoseMetric",
+    "Signals",
+    "Step",
+    "Symbols",
+    "Variant",
+    "effect",
+]

@@ -1,5 +1,4 @@
-"""The arguments of an effect: what each means, which values it may have, and which a diagnosis tries on a
-log."""
+"""The arguments of an effect: what each means, which values it may have, and which a diagnosis tries."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -41,13 +40,12 @@ class Facts:
 
 def example_facts(model: Model) -> Facts:
     """Return what a typical log of `model` may tell, for examples and tests."""
-    bound = np.array([p.upper for p in model.parameters if p.name in ("A", "Ax", "Ay")])
-    rail = np.full(len(model.channels), 0.8 if bound.size else 2e-4)
+    rails = [0.8 if c.endswith("_v") else 2e-4 for c in model.channels]
     return Facts(
         duration_s=60.0,
         columns=(*model.channels, *model.references, *model.state, "t_s", "temperature_degc"),
         temperature=22.0,
-        rails=tuple((-v, v) for v in rail.tolist()),
+        rails=tuple((-v, v) for v in rails),
         lines_hz=(50.02,),
         instants=((0, 30.0),),
         on_runs=(1, 3),
@@ -56,8 +54,7 @@ def example_facts(model: Model) -> Facts:
 
 @dataclass(frozen=True, eq=False)
 class Try:
-    """Values of one or several numbers that a diagnosis tries; the fields mean what they mean in a
-    `Variant`."""
+    """Values of numbers that a diagnosis tries together; the fields mean what they mean in a `Variant`."""
 
     numbers: Mapping[str, Any]
     label: str = ""
@@ -135,8 +132,7 @@ def one_of(
     valid: Valid | None = None,
     when: Callable[[Any, Model, Facts], bool] = always,
 ) -> Any:
-    """Return an argument with few choices, each with its label; the first is the default where none is
-    stated.
+    """Return an argument with few choices, each with its label; the first is the default if none is stated.
 
     `valid`: also other values are taken, but not tried by a diagnosis. `when(value, model, facts)`:
     whether a choice is tried.

@@ -53,7 +53,7 @@ class Effect:
     its own. `unless`: effects that already contain it. `waves`: waves of error per turn that it makes, of
     a pose that turns. `possible(values)`: whether fitted parameters can belong to this cause. `inject`:
     how a self-test makes it, where not by its parameters. `diagnosed`: whether a diagnosis tries it.
-    `finish`: what a family does to each model with an effect.
+
     """
 
     name: str
@@ -69,7 +69,6 @@ class Effect:
     possible: Callable[[Mapping[str, float]], bool] = lambda values: True
     inject: Callable[..., Any] | None = None
     diagnosed: bool = True
-    finish: Callable[[Model], Model] = lambda model: model
 
     def __call__(self, model: Model, **numbers: Any) -> Model:
         """Return `model` with the effect; numbers count to the 9 digits that a calibration saves."""
@@ -98,7 +97,7 @@ class Effect:
                 raise InputError(
                     f"Effect {self.name} must return a Model; instead it returned {type(wide).__name__}."
                 )
-            wide = self.finish(wide)
+            wide = wide.family.short(wide)
             new = [effect for effect in wide.effects if effect not in model.effects]
             return replace(wide, texts={**wide.texts, **dict.fromkeys(new, text)})
 
@@ -191,18 +190,18 @@ class Effect:
 Decorated = Callable[[Callable[..., Model]], Effect]
 
 
-def effect(*, link: str, **about: Any) -> Decorated:
+def effect(*, link: str, name: str = "", meaning: str = "", **about: Any) -> Decorated:
     """Make a function `Model -> Model` an `Effect`; `about`: the fields of the record that are not usual.
 
-    Its meaning is the first line of the docstring.
+    Name and meaning are those of the function and of the first line of its docstring if they are not stated.
     """
     if link not in (*LINKS, "user"):
         raise InputError(f"Link of an effect must be one of {', '.join(LINKS)}; instead received {link!r}.")
 
     def decorate(function: Callable[..., Model]) -> Effect:
-        meaning = (function.__doc__ or "").strip().split("\n")[0]
-        name = function.__name__
-        return Effect(name, link, meaning, function, _numbers(name, function), **about)
+        called = name or function.__name__
+        first = (function.__doc__ or "").strip().split("\n")[0]
+        return Effect(called, link, meaning or first, function, _numbers(called, function), **about)
 
     return decorate
 
@@ -213,26 +212,26 @@ def as_effect(function: Callable[..., Model]) -> Effect:
 
 
 def _numbers(name: str, function: Callable[..., Model]) -> dict[str, Number]:
+    """The declared arguments, and plain defaults that a text can state: numbers and words."""
     arguments = list(inspect.signature(function).parameters)[1:]
-    if not arguments:
-        return {}
-    known = inspect.signature(function, eval_str=True).parameters
+    known = inspect.signature(function, eval_str=bool(arguments)).parameters
     out = {}
     for key in arguments:
-        usual, kind = known[key].default, known[key].annotation
+        usual, stated = known[key].default, known[key].annotation
         if usual is REQUIRED:
             raise InputError(
                 f"Argument {key} of effect {name} must have a default, such as searched(...) or a number."
             )
-        if kind is REQUIRED:
-            kind = float if isinstance(usual, Number) else type(usual)
-        kind = (
-            next((k for k in get_args(kind) if k is not NoneType), kind)
-            if NoneType in get_args(kind)
-            else kind
+        if not isinstance(usual, Number):
+            if type(usual) in (int, float, str):
+                out[key] = Number(key, lambda *_: [Try({})], usual, kind=type(usual))
+            continue
+        if stated is REQUIRED:
+            stated = type(next(iter(usual.choices), 0.0))
+        kinds = (
+            [k for k in get_args(stated) if k is not NoneType] if NoneType in get_args(stated) else [stated]
         )
-        plain = usual if isinstance(usual, Number) else Number(key, lambda *_: [Try({})], usual)
-        out[key] = replace(plain, kind=kind)
+        out[key] = replace(usual, kind=kinds[0])
     return out
 
 

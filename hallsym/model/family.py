@@ -16,6 +16,8 @@ import numpy as np
 
 Model = Any
 """`hallsym.model.Model`, which holds its family."""
+Effect = Any
+"""`hallsym.model.Effect`, which acts on a model."""
 Maker = Callable[..., Model]
 """`maker(layout=None) -> Model`; its name is the model's."""
 
@@ -66,9 +68,9 @@ class Family:
 
     `models`: makers, `default` the name of one (the first), `aliases`: other name -> name. `readings`: a
     regular expression of the columns it is read in. `about`: what a message calls a log of it, such as
-    "a beam (hall_a_m, ...; y_ref_m)". `from_meta(make, meta)`: the model for the layout, columns and nominal
-    values that a log states. `decoder`: how its pose is computed in C, a kind that `hallsym.codegen` knows or
-    a maker `(model, p, weight, box) -> Decoupler`.
+    "a beam (hall_a_m, ...; y_ref_m)", `noun`: what the machine is called ("beam"). `from_meta(make, meta)`:
+    the model for the layout, columns and nominal values that a log states. `decoder`: how its pose is
+    computed in C, a kind that `hallsym.codegen` knows or a maker `(model, p, weight, box) -> Decoupler`.
     """
 
     name: str
@@ -76,11 +78,14 @@ class Family:
     default: str = ""
     readings: str = r"(hall|col|v)_\w+"
     about: str = ""
+    noun: str = ""
     pose_metric: PoseMetric = PoseMetric()
     aliases: Mapping[str, str] = field(default_factory=dict)
     from_meta: Callable[[Maker, Any], Model] = _plain_from_meta
-    effects: tuple[Any, ...] = ()
-    """What a model may be extended by: records of `hallsym.model.Effect`; a diagnosis prefers the first."""
+    tables: tuple[str, ...] = ()
+    """Tables of a machine file and of meta.json that `from_meta` reads in `Meta.raw`, beside the probes."""
+    effects: tuple[Effect, ...] = ()
+    """What a model may be extended by; where a log cannot tell two apart a diagnosis prefers the first."""
     words: Mapping[str, str] = field(default_factory=dict)
     """What a person calls a column, where its name does not say it: `z_m` -> "height Z"."""
     together: str = ""
@@ -90,26 +95,28 @@ class Family:
     """Pose coordinates that can move on and on in one direction, as a shaft turns."""
     direct: Callable[[Model], Model] = _itself
     """The same model in the form that is cheapest to evaluate sample by sample."""
+    short: Callable[[Model], Model] = _itself
+    """The same model in a form that many effects do not blow up; done to each model with an effect."""
     pairs: bool = False
     """Whether a diagnosis holds a flexible effect against pairs of plain ones."""
     most_effects: int = 3
     """Effects that a diagnosis adds at most."""
     decoder: str | Callable[..., Any] = "linear"
 
-    def __str__(self) -> str:
-        """Return the name, which messages use."""
-        return self.name
-
-    @property
-    def catalogue(self) -> tuple[Any, ...]:
-        """Effects that a diagnosis tries."""
+    @cached_property
+    def catalogue(self) -> tuple[Effect, ...]:
+        """Effects that a diagnosis searches."""
         return tuple(e for e in self.effects if e.diagnosed)
 
-    @property
+    @cached_property
     def waves(self) -> dict[int, tuple[str, ...]]:
         """Waves of the error per period of the first periodic coordinate -> effects that make them."""
         orders = sorted({n for e in self.effects for n in e.waves})
         return {n: tuple(e.name for e in self.effects if n in e.waves) for n in orders}
+
+    def __str__(self) -> str:
+        """Return the name, which messages use."""
+        return self.name
 
     @cached_property
     def axes(self) -> tuple[str, ...]:

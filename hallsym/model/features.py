@@ -68,6 +68,31 @@ class Features:
         return on_arrays(ca.Function("slopes", [s.pose, s.state, centre], [ca.densify(jacobian)]))
 
     @cached_property
+    def slope_pairs(self) -> np.ndarray:
+        """Where products of two slopes with one column are not always 0: (column, i, j), i <= j, (3, pairs).
+
+        Features that carry zeros are left out: their slope with the state is a second-order weight, and
+        without it the weight of a residual does not depend on the zeros.
+        """
+        rows, columns = self._slope_sparsity.get_triplet()
+        moved: dict[int, list[int]] = {}
+        for row, column in sorted(zip(rows, columns, strict=True)):
+            if row >= self.n_zero:
+                moved.setdefault(column, []).append(row)
+        pairs = [
+            (column, i, j)
+            for column, features in sorted(moved.items())
+            for k, i in enumerate(features)
+            for j in features[k:]
+        ]
+        return np.array(pairs, dtype=int).reshape(-1, 3).T
+
+    @property
+    def _slope_sparsity(self) -> ca.Sparsity:
+        s = self.model.symbols
+        return ca.jacobian(self._monomials, ca.vertcat(s.pose, s.state)).sparsity()
+
+    @cached_property
     def variables(self) -> ca.Function:
         """`(pose, state) -> pose, state and derived` variables, of which the features are monomials."""
         s = self.model.symbols
@@ -188,12 +213,13 @@ def _of_low_degree(model: Model, variables: ca.SX) -> bool:
 def _reproduces(features: Features) -> bool:
     """Check the expansion far from its centre: |u| or a step has derivatives, and is no polynomial."""
     model, rng = features.model, np.random.default_rng(0)
+    s, (variables, _) = model.symbols, features._variables
+    read = ca.Function("reading", [s.parameters, s.zeros, variables], [s.reading])
     for _ in range(3):
         p = model.nominal + 0.1 * rng.standard_normal(len(model.nominal))
-        zeros, pose, state = (rng.standard_normal(len(n)) for n in (model.zeros, model.pose, model.state))
-        centre = np.asarray(features.variables(*(rng.standard_normal(len(n)) for n in (pose, state)))).ravel()
-        expected = np.asarray(model.reading(p, zeros, pose, state)).ravel()
-        f = features.values(pose, state, centre)[0]
+        zeros, at, centre = (rng.standard_normal(n) for n in (len(model.zeros), *[variables.numel()] * 2))
+        expected = np.asarray(read(p, zeros, at)).ravel()
+        f = np.prod((at - centre) ** features.exponents, axis=1)
         terms = np.asarray(features.coefficients(p, zeros, centre)) * f[:, None]
         if not np.all(np.abs(terms.sum(axis=0) - expected) <= 1e-9 * np.abs(terms).sum(axis=0)):
             return False

@@ -278,7 +278,7 @@ class Model:
 
         phi(0) of Eq. (31) where they are displacements, one per channel; else 1.
         """
-        if self.symbols.displacement.numel() != len(self.zeros):
+        if not self.zeros or self.symbols.displacement.numel() != len(self.zeros):
             return np.ones(len(self.zeros))
         return np.asarray(self.gain(p, first_state)).ravel()
 
@@ -287,7 +287,7 @@ class Model:
         """Decoupled form `(parameters, zeros, reading, state, weight) -> pose`.
 
         Newton's method on the forward form from `begin` or the zero pose: one step where a reading is linear
-        in the pose (the small-angle stage: then this *is* Eq. (31)), three more where it is not. With more
+        in the pose (small angles: then this *is* Eq. (31)), three more where it is not. With more
         channels than coordinates each step is the weighted least-squares one; `weight` is 1/variance per
         channel.
         """

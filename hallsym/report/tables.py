@@ -1,16 +1,10 @@
-"""What a person reads: tables of parameters and errors, in um and urad where SI is unwieldy."""
+"""What every text is made of: aligned tables, values with their uncertainty, rows of errors."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from hallsym.errors import counted
-from hallsym.estimation.calibration import Fit
 from hallsym.units import readable
-
-TOO_SMALL = 0.1
-"""Cost per degree of freedom below which the noise is more than three times what is left."""
 
 
 def grid(rows: Sequence[Sequence[str]], *, left: int = 1, rule_after: int = 1) -> str:
@@ -43,12 +37,14 @@ def error_rows(
     rows: Mapping[str, Mapping[str, Mapping[str, float]] | None],
     floor: Mapping[str, float] | None,
     source: str = "",
+    turning: Collection[str] | None = None,
 ) -> str:
     """Return a table of rmse and peak per pose coordinate, one line per entry of `rows`.
 
-    `source`: whether the noise floor is stated or estimated, where that is to be said.
+    `source`: whether the noise floor is stated or estimated, where that is to be said. `turning`: coordinates
+    that go round, see `hallsym.units.readable`.
     """
-    shown = [readable(c) for c in pose]
+    shown = [readable(c, turning) for c in pose]
     head = ["errors", *(f"{what} {name} [{unit}]" for what in ("rmse", "peak") for _, unit, name in shown)]
     body = [
         [
@@ -70,106 +66,3 @@ def error_rows(
 
 def _fixed(value: float) -> str:
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.3e}"
-
-
-def fit_text(fit: Fit) -> str:
-    """Return what `hallsym fit` prints: errors, parameters, what is determined instead, notes."""
-    log = fit.log
-    used = log["runs"] - len(log["holdout"])
-    parts = [
-        f"{fit.model.name} on {log['path'] or 'a log in memory'}: {counted(log['rows'], 'sample')}, "
-        + f"{counted(used, 'run')} fitted"
-        + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
-        + f"; {fit.status} in {fit.seconds:.2f} s",
-        "",
-        error_rows(fit.model.pose, _labelled(fit.error_rows), fit.noise_floor),
-        "",
-        parameter_text(fit),
-    ]
-    if fit.combinations:
-        parts += ["", combination_text(fit)]
-    parts += ["", *evidence(fit)]
-    parts += [f"note: {note}" for note in fit.notes]
-    return "\n".join(parts)
-
-
-def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
-    labels = {"designed": "designed", "fitted": "fitted", "holdout": "held out"}
-    return {labels.get(k, k): v for k, v in rows.items()}
-
-
-def parameter_text(fit: Fit) -> str:
-    """Return the parameter table: value(std), bounds, and what is to be said of it."""
-    rows = [["parameter", "value", "unit", "nominal", "bounds", ""]]
-    for k, p in enumerate(fit.model.parameters):
-        factor, unit = (180 / np.pi, "deg") if p.unit == "rad" else (1.0, p.unit)
-        std = fit.std[k] * factor if fit.determined[k] else None
-        value = (
-            concise(fit.values[k] * factor, std) if fit.determined[k] else f"({fit.values[k] * factor:.4g})"
-        )
-        bounds = "fixed" if p.width == 0 else f"{p.lower * factor:.4g} .. {p.upper * factor:.4g}"
-        rows.append([p.name, value, unit, f"{p.nominal * factor:.4g}", bounds, remark(fit, k)])
-    return _remarks_left(rows)
-
-
-def _remarks_left(rows: list[list[str]]) -> str:
-    body = grid([row[:-1] for row in rows]).split("\n")
-    return "\n".join(
-        f"{line}  {remark}".rstrip()
-        for line, remark in zip(body, [rows[0][-1], "", *(r[-1] for r in rows[1:])], strict=True)
-    )
-
-
-def remark(fit: Fit, k: int) -> str:
-    """Return what is to be said of parameter `k`; nothing where it is determined inside its bounds."""
-    p = fit.model.parameters[k]
-    if p.width == 0:
-        return ""
-    if p.name in fit.at_bound:
-        return "at its bound"
-    if fit.determined[k]:
-        return ""
-    cause = "no recording determines it" if p.name in fit.structural else "this log does not determine it"
-    return cause + ("; held at nominal" if p.name in fit.held else "; see below")
-
-
-def combination_text(fit: Fit) -> str:
-    """Return what the data determine instead of the parameters that they do not."""
-    rows = [["determined instead", "value", "unit"]]
-    rows += [[c.expression, concise(c.value, c.std), c.unit] for c in fit.combinations]
-    return grid(rows)
-
-
-def evidence(fit: Fit) -> list[str]:
-    """Return the sentences on solver, uncertainty and noise."""
-    s = fit.solver
-    how = f"{s['name']}: {s['evaluations']} evaluations"
-    if s["starts"] > 1:
-        same = round(s["share_at_optimum"] * s["starts"])
-        how += f"; {same} of {s['starts']} refined starts reached this optimum"
-    by_source: dict[str, list[str]] = {}
-    for channel, sigma in fit.noise.sigmas.items():
-        factor, unit, name = readable(channel)
-        by_source.setdefault(sigma.source, []).append(f"{name} {sigma.value * factor:.3g} {unit}")
-    noise = "; ".join(f"{source}: {', '.join(values)}" for source, values in by_source.items())
-    return [
-        f"solver: {how}; cost per degree of freedom {s['cost_per_degree_of_freedom']:.3f}" + _excess(fit),
-        f"uncertainty: {fit.covariance_method} ({fit.covariance_reason})",
-        f"noise (1 sigma) {noise}",
-    ]
-
-
-def _excess(fit: Fit) -> str:
-    """What a cost per degree of freedom well above or below 1 means."""
-    cost = fit.solver["cost_per_degree_of_freedom"]
-    guessed = any(sigma.source == "estimated" for sigma in fit.noise.sigmas.values())
-    if 0 < cost < TOO_SMALL:
-        what = "was estimated" if guessed else "is stated"
-        why = ": motion from sample to sample was counted as noise; state it with --noise" if guessed else ""
-        return (
-            f" (the noise {what} {cost**-0.5:.3g} x as large as what is left{why}; uncertainties and noise "
-            "floor are too large by that)"
-        )
-    if cost < 1.5:
-        return ""
-    return " (1 is what the noise explains: the machine does more than this model, or the noise is larger)"

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
+from hallsym.errors import InputError
 from hallsym.families import axes
 from hallsym.files import atomic_write
-from hallsym.toml import known, number, numbers, positive, read_toml, table, tables
+from hallsym.toml import Table, number, positive
 
 AtTimes = Callable[[np.ndarray], np.ndarray]
 
@@ -125,6 +125,8 @@ def ramp(rate: float, acceleration: float = 0.0) -> Signal:
     return Signal("ramp", values, lambda t: rate * t + 0.5 * acceleration * t**2)
 
 
+KEYS = ("step_s", "zero_spread_m", "setting", "trajectory", "run", "noise")
+"""Keys of a campaign file."""
 SIGNALS: Mapping[str, tuple[Callable[..., Signal], tuple[str, ...], tuple[str, ...]]] = {
     "sine": (sine, ("amplitude", "frequency_hz"), ("phase_rad",)),
     "multi-sine": (multi_sine, ("amplitude", "frequencies_hz"), ()),
@@ -142,125 +144,112 @@ def read_campaign(path: str | Path) -> Campaign:
 
     Raises `InputError` for a missing file, an unknown key or signal, or a value that cannot be.
     """
-    path = Path(path)
-    return campaign_from(read_toml(path, "Campaign file"), f"campaign {path.name}")
+    return _campaign(Table.read(path, "Campaign file", KEYS))
 
 
 def campaign_from(raw: Mapping[str, Any], where: str) -> Campaign:
     """Return the campaign that the tables of a campaign file describe; `where` is what messages call it."""
-    known(raw, ("step_s", "zero_spread_m", "setting", "trajectory", "run", "noise"), where)
-    settings = [_setting(entry, where) for entry in tables(raw.get("setting", [{}]), "setting", where)]
-    trajectories = tables(raw.get("trajectory", []), "trajectory", where)
-    single = tables(raw.get("run", []), "run", where)
-    if not trajectories and ("setting" in raw or not single):
-        instead = "" if "setting" in raw else " or [[run]]"
-        raise InputError(f"In {where} at least one [[trajectory]]{instead} is needed; there is none.")
-    product = tuple(_run(setting, entry, where) for setting in settings for entry in trajectories)
+    return _campaign(Table(raw, where, KEYS))
+
+
+def _campaign(file: Table) -> Campaign:
+    settings = [{axis: at.number(axis) for axis in at.raw} for at in file.tables("setting", axes())]
+    trajectories = file.tables("trajectory", ("duration_s", "raster", *axes()))
+    single = file.tables("run", ("name", "duration_s", "zero_deviations_m", "raster", *axes()))
+    if not trajectories and ("setting" in file or not single):
+        instead = "" if "setting" in file else " or [[run]]"
+        raise InputError(f"In {file.where} at least one [[trajectory]]{instead} is needed; there is none.")
+    if "setting" not in file:
+        settings = [{}]
+    product = (_run(setting, entry) for setting in settings for entry in trajectories)
     return Campaign(
-        positive(raw.get("step_s", 2e-3), "step_s", where),
-        product + tuple(_single(entry, where) for entry in single),
-        number(raw.get("zero_spread_m", 1e-6), "zero_spread_m", where, least=0.0),
-        noise_table(raw, where),
+        file.positive("step_s", 2e-3),
+        (*product, *map(_single, single)),
+        file.number("zero_spread_m", 1e-6, least=0.0),
+        noise_table(file),
     )
 
 
-def noise_table(raw: Mapping[str, Any], where: str) -> dict[str, float]:
+def noise_table(file: Table) -> dict[str, float]:
     """Return the `[noise]` table of a file: 1 sigma by column, in the unit that the key states."""
-    return {
-        k: positive(v, k, f"noise in {where}") for k, v in table(raw.get("noise", {}), "noise", where).items()
-    }
+    noise = file.table("noise", where=f"noise in {file.where}")
+    return {column: noise.positive(column) for column in noise.raw}
 
 
-def _setting(raw: Mapping[str, Any], where: str) -> dict[str, float]:
-    known(raw, axes(), f"a [[setting]] of {where}")
-    return {axis: number(value, axis, f"a [[setting]] of {where}") for axis, value in raw.items()}
+def _run(setting: Mapping[str, float], entry: Table) -> Run:
+    motion = {axis: _signal(entry, axis) for axis in axes() if axis in entry}
+    return Run(entry.positive("duration_s"), setting, motion | _raster(entry, motion))
 
 
-def _run(setting: Mapping[str, float], entry: Mapping[str, Any], where: str) -> Run:
-    where = f"a [[trajectory]] of {where}"
-    known(entry, ("duration_s", "raster", *axes()), where)
-    motion = {axis: _signal(entry[axis], f"{axis} in {where}") for axis in axes() if axis in entry}
-    motion = _with_raster(entry, motion, where)
-    return Run(positive(entry.get("duration_s"), "duration_s", where), setting, motion)
-
-
-def _single(entry: Mapping[str, Any], where: str) -> Run:
+def _single(entry: Table) -> Run:
     """A [[run]]: each axis held at a number or moved by a signal, about a place of its own."""
-    where = f"a [[run]] of {where}"
-    known(entry, ("name", "duration_s", "zero_deviations_m", "raster", *axes()), where)
-    name, zeros = entry.get("name", ""), entry.get("zero_deviations_m")
+    setting: dict[str, float] = {}
+    motion: dict[str, Signal] = {}
+    name = entry.raw.get("name", "")
     if not isinstance(name, str):
-        raise InputError(f"'name' of {where} must be a text; instead received {name!r}.")
-    setting, motion = {}, {}
+        raise InputError(f"'name' of {entry.where} must be a text; instead received {name!r}.")
     for axis in (axis for axis in axes() if axis in entry):
-        raw, what = entry[axis], f"{axis} in {where}"
-        if not isinstance(raw, Mapping):
-            setting[axis] = number(raw, axis, where)
-            continue
-        if "about" in raw:
-            setting[axis] = number(raw["about"], "about", what)
-        motion[axis] = _signal({k: v for k, v in raw.items() if k != "about"}, what)
-    motion = _with_raster(entry, motion, where)
-    return Run(
-        positive(entry.get("duration_s"), "duration_s", where),
-        setting,
-        motion,
-        None if zeros is None else tuple(numbers(zeros, "zero_deviations_m", where)),
-        name,
-    )
+        if isinstance(entry.raw[axis], Mapping):
+            motion[axis] = _signal(entry, axis, setting)
+        else:
+            setting[axis] = entry.number(axis)
+    zeros = tuple(entry.numbers("zero_deviations_m")) if "zero_deviations_m" in entry else None
+    motion |= _raster(entry, motion)
+    return Run(entry.positive("duration_s"), setting, motion, zeros, name)
 
 
-def _with_raster(entry: Mapping[str, Any], motion: dict[str, Signal], where: str) -> dict[str, Signal]:
-    if "raster" in entry:
-        raster = _raster(table(entry["raster"], "raster", where), f"raster in {where}")
-        twice = [axis for axis in raster if axis in motion]
-        if twice:
-            raise InputError(
-                f"Axis {twice[0]} of {where} is moved by its own signal and by the raster; keep one."
-            )
-        motion = motion | raster
-    return motion
-
-
-def _raster(raw: Mapping[str, Any], where: str) -> dict[str, Signal]:
-    """`{fast="x_m", slow="y_m", fast_amplitude=, slow_amplitude=, line_hz=, lines=}`."""
+def _raster(entry: Table, motion: Mapping[str, Signal]) -> dict[str, Signal]:
+    """`{fast="x_m", slow="y_m", fast_amplitude=, slow_amplitude=, line_hz=, lines=}`; {} without one."""
+    if "raster" not in entry:
+        return {}
     keys = ("fast", "slow", "fast_amplitude", "slow_amplitude", "line_hz", "lines")
-    known(raw, keys, where)
-    missing = [k for k in keys if k not in raw]
+    raster = entry.table("raster", keys, f"raster in {entry.where}")
+    missing = [k for k in keys if k not in raster]
     if missing:
-        raise InputError(f"A {where} needs {', '.join(keys)}; missing {missing[0]}.")
-    fast, slow = raw["fast"], raw["slow"]
+        raise InputError(f"A {raster.where} needs {', '.join(keys)}; missing {missing[0]}.")
+    fast, slow = raster.raw["fast"], raster.raw["slow"]
     if fast not in axes() or slow not in axes() or fast == slow:
-        known_axes = ", ".join(axes())
         raise InputError(
-            f"'fast' and 'slow' of {where} must be two of {known_axes}; instead received {fast!r}, {slow!r}."
+            f"'fast' and 'slow' of {raster.where} must be two of {', '.join(axes())}; instead received "
+            f"{fast!r}, {slow!r}."
         )
-    line_hz, lines = (positive(raw[k], k, where) for k in ("line_hz", "lines"))
-    wide, high = (number(raw[k], k, where) for k in ("fast_amplitude", "slow_amplitude"))
-    return {fast: triangle(wide, line_hz), slow: triangle(high, line_hz / lines)}
+    line_hz, lines = raster.positive("line_hz"), raster.positive("lines")
+    found = {
+        fast: triangle(raster.number("fast_amplitude"), line_hz),
+        slow: triangle(raster.number("slow_amplitude"), line_hz / lines),
+    }
+    twice = [axis for axis in found if axis in motion]
+    if twice:
+        raise InputError(
+            f"Axis {twice[0]} of {entry.where} is moved by its own signal and by the raster; keep one."
+        )
+    return found
 
 
-def _signal(raw: Any, where: str) -> Signal:
-    kind = str(raw.get("kind")) if isinstance(raw, Mapping) else "none"
-    if kind not in SIGNALS:
-        raise InputError(
-            f"'kind' of {where} must be one of {', '.join(SIGNALS)}; instead received {kind!r}"
-            f"{nearest(kind, list(SIGNALS))}."
-        )
+def _signal(entry: Table, axis: str, setting: dict[str, float] | None = None) -> Signal:
+    """Read the signal of an axis; its place `about` goes into `setting`, and is unknown without one."""
+    raw = entry.raw[axis]
+    signal = Table(raw if isinstance(raw, Mapping) else {"kind": "none"}, f"{axis} in {entry.where}")
+    kind = signal.choice("kind", list(SIGNALS), "none")
     make, required, optional = SIGNALS[kind]
-    known(raw, ("kind", *required, *optional), where)
-    missing = [k for k in required if k not in raw]
+    about = () if setting is None else ("about",)
+    signal = Table(signal.raw, signal.where, ("kind", *required, *optional, *about))
+    missing = [k for k in required if k not in signal]
     if missing:
-        raise InputError(f"Signal {kind!r} of {where} needs {', '.join(required)}; missing {missing[0]}.")
-    return make(**{k: _value(raw[k], k, where) for k in (*required, *optional) if k in raw})
+        raise InputError(
+            f"Signal {kind!r} of {signal.where} needs {', '.join(required)}; missing {missing[0]}."
+        )
+    if setting is not None and "about" in signal:
+        setting[axis] = signal.number("about")
+    return make(**{k: _value(signal, k) for k in (*required, *optional) if k in signal})
 
 
-def _value(value: Any, key: str, where: str) -> float | list[float]:
+def _value(signal: Table, key: str) -> float | list[float]:
     """One number of a signal, or a list of them; frequencies and dwell times are positive."""
     check = positive if key in ("frequency_hz", "frequencies_hz", "dwell_s") else number
-    return (
-        numbers(value, key, where, check) if key in ("frequencies_hz", "levels") else check(value, key, where)
-    )
+    if key in ("frequencies_hz", "levels"):
+        return signal.numbers(key, check)
+    return check(signal.raw[key], key, signal.where)
 
 
 # -- writing ---------------------------------------------------------------------------------------------

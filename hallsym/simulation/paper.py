@@ -55,7 +55,7 @@ def paper_campaign(step_s: float = 2e-3, duration_s: float = 1.0) -> Campaign:
 
 
 def table8_noise(model: Model, values: Mapping[str, float] | None = None) -> NoiseModel:
-    """Return noise levels for which a perfectly calibrated paper stage shows Table 8's RMSE.
+    """Return noise levels for which the paper's machine, perfectly calibrated, shows Table 8's RMSE.
 
     Equal independent noise of the three probes reproduces Rz, 2.3057 urad, and then explains only .4 um of
     the 1.54 um in Y: A and B both sense Y, so independent noise cannot do both. What is missing in X and Y is

@@ -1,15 +1,17 @@
 """Uncertainty budgets: stand-alone by the GUM, and of a decoded position, confirmed by Monte Carlo.
 
 `gum` is the arithmetic, `files` and `settings` read TOML, `inputs` lists what a position is computed from,
-`position` propagates it linearly, `monte_carlo` as distributions, `show` is the text.
+`position` propagates it linearly, `monte_carlo` as distributions.
 """
 
 from hallsym.uncertainty.files import read_budget
-from hallsym.uncertainty.gum import Budget, Source
+from hallsym.uncertainty.gum import DIVISORS, Budget, Source
+from hallsym.uncertainty.inputs import Input, Slopes, independent_inputs, slopes
 from hallsym.uncertainty.monte_carlo import (
     Comparison,
     Linear,
     budget_monte_carlo,
+    decoded_at_random,
     position_monte_carlo,
     propagate,
     tolerance,
@@ -26,14 +28,19 @@ from hallsym.uncertainty.position import (
 from hallsym.uncertainty.settings import Settings, read_settings
 
 __all__ = [
+    "DIVISORS",
     "Budget",
     "Comparison",
+    "Input",
     "Linear",
     "Recorded",
     "Settings",
+    "Slopes",
     "Source",
     "UncertaintyMap",
     "budget_monte_carlo",
+    "decoded_at_random",
+    "independent_inputs",
     "map_axes",
     "notes",
     "over_log",
@@ -42,6 +49,7 @@ __all__ = [
     "propagate",
     "read_budget",
     "read_settings",
+    "slopes",
     "tolerance",
     "uncertainty_map",
 ]

@@ -127,6 +127,7 @@ class Budget:
     `coverage`: the factor k of the expanded uncertainty, 2 by default. `level`: instead, the probability
     that y +- U shall hold; k is then Student's t at the effective degrees of freedom. `correlation`:
     (n, n) correlation coefficients of the sources, independent if None. `value`: the result itself, if known.
+    `turns`: the result is an angle that goes round, which people read in degrees.
     """
 
     quantity: str
@@ -136,6 +137,7 @@ class Budget:
     level: float | None = None
     correlation: np.ndarray | None = None
     value: float | None = None
+    turns: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a coverage or a correlation that cannot be."""

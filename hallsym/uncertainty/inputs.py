@@ -70,11 +70,11 @@ def check_fit(fit: Fit) -> None:
     if not np.any(spread > 0):
         raise InputError(
             "The calibration has no determined parameter, so its covariance cannot be formed; "
-            "fit a log that moves the stage."
+            "fit a log that moves the machine."
         )
 
 
-def inputs(fit: Fit, settings: Settings) -> tuple[Input, ...]:
+def independent_inputs(fit: Fit, settings: Settings) -> tuple[Input, ...]:
     """Return every independent input that has an uncertainty, in the order of a budget table."""
     return tuple(i for i in _all_inputs(fit, settings.checked(fit.model)) if i.source.std > 0)
 

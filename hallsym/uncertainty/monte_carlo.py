@@ -17,11 +17,16 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import decoder
 from hallsym.model.arrays import on_arrays
 from hallsym.uncertainty.gum import Budget
-from hallsym.uncertainty.inputs import check_fit, check_gain, inputs, weights, zero_point, zeros_found
+from hallsym.uncertainty.inputs import (
+    check_fit,
+    check_gain,
+    independent_inputs,
+    weights,
+    zero_point,
+    zeros_found,
+)
 from hallsym.uncertainty.position import fit_degrees_of_freedom, place, position_budget
 from hallsym.uncertainty.settings import Settings
-
-__all__ = ["Comparison", "Linear", "budget_monte_carlo", "position_monte_carlo", "propagate", "tolerance"]
 
 BATCH = 10_000
 """Trials per batch of the adaptive procedure: JCGM 101, 7.9.4 b."""
@@ -39,13 +44,17 @@ Verdict = Literal["confirmed", "not confirmed", "undecided"]
 
 @dataclass(frozen=True)
 class Linear:
-    """What the linear budget says of one output: y, u(y) and the factor of its coverage interval."""
+    """What the linear budget says of one output: y, u(y) and the factor of its coverage interval.
+
+    `turns`: the output is an angle that goes round.
+    """
 
     quantity: str
     unit: str
     value: float
     std: float
     factor: float
+    turns: bool = False
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -273,7 +282,7 @@ def position_monte_carlo(
 def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> Measure:
     """Return the measurement function of a position: zeroing, reading and decoding with random inputs."""
     check_fit(fit)
-    model, listed = fit.model, inputs(fit, settings)
+    model, listed = fit.model, independent_inputs(fit, settings)
     pose, state = place(model, at)
     check_gain(fit, state[:, None], settings)
     q0, s0 = zero_point(model, settings)
@@ -310,7 +319,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
 
 def _linear(budget: Budget, level: float) -> Linear:
     factor = replace(budget, level=level).factor
-    return Linear(budget.quantity, budget.unit, budget.value or 0.0, budget.std, factor)
+    return Linear(budget.quantity, budget.unit, budget.value or 0.0, budget.std, factor, budget.turns)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

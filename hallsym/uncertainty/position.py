@@ -3,7 +3,7 @@
 First-order propagation, JCGM 100 (10) and (13), with the exact slopes of `hallsym.model.influence`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
@@ -17,11 +17,10 @@ from hallsym.estimation.covariance import FEW_RUNS
 from hallsym.log import Log
 from hallsym.log.batches import batches
 from hallsym.model import Model
+from hallsym.records import named
 from hallsym.uncertainty.gum import Budget, Source
-from hallsym.uncertainty.inputs import Slopes, check_fit, inputs, slopes
+from hallsym.uncertainty.inputs import Slopes, check_fit, independent_inputs, slopes
 from hallsym.uncertainty.settings import Settings
-
-__all__ = ["Recorded", "UncertaintyMap", "notes", "over_log", "place", "position_budget", "uncertainty_map"]
 
 POINTS, SLICES = 41, 5
 """Points along each planar axis of a map, and how many heights it shows, where only a span is given."""
@@ -47,7 +46,7 @@ def position_budget(
     check_fit(fit)
     pose, state = place(fit.model, at or {})
     found = slopes(fit, pose[:, None], state[:, None], settings)
-    listed = inputs(fit, settings)
+    listed = independent_inputs(fit, settings)
     by_input = [found.of(entry)[0] for entry in listed]  # (n_pose,) each
     budgets = {}
     for i, column in enumerate(fit.model.pose):
@@ -61,6 +60,7 @@ def position_budget(
             level=settings.level,
             correlation=None if correlation is None else _padded(correlation, len(rest)),
             value=float(pose[i]),
+            turns=column in fit.model.period,
         )
     return budgets
 
@@ -172,7 +172,7 @@ def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -
     found: Slopes = slopes(fit, pose, state, settings)
     from_fit = np.einsum("spj,spj->sp", found.parameters @ fit.covariance, found.parameters)
     total = from_fit.copy()
-    for entry in inputs(fit, settings):
+    for entry in independent_inputs(fit, settings):
         total += (entry.source.std * found.of(entry)) ** 2
     return _Spread(total, from_fit)
 
@@ -182,7 +182,7 @@ class UncertaintyMap:
     """U of every pose coordinate on a grid.
 
     `axes`: column -> values along it [SI], in the order of the grid's axes. `fixed`: where the other columns
-    stay. `expanded`: (n_pose, *grid), in the units of `pose`.
+    stay. `expanded`: (n_pose, *grid), in the units of `pose`. `turning`: columns that go round.
     """
 
     pose: tuple[str, ...]
@@ -190,6 +190,7 @@ class UncertaintyMap:
     fixed: Mapping[str, float]
     expanded: np.ndarray
     settings: Settings
+    turning: Collection[str] = ()
 
     def worst(self, coordinate: str) -> tuple[dict[str, float], float]:
         """Return where a coordinate is known worst, and its U there."""
@@ -198,12 +199,26 @@ class UncertaintyMap:
         where = {c: float(v[k]) for (c, v), k in zip(self.axes.items(), spot, strict=True)}
         return {**self.fixed, **where}, float(grid[spot])
 
+    def over(self) -> "Recorded":
+        """Return rms and worst over the points of the map."""
+        worst = {c: self.worst(c) for c in self.pose}
+        return Recorded(
+            span={c: (float(v[0]), float(v[-1])) for c, v in self.axes.items()},
+            rms=named(
+                self.pose, np.sqrt(np.mean(self.expanded**2, axis=tuple(range(1, self.expanded.ndim))))
+            ),
+            worst={c: u for c, (_, u) in worst.items()},
+            where={c: at for c, (at, _) in worst.items()},
+            samples=self.expanded[0].size,
+            turning=self.turning,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the map as plain numbers in SI: one nested list per pose coordinate."""
         return {
             "axes": {c: v.tolist() for c, v in self.axes.items()},
             "fixed": dict(self.fixed),
-            "expanded_uncertainty": dict(zip(self.pose, self.expanded.tolist(), strict=True)),
+            "expanded_uncertainty": named(self.pose, self.expanded),
             "worst": {c: dict(zip(("at", "expanded_uncertainty"), self.worst(c), strict=True))
                       for c in self.pose},
         }  # fmt: skip
@@ -239,7 +254,8 @@ def uncertainty_map(
     )
     flat = _spread(fit, pose, state, settings).expanded(settings, fit_degrees_of_freedom(fit))
     others = {c: float((fixed or {}).get(c, 0.0)) for c in (*model.pose, *model.state) if c not in lines}
-    return UncertaintyMap(model.pose, lines, others, flat.T.reshape(-1, *mesh[0].shape), settings)
+    U = flat.T.reshape(-1, *mesh[0].shape)
+    return UncertaintyMap(model.pose, lines, others, U, settings, model.period)
 
 
 def _line(model: Model, column: str, values: np.ndarray) -> np.ndarray:
@@ -258,7 +274,7 @@ class Recorded:
     """U over a recorded workspace, one entry per pose coordinate.
 
     `span`: column -> least and greatest value of pose and state. `rms`: root mean square of U, `worst`: its
-    largest value, `where`: the pose and state of that.
+    largest value, `where`: the pose and state of that. `turning`: columns that go round.
     """
 
     span: Mapping[str, tuple[float, float]]
@@ -266,6 +282,7 @@ class Recorded:
     worst: Mapping[str, float]
     where: Mapping[str, Mapping[str, float]]
     samples: int
+    turning: Collection[str] = ()
 
     def outside(self, at: Mapping[str, float]) -> list[str]:
         """Columns of `at` that lie beyond what was recorded by more than a hundredth of its span."""
@@ -316,8 +333,9 @@ def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
     rms = np.sqrt(squares / count)
     return Recorded(
         span=dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True)),
-        rms=dict(zip(model.pose, rms.tolist(), strict=True)),
-        worst=dict(zip(model.pose, worst.tolist(), strict=True)),
-        where={c: dict(zip(names, where[i].tolist(), strict=True)) for i, c in enumerate(model.pose)},
+        rms=named(model.pose, rms),
+        worst=named(model.pose, worst),
+        where={c: named(names, where[i]) for i, c in enumerate(model.pose)},
         samples=count,
+        turning=model.period,
     )

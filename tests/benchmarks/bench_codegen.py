@@ -18,9 +18,7 @@ import numpy as np
 
 import hallsym
 from hallsym.codegen import decouple, generate
-from hallsym.codegen.printer import FLOAT
-from hallsym.codegen.project import template
-from hallsym.codegen.vectors import worst
+from hallsym.codegen.templates import template
 
 FLAGS = [
     "-std=c99",
@@ -80,8 +78,8 @@ def _ours(fit: hallsym.Fit, folder: Path) -> None:
     if bare is None or step is None:
         raise SystemExit(said)
     counts = [int(n) for n in step[2].split()]
-    error = np.array(list(worst(made.source.d, FLOAT, SAMPLES).values()))
-    table = len(made.source.table.binary)
+    error = np.array(list(made.backend.errors(SAMPLES).values()))
+    table = len(made.backend.binary)
     _row("hallsym, range test and status", f"{counts[0]} / {max(counts)}", int(step[1]), table, "0", error)
     _row("hallsym, bare arithmetic", f"{bare[2]}", int(bare[1]), table, "0", error)
 
@@ -101,8 +99,8 @@ def _casadi(fit: hallsym.Fit, folder: Path, symbolic: bool, real: str) -> None:
     (folder / "caller.c").write_text(
         CALLER.format(real=real, name=name, p=numbers, arguments="p, m, s" if symbolic else "m, s")
     )
-    (folder / "startup.c").write_text(template("startup.c"))
-    (folder / "m.ld").write_text(template("cortex_m.ld"))
+    (folder / "startup.c").write_text(template("common/test/startup.c"))
+    (folder / "m.ld").write_text(template("common/test/cortex_m.ld"))
     elf = folder / f"{name}.elf"
     files = [str(folder / f) for f in ("startup.c", "caller.c", f"{name}.c")]
     link = ["-nostartfiles", "--specs=rdimon.specs", "-T", str(folder / "m.ld"), "-Wl,--gc-sections"]
@@ -148,7 +146,7 @@ def _error(fit: hallsym.Fit, folder: Path, name: str, real: str, symbolic: bool)
     )
     call = getattr(ctypes.CDLL(str(library)), name)
     dtype = np.float32 if real == "float" else np.float64
-    d = generate(fit).source.d
+    d = generate(fit).decoupler
     low, high = np.array([d.ends(c) for c in d.inputs]).T[:, :, None]
     inputs = (low + (high - low) * np.random.default_rng(0).random((6, SAMPLES // 10))).astype(np.float32)
     expected = d.exact(inputs.astype(float))

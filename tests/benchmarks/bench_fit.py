@@ -35,12 +35,7 @@ from typing import Any
 import numpy as np
 import peers
 
-from hallsym.estimation import start
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
-from hallsym.estimation.likelihood import Cost, cost_of
-from hallsym.estimation.optimum import refit
-from hallsym.estimation.run_statistics import summarise
+from hallsym.estimation import Cost, Fit, closed_form, cost_of, fit, linear_fit, refit, summarise
 from hallsym.families import build, published
 from hallsym.log import Log, LogWriter, Noise, read_log, write_log
 from hallsym.simulation import NoiseModel, paper_campaign, simulate, simulate_blocks, table8_noise
@@ -86,9 +81,9 @@ def in_memory(columns: dict[str, np.ndarray], *, exact_reference: bool = False) 
 def common_start(log: Log) -> tuple[peers.Task, Cost]:
     """What the peers get: the samples, and our closed form with the best zeros for it."""
     model = build(MODEL)
-    cost = cost_of(summarise(log, model), {c: s.value for c, s in log.noise.sigmas.items()})
-    merged = cost_of(cost.summary.merged(), {c: s.value for c, s in log.noise.sigmas.items()})
-    p = np.clip(start.closed_form(merged, start.linear_fit(merged)), *model.bounds)
+    cost = cost_of(summarise(log, model), log.noise.std)
+    merged = cost_of(cost.summary.merged(), log.noise.std)
+    p = np.clip(closed_form(merged, linear_fit(merged)), *model.bounds)
     sigma = np.array([log.noise[c].value for c in model.channels])
     return peers.task_of(log, model, sigma, p, cost.at(p).zeros), cost
 

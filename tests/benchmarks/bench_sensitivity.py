@@ -4,7 +4,7 @@
     python tests/benchmarks/bench_sensitivity.py --quick
 
 Model (31) on the paper's campaign of 57 runs, 500 samples each, noise of Table 8. The peer is pyPESTO, which
-profiles the same likelihood, F / 2 with our exact gradient on run summaries, in full-rank coordinates, with
+profiles the same likelihood, F / 2 with our exact gradient on run statistics, in full-rank coordinates, with
 scipy's L-BFGS-B: what differs is the way along the profile, not the time to evaluate a cost.
 """
 
@@ -18,15 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation.covariance import estimate
-from hallsym.estimation.fit import fit
-from hallsym.estimation.identifiable import determine
-from hallsym.estimation.likelihood import Cost
+from hallsym.estimation import Cost, determine, fit, uncertainty
 from hallsym.families import build, published
-from hallsym.inference import identify
-from hallsym.inference.bootstrap import bootstrap
-from hallsym.inference.profile_tangent import skewness, tangent
-from hallsym.inference.profiles import Profile, profile
+from hallsym.inference import Profile, bootstrap, identify, profile, skewness, tangent
 from hallsym.log import Log, Noise
 from hallsym.model.quantities import Quantity, combination, parameter
 from hallsym.simulation import NoiseModel, paper_campaign, simulate, table8_noise
@@ -123,7 +117,7 @@ def compare(samples: int, turns: int) -> None:
 
     rows = [
         ("report without profiles", *least(turns, lambda: identify(found, profiles="none"))),
-        ("standard uncertainties", *least(turns, lambda: estimate(cost, p, what))),
+        ("standard uncertainties", *least(turns, lambda: uncertainty(cost, p, what))),
         (f"is a normal interval good enough, {len(stated)} quantities", *least(turns, checks)),
         (f"profiles of {len(stated)} quantities", *least(turns, profiles)),
         (

@@ -4,7 +4,7 @@
     python tests/benchmarks/bench_solvers.py --quick
 
 Four problems on the paper's stage, each printed as a Markdown table (docs/solvers.md quotes them):
-(a) Model (31) on the merged run summary of the bundled campaign, inside the bounds of Tables 3 and 5;
+(a) Model (31) on the merged run statistics of the bundled campaign, inside the bounds of Tables 3 and 5;
 (b) the same with the channels in random order and with random signs, angles anywhere;
 (c) one sample in ten of every reading and reference off by up to 1 mm or 1 mrad; judged on a noise-free log,
     success: the parameters add less than 5 % to the noise floor of every axis;
@@ -25,13 +25,19 @@ from scipy.optimize import least_squares
 
 import hallsym
 import solvers
-from hallsym.estimation import start
-from hallsym.estimation.channel_assignment import find_wiring, rewired
-from hallsym.estimation.fit import noise_of
-from hallsym.estimation.gauss_newton import judge
-from hallsym.estimation.identifiable import determine
-from hallsym.estimation.likelihood import Cost, cost_of
-from hallsym.estimation.run_statistics import summarise
+from hallsym.estimation import (
+    Cost,
+    LinearFit,
+    closed_form,
+    cost_of,
+    determine,
+    find_wiring,
+    judge,
+    linear_fit,
+    noise_of,
+    rewired,
+    summarise,
+)
 from hallsym.families.published import values
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Model
@@ -94,12 +100,12 @@ class Task:
         )
 
 
-def task_on(log: Log, model: Model, *, hold: bool) -> tuple[Task, np.ndarray, start.LinearFit]:
+def task_on(log: Log, model: Model, *, hold: bool) -> tuple[Task, np.ndarray, LinearFit]:
     """Return the merged problem of a log and its closed-form start."""
-    sigma = {c: s.value for c, s in noise_of(log, model).sigmas.items()}
+    sigma = noise_of(log, model).std
     merged = cost_of(summarise(log, model).merged(), sigma)
-    linear = start.linear_fit(merged)
-    first = np.clip(start.closed_form(merged, linear), *model.bounds)
+    linear = linear_fit(merged)
+    first = np.clip(closed_form(merged, linear), *model.bounds)
     held = determine(merged, first).held if hold else ()
     first[list(held)] = np.clip(model.nominal, *model.bounds)[list(held)]
     return Task(merged, first, held), first, linear

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hallsym import bundled_campaign, load_fit, write_log
+from hallsym import build, bundled_campaign, load_fit, write_log
 from hallsym.cli.main import main
 
 CASES = Path(__file__).parents[3] / "shared" / "cases"
@@ -364,11 +364,27 @@ def test_info_on_everything(capsys, written, tmp_path):
         json.loads(run(capsys, *arguments, "--json")[1])
 
 
+@pytest.mark.parametrize("name", ["stage31", "model31", "rotary_meng"])
+def test_info_explains_a_model(capsys, name):
+    code, out, _ = run(capsys, "info", name)
+    assert code == 0
+    record = json.loads(run(capsys, "info", name, "--json")[1])
+    model = build(name)
+    assert [p["name"] for p in record["parameters"]] == list(model.names)
+    assert all(p["unit"] and p["meaning"] for p in (*record["parameters"], *record["zeros"]))
+    assert [p["column"] for p in record["pose"]] == list(model.pose)
+    assert "hysteresis" in record["can_take"]
+    assert not set(model.effects) & set(record["can_take"])
+    for entry in (*record["parameters"], *record["zeros"]):
+        assert entry["meaning"] in out
+    assert ("repeats every 6.28319 rad" in out) == bool(model.period)
+
+
 def test_demo_prints_the_papers_steps(capsys, tmp_path):
     code, out, _ = run(capsys, "demo", "-o", tmp_path / "demo", "--json")
     steps = {s["step"]: s for s in json.loads(out)["steps"]}
     assert code == 0
-    designed = steps["designed values, Model (15), Z = +-250 um"]["here"]["rmse"]
+    designed = steps["nominal values, Model (15), Z = +-250 um"]["here"]["rmse"]
     final = steps["Model (31), held-out runs"]
     # the paper's step: Table 2 to Table 8
     assert designed["y_m"] == pytest.approx(44e-6, rel=0.03)
@@ -400,7 +416,7 @@ def test_the_installed_command_exits_with_the_code(tmp_path):
 
 
 def test_ctrl_c_in_the_global_stage_keeps_the_best_so_far(capsys, written, tmp_path, monkeypatch):
-    from hallsym.estimation.likelihood import Cost
+    from hallsym.estimation import Cost
 
     whole, calls = Cost.population, []
 

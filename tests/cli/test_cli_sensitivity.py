@@ -40,7 +40,7 @@ def test_report_names_verdicts_null_directions_and_method(folder, capsys):
     assert "H1x, H1y: only H1x*cos(theta_A) + H1y*sin(theta_A) = 0.19" in out
     assert out.count("not determined: whatever is recorded; only") == 6
     assert "uncertainty: likelihood (scores of the 55 runs" in out
-    assert "165 zero deviations, profiled out" in out
+    assert "165 zero deviations, eliminated" in out
 
 
 def test_json_is_what_the_output_file_holds(folder, capsys, tmp_path):

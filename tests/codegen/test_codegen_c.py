@@ -9,14 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, STRICT, Library, calibration, made, need, ran
+from firmware import CASES, GOLDEN, STRICT, Library, calibration, made, need, proved_by_eva, ran
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hallsym.cli.main import main
-from hallsym.codegen import Generated
-from hallsym.codegen.cost import cost
-from hallsym.codegen.vectors import Emulator
+from hallsym.codegen import Generated, firmware_cost
 
 TESTED = (
     "src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c", "test/main.c",
@@ -37,7 +35,7 @@ def golden(tmp_path_factory) -> Path:
 def compiled(golden) -> tuple[Library, Generated]:
     need("gcc")
     code = made("stage31")
-    return Library(golden, code.source.d, code.source.real.dtype), code
+    return Library(golden, code.decoupler, code.backend.real.dtype), code
 
 
 def written(code: Generated, folder: Path) -> Path:
@@ -101,7 +99,7 @@ def test_whatever_the_bits_c_and_its_emulation_agree(compiled, bits):
     library, code = compiled
     inputs = np.array(bits, dtype=np.uint32).view(np.float32)
     pose, status = library.step(inputs)
-    expected, flags = Emulator(code.source.d, code.source.real).step(inputs[:, None])
+    expected, flags = code.backend.step(inputs[:, None])
     assert status == flags[0]
     assert pose.tobytes() == expected[:, 0].tobytes()
     assert np.isfinite(pose).all()
@@ -110,14 +108,14 @@ def test_whatever_the_bits_c_and_its_emulation_agree(compiled, bits):
 def test_each_bit_is_its_own_input(compiled):
     library, code = compiled
     header = str(code.files["include/decoupler.h"])
-    for k, column in enumerate(code.source.d.inputs):
+    for k, column in enumerate(code.decoupler.inputs):
         bit = re.search(rf"#define DECOUPLER_{column.rpartition('_')[0].upper()} (0x\w+)UL", header)
-        for value in (np.nan, np.inf, -np.inf, code.source.d.ends(column)[1] * 1.01):
+        for value in (np.nan, np.inf, -np.inf, code.decoupler.ends(column)[1] * 1.01):
             inputs = np.zeros(6, np.float32)
             inputs[k] = value
             assert library.step(inputs)[1] == int(bit[1], 16) == 1 << k
     for end in (0, 1):  # the ends themselves are inside
-        ends = np.array([code.source.d.ends(c)[end] for c in code.source.d.inputs], np.float32)
+        ends = np.array([code.decoupler.ends(c)[end] for c in code.decoupler.inputs], np.float32)
         assert library.step(ends)[1] == 0
 
 
@@ -152,7 +150,7 @@ def test_the_zero_belongs_to_a_reset(compiled):
 def test_the_zero_of_a_non_linear_model(tmp_path, case):
     need("gcc")
     fit, code = CASES[case](), made(case)
-    library = Library(written(code, tmp_path / "fw"), code.source.d, code.source.real.dtype)
+    library = Library(written(code, tmp_path / "fw"), code.decoupler, code.backend.real.dtype)
     rng = np.random.default_rng(2)
     delta, state, known = (
         rng.uniform(-8e-6, 8e-6, 3),
@@ -173,7 +171,7 @@ def test_a_damaged_table_is_found(compiled):
     floats = library.table.view(np.float32)
     first = 3
     finds = {"version": 0x01, "layout": 0x02, "crc": 0x04, "number": 0x08, "limits": 0x10, "gain": 0x20}
-    names = [e.name for e in code.source.d.entries]
+    names = [e.name for e in code.decoupler.entries]
     try:
         assert library.check() == 0
         for byte in range(12, 108):  # every bit that the CRC covers
@@ -201,8 +199,8 @@ def test_a_damaged_table_is_found(compiled):
 def test_the_jacobian_is_the_slope_of_the_pose(tmp_path):
     need("gcc")
     code = made("stage31", double=True, jacobian=True)
-    d = code.source.d
-    library = Library(written(code, tmp_path / "fw"), d, code.source.real.dtype)
+    d = code.decoupler
+    library = Library(written(code, tmp_path / "fw"), d, code.backend.real.dtype)
     inputs = np.array([d.ends(c)[1] * 0.4 for c in d.inputs])
     slopes = np.zeros((3, 3))
     call = library.library.decoupler_jacobian
@@ -271,15 +269,8 @@ LATER = [pytest.param(c, marks=pytest.mark.slow) for c in CASES if c not in ("st
 
 @pytest.mark.parametrize("case", ["stage31", *LATER])
 def test_eva_raises_no_alarm(tmp_path, case):
-    need("frama-c")
     folder = written(made(case, jacobian=True), tmp_path / "fw")
-    said = ran(
-        folder, "frama-c", "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64", "-warn-special-float",
-        "non-finite", "-cpp-extra-args=-Iinclude -Iparams", "proof/eva.c", "src/decoupler.c",
-        "params/decoupler_params.c",
-    )  # fmt: skip
-    assert "  0 alarms generated" in said
-    assert "100% of the logical properties" in said
+    proved_by_eva(folder)
 
 
 @pytest.mark.parametrize("case", ["stage31", *(c for c in LATER if c.values != ("cubic",))])
@@ -344,9 +335,9 @@ def test_the_self_test_runs_every_line_that_runs_at_every_sample(golden, tmp_pat
 def test_the_estimate_without_a_compiler_is_near(golden):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")
     counted = re.search(r"decoupler_bare, .* call: (\d+)", ran(golden, "make", "count"))
-    estimated = cost(made("stage31").source.d)
+    estimated = firmware_cost(made("stage31").decoupler)
     assert abs(estimated.instructions / int(counted[1]) - 1) < 0.1
-    assert estimated.table == len(made("stage31").source.table.binary)
+    assert estimated.table == len(made("stage31").backend.binary)
     assert "make count, arm-none-eabi-gcc" in (golden / "doc/instructions.txt").read_text()
 
 

@@ -7,20 +7,26 @@ import re
 
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, Library, calibration, height_quadratic, integers, need, ran, with_effect
+from firmware import (
+    CASES,
+    GOLDEN,
+    Library,
+    calibration,
+    height_quadratic,
+    made,
+    need,
+    proved_by_eva,
+    ran,
+    with_effect,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hallsym.cli.main import main
-from hallsym.codegen import generate_q31
-from hallsym.codegen.box import box_of
-from hallsym.codegen.families import decoupler
-from hallsym.codegen.q31 import program
-from hallsym.codegen.q31_program import Line, Program
-from hallsym.codegen.q31_selftest import emulate, errors
+from hallsym.codegen import Line, Program, box_of, generate, integer_program, lower
 from hallsym.errors import InputError
 
-PRODUCT = Program(decoupler(calibration(), box_of(calibration())))
+PRODUCT = Program(lower(calibration(), box_of(calibration())))
 PRODUCT.lines.append(Line("q1", "mul", "a", "b"))
 PRODUCT.outputs["x_m"] = ("q1", 0)
 INT = st.integers(-(2**31) + 1, 2**31 - 1)
@@ -36,34 +42,32 @@ def test_a_product_is_low_by_less_than_three(a, b):
 
 @pytest.mark.parametrize("case", LINEAR)
 def test_a_tenth_of_a_nanometre_is_added_at_most(case):
-    p, met = integers(case).source.program, errors(integers(case).source, 20_000, seed=4)
+    met = made(case, arithmetic="q31").backend.errors(20_000, seed=4)
     assert max(met["x_m"], met["y_m"]) <= 0.1e-9
     assert met["rz_rad"] <= 3e-9
-    for column, error in met.items():
-        assert error <= p.bounds[column][2]
 
 
 @pytest.mark.parametrize("z", [(-1e-3, 1e-3), (-2e-4, 3e-3)])
 def test_gains_that_vary_much_take_more_newton_steps_and_stay_within_their_bound(z):
-    source = generate_q31(calibration(), ranges={"z_m": z}).source
-    for column, error in errors(source, 20_000, seed=1).items():
+    source = generate(calibration(), arithmetic="q31", ranges={"z_m": z}).backend
+    for column, error in source.errors(20_000, seed=1).items():
         assert error <= source.program.bounds[column][2] < 1e-8
-    assert len(source.program.lines) > len(integers("stage31").source.program.lines)
+    assert len(source.program.lines) > len(made("stage31", arithmetic="q31").backend.program.lines)
 
 
 @pytest.mark.parametrize("case", LINEAR)
 def test_corners_of_the_box_do_not_overflow(case):
-    source = integers(case).source
-    d, p = source.program.d, source.program
+    source = made(case, arithmetic="q31").backend
+    d, p = source.decoupler, source.program
     rng = np.random.default_rng(0)
     ends = np.array([[v * 2.0 ** p.inputs[c] for v in d.ends(c)] for c in d.inputs])
     corners = np.take_along_axis(ends, rng.integers(0, 2, (len(ends), 4096)), axis=1)
-    emulate(source, np.trunc(corners).astype(np.int64))  # raises OverflowError beyond 32 bits
+    source.step(np.trunc(corners).astype(np.int64))  # raises OverflowError beyond 32 bits
 
 
 def test_models_that_are_iterated_are_refused():
     with pytest.raises(InputError, match="linear in the pose"):
-        generate_q31(CASES["cubic"]())
+        generate(CASES["cubic"](), arithmetic="q31")
 
 
 def test_options_of_the_float_code_do_not_go_with_it(tmp_path, capsys):
@@ -74,7 +78,7 @@ def test_options_of_the_float_code_do_not_go_with_it(tmp_path, capsys):
 
 
 def test_a_users_effect_follows_into_the_integers():
-    names = program(decoupler(f := with_effect(height_quadratic, 3e5), box_of(f))).table
+    names = integer_program(lower(f := with_effect(height_quadratic, 3e5), box_of(f))).table
     assert "gain_hall_a_z_z" in names
 
 
@@ -98,7 +102,7 @@ def test_stated_bits_on_this_machine(folder, compiler):
 @pytest.mark.parametrize("case", ["four probes", pytest.param("stage15", marks=pytest.mark.slow)])
 def test_other_models_compile_and_pass(tmp_path, case):
     need("gcc", "make")
-    generate_q31(CASES[case](), ranges={"z_m": (-1e-4, 2.5e-4)}).write(tmp_path / "fw")
+    generate(CASES[case](), arithmetic="q31", ranges={"z_m": (-1e-4, 2.5e-4)}).write(tmp_path / "fw")
     assert "as stated" in ran(tmp_path / "fw", "make", "check")
 
 
@@ -120,11 +124,11 @@ def test_cppcheck_finds_nothing_that_is_not_listed(folder):
 
 def test_any_integers_and_damaged_tables(folder):
     need("gcc")
-    source = integers("stage31").source
-    library = Library(folder, source.program.d, np.int32)
+    source = made("stage31", arithmetic="q31").backend
+    library = Library(folder, source.decoupler, np.int32)
     rng = np.random.default_rng(0)
     inputs = rng.integers(-(2**31), 2**31, (6, 500)) >> rng.integers(0, 4, 500)
-    pose, status = emulate(source, inputs)
+    pose, status = source.step(inputs)
     for column, expected, flags in zip(inputs.T, pose.T, status, strict=True):
         found, said = library.step(column)
         assert said == flags
@@ -135,20 +139,14 @@ def test_any_integers_and_damaged_tables(folder):
         library.table[byte] ^= 1
         assert library.check() & 0x04
         library.table[:] = before
-    at = 12 + 4 * [n for n, _, _ in source.entries].index("gain_hall_b")
+    at = 12 + 4 * [e.name for e in source.entries].index("gain_hall_b")
     library.table[at : at + 4] = 0
     assert library.check() == 0x24  # CRC and a gain of nothing
     library.table[:] = before
 
 
 def test_eva_raises_no_alarm(folder):
-    need("frama-c")
-    said = ran(
-        folder, "frama-c", "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64",
-        "-cpp-extra-args=-Iinclude -Iparams", "proof/eva.c", "params/decoupler_params.c",
-    )  # fmt: skip
-    assert "  0 alarms generated" in said
-    assert "100% of the logical properties" in said
+    proved_by_eva(folder, integers=True)
 
 
 @pytest.mark.slow

@@ -20,14 +20,12 @@ from hallsym.diagnosis.faults import faults, wiring_p, wirings
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
 from hallsym.diagnosis.p_values import as_many, as_often, exceeds, student
 from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.search import base_of
+from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.survey import survey
-from hallsym.estimation.channel_assignment import rewired
-from hallsym.estimation.decoding import columns_of
+from hallsym.estimation import columns_of, rewired
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
-from hallsym.log import Block, Log
-from hallsym.log.batches import Batch, batches
+from hallsym.log import Batch, Block, Log, batches
 from hallsym.model import Facts
 
 CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)

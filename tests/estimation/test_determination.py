@@ -15,16 +15,16 @@ from twins import (
     with_noise,
 )
 
-from hallsym.estimation.fit import fit
-from hallsym.estimation.identifiable import (
+from hallsym.estimation import (
+    Coefficients,
     determine,
     feature_scale,
+    fit,
     linear_combinations,
     scales,
     structural_null,
     structural_rank,
 )
-from hallsym.estimation.likelihood import Coefficients
 from hallsym.families import build
 from hallsym.model.features import find_features
 from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate

@@ -5,7 +5,7 @@ import pytest
 from twins import EPS, HALL, SIGMAS, TRUTH, pm, record, same, true_model, truth_of, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.fit import fit
+from hallsym.estimation import fit
 from hallsym.families import build
 from hallsym.families.published import values
 from hallsym.families.stage.models import Probe, stage31

@@ -17,10 +17,7 @@ from hallsym.cli.main import main
 from hallsym.diagnosis import diagnose, load_effects
 from hallsym.diagnosis.choose import model_on
 from hallsym.errors import InputError
-from hallsym.estimation.decoding import error_tables
-from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.linearised import exact, summarise_at
+from hallsym.estimation import cost_near, cost_of, error_tables, exact, judge, summarise_at, zeros_of
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS
 from hallsym.families.mechanisms import nonlinearity, port
@@ -91,7 +88,7 @@ def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign
     result = hallsym.fit(log, "stage31", effects=(text,), holdout=found.validation_runs, solver="direct")
     assert result.status == "converged"
     after = result.errors.rows()["holdout"]["rmse"]
-    for c, value in found.gap_after["rmse"].items():
+    for c, value in found.gap_after.rmse.items():
         assert after[c] == pytest.approx(value, rel=0.04)
     for n, estimate in found.effects[0].parameters.items():
         k = result.model.names.index(n)
@@ -101,7 +98,7 @@ def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign
     again = hallsym.load_fit(tmp_path / "calib.json")
     assert again.model.texts == result.model.texts
     assert again.model.names == result.model.names
-    noise = {c: s.value for c, s in result.noise.sigmas.items()}
+    noise = result.noise.std
     table = errors_on(result.source or log, again, noise, result.keep).over(found.validation_runs)
     for c, value in after.items():
         assert table["rmse"][c] == pytest.approx(value, rel=1e-3)
@@ -134,7 +131,7 @@ def test_a_tangent_has_value_and_slope_of_the_exact_cost() -> None:
     """stage31 has summaries of its own: both ways must give one likelihood, wherever they are taken."""
     log = machine("multisine", seed=3, thin=20)
     fit = hallsym.fit(log, "stage31", solver="direct")
-    noise = {c: s.value for c, s in fit.noise.sigmas.items()}
+    noise = fit.noise.std
     p = fit.values * 1.001
     own = cost_near(log, fit.model, p, noise)
     zeros = dict(zip(own.summary.runs, own.at(p).zeros, strict=True))
@@ -274,8 +271,8 @@ def test_a_play_of_known_width_is_recovered_and_the_gap_shrinks_as_far_as_it_can
     best = hallsym.fit(machine("multisine", seed=seed, thin=3, curvature=0.0), "stage31", solver="direct")
     metric = {c: (0.35 if c.startswith("r") else 1.0) for c in fit.model.pose}
     left = sum((metric[c] * v) ** 2 for c, v in best.errors.rows()["holdout"]["rmse"].items()) ** 0.5
-    achievable = 1 - left / found.metric["before"]
-    assert achievable - 0.03 < found.shrinkage["value"] < achievable + 0.03
+    achievable = 1 - left / found.metric.before
+    assert achievable - 0.03 < found.shrinkage.value < achievable + 0.03
 
 
 # -- at a bound --------------------------------------------------------------------------------------------

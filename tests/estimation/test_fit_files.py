@@ -8,8 +8,7 @@ import pytest
 from twins import record, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import load_fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import fit, load_fit
 
 
 @pytest.fixture(scope="module")

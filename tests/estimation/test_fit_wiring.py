@@ -7,11 +7,7 @@ import pytest
 from twins import COLUMNS, HALL, SIGMAS, record, same, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.channel_assignment import check_wiring, find_wiring
-from hallsym.estimation.fit import fit
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.run_statistics import summarise
-from hallsym.estimation.start import linear_fit
+from hallsym.estimation import check_wiring, cost_of, find_wiring, fit, linear_fit, summarise
 from hallsym.families.stage.models import stage31
 
 WIRINGS = [(p, s) for p in permutations(range(3)) for s in product((1, -1), repeat=3)]

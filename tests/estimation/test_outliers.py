@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import COLUMNS, HALL, SIGMAS, TRUTH, campaign, phi, record, with_noise
 
-from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
+from hallsym.estimation import column_spikes, reject_spikes, residuals, tukey
 from hallsym.families.stage.models import stage31
-from hallsym.log import Block
-from hallsym.log.batches import remembered
+from hallsym.log import Block, remembered
 
 SIGMA = 1e-6
 COVARIANCE = np.eye(3) * SIGMA**2

@@ -5,21 +5,17 @@ import pytest
 from scipy.stats import chi2
 from twins import COLUMNS, HALL, SIGMAS, TRUTH, cost_on, phi, pm, record, true_model, with_noise
 
-from hallsym.estimation.covariance import Estimate, estimate, noise_floor
-from hallsym.estimation.identifiable import determine
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.optimum import refit
-from hallsym.estimation.run_statistics import summarise
+from hallsym.estimation import Uncertainty, cost_of, determine, noise_floor, refit, summarise, uncertainty
 
 MODEL = true_model()
 
 
-def one(seed: int, *, sigma=SIGMAS, samples: int = 50, **noise) -> tuple[np.ndarray, Estimate]:
+def one(seed: int, *, sigma=SIGMAS, samples: int = 50, **noise) -> tuple[np.ndarray, Uncertainty]:
     """Optimum and uncertainties of one recording; what is held stays at the truth."""
     cost = cost_on(with_noise(record(seed=seed, samples=samples, sigma=sigma, **noise)), MODEL, sigma)
     found = determine(cost, MODEL.nominal)
     p = refit(cost, MODEL.nominal, found.held)
-    return p, estimate(cost, p, found)
+    return p, uncertainty(cost, p, found)
 
 
 def test_scatter_of_60_recordings_is_the_stated_covariance():
@@ -29,7 +25,7 @@ def test_scatter_of_60_recordings_is_the_stated_covariance():
         cost = cost_on(with_noise(record(seed=1000 + seed)), MODEL)
         if covariance is None:
             found = determine(cost, MODEL.nominal)
-            covariance = estimate(cost, refit(cost, MODEL.nominal, found.held), found).covariance
+            covariance = uncertainty(cost, refit(cost, MODEL.nominal, found.held), found).covariance
         errors.append(refit(cost, MODEL.nominal, found.held) - MODEL.nominal)
     free = [k for k in range(len(MODEL.names)) if k not in found.held]
     e, C = np.array(errors)[:, free], covariance[np.ix_(free, free)]
@@ -98,7 +94,7 @@ def test_too_few_runs_scale_the_likelihood():
     summary = summarise(log, MODEL).select(range(0, 57, 4)[:15])
     cost = cost_of(summary, SIGMAS)
     found = determine(cost, MODEL.nominal)
-    result = estimate(cost, refit(cost, MODEL.nominal, found.held), found)
+    result = uncertainty(cost, refit(cost, MODEL.nominal, found.held), found)
     assert result.method == "likelihood, scaled"
 
 
@@ -107,7 +103,7 @@ def test_a_parameter_at_its_bound_is_named_and_has_no_uncertainty():
     tight = MODEL.with_parameters({"eta_B": {"nominal": 0.70, "lower": 0.65, "upper": 0.70}})
     cost = cost_on(with_noise(record(seed=8)), tight)
     found = determine(cost, tight.nominal)
-    result = estimate(cost, refit(cost, tight.nominal, found.held), found)
+    result = uncertainty(cost, refit(cost, tight.nominal, found.held), found)
     assert result.at_bound == ("eta_B",)
     assert not result.determined[k]
     assert np.isnan(result.std[k])
@@ -117,7 +113,7 @@ def test_noise_floor_is_what_the_true_parameters_leave():
     """Decoded pose minus reference at the truth, 57 x 200 samples: RMSE known to 0.7 %."""
     from twins import campaign
 
-    from hallsym.estimation.decoding import error_tables
+    from hallsym.estimation import error_tables
 
     log = with_noise(record(seed=9, samples=200))
     runs = campaign(200).runs
@@ -150,7 +146,7 @@ def test_covariance_agrees_with_lmfit():
     cost = cost_on(with_noise(columns, sigma), MODEL, sigma)
     found = determine(cost, MODEL.nominal)
     p = refit(cost, MODEL.nominal, found.held)
-    ours = estimate(cost, p, found)
+    ours = uncertainty(cost, p, found)
     assert ours.method == "likelihood"
     parameters = lmfit.Parameters()
     for k, name in enumerate(MODEL.names):

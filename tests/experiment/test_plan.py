@@ -9,13 +9,8 @@ from hypothesis import strategies as st
 from twins import COLUMNS, SIGMAS, TRUTH, phi, pm, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.identifiable import determine, scales
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.optimum import refit
-from hallsym.estimation.run_statistics import summarise
-from hallsym.experiment import CRITERIA, information, paper_ranges, plan
-from hallsym.experiment.candidates import candidates
-from hallsym.experiment.information import planned_cost
+from hallsym.estimation import cost_of, determine, refit, scales, summarise
+from hallsym.experiment import CRITERIA, candidates, paper_ranges, plan, planned_cost
 from hallsym.families import build
 from hallsym.model.influence import influence
 from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate, sine
@@ -91,7 +86,7 @@ def test_information_of_a_long_recording_is_that_of_all_its_samples(monkeypatch)
     noise = {c: SIGMAS[c] for c in MODEL.channels}  # weights of noisy columns are means over some samples
     cost, factor = planned_cost(runs, 5e-5, MODEL, TRUTH, noise)
     assert cost.summary.counts[0] < 1000
-    monkeypatch.setattr(information, "LEAST", 10**9)
+    monkeypatch.setattr("hallsym.experiment.information.LEAST", 10**9)
     every, one = planned_cost(runs, 5e-5, MODEL, TRUTH, noise)
     assert np.all(one == 1)
     a, b = cost.at(p).information(0.0) * factor[:, None, None], every.at(p).information(0.0)

@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hallsym.experiment.criteria import CRITERIA, Criterion, criterion
-from hallsym.experiment.exchange import choose, exchange, greedy
-from hallsym.experiment.relaxed import relax
+from hallsym.experiment import CRITERIA, Criterion, choose, criterion, exchange, greedy, relax
 
 NOTHING = 1e-9
 

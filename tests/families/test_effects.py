@@ -1,6 +1,7 @@
 """Every effect is complete: numbers, texts, parameters with a meaning, and nothing where they are 0."""
 
 import json
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -76,10 +77,10 @@ def layout_of(model: Model) -> Meta:
 
 
 def test_a_family_lists_each_effect_once() -> None:
-    for known in (family.effects for family in FAMILIES):
-        names = [e.name for e in known]
+    for family in FAMILIES:
+        names = [e.name for e in family.effects]
         assert len(set(names)) == len(names)
-        assert all(isinstance(e, Effect) for e in known)
+        assert all(isinstance(e, Effect) for e in family.effects)
         assert not set(names) & set(FAULTS)
 
 
@@ -171,6 +172,40 @@ def test_a_number_needs_a_default() -> None:
         effect(link="magnet")
 
 
+OWN = '''
+from hallsym.model import Parameter, effect
+from hallsym.model.arguments import one_of
+
+
+@effect(link="transducer")
+def speed_gain(model, power=one_of({1: "linear", 2: "square"}, "power of the speed")):
+    """Gain that follows the velocity of x."""
+    slope = Parameter("speed_gain", 0.0, -100.0, 100.0, "s/m", "gain per speed")
+
+    def step(s, p):
+        s["gain"] = s["gain"] * (1 + p["speed_gain"] * s["z_m"] ** power)
+
+    return model.with_step("transducer", step, effect="speed_gain", parameters=(slope,))
+
+
+EFFECTS = (speed_gain,)
+'''
+
+
+def test_an_own_effect_has_numbers_that_are_typed_saved_and_read_back(tmp_path, capsys) -> None:
+    path, calib = tmp_path / "mine.py", tmp_path / "calib.json"
+    path.write_text(OWN)
+    own = ["--effects", str(path)]
+    log = str(Path(__file__).parents[2] / "data" / "campaign")
+    assert main(["fit", log, "--model", "stage30", "--effect", "speed_gain:power=2", *own, "-o", str(calib),
+                 "--solver", "direct"]) in (0, 3)  # fmt: skip
+    record = json.loads(calib.read_text())
+    assert record["added"] == record["own_effects"] == ["speed_gain:power=2"]
+    assert main(["evaluate", str(calib), log, *own]) == 0
+    assert main(["evaluate", str(calib), log]) == 2
+    assert "an effect of your own" in capsys.readouterr().err
+
+
 # -- explained ---------------------------------------------------------------------------------------------
 
 
@@ -184,7 +219,10 @@ def test_info_explains_every_effect_and_fault(capsys) -> None:
         if name in FAULTS:
             assert record["remedy"] in said
             continue
-        for family, entry in record["families"].items():
+        for family in FAMILIES:
+            if name not in effects(family):
+                continue
+            entry = record["families"][family.name]
             assert entry["parameters"] or not entry["diagnosed"]
             for text in entry["examples"]:
                 assert f"--effect {text}" in said

@@ -11,9 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hallsym
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.optimum import BUDGET, refit
-from hallsym.estimation.run_statistics import summarise
+from hallsym.estimation import BUDGET, cost_of, refit, summarise
 from hallsym.families.cordic import cordic_angle
 from hallsym.families.published import table
 from hallsym.families.rotary import FAMILY

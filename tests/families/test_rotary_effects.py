@@ -222,7 +222,7 @@ def test_an_effect_of_known_size_is_fitted_saved_and_read_back(text: str, tmp_pa
     fit.save(tmp_path / "calib.json")
     again = hallsym.load_fit(tmp_path / "calib.json")
     assert (again.model.texts, again.model.names) == (fit.model.texts, fit.model.names)
-    noise = {c: s.value for c, s in fit.noise.sigmas.items()}
+    noise = fit.noise.std
     table = hallsym.judge(log, again.model, again.values, noise).over((4, 5))
     assert table["rmse"]["angle_rad"] == pytest.approx(rmse, rel=1e-3)  # spikes left out or not
 
@@ -272,7 +272,7 @@ def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
     assert all(texts)
     fit = hallsym.fit(log, "rotary", effects=texts, holdout=found.validation_runs, solver="direct")
     after = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
-    assert after == pytest.approx(found.gap_after["rmse"]["angle_rad"], rel=0.04)
+    assert after == pytest.approx(found.gap_after.rmse["angle_rad"], rel=0.04)
 
 
 def test_the_self_test_and_the_comparison_of_an_encoder_are_in_degrees(tmp_path: Path, capsys) -> None:

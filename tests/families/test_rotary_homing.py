@@ -107,7 +107,7 @@ def test_commands_take_it(tmp_path, capsys):
     assert main(["sensitivity", calib, str(log), "--zeros"]) == 0
     said = capsys.readouterr().out
     assert "delta [deg]" in said
-    assert "6 zero deviations, profiled out" in said
+    assert "6 zero deviations, eliminated" in said
     assert main(["codegen", calib, "-o", str(tmp_path / "firmware")]) == 0  # the zero is set by a reset
 
 

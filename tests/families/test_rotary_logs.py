@@ -15,7 +15,7 @@ from hallsym.families import build, default_model
 from hallsym.families.rotary import seen as rotary_seen
 from hallsym.log import Log, Meta, Noise, check_log
 from hallsym.log.phase import continuous, wrapped
-from hallsym.report import tables
+from hallsym.report.text.fit import circumstances
 
 V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}
 FORTH = np.linspace(0, 3 * TURN, 500)
@@ -85,7 +85,7 @@ def test_a_calibration_comes_back_from_its_file(make, tmp_path):
         fit.model.names, fit.model.channels, fit.model.layout,
     )  # fmt: skip
     assert np.array_equal(back.values, fit.values)
-    noise = {c: s.value for c, s in fit.noise.sigmas.items()}
+    noise = fit.noise.std
     again = hallsym.judge(make(V, BOTH, 1e-4), back.model, back.values, noise)
     assert again.over()["rmse"]["angle_rad"] == pytest.approx(
         fit.errors.rows()["fitted"]["rmse"]["angle_rad"]
@@ -211,9 +211,9 @@ def test_noise_that_is_estimated_too_large_is_said():
     """A sample every 1.7 rad: differences of the angle's error are no noise, and what is left shows it."""
     log = angle_log(V, 1.7 * np.arange(1000), 1e-4)
     fit = fitted(Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"}))
-    assert "noise was estimated" in tables.evidence(fit)[0]
-    assert "state it with --noise" in tables.evidence(fit)[0]
-    assert "estimated" not in tables.evidence(fitted(angle_log(V, BOTH, 1e-4)))[0]
+    assert "noise was estimated" in circumstances(fit)[0]
+    assert "state it with --noise" in circumstances(fit)[0]
+    assert "estimated" not in circumstances(fitted(angle_log(V, BOTH, 1e-4)))[0]
 
 
 def test_one_direction_and_a_gap_are_said():
@@ -404,7 +404,7 @@ def test_recorded_encoders_are_taken_apart_by_their_waves():
         assert {e.name for e in d.effects} & set(largest.causes), file.name
         steps = np.degrees(max((w.model for w in d.waves if w.per_turn in (50, 100)), default=0.0))
         assert steps < 0.04 or "reference_pole_pairs" in d.ranked, file.name
-        assert d.metric["after"] < 0.4 * d.metric["before"], file.name
+        assert d.metric.after < 0.4 * d.metric.before, file.name
 
 
 @pytest.mark.slow

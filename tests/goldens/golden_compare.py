@@ -7,7 +7,7 @@ almost cancel a parameter), error tables to 7e-10, the numbers of a diagnosis to
 recording would tell: 3e-5). What is allowed here is about ten times that:
 
 - "fit": a value by 1e-9 of its size or 1e-6 standard deviations, which is what the tests of solvers call the
-  same optimum; standard uncertainties 1e-7; errors, noise and cost 1e-8; zero deviations 1e-9 or 1e-14.
+  same optimum; standard uncertainties 1e-7; errors, noise and cost 1e-8; zero deviations 1e-8 or 1e-14.
 - "diagnosis": names, verdict, groups and their order exactly; numbers 1e-3; shares and intervals .01 (shares
   of a single coordinate or link .05, a link of no weight may or may not be tried); p-values half a decade.
 - "json": 1e-6 of every number, and sensitivities 1e-12; "close": 1e-8; "exact": as it is.
@@ -33,7 +33,7 @@ def fit(path: str, old: float, holder: Any) -> float:
         std = holder.get("std")
         return max(1e-9 * abs(old), 1e-6 * std if isinstance(std, float) else 0.0)
     if path.startswith("zero_deviations"):
-        return max(1e-9 * abs(old), 1e-14)
+        return max(1e-8 * abs(old), 1e-14)
     if path.endswith(".std"):
         return 1e-7 * abs(old)
     if path == "covariance.correlation":

@@ -7,11 +7,8 @@ import pytest
 from twins import SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.covariance import estimate, inverse
-from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.likelihood import Cost, cost_of
-from hallsym.estimation.optimum import refit
-from hallsym.inference.bootstrap import Bootstrap, bootstrap
+from hallsym.estimation import Cost, Determination, cost_of, determine, inverse, refit, uncertainty
+from hallsym.inference import Bootstrap, bootstrap
 from hallsym.model.quantities import combination, linear, parameter
 
 MODEL = true_model()
@@ -76,7 +73,7 @@ def test_held_parameters_stay():
 def test_white_noise_spreads_as_the_likelihood_says():
     """Some 19 runs tell a gain or an angle: its scatter is known to 1 / sqrt(2 x 19) = 16 % (1 sigma)."""
     cost, p, found, drawn = paper()
-    e = estimate(cost, p, found)
+    e = uncertainty(cost, p, found)
     for name in ("eta_A", "eta_B", "eta_C", "theta_A", "theta_B", "theta_C"):
         k = MODEL.names.index(name)
         assert drawn.std[k] / e.std[k] == pytest.approx(1.0, abs=0.5)
@@ -173,7 +170,7 @@ def covered(seeds: range) -> tuple[dict[str, list[bool]], dict[str, list[bool]]]
         C = np.zeros((len(p), len(p)))
         C[np.ix_(free, free)] = inverse(cost.at(p).information().sum(axis=0)[np.ix_(free, free)])
         drawn = bootstrap(cost, p, found.held, replicates=400, seed=seed)
-        determined = estimate(cost, p, found).determined
+        determined = uncertainty(cost, p, found).determined
         quantities = [parameter(MODEL, n) for n, ok in zip(MODEL.names, determined, strict=True) if ok]
         for q in (*quantities, *(combination(MODEL, c) for c in MODEL.combinations)):
             (value, slope), (low, high) = q.first(p), drawn.interval(q)

@@ -10,12 +10,8 @@ from scipy.stats import chi2
 from twins import SIGMAS, cost_on, record, true_model, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.covariance import Estimate, estimate
-from hallsym.estimation.identifiable import Determination, determine
-from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.optimum import refit
-from hallsym.inference.profile_tangent import skewness, tangent
-from hallsym.inference.profiles import Profile, profile
+from hallsym.estimation import Cost, Determination, Uncertainty, determine, refit, uncertainty
+from hallsym.inference import Profile, profile, skewness, tangent
 from hallsym.model import Model
 from hallsym.model.quantities import Quantity, combination, linear, parameter
 
@@ -29,16 +25,16 @@ def solved(log_seed: int, factor: float = 1.0, model: Model = MODEL, samples: in
     cost = cost_on(with_noise(record(seed=log_seed, samples=samples, sigma=sigma), sigma), model, sigma)
     found = determine(cost, model.nominal)
     p = refit(cost, model.nominal, found.held)
-    return cost.anchored(p), p, found, estimate(cost, p, found)
+    return cost.anchored(p), p, found, uncertainty(cost, p, found)
 
 
 @cache
-def paper() -> tuple[Cost, np.ndarray, Determination, Estimate]:
+def paper() -> tuple[Cost, np.ndarray, Determination, Uncertainty]:
     return solved(11)
 
 
 @cache
-def noisy() -> tuple[Cost, np.ndarray, Determination, Estimate]:
+def noisy() -> tuple[Cost, np.ndarray, Determination, Uncertainty]:
     """60 times the noise, a third of the motion: intervals are lopsided."""
     return solved(12, factor=60.0)
 

@@ -126,7 +126,7 @@ def test_a_fixed_parameter_is_said_to_be_fixed_and_one_at_its_bound_to_be_there(
 
 def test_effect_of_a_parameter_is_what_the_decoder_does(report, fitted):
     """1 % of eta_A through the decoder itself, at the readings of the log, zero deviations held."""
-    from hallsym.estimation.decoding import decoder
+    from hallsym.estimation import decoder
 
     model, log = fitted.model, bundled_campaign()
     decode = decoder(model, np.ones(3))
@@ -164,11 +164,11 @@ def test_zero_deviations_scatter_as_much_as_their_uncertainty_says():
     for seed in range(20):
         log = with_noise(record(seed=100 + seed))
         told = identify(fit(log, true_model(), solver="direct", loss="none"), profiles="none", bootstrap=0)
-        for k, run in enumerate(runs):
-            row = told.nuisance["runs"][str(k)]
-            for name, true in zip(("delta_A", "delta_B", "delta_C"), run.zeros, strict=True):
-                squares.append(((row[name]["value"] - true) / row[name]["std"]) ** 2)
-    assert told.nuisance["count"] == 171
+        offsets = told.offsets
+        assert (offsets.names, offsets.runs) == (("delta_A", "delta_B", "delta_C"), tuple(range(len(runs))))
+        true = np.array([run.zeros for run in runs])
+        squares.append(((offsets.values - true) / offsets.std) ** 2)
+        assert offsets.values.size == 171
     assert np.mean(squares) == pytest.approx(1.0, abs=0.1)
 
 

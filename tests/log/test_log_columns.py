@@ -105,7 +105,7 @@ def test_no_column_with_a_unit_says_how_to_map(tmp_path: Path) -> None:
         ("[columns]\nhall_a_um = {name = 'A', gain = 2}\n", 'must be "Name"'),
         ("[column]\n", r"may hold counts_per_turn, \[columns\] and \[noise\]; it has 'column'"),
         ("[noise]\nhall_m = -1\n", "positive"),
-        ("[columns\n", "must be TOML"),
+        ("[columns\n", "not valid TOML"),
     ],
 )
 def test_bad_column_file(tmp_path: Path, text: str, says: str) -> None:

@@ -25,11 +25,15 @@ from hallsym.log import (
 )
 
 
-@pytest.fixture
-def small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+def nothing_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(format_parquet, "IN_MEMORY_ROWS", 100)
     monkeypatch.setattr(format_hdf5, "IN_MEMORY_ROWS", 100)
-    monkeypatch.setattr(format_csv, "_IN_MEMORY_BYTES", 100)
+    monkeypatch.setattr(format_csv, "IN_MEMORY_BYTES", 100)
+
+
+@pytest.fixture
+def small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing_in_memory(monkeypatch)
 
 
 SUFFIXES = (".parquet", ".csv", ".h5")
@@ -63,12 +67,7 @@ def test_checks_do_not_depend_on_streaming(
     arrays["x_ref_m"][500:530] = arrays["x_ref_m"][500]
     write_log(arrays, tmp_path / f"log{suffix}")
     held = clean_log(read_log(tmp_path))
-    for module, name in (
-        (format_parquet, "IN_MEMORY_ROWS"),
-        (format_hdf5, "IN_MEMORY_ROWS"),
-        (format_csv, "_IN_MEMORY_BYTES"),
-    ):
-        monkeypatch.setattr(module, name, 100)
+    nothing_in_memory(monkeypatch)
     streamed = clean_log(read_log(tmp_path))
     assert not streamed.table.in_memory
     assert streamed.notes == held.notes

@@ -15,15 +15,24 @@ from twins import Chopped, record, with_noise
 from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.log import Log, read_log
-from hallsym.report.figures.survey import Decode
-from hallsym.report.page import fit_page, gather, run_series
-from hallsym.report.page.cells import Tally
-from hallsym.report.page.html import VOID, Markup, escape, table, tag
-from hallsym.report.page.series import ACROSS, UP, figure
-from hallsym.report.page.svg import Scale, decades, label, ticks
+from hallsym.report.data import Decoder, Tally, gather, run_series
+from hallsym.report.page import (
+    ACROSS,
+    UP,
+    VOID,
+    Markup,
+    Scale,
+    decades,
+    escape,
+    figure,
+    fit_page,
+    label,
+    table,
+    tag,
+    ticks,
+)
 
 HOLDOUT = (2, 7, 12)
 
@@ -82,7 +91,7 @@ def page(log: Log, fitted: Fit) -> str:
 def test_page_is_well_formed_and_has_its_sections(page: str):
     outline = Outline(page)
     sections = [a["id"] for a in outline.all("section")]
-    assert sections == ["asked", "errors", "maps", "series", "parameters", "notes", "origin"]
+    assert sections == ["input", "errors", "maps", "series", "parameters", "notes", "origin"]
     idents = [a["id"] for _, a in outline.found if "id" in a]
     assert len(idents) == len(set(idents))
     assert {a["href"] for a in outline.all("a")} == {f"#{s}" for s in sections}
@@ -96,7 +105,7 @@ def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
     for row, where in (
         (rows["holdout"], "held out"),
         (rows["fitted"], "fitted"),
-        (rows["designed"], "designed"),
+        (rows["designed"], "nominal"),
     ):
         shown = [
             f"{1e6 * row[what][c]:#.3g}".rstrip(".") for what in ("rmse", "peak") for c in fitted.model.pose
@@ -109,7 +118,7 @@ def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
         assert f" {name} " in text
     for combination in fitted.combinations:
         assert combination.expression in text
-    assert text.count("no recording determines it") == len(fitted.structural)
+    assert text.count("not identifiable from any recording") == len(fitted.structural)
 
 
 def test_verdict_judges_by_held_out_runs_and_names_what_is_not_determined(page: str, fitted: Fit):
@@ -209,8 +218,8 @@ def test_another_log_is_named_as_such_and_gets_its_own_zeros(fitted: Fit, log: L
     other = with_noise(record(seed=9))
     text = Outline(fit_page(other, fitted)).text
     assert "This log is not the one that was fitted" in text
-    assert "held out" not in text.partition("What was asked")[2].partition("Parameters")[0]
-    found = gather(other, {"": fitted})  # zeros of the wrong log
+    assert "held out" not in text.partition("Input")[2].partition("Parameters")[0]
+    found = gather(other, fitted)  # zeros of the wrong log
     own = re.search(r"this log ([\d.]+) ([\d.]+) ([\d.]+)", text)
     rmse = found.survey.fitted.over()["rmse"]
     assert float(own[1]) < 1e6 * rmse["x_m"]
@@ -250,7 +259,7 @@ def test_unwritable_page_is_one_sentence(tmp_path, log: Log, fitted: Fit, capsys
 
 
 def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted: Fit):
-    found = gather(log, {"decoded": fitted})
+    found = gather(log, fitted)
     titles = [m.by for m in found.maps]
     assert titles[:4] == ["x [µm]", "x [µm]", "y [µm]", "Rz [µrad]"]
     assert titles[4].startswith("vertical setting")
@@ -262,9 +271,9 @@ def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted
     run = found.maps[5]
     assert [int(run.labels[k]) for k in run.marked] == list(HOLDOUT)
     (block,) = (b for b in log.blocks() if b.run == 2)
-    decode = Decode(fitted)
+    decode = Decoder(fitted)
     zeros = decode.zeros(2, np.array([block.data[c][0] for c in fitted.model.state]))
-    error = decode(block, zeros)[1] - np.array([block.data[c] for c in fitted.model.references])
+    error = decode.fitted(block, zeros) - np.array([block.data[c] for c in fitted.model.references])
     np.testing.assert_allclose(run.rms[:, 2], np.sqrt((error**2).mean(axis=1)), rtol=1e-9)
     floor = np.array(list(fitted.noise_floor.values()))
     spacing = np.diff(np.sort(error, axis=1)[:, len(error[0]) // 2 - 1 :][:, :2], axis=1)[:, 0]
@@ -272,10 +281,10 @@ def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted
 
 
 def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):
-    whole = gather(log, {"decoded": fitted})
+    whole = gather(log, fitted)
     pieces: Log = Chopped(log, (7, 1, 19))  # type: ignore[assignment]
     pieces.columns = log.columns  # type: ignore[misc]
-    parts = gather(pieces, {"decoded": fitted})
+    parts = gather(pieces, fitted)
     for a, b in zip(whole.maps, parts.maps, strict=True):
         np.testing.assert_array_equal(a.count, b.count)
         np.testing.assert_allclose(a.median, b.median, rtol=1e-12)
@@ -287,7 +296,7 @@ def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):
 
 def test_an_axis_at_rest_shows_no_bias_at_the_middle(log: Log, fitted: Fit):
     """Runs that move y rest at x = 0 with noise of both signs, which must not decide the cell."""
-    over_x = gather(log, {"decoded": fitted}).maps[1]
+    over_x = gather(log, fitted).maps[1]
     middle = np.argmax(over_x.count)
     assert over_x.edges[middle] < 0 < over_x.edges[middle + 1]
     error = 1.2533 * over_x.rms[:, middle] / math.sqrt(over_x.count[middle])

@@ -12,8 +12,9 @@ from test_page import HOLDOUT
 from test_page_diagnosis import POSE, a_record
 from twins import record, with_noise
 
-from hallsym.estimation.fit import fit
-from hallsym.report.page import diagnosis_page, fit_page, gather, run_series
+from hallsym.estimation import fit
+from hallsym.report.data import gather, run_series
+from hallsym.report.page import diagnosis_page, fit_page
 
 OVERLAPS = """
 JSON.stringify({ across: document.documentElement.scrollWidth - document.documentElement.clientWidth,
@@ -66,7 +67,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     t = np.linspace(0, 20, 40_000)
     noise = np.random.default_rng(0).standard_normal((3, t.size))
     errors = {"before": 3e-6 * np.sin(2 * t) + 1e-6 * noise, "after": 1e-6 * noise}
-    found = gather(log, {"before": fitted})
+    found = gather(log, fitted, label="before")
     series = [run_series("run 2, held out", POSE, t, errors)]
     wordy = a_record()
     wordy["effects"][0]["name"] = wordy["where"][0]["by"] = "a_long_name_of_an_effect_that_a_user_wrote" * 3

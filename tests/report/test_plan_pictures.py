@@ -9,7 +9,7 @@ from twins import SIGMAS, TRUTH, with_noise
 
 from hallsym.experiment import paper_ranges, plan
 from hallsym.families import build
-from hallsym.report.figures.plan import coverage, criterion_by_runs
+from hallsym.report.figures import coverage, criterion_by_runs
 from hallsym.simulation import paper_campaign, simulate
 
 MODEL, TABLE6 = build("stage31"), paper_campaign(0.02)

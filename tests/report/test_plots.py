@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from twins import SIGMAS, record, with_noise
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.families import build
 from hallsym.log import Log
+from hallsym.report import data
 from hallsym.report import figures as plots
 from hallsym.simulation import Campaign, NoiseModel, Run, simulate, sine
 
@@ -25,8 +25,8 @@ def fitted(log: Log) -> Fit:
 
 
 @pytest.fixture(scope="module")
-def survey(log: Log, fitted: Fit) -> plots.Survey:
-    return plots.look_over(log, fitted)
+def survey(log: Log, fitted: Fit) -> data.Survey:
+    return data.look_over(log, fitted)
 
 
 def _legends(figure) -> list[str]:
@@ -36,10 +36,10 @@ def _legends(figure) -> list[str]:
 # -- figures of a campaign -------------------------------------------------------------------------------
 
 
-def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: plots.Survey) -> None:
+def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: data.Survey) -> None:
     assert survey.errors[0].width > 1, "the log shall be long enough to be decimated"
     figure = plots.errors_before_after(fitted, survey)
-    tables = (survey.designed, survey.fitted)
+    tables = (survey.nominal, survey.fitted)
     assert len(figure.axes) == 6
     for k, ax in enumerate(figure.axes):
         trace = max(ax.lines, key=lambda line: len(line.get_xdata()))
@@ -55,7 +55,7 @@ def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: plots.Survey
 
 
 def test_measured_lays_the_decoded_pose_over_the_reference(
-    log: Log, fitted: Fit, survey: plots.Survey
+    log: Log, fitted: Fit, survey: data.Survey
 ) -> None:
     figure = plots.measured(log, fitted, survey)
     assert len(figure.axes) == 12
@@ -68,14 +68,14 @@ def test_measured_lays_the_decoded_pose_over_the_reference(
     assert {"Hall A", "Hall B", "Hall C", "reference"} <= set(_legends(figure))
 
 
-def test_errors_by_setting_shows_every_series(fitted: Fit, survey: plots.Survey) -> None:
-    steps = {"Model (30)": survey.designed}
+def test_errors_by_setting_shows_every_series(fitted: Fit, survey: data.Survey) -> None:
+    steps = {"Model (30)": survey.nominal}
     figure = plots.errors_by_setting(fitted, survey, steps)
-    labels = ["designed", "Model (30)", "fitted", "fitted, held-out runs", "noise floor"]
+    labels = ["nominal", "Model (30)", "fitted", "fitted, held-out runs", "noise floor"]
     assert _legends(figure) == labels
     assert [ax.get_ylabel() for ax in figure.axes] == ["rmse x [µm]", "rmse y [µm]", "rmse Rz [µrad]"]
     assert all(ax.get_yscale() == "log" for ax in figure.axes)
-    level = survey.designed.over((0, 1, 2))
+    level = survey.nominal.over((0, 1, 2))
     assert level is not None
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata()[0], 1e6 * level["rmse"]["x_m"], rtol=1e-9)
 
@@ -83,7 +83,7 @@ def test_errors_by_setting_shows_every_series(fitted: Fit, survey: plots.Survey)
 def test_parameters_say_what_is_not_determined(fitted: Fit) -> None:
     figure = plots.parameters(fitted)
     words = [text.get_text() for place in (*figure.axes, figure) for text in place.texts]
-    told = words.count("not determined") + words.count("not determined, held")
+    told = words.count("not determined") + words.count("not identifiable, fixed")
     assert told == np.sum(~fitted.determined) - len(fitted.at_bound)
     assert sum("±" in word for word in words) == fitted.determined.sum() + len(fitted.combinations) + 1
     half = 100 * plots.COVERAGE * np.nanmax(fitted.std / (fitted.model.bounds[1] - fitted.model.bounds[0]))
@@ -107,8 +107,8 @@ def test_one_run_without_holdout(timed: bool) -> None:
         del columns["t_s"]
     log = with_noise(columns)
     result = fit(log, "stage15", solver="direct", loss="none")
-    survey = plots.look_over(log, result)
-    assert plots.settings(result, survey) == ([("0", [0])], "run")
+    survey = data.look_over(log, result)
+    assert data.settings(result, survey) == ([("0", [0])], "run")
     figure = plots.errors_before_after(result, survey)
     assert figure.axes[-1].get_xlabel() == ("time [s]" if timed else "sample")
     assert len(_legends(figure)) == 1
@@ -118,7 +118,7 @@ def test_one_run_without_holdout(timed: bool) -> None:
 
 def test_a_run_too_long_to_see_is_shown_from_its_start(fitted: Fit) -> None:
     log = with_noise(one_run(100_000, "stage31"))
-    figure = plots.measured(log, fitted, plots.look_over(log, fitted))
+    figure = plots.measured(log, fitted, data.look_over(log, fitted))
     title = figure.axes[0].get_title("left")
     assert title.startswith("run 0, Z +100 µm, first ")
     assert title.endswith(" s")
@@ -127,13 +127,13 @@ def test_a_run_too_long_to_see_is_shown_from_its_start(fitted: Fit) -> None:
     np.testing.assert_allclose(np.nanmax(figure.axes[0].lines[0].get_xdata()), seconds, rtol=0.01)
 
 
-def test_rms_lies_over_errors_that_are_a_solid_block(fitted: Fit, survey: plots.Survey) -> None:
+def test_rms_lies_over_errors_that_are_a_solid_block(fitted: Fit, survey: data.Survey) -> None:
     assert "local rms" not in _legends(plots.errors_before_after(fitted, survey)), (
         "short runs are seen as they are"
     )
     long = with_noise(one_run(40_000))
     result = fit(long, "stage15", solver="direct", loss="none")
-    survey = plots.look_over(long, result)
+    survey = data.look_over(long, result)
     figure = plots.errors_before_after(result, survey)
     assert "local rms" in _legends(figure)
     for k, ax in enumerate(figure.axes[1::2]):
@@ -143,11 +143,11 @@ def test_rms_lies_over_errors_that_are_a_solid_block(fitted: Fit, survey: plots.
         np.testing.assert_allclose(np.sqrt(np.mean(line.get_ydata() ** 2)), rmse, rtol=1e-2)
 
 
-def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: plots.Survey) -> None:
+def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: data.Survey) -> None:
     """Margins are stated in inches: everything must fit into them."""
     from matplotlib import style
 
-    steps = {f"Model ({k})": survey.designed for k in (15, 30)}
+    steps = {f"Model ({k})": survey.nominal for k in (15, 30)}
     with style.context(["default", plots.STYLE]):
         figures = (
             plots.measured(log, fitted, survey),

@@ -15,22 +15,24 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from hallsym.errors import InputError
-from hallsym.inference import Identifiability
-from hallsym.inference.verdict import VERDICTS
-from hallsym.report.figures import DPI, STYLE, WIDTH
-from hallsym.report.figures.captions import broken, number
-from hallsym.report.figures.saving import save_figures
-from hallsym.report.figures.sensitivity import (
+from hallsym.inference import VERDICTS, Identifiability
+from hallsym.report.figures import (
+    DPI,
+    LOOKS,
+    STYLE,
+    WIDTH,
+    broken,
     correlation,
     drawable,
     effects,
     intervals,
     profiles,
+    save_figures,
     save_sensitivity_pictures,
     spectrum,
+    text_width,
 )
-from hallsym.report.figures.style import text_width
-from hallsym.report.figures.verdicts import LOOKS
+from hallsym.report.words import digits
 
 PICTURES = {
     "correlation": correlation,
@@ -159,4 +161,4 @@ def test_broken_lines_fit_and_lose_no_word() -> None:
     ],
 )
 def test_numbers_have_the_digits_of_their_interval(value: float, half: float, text: str) -> None:
-    assert number(value, half) == text
+    assert digits(value, half) == text

@@ -12,18 +12,18 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from hallsym.inference import Identifiability
-from hallsym.report.figures import STYLE
-from hallsym.report.figures.correlation import blocks
-from hallsym.report.figures.profiles import ends_in_words
-from hallsym.report.figures.sensitivity import (
+from hallsym.report.figures import (
+    LOOKS,
+    STYLE,
+    blocks,
     correlation,
     effects,
+    ends_in_words,
     intervals,
     profiles,
+    sorts,
     spectrum,
 )
-from hallsym.report.figures.spectrum import sorts
-from hallsym.report.figures.verdicts import LOOKS
 
 
 @pytest.fixture(autouse=True)
@@ -130,7 +130,7 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
     for ax, column, unit in zip(figure.axes, odd.model.pose, ("µm", "µm", "µrad"), strict=True):
         assert ax.get_xlabel().endswith(f"[{unit}]")
         assert ax.get_xscale() == "log"
-        floor = odd.outputs[column]["noise_floor"]
+        floor = odd.outputs[column].noise_floor
         expected = {}
         for row, e in enumerate(rows):
             for side, change in ((-1, e.sigma), (1, e.percent)):
@@ -156,7 +156,7 @@ def test_bars_of_effects_end_at_what_the_report_says(odd: Identifiability) -> No
 def test_a_change_too_small_to_draw_is_a_mark_at_the_edge_and_none_is_nothing(level: Identifiability) -> None:
     figure = effects(level)
     for ax, column in zip(figure.axes, level.model.pose, strict=True):
-        least = 1e-3 * level.outputs[column]["noise_floor"]
+        least = 1e-3 * level.outputs[column].noise_floor
         every = [e.percent.worst[column] for e in level.parameters]
         every += [e.sigma.worst[column] for e in level.parameters if e.sigma]
         marks = [line for line in ax.lines if line.get_marker() == "<"]
@@ -264,7 +264,7 @@ def test_intervals_lie_in_their_bounds(full: Identifiability) -> None:
     text = words(figure)
     assert text.count("not determined") == 6
     assert sum(" to " in line for line in text) == 15 + len(full.combinations)
-    assert "Determined instead" in text
+    assert "Identifiable combinations" in text
 
 
 def test_intervals_without_ends_are_arrows_and_words(odd: Identifiability) -> None:

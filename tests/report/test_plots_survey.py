@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from twins import record, with_noise
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.log import Block, Log
+from hallsym.report import data
 from hallsym.report import figures as plots
-from hallsym.report.figures.names import name, plus_minus, scale
+from hallsym.report.words import name, plus_minus, scale
 
 HOLDOUT = (2, 7, 12)
 
@@ -24,8 +24,8 @@ def fitted(log: Log) -> Fit:
 
 
 @pytest.fixture(scope="module")
-def survey(log: Log, fitted: Fit) -> plots.Survey:
-    return plots.look_over(log, fitted)
+def survey(log: Log, fitted: Fit) -> data.Survey:
+    return data.look_over(log, fitted)
 
 
 # -- traces ----------------------------------------------------------------------------------------------
@@ -35,12 +35,12 @@ def test_trace_keeps_every_extreme_of_a_long_log() -> None:
     rng = np.random.default_rng(3)
     values = rng.standard_normal((2, 50_000))
     values[0, 31_234], values[1, 7] = 50.0, np.nan
-    trace, first = plots.Trace(2), 0
+    trace, first = data.Trace(2), 0
     for size in (1, 700, 8192, 8192, 20_000, 12_915):
         trace.add(values[:, first : first + size])
         first += size
     assert first == trace.count == 50_000
-    assert plots.COLUMNS <= trace.low.shape[1] <= 2 * plots.COLUMNS
+    assert data.COLUMNS <= trace.low.shape[1] <= 2 * data.COLUMNS
     at = np.arange(50_000) // trace.width
     for k in range(2):
         for column in (0, 1, 976, trace.low.shape[1] - 1):
@@ -51,7 +51,7 @@ def test_trace_keeps_every_extreme_of_a_long_log() -> None:
 
 
 def test_short_trace_is_drawn_sample_by_sample_and_broken_between_runs() -> None:
-    trace = plots.Trace(1)
+    trace = data.Trace(1)
     trace.add(np.arange(10.0)[None])
     x, y = trace.line(0, trace.samples, [4])
     np.testing.assert_array_equal(x, [0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9])
@@ -61,7 +61,7 @@ def test_short_trace_is_drawn_sample_by_sample_and_broken_between_runs() -> None
 def test_cells_of_a_trace_have_extent_and_rms() -> None:
     values = np.random.default_rng(4).standard_normal((2, 30_000))
     values[1, 12_000:12_100] = np.nan
-    trace = plots.Trace(2, squares=True)
+    trace = data.Trace(2, squares=True)
     for first in range(0, 30_000, 7000):
         trace.add(values[:, first : first + 7000])
     per_cell, extent, rms = trace.cells(420)
@@ -75,7 +75,7 @@ def test_cells_of_a_trace_have_extent_and_rms() -> None:
 
 
 def test_a_cell_without_kept_samples_has_no_rms() -> None:
-    trace = plots.Trace(1, squares=True)
+    trace = data.Trace(1, squares=True)
     trace.add(np.array([[3.0, 4.0, np.nan, np.nan]]))
     _, extent, rms = trace.cells(2)
     np.testing.assert_array_equal(extent, [[1.0, np.nan]])
@@ -85,9 +85,9 @@ def test_a_cell_without_kept_samples_has_no_rms() -> None:
 # -- the survey of a log ---------------------------------------------------------------------------------
 
 
-def test_survey_has_the_error_tables_of_the_fit(fitted: Fit, survey: plots.Survey) -> None:
+def test_survey_has_the_error_tables_of_the_fit(fitted: Fit, survey: data.Survey) -> None:
     assert fitted.errors is not None
-    for mine, theirs in ((survey.designed, fitted.errors.designed), (survey.fitted, fitted.errors.fitted)):
+    for mine, theirs in ((survey.nominal, fitted.errors.designed), (survey.fitted, fitted.errors.fitted)):
         assert mine.runs == theirs.runs
         np.testing.assert_allclose(mine.squares, theirs.squares, rtol=1e-9)
         np.testing.assert_allclose(mine.peak, theirs.peak, rtol=1e-9)
@@ -97,7 +97,7 @@ def test_survey_leaves_out_what_keep_rejects(log: Log, fitted: Fit) -> None:
     def keep(block: Block) -> np.ndarray:
         return (np.abs(block.data["y_ref_m"]) < 400e-6).astype(float)
 
-    survey = plots.look_over(log, fitted, keep)
+    survey = data.look_over(log, fitted, keep)
     rejected = int(np.sum(np.abs(log.array("y_ref_m")) >= 400e-6))
     assert survey.n_rejected == rejected > 0
     assert survey.fitted.count.sum() == log.rows - rejected
@@ -105,12 +105,12 @@ def test_survey_leaves_out_what_keep_rejects(log: Log, fitted: Fit) -> None:
     assert f"rejected sample ({rejected})" in words
 
 
-def test_representative_runs_move_each_axis(survey: plots.Survey) -> None:
-    assert plots.representative(survey) == [0, 1, 2]  # Table A1: Y, X, Rz at each setting
+def test_representative_runs_move_each_axis(survey: data.Survey) -> None:
+    assert data.representative(survey) == [0, 1, 2]  # Table A1: Y, X, Rz at each setting
 
 
-def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: plots.Survey) -> None:
-    groups, title = plots.settings(fitted, survey)
+def test_settings_are_labelled_by_what_the_stage_does(fitted: Fit, survey: data.Survey) -> None:
+    groups, title = data.settings(fitted, survey)
     labels = [label.replace("\N{MINUS SIGN}", "-") for label, _ in groups]
     assert len(groups) == 19
     assert labels[0] == "level"

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from solver_problems import GLOBAL, SPHERE
 
 import solvers
-from solvers import SOLVERS, Problem, Result, Stop, minimize
-from solvers.box import BOUNDS, reflect
+from solvers import BOUNDS, SOLVERS, Problem, Result, Stop, minimize, reflect
 
 NAMES = tuple(solver.__name__ for solver in SOLVERS)
 each_solver = pytest.mark.parametrize("name", NAMES)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from solver_problems import GLOBAL, ROSENBROCK, SPHERE, _known
 
-from solvers import SOLVERS, Problem, hybrid
-from solvers.hybrid import EXPLORERS, REFINERS
+from solvers import EXPLORERS, REFINERS, SOLVERS, Problem, hybrid
 
 # Two valleys: the broad one is shallow (cost 1 at x = -2), the narrow one deep (0 at x = 2).
 TWO = _known(

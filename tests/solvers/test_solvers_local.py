@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from solver_problems import LOCAL, MISRA1A, ROSENBROCK, SPHERE
 
-from solvers import Ipopt, Problem, ipopt, newton
-from solvers.quadratic import bounded_step
+from solvers import Ipopt, Problem, bounded_step, ipopt, newton
 
 METHODS = (ipopt, newton)
 GIVEN = ("derivatives", "expression")

@@ -9,23 +9,23 @@ from scipy import stats
 from twins import record, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.families.stage import models as stage
 from hallsym.log import Noise, Sigma
-from hallsym.report.text.budget import comparison_sentence
+from hallsym.report.text import comparison_sentence
 from hallsym.uncertainty import (
     Budget,
     Linear,
     Settings,
     Source,
     budget_monte_carlo,
+    decoded_at_random,
+    independent_inputs,
     position_budget,
     position_monte_carlo,
     propagate,
     tolerance,
 )
-from hallsym.uncertainty.monte_carlo import decoded_at_random
 
 SOMEWHERE = {"x_m": 2e-4, "y_m": -3e-4, "rz_rad": 1e-4, "z_m": 2e-4, "rx_rad": -3e-4, "ry_rad": 1e-4}
 
@@ -214,14 +214,14 @@ def test_each_source_alone_has_the_scatter_it_is_given():
     known = replace(fitted(), covariance=1e-12 * fitted().covariance)
     every = position_budget(known, SOMEWHERE, FULL)
     names = [s.name for s in every["x_m"].sources[1:]]
-    from hallsym.uncertainty import inputs as module
-
-    listed = module.inputs(known, FULL)
+    listed = independent_inputs(known, FULL)
     assert [i.source.name for i in listed] == names
     for k, entry in enumerate(listed):
         alone = pytest.MonkeyPatch()
         with alone.context() as patch:
-            patch.setattr("hallsym.uncertainty.monte_carlo.inputs", lambda *_, entry=entry: (entry,))
+            patch.setattr(
+                "hallsym.uncertainty.monte_carlo.independent_inputs", lambda *_, entry=entry: (entry,)
+            )
             drawn = decoded_at_random(known, SOMEWHERE, FULL)(rng(k), 5000)
         for i, budget in enumerate(every.values()):
             stated = abs(budget.sources[1 + k].contribution)

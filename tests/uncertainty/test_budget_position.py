@@ -12,20 +12,20 @@ from hypothesis import strategies as st
 from twins import HALL, SIGMAS, phi, pm, record, true_model, with_noise
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.log import Log
 from hallsym.model import Family, Model, Parameter
 from hallsym.uncertainty import (
     Settings,
+    independent_inputs,
     map_axes,
     notes,
     over_log,
     position_budget,
     position_monte_carlo,
+    slopes,
     uncertainty_map,
 )
-from hallsym.uncertainty.inputs import inputs, slopes
 
 POSE, STATE = ("x_m", "y_m", "rz_rad"), ("z_m", "rx_rad", "ry_rad")
 SOMEWHERE = {"x_m": 2e-4, "y_m": -3e-4, "rz_rad": 1e-4, "z_m": 2e-4, "rx_rad": -3e-4, "ry_rad": 1e-4}
@@ -159,7 +159,7 @@ def test_noise_averages_and_steps_do_not(averaged, zeroed, scale):
 
 def test_the_noise_of_the_reference_enters_only_at_the_zeroing():
     loud = replace(fitted(), noise=with_noise(record(seed=1), {**SIGMAS, "x_ref_m": 9e-6}).noise)
-    named = {i.source.name for i in inputs(loud, Settings())}
+    named = {i.source.name for i in independent_inputs(loud, Settings())}
     assert not any("ref" in name for name in named)
     known_well = Settings(zero_pose_std=dict.fromkeys(POSE, 1e-9))
     assert np.allclose(variance(SOMEWHERE, known_well, loud), variance(SOMEWHERE, known_well), rtol=1e-12)

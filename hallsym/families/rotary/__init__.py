@@ -1,11 +1,12 @@
 """The Hall rotary encoder, read as two voltages or as an angle: models and effects."""
 
 from hallsym.families.rotary import models
-from hallsym.families.rotary.effects import EFFECTS, direct
+from hallsym.families.rotary.effects import EFFECTS, direct, short
 from hallsym.model import Example, Family, PoseMetric
 
 FAMILY = Family(
     name="rotary",
+    noun="encoder",
     about="an encoder (v_sin_v and v_cos_v, or angle_rad; angle_ref_rad)",
     readings=r"v_(sin|cos)_v|angle_rad",
     pose_metric=PoseMetric("rad"),
@@ -31,6 +32,7 @@ FAMILY = Family(
         noise={"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_rad": 3.5e-4, "angle_ref_rad": 2e-5},
     ),
     direct=direct,
+    short=short,
     pairs=True,
     most_effects=6,
     decoder="angle",

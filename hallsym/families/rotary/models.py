@@ -302,9 +302,6 @@ def zero_deviation(model: Model) -> Model:
     return wide.with_parameters({"zero": {"nominal": 0.0, "lower": 0.0, "upper": 0.0}})
 
 
-EFFECTS = (harmonics, zero_deviation)
-
-
 # -- a start in closed form ------------------------------------------------------------------------------
 
 

@@ -1,6 +1,6 @@
 """Periodic signals by their value at an angle: the same chain as with waves, without multiplying them out.
 
-A `Wave` knows its harmonics, which a fit from run summaries needs; a product of two of n and m terms has
+A `Wave` knows its harmonics, which a fit from run statistics needs; a product of two of n and m terms has
 n m of them, and a power of a sum soon has thousands. Where the readings are evaluated sample by sample
 nobody asks for harmonics: a `Waveform` is only ever evaluated, and a product is one multiplication.
 """

@@ -6,6 +6,7 @@ from hallsym.model import Family, PoseMetric
 
 FAMILY = Family(
     name="stage",
+    noun="stage",
     about="a stage (hall_a_m, ..., x_ref_m)",
     readings=r"hall_\w+_m",
     pose_metric=PoseMetric("m", arm_m=0.35),

@@ -215,9 +215,6 @@ def exact_rotation(model: Model) -> Model:
     return model.with_step("mechanics", step, effect="exact_rotation")
 
 
-EFFECTS = (zero_deviation, vertical_coupling, tied_vertical_coupling, exact_rotation)
-
-
 # -- a start in closed form ------------------------------------------------------------------------------
 
 

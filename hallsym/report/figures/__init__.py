@@ -1,12 +1,10 @@
-"""Pictures of a fit for print: what was measured, errors before and after, where they are, the parameters.
+"""Pictures for print: of a fit, of what data determine, of budgets, tolerances and plans.
 
-They follow Figures 9 to 12 of Chen et al., Sensors 2016, 16, 872, doi:10.3390/s16060872. A log of any length
-is read in blocks and reduced to its least and greatest value per picture column, so a peak never gets lost.
-Data stay in SI; axes say um, urad or mV. Colours differ in lightness and every series has its own line style
-or marker, so that a greyscale print can be read. matplotlib is imported only to draw.
-
-`trace` and `survey` reduce the log; `runs`, `errors`, `by_setting` and `estimates` draw one picture each with
-the help of `names` and `style`.
+Those of a fit follow Figures 9 to 12 of Chen et al., Sensors 2016, 16, 872, doi:10.3390/s16060872. What is
+drawn comes from `hallsym.report.data`: a log of any length is read in blocks and reduced to its least and
+greatest value per picture column, so a peak never gets lost. Data stay in SI; axes say um, urad or mV.
+Colours differ in lightness and every series has its own line style or marker, so that a greyscale print can
+be read. matplotlib is imported only to draw.
 """
 
 from __future__ import annotations
@@ -20,32 +18,58 @@ from hallsym.estimation.channel_assignment import as_read
 from hallsym.estimation.decoding import ErrorTable
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
-from hallsym.report.figures.by_setting import errors_by_setting, settings
+from hallsym.report.data import look_over
+from hallsym.report.figures.by_setting import errors_by_setting
+from hallsym.report.figures.captions import broken
+from hallsym.report.figures.correlation import blocks, correlation
+from hallsym.report.figures.effects import effects
 from hallsym.report.figures.errors import errors_before_after
 from hallsym.report.figures.estimates import COVERAGE, parameters
-from hallsym.report.figures.runs import measured, representative
+from hallsym.report.figures.intervals import intervals
+from hallsym.report.figures.measured import measured
+from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
+from hallsym.report.figures.profiles import ends_in_words, profiles
 from hallsym.report.figures.saving import SUFFIXES, save_figures
-from hallsym.report.figures.style import DPI, STYLE, WIDTH
-from hallsym.report.figures.survey import Survey, look_over
-from hallsym.report.figures.trace import COLUMNS, Trace
+from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
+from hallsym.report.figures.spectrum import sorts, spectrum
+from hallsym.report.figures.style import DPI, STYLE, WIDTH, text_width
+from hallsym.report.figures.tolerances import save_tolerances, tolerances
+from hallsym.report.figures.uncertainty import budget_bars, save_budget_pictures, uncertainty_picture
+from hallsym.report.figures.verdicts import LOOKS
 
 __all__ = [
-    "COLUMNS",
     "COVERAGE",
     "DPI",
+    "LOOKS",
     "STYLE",
     "SUFFIXES",
     "WIDTH",
-    "Survey",
-    "Trace",
+    "blocks",
+    "broken",
+    "budget_bars",
+    "correlation",
+    "coverage",
+    "criterion_by_runs",
+    "drawable",
+    "effects",
+    "ends_in_words",
     "errors_before_after",
     "errors_by_setting",
-    "look_over",
+    "intervals",
     "measured",
     "parameters",
-    "representative",
+    "profiles",
+    "save_budget_pictures",
+    "save_figures",
     "save_pictures",
-    "settings",
+    "save_plan_pictures",
+    "save_sensitivity_pictures",
+    "save_tolerances",
+    "sorts",
+    "spectrum",
+    "text_width",
+    "tolerances",
+    "uncertainty_picture",
 ]
 
 
@@ -61,7 +85,7 @@ def save_pictures(
     """Draw the pictures of `fit` on `log` into `folder` (made if missing) and return the files written.
 
     `measured`, `errors_before_after`, `errors_by_setting` and `parameters`. `steps`: error tables of models
-    between the designed and the fitted one, by name; they are shown by setting.
+    between the nominal and the fitted one, by name; they are shown by setting.
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part and are marked.
     `suffixes`: any of png, pdf, svg. The log is read twice, in blocks.
     """

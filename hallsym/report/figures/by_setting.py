@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import ErrorTable
-from hallsym.report.figures.names import LEVEL, largest, name, scale, setting, thinned, unit
+from hallsym.report.data import MOST_SETTINGS, Group, Survey, held_out, settings
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -27,17 +27,14 @@ from hallsym.report.figures.style import (
     panels,
     text_width,
 )
-from hallsym.report.figures.survey import Survey, held_out
+from hallsym.report.words import largest, name, scale, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_SETTINGS = 60
 PER_ROW = 6
 """Series side by side in the legend."""
-
-Group = tuple[str, list[int]]
 
 
 def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] | None = None) -> Figure:
@@ -50,7 +47,7 @@ def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] 
     for k, (ax, coordinate) in enumerate(zip(axes[:, 0], fit.model.pose, strict=True)):
         values = np.array([[_rmse(table, runs, k) for runs in sets] for _, table, sets, _, _ in series])
         floor = float(fit.noise_floor.get(coordinate, 0.0))
-        factor, shown = scale(coordinate, largest(values))
+        factor, shown = scale(coordinate, largest(values), fit.model.period)
         for (label, _, _, look, aside), y in zip(series, factor * values, strict=True):
             ax.plot(np.arange(len(y)) + aside, y, ls="none", label=label, zorder=3, **look)
         if len(groups) <= MOST_SETTINGS:
@@ -79,7 +76,7 @@ def _series(
     size = {"ms": 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0}
     looks: list[dict[str, Any]] = [{"marker": "s", "mfc": "white", "color": BEFORE}]
     found: list[tuple[str, ErrorTable, list[list[int]], dict[str, Any], Any]] = [
-        ("designed", survey.designed, every, looks[0] | size, 0.0)
+        ("nominal", survey.nominal, every, looks[0] | size, 0.0)
     ]
     for k, (label, table) in enumerate(steps.items()):
         look = {"marker": MARKERS[k % len(MARKERS)], "mfc": "white", "color": SERIES[(k + 2) % len(SERIES)]}
@@ -116,44 +113,3 @@ def _number(ax: Axes, groups: Sequence[Group], ticks: Sequence[int]) -> None:
     if len(ticks) > 30:
         ax.tick_params("x", labelsize=7)
     ax.set_xlim(-0.7, len(groups) - 0.3)
-
-
-def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
-    """Return `[(label, runs)]` by vertical setting and the axis title; one entry per run without settings.
-
-    Runs belong to one setting when their mean vertical states agree within 2 % of what the campaign covers.
-    A state that moves within runs, or never changes, makes no settings.
-    """
-    made = {c.name for c in fit.model.computed}
-    axes = [k for k, c in enumerate(fit.model.state) if c.endswith(("_m", "_rad")) and c not in made]
-    state, drift = survey.state[:, axes], survey.drift[:, axes]
-    by_run = [(str(run), [run]) for run in survey.runs]
-    if not axes or len(survey.runs) < 2:
-        return by_run, "run"
-    spread = np.ptp(state, axis=0)
-    near = np.maximum(0.02 * spread, LEVEL)
-    if np.all(spread < LEVEL) or np.any(np.median(drift, axis=0) > np.maximum(0.1 * spread, 2 * LEVEL)):
-        return by_run, "run"
-    centres: list[np.ndarray] = []
-    members: list[list[int]] = []
-    for run, point in zip(survey.runs, state, strict=True):
-        match = [k for k, c in enumerate(centres) if np.all(np.abs(point - c) <= near)]
-        if match:
-            members[match[0]].append(run)
-        else:
-            centres.append(point)
-            members.append([run])
-        if len(centres) > MOST_SETTINGS:
-            return by_run, "run"
-    columns = tuple(fit.model.state[k] for k in axes)
-
-    def place(k: int) -> tuple:
-        moved = np.abs(centres[k]) > near
-        return (int(moved.sum()), tuple(~moved), tuple(np.where(moved, centres[k], 0.0)))
-
-    shown = "; ".join(
-        f"{', '.join(name(c) for c in columns if unit(c) == u)} in {u}"
-        for u in dict.fromkeys(map(unit, columns))
-    )
-    order = sorted(range(len(centres)), key=place)
-    return [(setting(columns, centres[k], near), members[k]) for k in order], f"vertical setting ({shown})"

@@ -1,13 +1,10 @@
-"""Sentences below the axes of a picture, broken into lines, and numbers in the units people read."""
+"""Sentences below the axes of a picture, broken into lines."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from hallsym.report.figures.names import MINUS
 from hallsym.report.figures.style import LINE, WIDTH, text_width
 
 if TYPE_CHECKING:
@@ -38,18 +35,3 @@ def caption(figure: Figure, lines: Sequence[str]) -> None:
     width, tall = figure.get_size_inches()
     for k, text in enumerate(reversed(lines)):
         figure.text(EDGE / width, (0.06 + LINE * k) / tall, text)
-
-
-def readable_unit(unit: str) -> tuple[float, str]:
-    """Factor and unit of a parameter where a person reads: mm, degrees, nothing for 1."""
-    return {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "1": (1.0, "")}.get(unit, (1.0, unit))
-
-
-def number(value: float, half: float) -> str:
-    """A value with as many digits as two digits of `half` need."""
-    if not np.isfinite(value):
-        return "unknown" if np.isnan(value) else "∞" if value > 0 else f"{MINUS}∞"
-    if not (np.isfinite(half) and half > 0):
-        return f"{value:.4g}".replace("-", MINUS)
-    digits = int(np.clip(1 - np.floor(np.log10(half)), 0, 12))
-    return f"{value:.{digits}f}".replace("-", MINUS)

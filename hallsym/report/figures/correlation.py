@@ -9,7 +9,6 @@ from scipy.sparse.csgraph import connected_components
 
 from hallsym.inference.verdict import TRADED
 from hallsym.report.figures.captions import broken, caption, height
-from hallsym.report.figures.names import MINUS
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -19,11 +18,13 @@ from hallsym.report.figures.style import (
     LINE,
     SHADE,
     WIDTH,
+    key,
     legend,
     panels,
     text_width,
 )
 from hallsym.report.figures.verdicts import by_verdict
+from hallsym.report.words import MINUS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,10 +145,8 @@ def _caption(report: Identifiability, boxed: bool) -> list[str]:
 
 
 def _legend(figure: Figure) -> None:
-    from matplotlib.lines import Line2D
-
     handles = [
-        Line2D([], [], ls="none", marker="s", ms=7, color=AFTER, label="correlated"),
-        Line2D([], [], ls="none", marker="s", ms=7, mfc="white", color=BEFORE, label="anticorrelated"),
+        key("correlated", ls="none", marker="s", ms=7, color=AFTER),
+        key("anticorrelated", ls="none", marker="s", ms=7, mfc="white", color=BEFORE),
     ]
     legend(figure, handles, "upper left", ncols=2)

@@ -6,22 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.names import largest, name, scale
 from hallsym.report.figures.style import (
     AFTER,
     BLACK,
     DASHED,
     GREY,
-    STRIPE,
     WIDTH,
-    bands,
+    key,
     label_x,
     legend,
     log_axis,
     panels,
+    stripes,
     text_width,
 )
 from hallsym.report.figures.verdicts import LOOKS, present, shown
+from hallsym.report.words import largest, name, scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,10 +60,10 @@ def _panel(ax: Axes, entries: list[ParameterReport], column: str, report: Identi
     """Draw the bars of one coordinate."""
     sigma = np.array([np.nan if e.sigma is None else e.sigma.worst[column] for e in entries])
     percent = np.array([e.percent.worst[column] for e in entries])
-    floor, together = (report.outputs[column][key] for key in ("noise_floor", "parameters_worst"))
+    floor, together = (report.outputs[column].noise_floor, report.outputs[column].parameters_worst)
     every = np.array([*sigma, *percent, floor, together])
-    factor, unit = scale(column, largest(every))
-    bands(ax, [(row - 0.5, row + 0.5) for row in range(0, len(entries), 2)], STRIPE, upright=False)
+    factor, unit = scale(column, largest(every), report.model.period)
+    stripes(ax, len(entries))
     least = LEAST * floor if floor > 0 else 0.0
     lined = every[np.isfinite(every) & (every > least)]
     log_axis(ax, "x", factor * np.array([*lined, least]))
@@ -94,17 +94,14 @@ def _verdicts(ax: Axes, words: list[str]) -> None:
 
 
 def _legend(figure: Figure, entries: list[ParameterReport]) -> None:
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     drawn = present([entry for entry in entries if entry.sigma is not None])
     handles: list[Any] = [Patch(**LOOKS[word].bar(), label=f"1 sigma, {word}") for word in drawn]
     handles += [
         Patch(facecolor="white", edgecolor=GREY, linewidth=0.7, label="1 % of the value"),
-        Line2D([], [], color=BLACK, lw=0.9, ls=DASHED, label="noise of one reading"),
-        Line2D([], [], color=AFTER, lw=0.9, ls=":", label="all parameters together, 1 sigma"),
-        Line2D(
-            [], [], color=GREY, ls="none", marker="<", ms=2.6, label=f"below 1/{1 / LEAST:.0f} of the noise"
-        ),
+        key("noise of one reading", color=BLACK, lw=0.9, ls=DASHED),
+        key("all parameters together, 1 sigma", color=AFTER, lw=0.9, ls=":"),
+        key(f"below 1/{1 / LEAST:.0f} of the noise", color=GREY, ls="none", marker="<", ms=2.6),
     ]
     legend(figure, handles, "upper left", ncols=3, columnspacing=1.4)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.decoding import ErrorTable
-from hallsym.report.figures.names import largest, name, scale, short, thinned, three
+from hallsym.report.data import Survey, Trace, held_out
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -19,13 +20,13 @@ from hallsym.report.figures.style import (
     LEFT,
     SHADE,
     bands,
+    key,
     label_x,
     label_y,
     legend,
     panels,
 )
-from hallsym.report.figures.survey import Survey, held_out
-from hallsym.report.figures.trace import Trace
+from hallsym.report.words import largest, name, scale, short, thinned, three
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +43,7 @@ SOLID = 2.5
 
 
 def errors_before_after(fit: Fit, survey: Survey) -> Figure:
-    """Draw the errors of the decoded pose over the whole campaign: designed parameters left, fitted right.
+    """Draw the errors of the decoded pose over the whole campaign: nominal parameters left, fitted right.
 
     Every sample counts: of each picture column the least and the greatest error are drawn, and where that
     makes a solid block the local rms too. The two sides have scales of their own, and the right one says by
@@ -51,14 +52,14 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
     model = fit.model
     n = len(model.pose)
     figure, axes = panels(n, 2, 1.17, top=0.45, bottom=0.62, gaps=(LEFT + 0.06, 0.28), sharex=True)
-    tables, highest = (survey.designed, survey.fitted), np.zeros((n, 2))
+    tables, highest = (survey.nominal, survey.fitted), np.zeros((n, 2))
     solid = False
     for column, (trace, table) in enumerate(zip(survey.errors, tables, strict=True)):
         for k, coordinate in enumerate(model.pose):
             floor = float(fit.noise_floor.get(coordinate, 0.0))
             peak = max(float(table.peak[:, k].max()), largest(trace.low[k]), largest(trace.high[k]))
             highest[k, column] = max(peak, 1.15 * BAND * floor) or 1e-12
-            factor, unit = scale(coordinate, highest[k, column])
+            factor, unit = scale(coordinate, highest[k, column], model.period)
             ax = axes[k, column]
             _campaign_axis(ax, fit, survey)
             x, y = trace.line(k, _campaign_x(survey, trace), survey.edges[1:-1])
@@ -72,19 +73,19 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
             ax.ticklabel_format(axis="y", style="plain", useOffset=False)
             ax.set_ylim(-limit * (1.1 if survey.n_rejected else 1.0), limit)
             label_y(ax, f"error in {name(coordinate)} [{unit}]")
-            ax.set_title(_error_words(table, k, coordinate, fit if column else None), loc="left")
+            ax.set_title(_error_words(table, k, fit, held_out(fit) if column else ()), loc="left")
     ratios = highest[:, 0] / highest[:, 1]
     finer = ", ".join(">10000" if ratio > 1e4 else short(float(f"{ratio:.2g}")) for ratio in ratios)
     for ax in axes[-1]:
         label_x(ax, _campaign_label(survey))
-    for ax, title in zip(axes[0], (_designed_words(fit), f"Fitted; scales {finer} × finer"), strict=True):
+    for ax, title in zip(axes[0], (_nominal_words(fit), f"Fitted; scales {finer} × finer"), strict=True):
         ax.set_title(f"{title}\n{ax.get_title('left')}", loc="left", linespacing=1.6)
     _campaign_legend(figure, fit, survey, solid)
     return figure
 
 
-def _designed_words(fit: Fit) -> str:
-    return "Designed parameters" + (", no zero deviations" if fit.model.zeros else "")
+def _nominal_words(fit: Fit) -> str:
+    return "Nominal parameters" + (", no zero deviations" if fit.model.zeros else "")
 
 
 def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> bool:
@@ -107,11 +108,11 @@ def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> 
     return True
 
 
-def _error_words(table: ErrorTable, k: int, coordinate: str, fit: Fit | None) -> str:
-    """RMSE and peak of one coordinate; with `fit` apart for the fitted and the held-out runs."""
-    held = held_out(fit) if fit else ()
-    used, apart = table.over([r for r in table.runs if r not in held]), table.over(held)
-    factor, unit = scale(coordinate, float(table.peak[:, k].max()))
+def _error_words(table: ErrorTable, k: int, fit: Fit, holdout: Sequence[int]) -> str:
+    """Return rmse and peak of coordinate `k`, those of the runs in `holdout` by themselves."""
+    coordinate = table.pose[k]
+    used, apart = table.over([r for r in table.runs if r not in holdout]), table.over(holdout)
+    factor, unit = scale(coordinate, float(table.peak[:, k].max()), fit.model.period)
     texts = [
         f"{label} {three(factor * row['rmse'][coordinate])}, {word}{three(factor * row['peak'][coordinate])}"
         for label, word, row in (
@@ -156,16 +157,15 @@ def _campaign_axis(ax: Axes, fit: Fit, survey: Survey) -> None:
 
 
 def _campaign_legend(figure: Figure, fit: Fit, survey: Survey, solid: bool) -> None:
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     label = f"±{BAND:g} × noise floor (99.7 % of pure noise)"
-    handles: list[Any] = [Line2D([], [], color=BLACK, lw=0.7, ls=DASHED, label=label)]
+    handles: list[Any] = [key(label, color=BLACK, lw=0.7, ls=DASHED)]
     if solid:
-        handles.append(Line2D([], [], color=BLACK, lw=0.9, label="local rms"))
+        handles.append(key("local rms", color=BLACK, lw=0.9))
     if set(held_out(fit)) & set(survey.runs) and len(survey.runs) > 1:
         handles.append(Patch(facecolor=SHADE, label="held-out run"))
     if survey.n_rejected:
         label = f"rejected sample ({survey.n_rejected})"
-        handles.append(Line2D([], [], color=GREY, ls="none", marker="|", ms=6, label=label))
+        handles.append(key(label, color=GREY, ls="none", marker="|", ms=6))
     legend(figure, handles, "lower center", ncols=len(handles), columnspacing=1.4, handlelength=2.0)

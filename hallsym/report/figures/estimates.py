@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.report.figures.names import MINUS, plus_minus
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
     FAINT,
     GREY,
-    STRIPE,
-    bands,
+    key,
     label_x,
     legend,
     log_axis,
     panels,
+    stripes,
     text_width,
 )
+from hallsym.report.words import MINUS, plus_minus
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,7 @@ def parameters(fit: Fit) -> Figure:
     )  # fmt: skip
     place, sharp = axes[0]
     for ax in (place, sharp):
-        bands(ax, [(row - 0.5, row + 0.5) for row in range(0, n, 2)], STRIPE, upright=False)
+        stripes(ax, n)
     _values(place, sharp, fit)
     for row, text in enumerate(words):
         beside(sharp, row, text)
@@ -116,7 +116,7 @@ def _number_words(fit: Fit, row: int) -> str:
         return "at its bound"
     if fit.determined[row]:
         return plus_minus(float(fit.values[row]), COVERAGE * float(fit.std[row]), p.unit)
-    return "not determined, held" if p.name in fit.held else "not determined"
+    return "not identifiable, fixed" if p.name in fit.held else "not determined"
 
 
 def beside(ax: Axes, row: float, text: str) -> None:
@@ -129,7 +129,7 @@ def _combinations(
 ) -> None:
     """List what the data determine instead of single parameters, one picture row per line."""
     width, height = figure.get_size_inches()
-    rows = [("Determined instead", "")]
+    rows = [("Identifiable combinations", "")]
     for (lines, _), value in zip(below, instead, strict=True):
         indents = (1, *[3] * (len(lines) - 1))
         rows += [(" " * i + line, "") for i, line in zip(indents, lines, strict=True)]
@@ -158,18 +158,16 @@ def _precision_axis(ax: Axes, fit: Fit) -> None:
 
 
 def _parameter_legend(figure: Figure, fit: Fit) -> None:
-    from matplotlib.lines import Line2D
-
     handles = [
-        Line2D([], [], marker="|", ms=6, **NOMINAL, label="nominal"),
-        Line2D([], [], marker="o", **POINT, label="estimate"),
+        key("nominal", marker="|", ms=6, **NOMINAL),
+        key("estimate", marker="o", **POINT),
     ]
     lower, upper = fit.model.bounds
     if np.any((fit.model.nominal < lower - 0.03 * (upper - lower)) | (fit.model.nominal > upper)):
-        beyond = Line2D([], [], marker=">", ms=4, **NOMINAL, label="nominal beyond the bounds")
+        beyond = key("nominal beyond the bounds", marker=">", ms=4, **NOMINAL)
         handles.insert(1, beyond)
     if fit.at_bound:
-        handles.append(Line2D([], [], marker="s", **POINT, label="estimate at its bound"))
+        handles.append(key("estimate at its bound", marker="s", **POINT))
     if not np.all(fit.determined):
-        handles.append(Line2D([], [], marker="o", mfc="white", **POINT, label="not determined by the data"))
+        handles.append(key("not identifiable from the data", marker="o", mfc="white", **POINT))
     legend(figure, handles, "upper left", ncols=len(handles))

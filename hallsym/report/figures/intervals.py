@@ -7,30 +7,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hallsym.inference.verdict import WEAK
-from hallsym.report.figures.captions import broken, caption, height, number, readable_unit
+from hallsym.report.figures.captions import broken, caption, height
 from hallsym.report.figures.estimates import ROW, beside, typeset
 from hallsym.report.figures.style import (
     BLACK,
     DASHED,
     GREY,
     LINE,
-    STRIPE,
-    bands,
+    key,
     label_x,
     legend,
     log_axis,
     panels,
+    stripes,
     text_width,
 )
 from hallsym.report.figures.verdicts import LOOKS, present, shown
+from hallsym.report.words import digits
+from hallsym.units import parameter_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    from hallsym.inference import CombinationReport, Identifiability, ParameterReport
-    from hallsym.inference.intervals import Interval
+    from hallsym.inference import CombinationReport, Identifiability, Interval, ParameterReport
 
 ACROSS = 5
 """Entries of the legend in a row."""
@@ -46,7 +47,7 @@ def intervals(report: Identifiability) -> Figure:
     """Draw where each 95 % interval lies within the bounds (left) and its width as a share of them (middle).
 
     The numbers stand on the right, with how the interval was found unless it is a normal one; combinations
-    that are determined instead of parameters stand below.
+    that are identifiable where parameters are not stand below.
     """
     entries = shown(report)
     words, header = [in_words(entry) for entry in entries], "95 % interval"
@@ -59,7 +60,7 @@ def intervals(report: Identifiability) -> Figure:
     )  # fmt: skip
     place, share = axes[0]
     for ax in (place, share):
-        bands(ax, [(row - 0.5, row + 0.5) for row in range(0, len(entries), 2)], STRIPE, upright=False)
+        stripes(ax, len(entries))
         ax.tick_params("y", length=0)
     _places(place, entries, report)
     _shares(share, entries)
@@ -77,14 +78,14 @@ def in_words(entry: ParameterReport | CombinationReport) -> str:
     """Return the interval in the unit people read, or the verdict where there is none."""
     if entry.interval is None:
         return entry.verdict.word if hasattr(entry, "verdict") else ""
-    factor, unit = readable_unit(entry.unit)
+    factor, unit = parameter_unit(entry.unit, millimetres=True)
     low, high = factor * entry.interval.low, factor * entry.interval.high
     half, unit = 0.5 * (high - low), f" {unit}" if unit else ""
     if half == 0:
-        return f"{number(low, 0.0)}{unit}{_how(entry.interval)}"
+        return f"{digits(low, 0.0)}{unit}{_how(entry.interval)}"
     if not np.isfinite(half):
         half = factor * (entry.std or 0.0)
-    return f"{number(low, half)} to {number(high, half)}{unit}{_how(entry.interval)}"
+    return f"{digits(low, half)} to {digits(high, half)}{unit}{_how(entry.interval)}"
 
 
 def _how(interval: Interval) -> str:
@@ -136,15 +137,14 @@ def _shares(ax: Axes, entries: list[ParameterReport]) -> None:
 def _instead(report: Identifiability) -> list[str]:
     if not report.combinations:
         return []
-    lines = ["Determined instead"]
+    lines = ["Identifiable combinations"]
     for c in report.combinations:
         lines += ["  " + line for line in broken(f"{typeset(c.expression)}: {in_words(c)}", 6.7)]
     return lines
 
 
 def _handles(entries: list[ParameterReport]) -> list[Line2D]:
-    from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], **LOOKS[word].point(), label=word) for word in present(entries)]
+    handles = [key(word, **LOOKS[word].point()) for word in present(entries)]
     weak = f"weak: 1/{1 / WEAK:.0f} of the bounds"
-    return [*handles, Line2D([], [], color=BLACK, lw=0.8, ls=DASHED, label=weak)]
+    return [*handles, key(weak, color=BLACK, lw=0.8, ls=DASHED)]

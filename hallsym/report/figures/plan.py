@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.experiment import Plan
 from hallsym.log import Log
-from hallsym.report.figures.names import largest, name, scale
 from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -20,17 +18,21 @@ from hallsym.report.figures.style import (
     FAINT,
     GREY,
     SHADE,
+    key,
     label_x,
     label_y,
     legend,
     log_axis,
     panels,
 )
+from hallsym.report.words import largest, name, scale
 from hallsym.simulation import Campaign
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from hallsym.experiment import Plan
 
 POINTS = 240
 """Points of a path that are drawn."""
@@ -67,7 +69,7 @@ def coverage(plan: Plan, other: Campaign | Log | None = None, other_name: str = 
     for line, pairs in zip(axes, rows, strict=True):
         for ax, (i, j) in zip(line, pairs, strict=False):
             both = np.array([largest(np.hstack([p[k] for p in planned + shown])) for k in (i, j)])
-            units = [scale(columns[k], most) for k, most in zip((i, j), both, strict=True)]
+            units = [scale(columns[k], most, model.period) for k, most in zip((i, j), both, strict=True)]
             draw = _settings if i >= len(model.pose) else _motion
             draw(ax, shown, (i, j), units, BEFORE, False)
             draw(ax, planned, (i, j), units, AFTER, True)
@@ -149,13 +151,11 @@ def _distinct(paths: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def _coverage_legend(figure: Figure, planned: int, recorded: int, other_name: str) -> None:
-    from matplotlib.lines import Line2D
-
     dot: dict[str, Any] = {"ls": "-", "marker": "o", "ms": 5.0}
-    handles = [Line2D([], [], color=AFTER, label=f"planned, {planned} runs", **dot)]
+    handles = [key(f"planned, {planned} runs", color=AFTER, **dot)]
     if recorded:
         look = dot | {"ls": "none", "mfc": "none"}
-        handles.append(Line2D([], [], color=BEFORE, label=f"{other_name}, {recorded} runs", **look))
+        handles.append(key(f"{other_name}, {recorded} runs", color=BEFORE, **look))
     legend(figure, handles, "upper center", ncols=2)
 
 

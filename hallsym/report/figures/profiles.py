@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.captions import broken, number, readable_unit
+from hallsym.report.figures.captions import broken
 from hallsym.report.figures.estimates import COVERAGE, typeset
 from hallsym.report.figures.style import (
     AFTER,
@@ -20,18 +20,18 @@ from hallsym.report.figures.style import (
     LIGHT,
     LINE,
     WIDTH,
+    key,
     label_y,
     legend,
 )
+from hallsym.report.words import digits
+from hallsym.units import parameter_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hallsym.inference import Identifiability
-    from hallsym.inference.intervals import Interval
-    from hallsym.inference.profile_walk import Side
-    from hallsym.inference.profiles import Profile
+    from hallsym.inference import Identifiability, Interval, Profile, Side
 
 ACROSS, TOP = 4, 1.6
 """Panels in a row; upper end of the y axis, in thresholds."""
@@ -97,7 +97,7 @@ def ends_in_words(profile: Profile) -> str:
 
 def _title(profile: Profile, width: float) -> list[str]:
     """Name and unit of a quantity, at most `TITLE` lines, then how its ends came."""
-    _, unit = readable_unit(profile.quantity.unit)
+    _, unit = parameter_unit(profile.quantity.unit, millimetres=True)
     lines = broken(typeset(profile.quantity.name) + (f" [{unit}]" if unit else ""), width, "  ")
     if len(lines) > TITLE:
         lines = [*lines[: TITLE - 1], "  … " + lines[-1].strip()]
@@ -107,7 +107,7 @@ def _title(profile: Profile, width: float) -> list[str]:
 
 
 def _panel(ax: Axes, profile: Profile, std: float | None, interval: Interval | None) -> None:
-    factor, _ = readable_unit(profile.quantity.unit)
+    factor, _ = parameter_unit(profile.quantity.unit, millimetres=True)
     distinct, first = np.unique(profile.values, return_index=True)  # a bound may be met more than once
     low, high = _range(profile, std, interval)
     values, rises = replace(profile, values=distinct, rises=profile.rises[first]).curve()
@@ -170,26 +170,20 @@ def _ticks(ax: Axes, profile: Profile, factor: float, width: float) -> None:
     if len(places) > 1 and places[-1] - places[0] < 0.3 * width:
         places = [profile.value]
     half = 0.5 * factor * width
-    ax.set_xticks([factor * v for v in places], [number(factor * v, half) for v in places])
+    ax.set_xticks([factor * v for v in places], [digits(factor * v, half) for v in places])
 
 
 def _legend(figure: Figure, found: Sequence[Profile]) -> None:
-    from matplotlib.lines import Line2D
-
     sides = {side.status for profile in found for side in (profile.lower, profile.upper)}
     rises = sorted({f"{profile.threshold:.3g}" for profile in found}, key=float)
     threshold = rises[0] if len(rises) == 1 else f"{rises[0]} to {rises[-1]}"
     handles = [
-        Line2D([], [], color=AFTER, marker=".", ms=3, label="profile of −2 log likelihood"),
-        Line2D([], [], color=BEFORE, ls=DASHED, label="normal approximation"),
-        Line2D([], [], color=BLACK, lw=0.7, ls=":", label=f"95 %: a rise of {threshold}"),
-        Line2D([], [], color=LIGHT, lw=3.5, label="interval reported"),
+        key("profile of −2 log likelihood", color=AFTER, marker=".", ms=3),
+        key("normal approximation", color=BEFORE, ls=DASHED),
+        key(f"95 %: a rise of {threshold}", color=BLACK, lw=0.7, ls=":"),
+        key("interval reported", color=LIGHT, lw=3.5),
     ]
     for status, marker, face in (("reached", "o", AFTER), ("at bound", "s", "white"), ("open", ">", AFTER)):
         if status in sides:
-            handles.append(
-                Line2D(
-                    [], [], ls="none", marker=marker, ms=4.5, color=AFTER, mfc=face, label=f"end: {status}"
-                )
-            )
+            handles.append(key(f"end: {status}", ls="none", marker=marker, ms=4.5, color=AFTER, mfc=face))
     legend(figure, handles, "upper left", ncols=4, columnspacing=1.4)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from hallsym.inference import Identifiability
 
-__all__ = ["correlation", "effects", "intervals", "profiles", "save_sensitivity_pictures", "spectrum"]
-
 
 def save_sensitivity_pictures(
     report: Identifiability, folder: str | Path, *, suffixes: Sequence[str] = ("png",)

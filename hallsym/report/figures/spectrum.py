@@ -9,7 +9,6 @@ import numpy as np
 
 from hallsym.estimation.identifiable import UNDETERMINED
 from hallsym.report.figures.captions import broken, caption, height
-from hallsym.report.figures.names import short, thinned
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -20,20 +19,21 @@ from hallsym.report.figures.style import (
     LINE,
     SHADE,
     WIDTH,
+    key,
     label_x,
     label_y,
     legend,
     log_axis,
     panels,
 )
+from hallsym.report.words import short, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-    from hallsym.inference import Identifiability
-    from hallsym.inference.null import NullDirection
+    from hallsym.inference import Identifiability, NullDirection
 
 BESIDE = 0.78  # inches: a label and five digits
 SMALLEST = 0.01
@@ -128,27 +128,18 @@ def _named(null: Sequence[NullDirection]) -> str:
 
 
 def _legend(figure: Figure, kinds: Sequence[str]) -> None:
-    from matplotlib.lines import Line2D
-
     words = {
         "determined": "determined",
         "left by this recording": "not determined by these data",
         "whatever is recorded": "not determined, whatever is recorded",
     }
     handles = [
-        Line2D([], [], ls="none", label=f"{words[kind]} ({kinds.count(kind)})", **look)
+        key(f"{words[kind]} ({kinds.count(kind)})", ls="none", **look)
         for kind, look in KINDS.items()
         if kind in kinds
     ]
     share = f"{100 * UNDETERMINED:g} %"
     handles.append(
-        Line2D(
-            [],
-            [],
-            color=BLACK,
-            lw=0.8,
-            ls=DASHED,
-            label=f"undetermined below: 1 sigma is {share} of the bounds",
-        )
+        key(f"undetermined below: 1 sigma is {share} of the bounds", color=BLACK, lw=0.8, ls=DASHED)
     )
     legend(figure, handles, "upper left", ncols=2)

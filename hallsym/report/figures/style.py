@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.names import short
+from hallsym.report.words import short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 DPI = 150
 FONT = 8.0  # points
@@ -111,6 +112,13 @@ def legend(figure: Figure, handles: Sequence[Any], where: str, **options: Any) -
     figure.legend(handles=handles, **options)
 
 
+def key(label: str, **look: Any) -> Line2D:
+    """Return an entry of a legend for a line or a marker."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **look)
+
+
 def text_width(text: str) -> float:
     """Width of text [inches]."""
     from matplotlib.font_manager import FontProperties
@@ -130,6 +138,11 @@ def bands(ax: Axes, spans: Sequence[tuple[float, float]], color: str, *, upright
     place = ax.get_xaxis_transform() if upright else ax.get_yaxis_transform()
     shade = PolyCollection(corners, facecolors=color, linewidths=0, zorder=0, transform=place)
     ax.add_collection(shade, autolim=False)
+
+
+def stripes(ax: Axes, rows: int) -> None:
+    """Shade every other one of `rows` rows."""
+    bands(ax, [(row - 0.5, row + 0.5) for row in range(0, rows, 2)], STRIPE, upright=False)
 
 
 def log_axis(ax: Axes, which: str, values: np.ndarray) -> None:

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.names import name
 from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BLACK,
     LIGHT,
-    STRIPE,
-    bands,
+    key,
     label_x,
     legend,
     panels,
+    stripes,
     text_width,
 )
+from hallsym.report.words import name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,6 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
 
     Rows are in the order of the ranking; whiskers are 95 % intervals.
     """
-    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     order, pose = [found.active.index(n) for n in found.ranking], found.model.pose
@@ -54,7 +53,7 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
     )
     for ax, column in zip(axes[0], pose, strict=True):
         indices = found.indices[quantity][column]
-        bands(ax, [(row - 0.5, row + 0.5) for row in range(0, len(order), 2)], STRIPE, upright=False)
+        stripes(ax, len(order))
         for side, color, values, half in (
             (-0.5, AFTER, indices.first, indices.first_half),
             (0.5, LIGHT, indices.total, indices.total_half),
@@ -75,7 +74,7 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
         [
             Patch(color=AFTER, label=f"{QUANTITIES[quantity]}: first index"),
             Patch(color=LIGHT, label="total index"),
-            Line2D([], [], color=BLACK, lw=0.6, label="95 %"),
+            key("95 %", color=BLACK, lw=0.6),
         ],
         "upper left",
         ncols=3,

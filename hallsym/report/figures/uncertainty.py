@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.names import MINUS, name, scale, setting, short, three
 from hallsym.report.figures.saving import save_figures
 from hallsym.report.figures.style import AFTER, FAINT, LINE, WIDTH, label_x, label_y, panels, text_width
-from hallsym.report.text.budget import unit_for
-from hallsym.uncertainty.gum import Budget
-from hallsym.uncertainty.position import UncertaintyMap
+from hallsym.report.words import MINUS, largest, name, scale, setting, short, three
+from hallsym.units import fitting, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from hallsym.uncertainty import Budget, UncertaintyMap
 
 MOST_BARS = 12
 """Sources shown one by one; the others are one bar."""
@@ -82,20 +82,51 @@ def _bars(budgets: Sequence[Budget]) -> tuple[list[str], np.ndarray]:
 
 
 def _budget_title(budget: Budget, worst: bool) -> str:
-    factor, unit = unit_for(budget.unit, budget.expanded)
+    factor, unit = fitting(budget.unit, budget.expanded, turns=budget.turns)
     what = name(budget.quantity) if budget.value is not None else budget.quantity
-    unit = unit.replace("um", "µm").replace("urad", "µrad")
     words = f"{what}{', worst position' if worst else ''}"
-    return f"{words}\nU = {three(budget.expanded * factor)} {unit} (k = {budget.factor:.3g})"
+    return f"{words}\nU = {three(budget.expanded * factor)} {typeset(unit)} (k = {budget.factor:.3g})"
 
 
 def uncertainty_picture(grid: UncertaintyMap) -> Figure:
-    """Draw U over the first two axes of `grid`: a row per coordinate, a column per value of the third."""
-    columns = list(grid.axes)
-    across, up = columns[:2]
-    third = columns[2] if len(columns) > 2 else None
+    """Draw U over the axes of `grid`: a line over one axis; else maps over the first two.
+
+    Maps have a row per pose coordinate and a column per value of the third axis.
+    """
+    figure = _lines(grid) if len(grid.axes) == 1 else _maps(grid)
+    fixed = setting(
+        list(grid.fixed), np.array(list(grid.fixed.values())), 0.0, units=True, turning=grid.turning
+    )
+    level, coverage = grid.settings.level, grid.settings.coverage
+    figure.text(
+        0.03 / WIDTH, 1 - 0.05 / figure.get_size_inches()[1],
+        f"Expanded uncertainty U ({f'k = {coverage:g}' if level is None else f'{100 * level:g} %'}) of the "
+        "decoded position" + (f" at {fixed}" if fixed != "level" else ""),
+        va="top",
+    )  # fmt: skip
+    return figure
+
+
+def _lines(grid: UncertaintyMap) -> Figure:
+    """Draw U of each pose coordinate over the only axis."""
+    ((column, values),) = grid.axes.items()
+    across, shown = scale(column, largest(values), grid.turning)
+    figure, axes = panels(len(grid.pose), 1, 1.4, top=1.7 * LINE, bottom=0.44, right=0.14, sharex=True)
+    for ax, coordinate, U in zip(axes[:, 0], grid.pose, grid.expanded, strict=True):
+        factor, unit = scale(coordinate, largest(U), grid.turning)
+        ax.plot(across * values, factor * U, color=AFTER)
+        ax.set_ylim(0.0, 1.15 * factor * U.max())
+        label_y(ax, f"U {name(coordinate)} [{unit}]")
+    label_x(axes[-1, 0], f"{name(column)} [{shown}]", 0.3)
+    return figure
+
+
+def _maps(grid: UncertaintyMap) -> Figure:
+    (across, up), third = list(grid.axes)[:2], next(iter(list(grid.axes)[2:]), None)
     slices = grid.axes[third] if third else np.zeros(1)
     values = grid.expanded.reshape(len(grid.pose), *grid.expanded.shape[1:3], -1)
+    scales = [scale(c, largest(grid.axes[c]), grid.turning) for c in (across, up)]
+    x, y = (factor * grid.axes[c] for c, (factor, _) in zip((across, up), scales, strict=True))
     bar, gap = 0.75, 0.1
     width = (WIDTH - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
     spread = [float(np.ptp(grid.axes[c])) for c in (across, up)]
@@ -104,59 +135,39 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
         len(grid.pose), len(slices), height, top=2.3 * LINE, bottom=0.44, right=bar, gaps=(gap, 0.16),
         sharex=True, sharey=True,
     )  # fmt: skip
-    for i in range(len(grid.pose)):
-        _row(figure, axes[i], grid, i, values[i], (across, up))
-        label_y(axes[i, 0], f"{name(up)} [{scale(up, float(np.abs(grid.axes[up]).max()))[1]}]")
-    for j, (ax, value) in enumerate(zip(axes[0], slices, strict=True)):
-        ax.set_title(_slice_words(third, value, float(np.abs(slices).max())), loc="left")
-        label_x(
-            axes[-1, j], f"{name(across)} [{scale(across, float(np.abs(grid.axes[across]).max()))[1]}]", 0.3
-        )
-    fixed = setting(list(grid.fixed), np.array(list(grid.fixed.values())), 0.0, units=True)
-    coverage = (
-        f"k = {grid.settings.coverage:g}"
-        if grid.settings.level is None
-        else f"{100 * grid.settings.level:g} %"
-    )
-    figure.text(
-        0.03 / WIDTH, 1 - 0.05 / figure.get_size_inches()[1],
-        f"Expanded uncertainty U ({coverage}) of the decoded position"
-        + (f" at {fixed}" if fixed != "level" else ""),
-        va="top",
-    )  # fmt: skip
+    for row, coordinate, U in zip(axes, grid.pose, values, strict=True):
+        factor, unit = scale(coordinate, float(U.max()), grid.turning)
+        _row(figure, row, (x, y), factor * U, f"U {name(coordinate)} [{unit}]")
+        label_y(row[0], f"{name(up)} [{scales[1][1]}]")
+    for first, last, value in zip(axes[0], axes[-1], slices, strict=True):
+        first.set_title(_slice_words(third, value, largest(slices), grid.turning), loc="left")
+        label_x(last, f"{name(across)} [{scales[0][1]}]", 0.3)
     return figure
 
 
 def _row(
-    figure: Figure, axes: np.ndarray, grid: UncertaintyMap, i: int, values: np.ndarray, plane: tuple[str, str]
+    figure: Figure, axes: np.ndarray, plane: tuple[np.ndarray, np.ndarray], shown: np.ndarray, label: str
 ) -> None:
-    """One pose coordinate: the same colours in every slice, contour lines that can be read without colour."""
-    coordinate = grid.pose[i]
-    factor, unit = scale(coordinate, float(values.max()))
-    shown, (x, y) = factor * values, _plane(grid, plane)
+    """Draw one pose coordinate: the same colours in every slice, contour lines that need no colour."""
     low, high = float(shown.min()), float(shown.max())
     if high - low < 1e-3 * high:  # flat: no colours made of rounding
         low, high = 0.98 * low, 1.02 * high
     picture: Any = None
     for j, ax in enumerate(axes):
+        U = shown[:, :, j].T
         picture = ax.pcolormesh(
-            x, y, shown[:, :, j].T, shading="gouraud", cmap=COLOURS, vmin=low, vmax=high, rasterized=True
+            *plane, U, shading="gouraud", cmap=COLOURS, vmin=low, vmax=high, rasterized=True
         )
         levels = np.linspace(low, high, 7)[1:-1]
-        if np.any((levels > shown[:, :, j].min()) & (levels < shown[:, :, j].max())):
-            ax.contour(x, y, shown[:, :, j].T, levels=levels, colors="white", linewidths=0.5)
+        if np.any((levels > U.min()) & (levels < U.max())):
+            ax.contour(*plane, U, levels=levels, colors="white", linewidths=0.5)
         _inward(ax)
     box = axes[-1].get_position()
     beside = figure.add_axes((box.x1 + 0.08 / WIDTH, box.y0, 0.1 / WIDTH, box.height))
     colours = figure.colorbar(picture, cax=beside)
-    colours.set_label(f"U {name(coordinate)} [{unit}]", labelpad=2)
+    colours.set_label(label, labelpad=2)
     colours.ax.yaxis.set_major_formatter(lambda v, _: short(v))
     colours.outline.set_linewidth(0.6)
-
-
-def _plane(grid: UncertaintyMap, plane: tuple[str, str]) -> tuple[np.ndarray, np.ndarray]:
-    x, y = (grid.axes[c] * scale(c, float(np.abs(grid.axes[c]).max()))[0] for c in plane)
-    return x, y
 
 
 def _inward(ax: Axes) -> None:
@@ -166,10 +177,10 @@ def _inward(ax: Axes) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
 
 
-def _slice_words(column: str | None, value: float, largest: float) -> str:
-    """`Z = 125 µm`, to a thousandth of the largest height."""
+def _slice_words(column: str | None, value: float, most: float, turning: Collection[str]) -> str:
+    """Return `Z = 125 µm`, to a thousandth of the largest height."""
     if column is None:
         return ""
-    factor, unit = scale(column, largest or 1e-4)
-    step = 10.0 ** np.floor(np.log10(factor * (largest or 1e-4)) - 2)
+    factor, unit = scale(column, most or 1e-4, turning)
+    step = 10.0 ** np.floor(np.log10(factor * (most or 1e-4)) - 2)
     return f"{name(column)} = {short(round(factor * value / step) * step)} {unit}".replace("-", MINUS)

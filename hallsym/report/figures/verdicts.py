@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hallsym.inference.verdict import VERDICTS
+from hallsym.inference import VERDICTS
 from hallsym.report.figures.style import AFTER, BEFORE, BLACK, FAINT
 
 if TYPE_CHECKING:

@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from hallsym.diagnosis.words import UNITS, degrees_of
-from hallsym.report.figures.names import name, scale, three
+from hallsym.diagnosis.words import degrees_of
 from hallsym.report.page.html import Markup, join, tag
 from hallsym.report.page.svg import NARROW, RIM, Scale, below, beside, chart, dot, line, polyline, px, text
+from hallsym.report.words import name, scale, three
+from hallsym.units import reading_unit, typeset
 
 LEFT, TOP, BOTTOM = 46.0, 22.0, 122.0
 
@@ -88,8 +89,8 @@ def _scale(unit: str, largest: float) -> tuple[float, str]:
     """Return factor and unit of the coordinate's axis."""
     if unit in ("m", "rad", "v"):
         return scale(f"x_{unit}", largest)
-    factor, shown = UNITS.get(unit, (1.0, "" if unit == "1" else unit))
-    return factor, shown.replace("degC", "°C")
+    factor, shown = reading_unit(unit) if unit != "s" else (1.0, "s")
+    return factor, "" if unit == "1" else typeset(shown)
 
 
 def _short(coordinate: str) -> str:

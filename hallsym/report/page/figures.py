@@ -6,11 +6,11 @@ Bars carry their names and numbers, so that nothing is told by colour alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
-from hallsym.report.figures.names import name, scale, three
 from hallsym.report.page.html import Markup, join, tag
 from hallsym.report.page.svg import NARROW, WIDE, Scale, below, chart, dot, line, rect, text
+from hallsym.report.words import name, scale, three
 
 FAR = 12.0
 """Bars that differ by more than this factor are drawn on a logarithmic scale, as dots."""
@@ -22,13 +22,16 @@ Rows = Mapping[str, tuple[str, Mapping[str, Mapping[str, float]]]]
 """Name -> (look, `{"rmse": {x_m: ..}, "peak": {..}}`)."""
 
 
-def against_floor(rows: Rows, floor: Mapping[str, float]) -> Markup:
-    """Draw rmse and peak of every output: one bar per entry of `rows`, the noise floor as a dashed line."""
+def against_floor(rows: Rows, floor: Mapping[str, float], turning: Collection[str] | None = None) -> Markup:
+    """Draw rmse and peak of every output: one bar per entry of `rows`, the noise floor as a dashed line.
+
+    `turning`: outputs that go round, see `hallsym.units.readable`.
+    """
     first = next(iter(rows.values()))[1]
     places = [(what, output) for what in ("rmse", "peak") for output in first[what]]
     far = any(_far([gap[what][output] for _, gap in rows.values()]) for what, output in places)
     panels = [
-        _bars(what, output, rows, floor.get(output, 0.0) if what == "rmse" else 0.0, far)
+        _bars(what, output, rows, floor.get(output, 0.0) if what == "rmse" else 0.0, far, turning)
         for what, output in places
     ]
     return tag("div", *panels, class_="panels")
@@ -39,10 +42,12 @@ def _far(sizes: Sequence[float]) -> bool:
     return len(positive) > 1 and max(positive) > FAR * min(positive)
 
 
-def _bars(what: str, output: str, rows: Rows, floor: float, far: bool) -> Markup:
+def _bars(
+    what: str, output: str, rows: Rows, floor: float, far: bool, turning: Collection[str] | None
+) -> Markup:
     values = {label_: (look, gap[what][output]) for label_, (look, gap) in rows.items()}
     sizes = [v for _, v in values.values()] + ([floor] if floor > 0 else [])
-    factor, unit = scale(output, max(sizes))
+    factor, unit = scale(output, max(sizes), turning)
     positive = [factor * v for v in sizes if v > 0]
     log = far and len(positive) > 1 and max(positive) > min(positive)
     left, top, step = 64.0, 24.0, 19.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -15,18 +16,17 @@ from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
-from hallsym.report.figures.names import name
-from hallsym.report.figures.survey import Decode
+from hallsym.report.data import Decoder, Gathered, gather
 from hallsym.report.page import figures, parts
-from hallsym.report.page.gather import Gathered, gather
 from hallsym.report.page.html import Markup, facts, items, join, tag
 from hallsym.report.page.page import Section, document
 from hallsym.report.page.series import all_series
-from hallsym.report.tables import evidence
+from hallsym.report.text.fit import circumstances
+from hallsym.report.words import name
 
 NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
-LOOKS = {"designed": "before", "fitted": "after", "held out": "apart", "this log": "after"}
+LOOKS = {"nominal": "before", "fitted": "after", "held out": "apart", "this log": "after"}
 
 Gap = Mapping[str, Mapping[str, float]]
 
@@ -41,19 +41,19 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
     same = log.sha256 == fit.to_dict()["log"]["sha256"]
     log = as_read(log, fit.model, fit.wiring)
     fit = fit if same else _elsewhere(log, fit)
-    found = gather(log, {"decoded": fit})
+    found = gather(log, fit)
     if same and _above_recorded(found, fit):
-        found = gather(log, {"decoded": fit}, keep=_spikes(log, fit))
+        found = gather(log, fit, keep=_spikes(log, fit))
     rows = _rows(fit, found) if same else {"this log": found.survey.fitted.over()}
     shown = {k: v for k, v in rows.items() if v is not None}
     notes = _notes(log, fit, found, same)
     sections = [
-        Section("asked", "What was asked", _asked(log, fit, found, same)),
+        Section("input", "Input", _input(log, fit, found, same)),
         Section("errors", "Errors against the noise floor", _errors(shown, fit, same)),
         Section("maps", "Where the error is", parts.maps_section(found.maps, fit.noise_floor)),
         Section("series", "Decoded minus reference over time", all_series(found.series)),
         Section("parameters", "Parameters", join([parts.parameter_table(fit), parts.combinations(fit)])),
-        Section("notes", "Evidence and notes", items([*evidence(fit), *notes])),
+        Section("notes", "Evidence and notes", items([*circumstances(fit), *notes])),
         Section(
             "origin",
             "Origin",
@@ -71,16 +71,17 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
     where, gap = _judged(rows)
     on = {"held out": "on runs that were held out", "fitted": "on the runs that were fitted"}
     floor = {c: v for c, v in fit.noise_floor.items() if v}
+    each = partial(parts.each, turning=fit.model.period)
     ratio = {c: gap["rmse"][c] / floor[c] for c in gap["rmse"] if floor.get(c)}
     worst = max(ratio, key=lambda c: ratio[c], default=None)
-    text = f"{fit.model.name} leaves an rmse of {parts.each(gap['rmse'])} {on.get(where, 'on this log')}"
+    text = f"{fit.model.name} leaves an rmse of {each(gap['rmse'])} {on.get(where, 'on this log')}"
     if worst is None:
         text += "."
     elif ratio[worst] <= NEAR:
         text += ", no more than the noise floor explains."
     else:
         text += (
-            f"; the noise floor is {parts.each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
+            f"; the noise floor is {each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
             "so there is more in the machine than in this model, or more noise than stated."
         )
     return " ".join(filter(None, (_unfinished(fit), text, _determined(fit))))
@@ -88,7 +89,7 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
 
 def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
     """Return the rows to judge by: held-out runs where there are any."""
-    key = next(k for k in ("held out", "this log", "fitted", "designed") if k in rows)
+    key = next(k for k in ("held out", "this log", "fitted", "nominal") if k in rows)
     return key, rows[key]
 
 
@@ -114,11 +115,11 @@ def _determined(fit: Fit) -> str:
 
 def _rows(fit: Fit, found: Gathered) -> dict[str, Gap | None]:
     """Errors as the fit recorded them: without the outliers that it left out."""
-    rows = fit.error_rows or {"designed": found.survey.designed.over(), "fitted": found.survey.fitted.over()}
-    return {"designed": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
+    rows = fit.error_rows or {"designed": found.survey.nominal.over(), "fitted": found.survey.fitted.over()}
+    return {"nominal": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
 
 
-def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
+def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
     runs, apart = found.survey.runs, [r for r in fit.log["holdout"] if same]
     fitted = [r for r in runs if r not in apart]
     count = int(np.diff(found.survey.edges).sum())
@@ -126,6 +127,7 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
         f"{len(fitted)} ({parts.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
     )
     added = list(added_effects(fit.model))
+    floor = parts.each(fit.noise_floor, fit.model.period)
     return facts(
         [
             ("log", tag("code", str(log.path) if log.path else "a log in memory")),
@@ -137,10 +139,7 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
                 (f"{len(apart)} ({parts.numbers(apart)})" if apart else "none") if same else None,
             ),
             ("calibrated on", None if same else tag("code", fit.log["path"] or "a log in memory")),
-            (
-                "noise floor",
-                f"{parts.each(fit.noise_floor)}: what the noise of readings and reference alone leaves",
-            ),
+            ("noise floor", f"{floor}: what the noise of readings and reference alone leaves"),
         ]
     )
 
@@ -149,13 +148,13 @@ def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> Markup:
     drawn = {label: (LOOKS[label], gap) for label, gap in rows.items()}
     note = "Dashed line: noise floor. "
     none = ", no zero deviations" if fit.model.zeros else ""
-    note += f"Designed: nominal parameters{none}. " if same else ""
+    note += f"Nominal: every parameter at its nominal value{none}. " if same else ""
     note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
     return join(
         [
             tag("p", note, class_="note"),
-            tag("figure", figures.against_floor(drawn, fit.noise_floor)),
-            parts.gap_table(rows, fit.noise_floor),
+            tag("figure", figures.against_floor(drawn, fit.noise_floor, fit.model.period)),
+            parts.gap_table(rows, fit.noise_floor, turning=fit.model.period),
         ]
     )
 
@@ -187,7 +186,7 @@ def _above_recorded(found: Gathered, fit: Fit) -> bool:
 def _spikes(log: Log, fit: Fit) -> Weigh:
     """Return what leaves out isolated spikes by the rule of the fit."""
     model, cost = fit.model, _cost(log, fit)
-    place = Decode(fit)
+    place = Decoder(fit)
     zeros = {
         run: place.zeros(run, state)
         for run, state in zip(cost.summary.runs, cost.summary.first_state, strict=True)
@@ -198,7 +197,7 @@ def _spikes(log: Log, fit: Fit) -> Weigh:
 
 
 def _cost(log: Log, fit: Fit) -> Cost:
-    return cost_near(log, fit.model, fit.values, {c: s.value for c, s in fit.noise.sigmas.items()})
+    return cost_near(log, fit.model, fit.values, fit.noise.std)
 
 
 def _elsewhere(log: Log, fit: Fit) -> Fit:

@@ -9,8 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from hallsym.report.figures.names import largest, name, scale, thinned, three
-from hallsym.report.page.cells import Cells
+from hallsym.report.data import Cells
 from hallsym.report.page.html import Markup, tag
 from hallsym.report.page.svg import (
     NARROW,
@@ -27,6 +26,7 @@ from hallsym.report.page.svg import (
     text,
 )
 from hallsym.report.page.svg import beside as axis_beside
+from hallsym.report.words import largest, name, scale, thinned, three
 
 LEFT, TOP, BOTTOM = 44.0, 22.0, 112.0
 LONG = 4
@@ -45,7 +45,7 @@ class _Shown:
 
 
 def _shown(cells: Cells, output: int, floor: float, reach: float) -> _Shown:
-    factor, unit = scale(cells.pose[output], reach)
+    factor, unit = scale(cells.pose[output], reach, cells.turning)
     median, rms = factor * cells.median[output], factor * cells.rms[output]
     return _Shown(name(cells.pose[output]), unit, median, rms, factor * floor)
 
@@ -142,7 +142,7 @@ def plane(
     right, bottom = NARROW - RIM, TOP + NARROW - RIM - LEFT
     x = Scale(float(cells.edges[0]), float(cells.edges[-1]), LEFT, right)
     y = Scale(float(cells.across[0]), float(cells.across[-1]), bottom, TOP)
-    largest_shown = scale(cells.pose[output], full)[0] * full
+    largest_shown = scale(cells.pose[output], full, cells.turning)[0] * full
     title = f"{what} {shown.name}, full cell: {three(largest_shown)} {shown.unit}"
     parts = [
         text(0, 12, title, look="title"),

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.report.figures.names import MINUS, largest, name, scale, three
+from hallsym.report.data import Cells, ParameterRow, parameter_rows
 from hallsym.report.page import figures, maps
-from hallsym.report.page.cells import Cells
 from hallsym.report.page.html import Markup, facts, join, table, tag
-from hallsym.report.tables import concise, remark
+from hallsym.report.tables import concise
+from hallsym.report.words import MINUS, amount, largest, name, scale, three
 
 PLANES = (
     "Median and rms over the stroke. The area of a square is its size; how much a full cell is stands above. "
@@ -23,8 +23,8 @@ BANDS = "Line: median; band: plus and minus the rms."
 OVER = BANDS + " Pale with a light line: before; darker, drawn over it: after."
 VALUES = (
     "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
-    "not determined. In its bounds: dot and line are the value with two standard uncertainties, the small "
-    "stroke the nominal value; a hollow dot is not determined."
+    "not identifiable. In its bounds: dot and line are the value with two standard uncertainties, the small "
+    "stroke the nominal value; a hollow dot is not identifiable."
 )
 
 
@@ -45,42 +45,30 @@ def called(path: object) -> str:
     return "/".join(Path(str(path)).parts[-2:]) if path else "a log in memory"
 
 
-def amount(column: str, value: float) -> str:
-    """Return a value of a column in the unit that suits it: `1.36 µm`."""
-    factor, unit = scale(column, abs(value))
-    return f"{three(factor * value)} {unit}".replace("-", MINUS)
-
-
-def each(values: Mapping[str, float]) -> str:
-    """Return `x 1.36 µm, y 1.54 µm, Rz 2.34 µrad`."""
-    return ", ".join(f"{name(c)} {amount(c, v)}" for c, v in values.items())
+def each(values: Mapping[str, float], turning: Collection[str] | None = None) -> str:
+    """Return `x 1.36 µm, y 1.54 µm, Rz 2.34 µrad`; `turning` as in `hallsym.units.readable`."""
+    return ", ".join(f"{name(c)} {amount(c, v, turning)}" for c, v in values.items())
 
 
 def gap_table(
-    rows: Mapping[str, Mapping[str, Mapping[str, float]]], floor: Mapping[str, float], source: str = ""
+    rows: Mapping[str, Mapping[str, Mapping[str, float]]],
+    floor: Mapping[str, float],
+    source: str = "",
+    turning: Collection[str] | None = None,
 ) -> Markup:
     """Return the numbers behind the bars: rmse and peak per output; `source`: of the noise floor."""
     outputs = list(next(iter(rows.values()))["rmse"])
-    scales = {
-        (what, c): scale(c, max(gap[what][c] for gap in rows.values()))
-        for what in ("rmse", "peak")
-        for c in outputs
-    }
-    head = ["", *(f"{what} {name(c)} [{unit}]" for (what, c), (_, unit) in scales.items())]
+    places = [(what, c) for what in ("rmse", "peak") for c in outputs]
+    scales = [scale(c, max(gap[what][c] for gap in rows.values()), turning) for what, c in places]
+    every = list(zip(places, scales, strict=True))
+    head = ["", *(f"{what} {name(c)} [{unit}]" for (what, c), (_, unit) in every)]
     body = [
-        [label, *(three(factor * gap[what][c]) for (what, c), (factor, _) in scales.items())]
+        [label, *(three(factor * gap[what][c]) for (what, c), (factor, _) in every)]
         for label, gap in rows.items()
     ]
     if floor:
-        body.append(
-            [
-                f"noise floor, {source}" if source else "noise floor",
-                *(
-                    three(f * floor[c]) if w == "rmse" and c in floor else ""
-                    for (w, c), (f, _) in scales.items()
-                ),
-            ]
-        )
+        level = [three(f * floor[c]) if what == "rmse" and c in floor else "" for (what, c), (f, _) in every]
+        body.append([f"noise floor, {source}" if source else "noise floor", *level])
     return table(head, body, caption="errors of the decoded pose")
 
 
@@ -151,7 +139,7 @@ def _title(cells: Cells) -> str:
 def _cell_table(cells: Cells, after: Cells | None = None) -> Markup:
     """Return the numbers behind a picture, folded away."""
     versions = [("", cells)] if after is None else [(" before", cells), (" after", after)]
-    scales = [scale(c, largest(r)) for c, r in zip(cells.pose, cells.rms, strict=True)]
+    scales = [scale(c, largest(r), cells.turning) for c, r in zip(cells.pose, cells.rms, strict=True)]
     head = [cells.by, "samples"]
     head += [
         f"{what} {name(c)}{when} [{u}]"
@@ -175,35 +163,26 @@ def _signed(value: float) -> str:
 
 def parameter_table(fit: Fit) -> Markup:
     """Return the parameters: value, standard uncertainty, bounds, and whether the data determine them."""
-    head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "verdict"]
-    rows = [_parameter(fit, k) for k in range(len(fit.model.parameters))]
+    head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "meaning and verdict"]
+    rows = [_parameter(row) for row in parameter_rows(fit)]
     return join([_note(VALUES), table(head, rows, wordy=(6,), caption="parameters")])
 
 
-def _parameter(fit: Fit, k: int) -> list[object]:
-    p = fit.model.parameters[k]
-    factor, unit = (180 / np.pi, "deg") if p.unit == "rad" else (1.0, p.unit)
-    determined, fixed = bool(fit.determined[k]), p.width == 0
-    std = float(fit.std[k]) * factor if determined else float("nan")
-    value = float(fit.values[k]) * factor
-    shown = concise(value, std) if determined else f"({value:.4g})"
-    bounds = "fixed" if fixed else f"{p.lower * factor:.4g} to {p.upper * factor:.4g}"
-    mark = figures.in_bounds(float(fit.values[k]), std / factor, p.lower, p.upper, p.nominal)
-    numbers_ = [shown, unit, f"{p.nominal * factor:.4g}", bounds]
-    return [p.name, *(n.replace("-", MINUS) for n in numbers_), mark, _verdict(fit, k)]
-
-
-def _verdict(fit: Fit, k: int) -> str:
-    if fit.model.parameters[k].width == 0:
-        return "fixed"
-    return remark(fit, k).replace("see below", "combined below") or "determined"
+def _parameter(p: ParameterRow) -> list[object]:
+    shown = concise(p.value, p.std) if p.determined else f"({p.value:.4g})"
+    bounds = "fixed" if p.fixed else f"{p.lower:.4g} to {p.upper:.4g}"
+    mark = figures.in_bounds(p.value, p.std, p.lower, p.upper, p.nominal)
+    numbers_ = [n.replace("-", MINUS) for n in (shown, p.unit, f"{p.nominal:.4g}", bounds)]
+    verdict = "fixed" if p.fixed else p.remark.replace("see below", "combined below") or "identifiable"
+    said = join([tag("span", p.meaning, class_="note"), tag("br"), verdict]) if p.meaning else verdict
+    return [p.name, *numbers_, mark, said]
 
 
 def combinations(fit: Fit) -> Markup:
     """Return what the data determine instead of parameters that they do not."""
     rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
     return (
-        join([tag("h3", "Determined instead"), table(["combination", "value", "unit"], rows)])
+        join([tag("h3", "Identifiable combinations"), table(["combination", "value", "unit"], rows)])
         if rows
         else Markup("")
     )

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from hallsym.report.figures.names import largest, name, scale
-from hallsym.report.figures.trace import Trace
+from hallsym.report.data import RunSeries
 from hallsym.report.page.html import Markup, join, tag
 from hallsym.report.page.svg import Scale, below, beside, chart, px, text
+from hallsym.report.words import largest, name, scale
 
 HOW = (
     "Drag over a stretch to zoom in. With the keyboard: + and - zoom, arrows move, 0 shows all. Without "
@@ -21,44 +20,6 @@ ACROSS, UP = 20_000, 10_000
 FEWEST = 200
 """Columns that are shown at least: fewer would pass for samples."""
 WIDTH, LEFT, TOP, HIGH = 740.0, 46.0, 20.0, 92.0
-
-
-@dataclass(frozen=True, eq=False)
-class RunSeries:
-    """Errors of one run: least and greatest value per column of the picture, in SI.
-
-    `time`: (columns,) in s from the run's start, or sample numbers if not `timed`. `lines`: name ->
-    (low, high), each (n_pose, columns), nan where there is nothing. `per_column`: samples in a column.
-    """
-
-    title: str
-    pose: tuple[str, ...]
-    time: np.ndarray
-    lines: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    timed: bool = True
-    per_column: int = 1
-
-
-def run_series(
-    title: str, pose: Sequence[str], time: np.ndarray | None, errors: Mapping[str, np.ndarray]
-) -> RunSeries:
-    """Reduce one run's errors, name -> (n_pose, samples) in SI, to what a page shows; `time` in s."""
-    samples = next(iter(errors.values())).shape[1]
-    trace = Trace(1 + len(pose) * len(errors))
-    trace.add(np.vstack([np.zeros(samples) if time is None else time, *errors.values()]))
-    return of_trace(title, tuple(pose), tuple(errors), trace, timed=time is not None)
-
-
-def of_trace(
-    title: str, pose: tuple[str, ...], names: Sequence[str], trace: Trace, *, timed: bool
-) -> RunSeries:
-    """Return the series of a trace that holds time and, for each name in turn, the outputs' errors."""
-    n = len(pose)
-    rows = {line: slice(1 + k * n, 1 + (k + 1) * n) for k, line in enumerate(names)}
-    middle = 0.5 * (trace.low[0] + trace.high[0])
-    time = middle - trace.low[0][0] if timed else trace.samples
-    lines = {line: (trace.low[at], trace.high[at]) for line, at in rows.items()}
-    return RunSeries(title, pose, time, lines, timed, trace.width)
 
 
 def figure(series: RunSeries) -> Markup:
@@ -87,7 +48,7 @@ def figure(series: RunSeries) -> Markup:
 
 def _panel(series: RunSeries, k: int, span: tuple[float, float]) -> Markup:
     reach = largest(np.array([bounds[k] for pair in series.lines.values() for bounds in pair])) or 1e-12
-    factor, unit = scale(series.pose[k], reach)
+    factor, unit = scale(series.pose[k], reach, series.turning)
     last = k == len(series.pose) - 1
     right, bottom = WIDTH - 8, TOP + HIGH
     x = Scale(*span, LEFT, right)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.report.figures.names import MINUS
 from hallsym.report.page.html import Markup, tag
+from hallsym.report.words import MINUS
 
 WIDE, NARROW = 740.0, 240.0
 RIM = 14.0

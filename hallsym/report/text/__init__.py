@@ -1,1 +1,19 @@
-"""Results as text, one file per kind of result."""
+"""What commands print: results as text for a terminal."""
+
+from hallsym.report.text.budget import (
+    budget_text,
+    comparison_sentence,
+    comparison_text,
+    position_words,
+    recorded_text,
+)
+from hallsym.report.text.plan import plan_text
+
+__all__ = [
+    "budget_text",
+    "comparison_sentence",
+    "comparison_text",
+    "plan_text",
+    "position_words",
+    "recorded_text",
+]

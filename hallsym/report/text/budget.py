@@ -1,47 +1,23 @@
 """Budgets and their confirmation as a person reads them: nm, um, urad, deg, per cent."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from hallsym.report.tables import grid
-from hallsym.uncertainty.gum import Budget, Source
-from hallsym.uncertainty.monte_carlo import Comparison
-from hallsym.uncertainty.position import Recorded
-from hallsym.units import UNITS, readable
+from hallsym.uncertainty import Budget, Comparison, Recorded, Source
+from hallsym.units import UNITS, fitting, readable, reading_unit
 
-_READ = {
-    "m": ((1e9, "nm"), (1e6, "um"), (1e3, "mm"), (1.0, "m")),
-    "rad": ((1e9, "nrad"), (1e6, "urad"), (1e3, "mrad"), (1.0, "rad")),
-    "v": ((1e6, "uV"), (1e3, "mV"), (1.0, "V")),
-    "1": ((1e6, "ppm"), (1.0, "1")),
-}
-_ANGLE = ((1e3 * 180 / np.pi, "mdeg"), (180 / np.pi, "deg"))
 _SMALL = 5e-5
 """Sources with a smaller share are one line."""
-_MOST = 1000.0
-"""Values of this and above are read in the next larger unit."""
-
-
-def unit_for(unit: str, largest: float) -> tuple[float, str]:
-    """Return factor and unit in which values up to `largest` of an SI unit are read."""
-    known = _READ.get(unit, ((1.0, unit),))
-    return next(((f, name) for f, name in known if abs(largest) * f < _MOST), known[-1])
-
-
-def unit_of(quantity: str, unit: str, largest: float) -> tuple[float, str]:
-    """Return the same for a named quantity: an angle that goes round is read in degrees."""
-    if readable(quantity)[1] == "deg":
-        return next(((f, name) for f, name in _ANGLE if abs(largest) * f < _MOST), _ANGLE[-1])
-    return unit_for(unit, largest)
 
 
 def budget_text(budget: Budget, shown: str | None = None) -> str:
     """Return the table of a budget, largest share first; `shown`: the unit of the result for reading."""
     if shown is None:
-        factor, unit = unit_of(budget.quantity, budget.unit, budget.expanded)
+        factor, unit = fitting(budget.unit, budget.expanded, turns=budget.turns)
     else:
-        factor, unit = (1 / UNITS[shown].factor if shown in UNITS else unit_for("1", 1e-6)[0]), shown
+        factor, unit = (1 / UNITS[shown].factor if shown in UNITS else fitting("1", 1e-6)[0]), shown
     head = ["source", "distribution", "std uncertainty", "sensitivity", f"u [{unit}]", "share [%]"]
     ranked = budget.ranked()
     small = [source for source, share in ranked if abs(share) < _SMALL]
@@ -53,7 +29,10 @@ def budget_text(budget: Budget, shown: str | None = None) -> str:
     dof = budget.degrees_of_freedom
     level = "" if budget.level is None else f", {100 * budget.level:g} %"
     freedom = "" if np.isinf(dof) else f"; {dof:.0f} effective degrees of freedom"
-    value = "" if budget.value is None else f" = {_three(budget.value * factor)} {unit}"
+    value = ""
+    if budget.value is not None:
+        size, name = fitting(budget.unit, budget.value, turns=budget.turns)
+        value = f" = {_three(budget.value * size)} {name}"
     return "\n".join(
         [
             f"{budget.quantity}{value}",
@@ -80,18 +59,19 @@ def _row(source: Source, share: float, result: str, factor: float, unit: str) ->
 
 
 def _own(source: Source) -> tuple[float, str]:
-    """Unit of a source that has another than the result: um, urad, ppm."""
-    if source.unit == "1":
-        return unit_for("1", source.std)
-    factor, name, _ = readable(f"_{source.unit}")
-    return factor, name
+    """Return the unit of a source that has another than the result: um, urad, ppm."""
+    return fitting("1", source.std) if source.unit == "1" else reading_unit(source.unit)
+
+
+def _unit(c: Comparison) -> tuple[float, str]:
+    return fitting(c.linear.unit, max(c.std, c.linear.std), turns=c.linear.turns)
 
 
 def comparison_text(comparisons: Sequence[Comparison]) -> str:
     """Return what Monte Carlo says of the linear result: one table and one sentence for each output."""
     rows = [["Monte Carlo", "u linear", "u", "unit", "interval linear", "interval", "tolerance", ""]]
     for c in comparisons:
-        factor, unit = unit_of(c.linear.quantity, c.linear.unit, max(c.std, c.linear.std))
+        factor, unit = _unit(c)
         low, high = ((v - c.linear.value) * factor for v in c.interval)
         half = c.linear.factor * c.linear.std * factor
         rows.append(
@@ -127,7 +107,7 @@ def comparison_sentence(c: Comparison) -> str:
 
 
 def _size(c: Comparison, value: float) -> str:
-    factor, unit = unit_of(c.linear.quantity, c.linear.unit, max(c.std, c.linear.std))
+    factor, unit = _unit(c)
     return f"{_three(value * factor)} {unit}"
 
 
@@ -135,23 +115,20 @@ def recorded_text(recorded: Recorded, title: str) -> str:
     """Return U over a workspace: rms, worst, and where that is."""
     rows = [[title, "unit", "rms", "worst", "at"]]
     for column, worst in recorded.worst.items():
-        factor, unit, _ = readable(column)
-        rows.append(
-            [column, unit, _three(recorded.rms[column] * factor), _three(worst * factor),
-             position_words(recorded.where[column])]
-        )  # fmt: skip
+        factor, unit, _ = readable(column, recorded.turning)
+        sizes = (_three(v * factor) for v in (recorded.rms[column], worst))
+        rows.append([column, unit, *sizes, position_words(recorded.where[column], recorded.turning)])
     return grid(rows, left=2)
 
 
-def position_words(at: Mapping[str, float]) -> str:
-    """`x 100 um, z 250 um`: what is not next to zero beside the others."""
+def position_words(at: Mapping[str, float], turning: Collection[str] | None = None) -> str:
+    """Return `x 100 um, z 250 um`: what is not next to zero beside the others; `turning` as in `readable`."""
     least = 0.01 * max(map(abs, at.values()), default=0.0)
-    parts = [
-        f"{name} {_three(v * f)} {unit}"
-        for c, v in at.items()
-        for f, unit, name in [readable(c)]
-        if abs(v) > least
-    ]
+    parts = []
+    for column, value in at.items():
+        factor, unit, name = readable(column, turning)
+        if abs(value) > least:
+            parts.append(f"{name} {_three(value * factor)} {unit}")
     return ", ".join(parts) or "rest"
 
 

@@ -26,8 +26,8 @@ def effect_record(name: str) -> dict[str, Any]:
         return {
             "fault": name, "link": fault.link, "meaning": fault.meaning, "remedy": fault.remedy,
         }  # fmt: skip
-    named = [(family, e) for family in FAMILIES for e in family.effects if e.name == name]
-    return {"effect": name, "families": {family.name: _of_family(family, e) for family, e in named}}
+    having = [family for family in FAMILIES if name in effects(family)]
+    return {"effect": name, "families": {f.name: _of_family(f, effects(f)[name]) for f in having}}
 
 
 def _of_family(family: Family, effect: Effect) -> dict[str, Any]:

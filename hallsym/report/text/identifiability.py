@@ -1,13 +1,18 @@
 """The report of `identify` as tables for a terminal."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
-from hallsym.inference.null import NullDirection, NullSpace
-from hallsym.inference.report import CombinationReport, Identifiability, ParameterReport
-from hallsym.inference.workspace import Change
+from hallsym.inference import (
+    Change,
+    CombinationReport,
+    Identifiability,
+    NullDirection,
+    NullSpace,
+    Offsets,
+    ParameterReport,
+)
 from hallsym.report.tables import concise, grid
 from hallsym.units import readable
 
@@ -26,7 +31,7 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
         parts += ["", combinations_text(report.combinations)]
     parts += ["", *null_text(report.structural, report.practical)]
     parts += ["", effects_text(report)]
-    parts += ["", outputs_text(report), "", *nuisance_text(report, zeros)]
+    parts += ["", outputs_text(report), "", *offsets_text(report.offsets, zeros)]
     parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
     parts += [f"not computed: {sentence}" for sentence in report.partial]
     parts += [f"note: {note}" for note in report.evidence.notes]
@@ -74,16 +79,16 @@ def _other(entry: ParameterReport) -> str:
 
 
 def combinations_text(combinations: Sequence[CombinationReport]) -> str:
-    """Return what is determined instead of parameters that are not."""
-    rows = [["determined instead", "value", "unit", "95 % interval"]]
+    """Return the combinations that are identifiable although their parameters are not."""
+    rows = [["identifiable combinations", "value", "unit", "95 % interval"]]
     rows += [[c.expression, concise(c.value, c.std), c.unit, _interval(c, 1.0)] for c in combinations]
     return grid(rows)
 
 
 def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
     """Return the sentences on null directions."""
-    some = "what no recording can determine" if structural.null else "some recording determines everything"
-    less = "what this recording leaves" if practical.null else "this recording loses nothing more"
+    some = "not identifiable from any recording:" if structural.null else "all are identifiable"
+    less = "not identifiable from this recording:" if practical.null else "nothing more is lost"
     return [
         f"structural rank {structural.rank} of {structural.of}: {some}",
         *map(_direction, structural.null),
@@ -95,7 +100,7 @@ def null_text(structural: NullSpace, practical: NullSpace) -> list[str]:
 def _direction(direction: NullDirection) -> str:
     named = ", ".join(direction.parameters)
     if direction.determined is None:
-        return f"  {named}: nothing of it is determined"
+        return f"  {named}: no combination is identifiable"
     value = f"{concise(direction.value or 0.0, direction.std)} {direction.unit}"
     return f"  {named}: only {' and '.join((f'{direction.determined} = {value}', *direction.also))}"
 
@@ -131,38 +136,47 @@ def outputs_text(report: Identifiability) -> str:
         "noise_floor": "noise of one reading",
     }
     for key, label in labels.items():
-        rows.append([label, *(f"{report.outputs[c][key] * readable(c)[0]:.3g}" for c in report.model.pose)])
+        sizes = {c: getattr(output, key) * readable(c)[0] for c, output in report.outputs.items()}
+        rows.append([label, *(f"{sizes[c]:.3g}" for c in report.model.pose)])
     return grid(rows)
 
 
-def nuisance_text(report: Identifiability, listed: bool) -> list[str]:
+def offsets_text(offsets: Offsets, listed: bool) -> list[str]:
     """Return the zero deviations: summarised, and listed if asked for."""
-    nuisance = report.nuisance
-    if not nuisance["count"]:
+    if not offsets.names:
         return []
-    zeros = nuisance["zeros"]
-    factor, unit = _read(zeros)
-    sizes = [
+    sizes = offsets.sizes()
+    factor, unit = (1e6, "um") if offsets.units[0] == "m" else (float(np.degrees(1.0)), "deg")
+    said = [
         f"{n} {factor * z['rms']:.3g} {unit} rms, {factor * z['worst']:.3g} {unit} at most"
-        for n, z in zeros.items()
+        for n, z in sizes.items()
     ]
-    std = factor * max(z["std"] for z in zeros.values())
-    lines = [
-        f"{nuisance['count']} zero deviations, profiled out: {'; '.join(sizes)}; each +-{std:.2g} {unit}"
-    ]
+    std = factor * max(z["std"] for z in sizes.values())
+    lines = [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; each +-{std:.2g} {unit}"]
     if listed:
-        lines += ["", _zero_table(nuisance["runs"], factor, unit)]
+        rows = [["run", *(f"{n} [{unit}]" for n in offsets.names)]]
+        for run, values, own in zip(offsets.runs, factor * offsets.values, factor * offsets.std, strict=True):
+            rows.append([str(run), *map(concise, values.tolist(), own.tolist())])
+        lines += ["", grid(rows)]
     return lines
 
 
-def _read(zeros: Mapping[str, Mapping[str, Any]]) -> tuple[float, str]:
-    """Factor and unit in which zeros are read."""
-    return (1e6, "um") if next(iter(zeros.values()))["unit"] == "m" else (float(np.degrees(1.0)), "deg")
+def comparison_text(report: Identifiability, others: Sequence[Identifiability]) -> str:
+    """Return verdict and value of each parameter under every model, side by side."""
+    every = [report, *others]
+    names = list(dict.fromkeys(entry.name for one in every for entry in one.parameters))
+    rows = [["parameter", *(one.model.name for one in every)]]
+    rows += [[name, *(_cell(one, name) for one in every)] for name in names]
+    rank = [f"{one.structural.rank} of {one.structural.of}" for one in every]
+    cost = [f"{one.evidence.cost.at(one.evidence.p).value:.6g}" for one in every]
+    return grid([*rows, ["structural rank", *rank], ["cost (-2 log likelihood)", *cost]])
 
 
-def _zero_table(runs: Mapping[str, Mapping[str, Mapping[str, float]]], factor: float, unit: str) -> str:
-    names = list(next(iter(runs.values())))
-    rows = [["run", *(f"{n} [{unit}]" for n in names)]]
-    for run, row in runs.items():
-        rows.append([run, *(concise(row[n]["value"] * factor, row[n]["std"] * factor) for n in names)])
-    return grid(rows)
+def _cell(report: Identifiability, name: str) -> str:
+    if name not in report.model.names:
+        return "-"
+    entry = report[name]
+    factor, unit = _shown(entry.unit)
+    if entry.std is None:
+        return entry.verdict.word
+    return f"{concise(entry.value * factor, entry.std * factor)} {unit}"

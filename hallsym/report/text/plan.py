@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from hallsym.experiment.comparison import Comparison
-from hallsym.experiment.design import Plan
-from hallsym.experiment.information import Worst
+from hallsym.experiment import Comparison, Plan, Worst
 from hallsym.report.tables import grid
 from hallsym.units import readable
 
@@ -29,8 +27,7 @@ def plan_text(plan: Plan) -> str:
     lines.append(f"worst-determined combination with the plan: {worst_text(plan.after)}")
     lines.append(f"worst u of the position over the ranges: {_position(plan, plan.position)}")
     if study.criterion.name == "max-u":
-        one = np.array([study.ranges.reference.get(c, 1e-6) for c in study.model.pose])
-        lines[-1] += f" (counted in {_position(plan, one)})"
+        lines[-1] += f" (counted in {_position(plan, study.ranges.references(study.model.pose))})"
     if plan.comparison is not None:
         lines += ["", comparison_text(plan, plan.comparison)]
     return "\n".join(lines)
@@ -55,7 +52,7 @@ def comparison_text(plan: Plan, c: Comparison) -> str:
         return f"compared with {c.name}: {runs(c.runs)} that cannot determine {plan.study.model.name}"
     rows = [["", c.name, f"plan, {runs(c.runs)}", "smaller by"]]
     for coordinate, a, b in zip(plan.study.model.pose, c.position, c.position_as_many, strict=True):
-        factor, unit, short = readable(coordinate)
+        factor, unit, short = readable(coordinate, plan.study.model.period)
         rows.append(
             [f"worst u of {short} [{unit}]", f"{a * factor:.3g}", f"{b * factor:.3g}", f"{a / b:.2f}"]
         )
@@ -81,6 +78,6 @@ def comparison_text(plan: Plan, c: Comparison) -> str:
 def _position(plan: Plan, values: np.ndarray) -> str:
     parts = []
     for coordinate, value in zip(plan.study.model.pose, values, strict=True):
-        factor, unit, short = readable(coordinate)
+        factor, unit, short = readable(coordinate, plan.study.model.period)
         parts.append(f"{short} {value * factor:.3g} {unit}")
     return ", ".join(parts)

@@ -5,12 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hallsym.report.tables import grid
-from hallsym.uncertainty.tolerances.ranges import Tolerance
-from hallsym.uncertainty.tolerances.result import ENOUGH, Tolerances
-from hallsym.uncertainty.tolerances.study import MOST
-from hallsym.units import readable
-
-_SIZE = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg")}
+from hallsym.uncertainty.tolerances import ENOUGH, MOST_SAMPLES, Tolerance, Tolerances
+from hallsym.units import parameter_unit, readable, reading_unit
 
 
 def tolerances_text(found: Tolerances) -> str:
@@ -21,7 +17,7 @@ def tolerances_text(found: Tolerances) -> str:
             f"{found.model.name}: {len(found.active)} tolerances, {found.points} points of the workspace, "
             f"{found.samples} base samples, seed {found.seed}; {found.seconds:.1f} s",
             "",
-            f"errors of the designed decoder without calibration, {machines} machines drawn",
+            f"errors of the nominal decoder without calibration, {machines} machines drawn",
             error_table(found),
             "",
             "what a tolerance is worth: fall of the rms error in % if it alone is exact | halved",
@@ -42,7 +38,7 @@ def _heads(found: Tolerances) -> list[str]:
 
 def error_table(found: Tolerances) -> str:
     """Return the errors of the machines drawn, in um and urad."""
-    shown = [readable(c) for c in found.model.pose]
+    shown = [readable(c, found.model.period) for c in found.model.pose]
     e = found.errors
     rows = [
         ("rms, all machines", e.rms),
@@ -96,9 +92,9 @@ def index_table(found: Tolerances) -> str:
 
 def size(t: Tolerance) -> str:
     """Return a range for reading: `+-50000 um`, `0.1 deg (normal)`."""
-    factor, unit = _SIZE.get(t.unit, (1.0, "" if t.unit == "1" else t.unit))
+    factor, unit = reading_unit(t.unit) if t.unit == "m" else parameter_unit(t.unit, millimetres=True)
     sign = "" if t.distribution == "normal" else "+-"
-    about = f" about {t.centre * factor:.4g}" if abs(t.centre - t.designed) > 1e-12 * abs(t.designed) else ""
+    about = f" about {t.centre * factor:.4g}" if abs(t.centre - t.nominal) > 1e-12 * abs(t.nominal) else ""
     kind = {"rectangular": "", "normal": " (1 sigma)"}.get(t.distribution, f" ({t.distribution})")
     return f"{sign}{t.width * factor:.6g} {unit}".rstrip() + about + kind
 
@@ -124,8 +120,8 @@ def _sharpness(found: Tolerances) -> str:
     if found.widest <= ENOUGH:
         return f"{text}, sharp enough to rank what differs by more"
     wanted = found.samples * 2 ** int(np.ceil(2 * np.log2(found.widest / ENOUGH)))
-    if wanted > MOST:
-        return f"{text}, too wide to rank by; {MOST} samples are the most there can be"
+    if wanted > MOST_SAMPLES:
+        return f"{text}, too wide to rank by; {MOST_SAMPLES} samples are the most there can be"
     return (
         f"{text}, too wide to rank by: about --samples {wanted} brings them below {100 * ENOUGH:.0f} "
         "(four times the samples and the time, half the width)"
@@ -134,7 +130,7 @@ def _sharpness(found: Tolerances) -> str:
 
 def _calibration(found: Tolerances) -> Iterator[str]:
     r = found.remainder
-    shown = [readable(c) for c in found.model.pose]
+    shown = [readable(c, found.model.period) for c in found.model.pose]
 
     def errors(values: np.ndarray) -> str:
         return ", ".join(f"{n} {v * f:.2g} {u}" for v, (f, u, n) in zip(values, shown, strict=True))
@@ -153,4 +149,4 @@ def _calibration(found: Tolerances) -> Iterator[str]:
             f"{r.apart:.2g} of their tolerance, and that is harmless"
         )
         if r.combinations:
-            yield f"  determined instead, and removed: {'; '.join(r.combinations)}"
+            yield f"  identifiable combinations, and removed: {'; '.join(r.combinations)}"

@@ -1,7 +1,7 @@
-"""Global sensitivity before data: Sobol indices of the designed decoder's errors to a machine's tolerances.
+"""Global sensitivity before data: Sobol indices of the nominal decoder's errors to a machine's tolerances.
 
 `ranges` says what a tolerance is, `workspace` where errors count, `sobol` estimates the indices, `calibrated`
-what a calibration takes away, `study` puts them together, `text` says them.
+what a calibration takes away, `study` puts them together.
 """
 
 from hallsym.uncertainty.tolerances.ranges import (
@@ -10,11 +10,14 @@ from hallsym.uncertainty.tolerances.ranges import (
     given_tolerances,
     read_tolerances,
 )
+from hallsym.uncertainty.tolerances.result import ENOUGH, Tolerances
 from hallsym.uncertainty.tolerances.sobol import Indices
-from hallsym.uncertainty.tolerances.study import Tolerances, tolerances
+from hallsym.uncertainty.tolerances.study import MOST_SAMPLES, tolerances
 from hallsym.uncertainty.tolerances.workspace import Workspace, workspace_of
 
 __all__ = [
+    "ENOUGH",
+    "MOST_SAMPLES",
     "Indices",
     "Tolerance",
     "Tolerances",

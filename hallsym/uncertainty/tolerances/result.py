@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hallsym.model import Model
+from hallsym.records import named
 from hallsym.uncertainty.tolerances.calibrated import Remainder
 from hallsym.uncertainty.tolerances.ranges import Tolerance
 from hallsym.uncertainty.tolerances.sobol import Indices
@@ -76,11 +78,7 @@ class Tolerances:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, SI."""
-        pose, r, e = self.model.pose, self.remainder, self.errors
-
-        def by_pose(values: np.ndarray) -> dict[str, float]:
-            return dict(zip(pose, np.asarray(values, dtype=float).tolist(), strict=True))
-
+        r, by_pose = self.remainder, partial(named, self.model.pose)
         return {
             "model": self.model.name,
             "seed": self.seed,
@@ -88,21 +86,16 @@ class Tolerances:
             "points": self.points,
             "tolerances": {
                 t.name: {
-                    "unit": t.unit, "designed": float(t.designed), "centre": float(t.centre),
+                    "unit": t.unit, "designed": float(t.nominal), "centre": float(t.centre),
                     "width": float(t.width), "distribution": t.distribution, "std": float(t.std),
                     "source": t.source,
                 }
                 for t in self.tolerances
             },
-            "errors": {
-                name: by_pose(getattr(e, name)) for name in ("rms", "mean", "rms_spread", "rms_95", "peak_95")
-            },
+            "errors": {name: by_pose(values) for name, values in vars(self.errors).items()},
             "ranking": list(self.ranking),
             "worth": {
-                name: {
-                    what: by_pose(getattr(self.worth, what)[j])
-                    for what in ("exact", "halved", "exact_half", "spread")
-                }
+                name: {what: by_pose(values[j]) for what, values in vars(self.worth).items()}
                 for j, name in enumerate(self.active)
             },
             "indices": {q: _indices(self.active, self.indices[q]) for q in QUANTITIES},
@@ -120,11 +113,8 @@ class Tolerances:
 def _indices(active: Sequence[str], by_pose: Mapping[str, Indices]) -> dict[str, dict[str, dict[str, float]]]:
     return {
         c: {
-            name: {
-                "first": float(i.first[j]), "first_half": float(i.first_half[j]),
-                "total": float(i.total[j]), "total_half": float(i.total_half[j]),
-            }
+            name: {what: float(values[j]) for what, values in vars(i).items()}
             for j, name in enumerate(active)
         }
         for c, i in by_pose.items()
-    }  # fmt: skip
+    }

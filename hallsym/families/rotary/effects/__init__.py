@@ -7,71 +7,22 @@ mechanisms that other families share are in `hallsym.families.mechanisms`; `dire
 series of waves.
 """
 
-from hallsym.families.rotary import models as rotary
+from hallsym.families.rotary import models
+from hallsym.families.rotary.effects import electronics, field, mechanics, reference, transducer
 from hallsym.families.rotary.effects.direct import direct
-from hallsym.families.rotary.effects.electronics import (
-    mains_hum,
-    reference_voltage_fluctuation,
-    saturation,
-)
-from hallsym.families.rotary.effects.field import (
-    field_harmonics,
-    field_saturation,
-    third_harmonic_distortion,
-    uniform_stray_field,
-)
-from hallsym.families.rotary.effects.mechanics import (
-    direction,
-    eccentricity,
-    hysteresis,
-    magnet_tilt,
-    off_axis,
-    time_skew,
-)
-from hallsym.families.rotary.effects.reference import (
-    reference_eccentricity,
-    reference_pole_pairs,
-    reference_scale_error,
-)
-from hallsym.families.rotary.effects.transducer import (
-    even_nonlinearity,
-    first_order_lag,
-    gain_mismatch,
-    gain_temperature_drift,
-    gain_time_drift,
-    odd_nonlinearity,
-    offset_error,
-    offset_temperature_drift,
-    offset_time_drift,
-    orthogonality_error,
-)
+from hallsym.families.rotary.effects.field import field_harmonics
+from hallsym.families.rotary.effects.mechanics import direction, off_axis
+from hallsym.families.rotary.effects.parts import short
 
 EFFECTS = (
-    *rotary.EFFECTS,
-    offset_error,
-    uniform_stray_field,
-    gain_mismatch,
-    orthogonality_error,
-    third_harmonic_distortion,
-    field_saturation,
-    odd_nonlinearity,
-    even_nonlinearity,
-    eccentricity,
-    magnet_tilt,
-    time_skew,
-    first_order_lag,
-    hysteresis,
-    gain_temperature_drift,
-    offset_temperature_drift,
-    gain_time_drift,
-    offset_time_drift,
-    saturation,
-    mains_hum,
-    reference_voltage_fluctuation,
-    reference_eccentricity,
-    reference_scale_error,
-    reference_pole_pairs,
-)
-"""All effects of an encoder; a diagnosis prefers those that stand first where a log cannot tell two apart."""
+    models.harmonics, models.zero_deviation, transducer.offset_error, field.uniform_stray_field,
+    transducer.gain_mismatch, transducer.orthogonality_error, field.third_harmonic_distortion,
+    field.field_saturation, transducer.odd_nonlinearity, transducer.even_nonlinearity,
+    mechanics.eccentricity, mechanics.magnet_tilt, mechanics.time_skew, transducer.first_order_lag,
+    mechanics.hysteresis, transducer.gain_temperature_drift, transducer.offset_temperature_drift,
+    transducer.gain_time_drift, transducer.offset_time_drift, electronics.saturation,
+    electronics.mains_hum, electronics.reference_voltage_fluctuation, reference.reference_eccentricity,
+    reference.reference_scale_error, reference.reference_pole_pairs,
+)  # fmt: skip
 
-__all__ = ["EFFECTS", "direct", "direction", "field_harmonics", "off_axis"]
+__all__ = ["EFFECTS", "direct", "direction", "field_harmonics", "off_axis", "short"]

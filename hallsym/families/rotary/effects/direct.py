@@ -14,7 +14,7 @@ from hallsym.model import Model, Signals, Step
 def direct(model: Model) -> Model:
     """Return the model evaluated at each sample's own angle: atan2 itself, no series, no features.
 
-    A fit from run summaries needs readings that are linear in features; a diagnosis, which goes over the
+    A fit from run statistics needs readings that are linear in features; a diagnosis, which goes over the
     samples, does not, and the series of many effects are long.
     """
     plain: dict[Step, Step] = {

@@ -8,9 +8,9 @@ import casadi as ca
 from hallsym.errors import InputError
 from hallsym.families.faults import inject_rails
 from hallsym.families.mechanisms import LINE, P, at_frequency, clipping, rails
-from hallsym.families.rotary.effects.parts import READINGS, decodes, effect
+from hallsym.families.rotary.effects.parts import READINGS, decodes
 from hallsym.families.rotary.effects.transducer import gains_follow, offsets_follow
-from hallsym.model import Facts, Model, Parameter, Signals
+from hallsym.model import Facts, Model, Parameter, Signals, effect
 from hallsym.model.arguments import SHARE, Try, beside, found
 
 LEVELS = (0.95, 0.8, 0.65, 0.5)
@@ -66,10 +66,7 @@ def saturation(
     ),
     axes_deg: float | None = beside("angle of the plates' axes there", default=0.0, instead=True),
 ) -> Model:
-    """Voltages stop at a rail.
-
-    Voltages stop at rails; where only the angle is read, before the angle is taken from them.
-    """
+    """Voltages stop at a rail."""
     if level is not None and axes_deg is not None:
         return clipped_angle(model, level, radians(axes_deg))
     if low_v is None or high_v is None or not len(low_v) == len(high_v) == 2:

@@ -5,31 +5,28 @@ from collections.abc import Sequence
 import casadi as ca
 
 from hallsym.families.mechanisms import P, column, following, free, in_runs
-from hallsym.families.rotary.effects.parts import MAGNET, REFERENCE, VOLTAGES, effect, harmonic
+from hallsym.families.rotary.effects.parts import MAGNET, REFERENCE, VOLTAGES, harmonic
 from hallsym.families.rotary.effects.transducer import offset
-from hallsym.model import Facts, Model, Signals
+from hallsym.model import Facts, Model, Signals, effect
 from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
 
 
 def field_harmonics(model: Model, effect: str, link: str, orders: Sequence[int], phase: bool = True) -> Model:
     """Harmonics of the field at the chip, each with a free amplitude and (if `phase`) a free phase."""
-    parts = (
-        {"re": "in phase with the field", "im": "across it"} if phase else {"re": "in phase with the field"}
-    )
-    new = [
-        free([f"{effect}_{n}_{part}".replace("-", "m")], 0.5, "1", f"harmonic {n} of the field, {what}")[0]
+    parts = {"re": "in phase with it", "im": "across it"} if phase else {"re": "in phase with it"}
+    meanings = {
+        f"{effect}_{n}_{part}".replace("-", "m"): f"harmonic {n} of the field, {what}"
         for n in orders
         for part, what in parts.items()
-    ]
+    }
 
     def step(s: Signals, p: P) -> None:
-        values = iter(new)
+        values = (p[name] for name in meanings)
         for n in orders:
-            re = p[next(values).name]
-            harmonic(s, n, re, p[next(values).name] if phase else ca.SX(0))
+            harmonic(s, n, next(values), next(values) if phase else ca.SX(0))
 
-    return model.with_step(link, step, effect=effect, parameters=tuple(new))
+    return model.with_step(link, step, effect=effect, parameters=free(meanings, 0.5, "1"))
 
 
 @effect(link="field", waves=(4,), separate=f"another air gap; or {MAGNET}")
@@ -39,10 +36,7 @@ def third_harmonic_distortion(
         {"fixed": "in phase", "free": "any phase"}, "phase of the harmonic to the fundamental"
     ),
 ) -> Model:
-    """Third harmonic of the magnet's field: four waves per turn.
-
-    Third harmonic of the magnet's field, in phase with the first, or in any phase.
-    """
+    """Third harmonic of the magnet's field: four waves per turn."""
     return field_harmonics(model, "third_harmonic_distortion", "field", (-3,), phase == "free")
 
 
@@ -50,7 +44,7 @@ def third_harmonic_distortion(
 def field_saturation(model: Model) -> Model:
     """Both plates compress softly at a high field.
 
-    Each plate compresses softly, alike: b becomes b - k b^3.
+    b becomes b - k b^3, alike.
     """
 
     def step(s: Signals, p: P) -> None:
@@ -58,7 +52,7 @@ def field_saturation(model: Model) -> Model:
             b = s[plate]
             s[plate] = b - b * b * b * p["compression"]
 
-    new = free(["compression"], 0.5, "1", "share of the field that compression takes at the peak")
+    new = free({"compression": "share of the field that compression takes at the peak"}, 0.5, "1")
     return model.with_step("field", step, effect="field_saturation", parameters=new)
 
 
@@ -78,10 +72,7 @@ def uniform_stray_field(
     ),
     runs: tuple[int, ...] | None = found(switched, "run numbers in which the field is on", instead=True),
 ) -> Model:
-    """External field: static, switched, or with the speed.
-
-    External field: static, in proportion to the speed, or on in some runs only.
-    """
+    """External field: static, switched, or with the speed."""
     name = "uniform_stray_field"
     if runs is not None:
         return following(model, name, "transducer", VOLTAGES, in_runs(runs), 100.0, "1")

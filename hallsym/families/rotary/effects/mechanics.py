@@ -10,18 +10,17 @@ from hallsym.families.mechanisms import P, free
 from hallsym.families.play import stop_operator
 from hallsym.families.rotary.effects.field import field_harmonics
 from hallsym.families.rotary.effects.parts import (
+    LATE,
     MAGNET,
     PLATES,
     REFERENCE,
-    SPEED,
     TURNED,
-    ahead,
+    add_ahead,
     decodes,
-    effect,
     free_ellipse,
     harmonic,
 )
-from hallsym.model import Facts, Model, Parameter, Signals
+from hallsym.model import Facts, Model, Parameter, Signals, effect
 from hallsym.model.arguments import ANY, one_of, searched
 from hallsym.model.derived import Computed, Stretch, rate
 
@@ -111,18 +110,13 @@ def off_axis(model: Model, effect: str, direction_rad: float, tilted: bool = Fal
         harmonic(s, 0, a * re + b * (re * c - im * d), -a * im + b * (re * d + im * c))
         harmonic(s, -1, chip * c, chip * d)
 
-    new = (
-        *free(names[:1], 0.5, "1", "change of the field by chip and magnet off the axis, real part"),
-        *free(names[1:2], 0.5, "1", "change of the field by chip and magnet off the axis, imaginary part"),
-        *free(names[2:], 0.5, "1", "change of the field by the chip off the axis alone"),
-    )
+    parts = ("chip and magnet, real part", "chip and magnet, imaginary part", "the chip alone")
+    meanings = [f"change of the field off the axis by {part}" for part in parts]
+    new = free(dict(zip(names, meanings, strict=True)), 0.5, "1")
     if tilted:
         what = "part of harmonic 2 of the field that is also in harmonic 0"
         new += tuple(Parameter(n, 0.5, -2.0, 3.0, "1", f"{n} {what}") for n in ("mirrored", "turned"))
     return model.with_step("mechanics", step, effect=effect, parameters=new)
-
-
-LATE = "speeds so high that a low-pass lowers the amplitude, which a delay does not"
 
 
 @effect(link="clock", separate=LATE, needs=("t_s",))
@@ -136,28 +130,25 @@ def time_skew(
 ) -> Model:
     """Constant delay between readings and reference: latency.
 
-    The readings are older than the reference: by one delay, or by one per plate of a multiplexed
-    converter.
+    A multiplexed converter has one per plate.
     """
-    wide = model.with_columns(rate(REFERENCE))
+    speed = rate(REFERENCE)
     if per == "log":
-        delay = Parameter("delay", 0.0, -1.0, 1.0, "s", "delay of the readings")
-
-        def together(s: Signals, p: P) -> None:
-            ahead(s, -p["delay"] * s[SPEED])
-
-        return wide.with_step("reference", together, effect="time_skew", parameters=(delay,))
+        delay = free({"delay": "delay of the readings"}, 1.0, "s")
+        return add_ahead(
+            model, "time_skew", "reference", delay, lambda s, p: -p["delay"] * s[speed.name], speed
+        )
     if decodes(model):
         raise InputError(
             f"Model {model.name} reads the angle alone here; a delay per plate needs both voltages."
         )
-    new = tuple(Parameter(f"delay_{k}", 0.0, -1.0, 1.0, "s", f"delay of the {k} plate") for k in PLATES)
+    new = free({f"delay_{k}": f"delay of the {k} plate" for k in PLATES}, 1.0, "s")
 
     def step(s: Signals, p: P) -> None:
         for plate in PLATES:
-            s[f"v_{plate}"] = s[f"v_{plate}"].ahead(-p[f"delay_{plate}"] * s[SPEED])
+            s[f"v_{plate}"] = s[f"v_{plate}"].ahead(-p[f"delay_{plate}"] * s[speed.name])
 
-    return wide.with_step("transducer", step, effect="time_skew", parameters=new)
+    return model.with_columns(speed).with_step("transducer", step, effect="time_skew", parameters=new)
 
 
 @effect(
@@ -175,15 +166,10 @@ def hysteresis(
 ) -> Model:
     """The angle depends on the direction, not on the speed.
 
-    The angle lags in the direction of motion by a constant, whatever the speed: play, magnetic memory.
+    It lags by a constant in the direction of motion: play, magnetic memory.
     """
-    column = direction(half_width_rad)
-
-    def step(s: Signals, p: P) -> None:
-        ahead(s, -p["play"] * s[column.name])
-
-    new = free(["play"], 0.5, "rad", "half the play")
-    return model.with_columns(column).with_step("mechanics", step, effect="hysteresis", parameters=new)
+    column, new = direction(half_width_rad), free({"play": "half the play"}, 0.5, "rad")
+    return add_ahead(model, "hysteresis", "mechanics", new, lambda s, p: -p["play"] * s[column.name], column)
 
 
 def direction(width_rad: float) -> Computed:

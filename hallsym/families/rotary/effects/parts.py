@@ -1,21 +1,21 @@
 """What effects of an encoder share: its ports, the harmonics of its field, and how they are declared."""
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 
-from hallsym.families.mechanisms import Port, port
+from hallsym.families.mechanisms import P, Port, port
 from hallsym.families.rotary import models as rotary
 from hallsym.families.rotary.effects.direct import direct
 from hallsym.families.rotary.waves import Wave
-from hallsym.model import Facts, Model, Signals
-from hallsym.model import effect as declared
+from hallsym.model import Facts, Model, Parameter, Signals
+from hallsym.model.derived import Computed
 
 (REFERENCE,) = rotary.REFERENCES
 SPEED = f"d1_{REFERENCE}"
 PLATES = ("sin", "cos")
 MAGNET = "a turn at each of several known angles of the stator (or the chip) against the magnet"
+LATE = "speeds so high that a low-pass lowers the amplitude, which a delay does not"
 TURNED = "a turn with the reference coupled at each of several other angles"
 
 
@@ -39,10 +39,6 @@ def short(model: Model) -> Model:
     return direct(model) if decodes(model) and model.computed else model
 
 
-effect = partial(declared, finish=short)
-"""Make a function an effect of an encoder."""
-
-
 def with_voltages(value: object, model: Model, facts: Facts) -> bool:
     """Return whether both voltages are read: what an angle alone cannot tell is not tried."""
     return not decodes(model)
@@ -61,6 +57,22 @@ def amplitude(model: Model) -> float:
 def ahead(s: Signals, angle: ca.SX) -> None:
     """Replace the field by that at another angle of the magnet."""
     s["cosine"], s["sine"] = s["cosine"].ahead(angle), s["sine"].ahead(angle)
+
+
+def add_ahead(
+    model: Model,
+    effect: str,
+    link: str,
+    parameters: tuple[Parameter, ...],
+    angle: Callable[[Signals, P], ca.SX],
+    *columns: Computed,
+) -> Model:
+    """Return the model whose field is that at another angle of the magnet, `angle` ahead."""
+
+    def step(s: Signals, p: P) -> None:
+        ahead(s, angle(s, p))
+
+    return model.with_columns(*columns).with_step(link, step, effect=effect, parameters=parameters)
 
 
 def harmonic(s: Signals, n: int, re: ca.SX, im: ca.SX) -> None:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import casadi as ca
 
 from hallsym.families.mechanisms import P, free
-from hallsym.families.rotary.effects.parts import TURNED, ahead, effect
-from hallsym.model import Model, Signals
+from hallsym.families.rotary.effects.parts import TURNED, add_ahead
+from hallsym.model import Model, Signals, effect
 from hallsym.model.arguments import Valid, searched
 
 STEEPEST = 0.3
@@ -19,19 +19,16 @@ def reference_harmonics(model: Model, effect: str, orders: Sequence[int]) -> Mod
     """The reference is off by waves of the turn: logged angle = angle + sum of c cos(n a) + s sin(n a)."""
     names = [(f"{effect}_{n}_cos", f"{effect}_{n}_sin") for n in orders]
 
-    def step(s: Signals, p: P) -> None:
-        a = s[model.pose[0]]
-        error = sum(
-            p[c] * ca.cos(n * a) + p[d] * ca.sin(n * a) for n, (c, d) in zip(orders, names, strict=True)
-        )
-        ahead(s, -error)
+    def error(s: Signals, p: P) -> ca.SX:
+        a, waves = s[model.pose[0]], zip(orders, names, strict=True)
+        return -sum(p[c] * ca.cos(n * a) + p[d] * ca.sin(n * a) for n, (c, d) in waves)
 
     new = tuple(
         q
         for n, row in zip(orders, names, strict=True)
-        for q in free(row, STEEPEST / n, "rad", f"{n} waves per turn of the error of the reference")
+        for q in free(dict.fromkeys(row, f"error of the reference, {n} per turn"), STEEPEST / n, "rad")
     )
-    return model.with_step("reference", step, effect=effect, parameters=new)
+    return add_ahead(model, effect, "reference", new, error)
 
 
 @effect(link="reference", label="once per turn", separate=TURNED, waves=(1,))
@@ -43,12 +40,10 @@ def reference_eccentricity(model: Model) -> Model:
 @effect(link="reference", label="one share", separate="several turns in one direction")
 def reference_scale_error(model: Model) -> Model:
     """A turn of the reference is short or long."""
-
-    def step(s: Signals, p: P) -> None:
-        ahead(s, -p["scale"] * s[model.pose[0]])
-
-    new = free(["scale"], 0.05, "1", "share by which a turn of the reference is long")
-    return model.with_step("reference", step, effect="reference_scale_error", parameters=new)
+    new = free({"scale": "share by which a turn of the reference is long"}, 0.05, "1")
+    return add_ahead(
+        model, "reference_scale_error", "reference", new, lambda s, p: -p["scale"] * s[model.pose[0]]
+    )
 
 
 @effect(

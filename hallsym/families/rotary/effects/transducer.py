@@ -3,19 +3,19 @@
 import casadi as ca
 
 from hallsym.families.mechanisms import (
-    DEGREE,
-    DURATION,
-    MEAN_TEMPERATURE,
+    EVEN,
+    ODD,
     Functions,
     P,
     following,
     free,
     nonlinearity,
-    over_time,
-    settling_time,
-    with_temperature,
+    powers_to,
+    temperature_drift,
+    time_drift,
 )
 from hallsym.families.rotary.effects.parts import (
+    LATE,
     MAGNET,
     PLATES,
     REFERENCE,
@@ -23,10 +23,8 @@ from hallsym.families.rotary.effects.parts import (
     VOLTAGES,
     amplitude,
     decodes,
-    effect,
 )
-from hallsym.model import Model, Parameter, Signals
-from hallsym.model.arguments import one_of
+from hallsym.model import Model, Parameter, Signals, effect
 from hallsym.model.derived import rate
 
 WARM = "warm up and cool down, so that temperature is not a function of time"
@@ -49,35 +47,30 @@ def offset_error(model: Model) -> Model:
 
 @effect(link="transducer", label="one ratio", separate=MAGNET, waves=(2,))
 def gain_mismatch(model: Model) -> Model:
-    """Sine and cosine have different gains.
-
-    The gains of sine and cosine differ by a share.
-    """
+    """Sine and cosine have different gains."""
 
     def step(s: Signals, p: P) -> None:
         s["v_sin"] = s["v_sin"] * (1 + p["mismatch"] / 2)
         s["v_cos"] = s["v_cos"] * (1 - p["mismatch"] / 2)
 
-    new = free(["mismatch"], 1.0, "1", "relative difference of the gains of sine and cosine")
+    new = free({"mismatch": "relative difference of the gains of sine and cosine"}, 1.0, "1")
     return model.with_step("transducer", step, effect="gain_mismatch", parameters=new)
 
 
 @effect(link="transducer", label="one angle", separate=MAGNET, waves=(2,))
 def orthogonality_error(model: Model) -> Model:
-    """The axes of sine and cosine are not perpendicular.
-
-    The sine plate sees a share of the cosine: the axes are not perpendicular.
-    """
+    """The axes of sine and cosine are not perpendicular."""
 
     def step(s: Signals, p: P) -> None:
         s["v_sin"] = s["v_sin"] + s["v_cos"] * p["skewed"]
 
-    new = free(["skewed"], 1.0, "rad", "angle by which the axes of the plates are off 90 deg")
+    new = free({"skewed": "angle by which the axes of the plates are off 90 deg"}, 1.0, "rad")
     return model.with_step("transducer", step, effect="orthogonality_error", parameters=new)
 
 
-def _bent(model: Model, effect: str, powers: tuple[int, ...]) -> Model:
-    names = {f"{effect}{j}_{{k}}": n for j, n in enumerate(powers)}
+def _bent(model: Model, effect: str, order: int) -> Model:
+    """Voltage v becomes v + sum of c v^n / A^(n - 1), c per plate, A the nominal amplitude."""
+    names = {f"{effect}{j}_{{k}}": n for j, n in enumerate(powers_to(order))}
     return nonlinearity(model, effect, "transducer", VOLTAGES, names, 100.0, amplitude(model))
 
 
@@ -86,37 +79,22 @@ def _bent(model: Model, effect: str, powers: tuple[int, ...]) -> Model:
     waves=(4,),
     separate="another air gap: the field's own harmonics do not follow the amplitude",
 )
-def odd_nonlinearity(
-    model: Model, order: int = one_of({3: "cubic", 5: "cubic and quintic"}, "highest power")
-) -> Model:
-    """Cubic deviation of each voltage from a line.
-
-    Voltage v becomes v + sum of c v^n / A^(n - 1), c per plate, A the nominal amplitude.
-    """
-    return _bent(model, "odd_nonlinearity", (3, 5)[: order // 2])
+def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
+    """Cubic deviation of each voltage from a line."""
+    return _bent(model, "odd_nonlinearity", order)
 
 
 @effect(link="transducer", separate="another air gap", waves=(3,))
-def even_nonlinearity(
-    model: Model, order: int = one_of({2: "square", 4: "square and fourth power"}, "highest power")
-) -> Model:
-    """Square deviation of each voltage from a line.
-
-    Voltage v becomes v + sum of c v^n / A^(n - 1), c per plate, A the nominal amplitude.
-    """
-    return _bent(model, "even_nonlinearity", (2, 4)[: order // 2])
+def even_nonlinearity(model: Model, order: int = EVEN) -> Model:
+    """Square deviation of each voltage from a line."""
+    return _bent(model, "even_nonlinearity", order)
 
 
-@effect(
-    link="transducer",
-    label="one time constant",
-    needs=("t_s",),
-    separate="speeds so high that a low-pass lowers the amplitude, which a delay does not",
-)
+@effect(link="transducer", label="one time constant", needs=("t_s",), separate=LATE)
 def first_order_lag(model: Model) -> Model:
     """Low-pass in the path of the readings.
 
-    A low-pass in the path of both voltages, at the speed of the moment: every harmonic loses its share.
+    Of both voltages, at the speed of the moment: every harmonic loses its share.
     """
 
     def step(s: Signals, p: P) -> None:
@@ -133,8 +111,7 @@ def first_order_lag(model: Model) -> Model:
 
 
 def gains_follow(model: Model, effect: str, functions: Functions) -> Model:
-    """Each voltage times 1 + sum of g f, g per plate; an angle shows only that of the sine over the
-    cosine."""
+    """Each voltage times 1 + sum of g f, g per plate; an angle shows only the ratio of both."""
     only = ("sin",) if decodes(model) else None
     return following(model, effect, "transducer", VOLTAGES, functions, 100.0, "1", gain=True, only=only)
 
@@ -144,41 +121,17 @@ def offsets_follow(model: Model, effect: str, functions: Functions) -> Model:
     return following(model, effect, "transducer", VOLTAGES, functions, 100.0, "1")
 
 
-@effect(link="transducer", label="linear", separate=WARM, needs=("temperature_degc",))
-def gain_temperature_drift(model: Model, mean_degc: float = MEAN_TEMPERATURE) -> Model:
-    """Gains follow the logged temperature."""
-    return gains_follow(model, "gain_temperature_drift", with_temperature(mean_degc))
-
-
-@effect(link="transducer", label="linear", separate=WARM, needs=("temperature_degc",))
-def offset_temperature_drift(model: Model, mean_degc: float = MEAN_TEMPERATURE) -> Model:
-    """Offsets follow the logged temperature."""
-    return offsets_follow(model, "offset_temperature_drift", with_temperature(mean_degc))
-
-
-@effect(link="transducer", separate=AGAIN, needs=("t_s",))
-def gain_time_drift(
-    model: Model,
-    duration_s: float = DURATION,
-    degree: int = DEGREE,
-    settling_s: float | None = settling_time((16, 8, 4, 2), FINER),
-) -> Model:
-    """Gains drift smoothly over the campaign.
-
-    Gains drift over the campaign: along a polynomial of time, or an exponential.
-    """
-    return gains_follow(model, "gain_time_drift", over_time(duration_s, degree, settling_s))
-
-
-@effect(link="transducer", separate=AGAIN, needs=("t_s",))
-def offset_time_drift(
-    model: Model,
-    duration_s: float = DURATION,
-    degree: int = DEGREE,
-    settling_s: float | None = settling_time((16, 8, 4, 2), FINER),
-) -> Model:
-    """Offsets drift smoothly over the campaign.
-
-    Offsets drift over the campaign: along a polynomial of time, or an exponential.
-    """
-    return offsets_follow(model, "offset_time_drift", over_time(duration_s, degree, settling_s))
+gain_temperature_drift = temperature_drift(
+    "gain_temperature_drift", "Gains follow the logged temperature.", gains_follow, separate=WARM
+)
+offset_temperature_drift = temperature_drift(
+    "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow, separate=WARM
+)
+gain_time_drift = time_drift(
+    "gain_time_drift", "Gains drift smoothly over the campaign.", gains_follow, (16, 8, 4, 2), FINER,
+    separate=AGAIN, needs=("t_s",),
+)  # fmt: skip
+offset_time_drift = time_drift(
+    "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 8, 4, 2), FINER,
+    separate=AGAIN, needs=("t_s",),
+)  # fmt: skip

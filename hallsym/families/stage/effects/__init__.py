@@ -4,57 +4,16 @@ Displacements in m, times in s; u is what a probe senses along its sensing axis,
 One file per link of the chain; mechanisms that other families share are in `hallsym.families.mechanisms`.
 """
 
-from hallsym.families.stage import models as stage
-from hallsym.families.stage.effects.electronics import mains_hum, motor_stray_field, saturation
-from hallsym.families.stage.effects.field import (
-    cross_axis_sensitivity,
-    even_nonlinearity,
-    hysteresis,
-    odd_nonlinearity,
-)
-from hallsym.families.stage.effects.mechanics import (
-    mount_slip,
-    second_order_rotation,
-    time_skew,
-    vertical_offset_coupling,
-)
-from hallsym.families.stage.effects.reference import (
-    reference_abbe_error,
-    reference_drift,
-    reference_scale_error,
-)
-from hallsym.families.stage.effects.transducer import (
-    first_order_lag,
-    gain_temperature_drift,
-    gain_time_drift,
-    height_quadratic,
-    offset_temperature_drift,
-    offset_time_drift,
-    vertical_gain_coupling,
-)
+from hallsym.families.stage import models
+from hallsym.families.stage.effects import electronics, field, mechanics, reference, transducer
 
 EFFECTS = (
-    *stage.EFFECTS,
-    vertical_gain_coupling,
-    height_quadratic,
-    odd_nonlinearity,
-    even_nonlinearity,
-    cross_axis_sensitivity,
-    second_order_rotation,
-    vertical_offset_coupling,
-    time_skew,
-    first_order_lag,
-    hysteresis,
-    gain_temperature_drift,
-    offset_temperature_drift,
-    gain_time_drift,
-    offset_time_drift,
-    mount_slip,
-    motor_stray_field,
-    saturation,
-    mains_hum,
-    reference_scale_error,
-    reference_abbe_error,
-    reference_drift,
-)
-"""All effects of the stage; a diagnosis prefers those that stand first where a log cannot tell two apart."""
+    models.zero_deviation, models.vertical_coupling, models.tied_vertical_coupling, models.exact_rotation,
+    transducer.vertical_gain_coupling, transducer.height_quadratic, field.odd_nonlinearity,
+    field.even_nonlinearity, field.cross_axis_sensitivity, mechanics.second_order_rotation,
+    mechanics.vertical_offset_coupling, mechanics.time_skew, transducer.first_order_lag, field.hysteresis,
+    transducer.gain_temperature_drift, transducer.offset_temperature_drift, transducer.gain_time_drift,
+    transducer.offset_time_drift, mechanics.mount_slip, electronics.motor_stray_field,
+    electronics.saturation, electronics.mains_hum, reference.reference_scale_error,
+    reference.reference_abbe_error, reference.reference_drift,
+)  # fmt: skip

@@ -49,10 +49,7 @@ def saturation(
     low_m: tuple[float, ...] = beside("lowest reading of each probe"),
     high_m: tuple[float, ...] = found(rails("low_m", "high_m", alike=True), "highest reading of each probe"),
 ) -> Model:
-    """Readings stop at a rail.
-
-    Readings beyond their rails lose the share that is the parameter (1: hard).
-    """
+    """Readings stop at a rail."""
     if not len(low_m) == len(high_m) == len(model.layout):
         raise InputError(f"Rails of saturation must be {len(model.layout)} numbers each, as -2e-4/-2e-4.")
     return clipping(model, READING, low_m, high_m)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 import numpy as np
 
-from hallsym.families.mechanisms import P, add_terms, free, nonlinearity
+from hallsym.families.mechanisms import EVEN, ODD, P, add_terms, free, nonlinearity, powers_to
 from hallsym.families.play import stop_state
 from hallsym.families.stage.effects.parts import AXES, SENSED, UNIT, across, labels
 from hallsym.model import Model, Parameter, Signals, effect
@@ -13,31 +13,22 @@ from hallsym.model.arguments import one_of, searched
 from hallsym.model.derived import Computed, Stretch
 
 
-def _bent(model: Model, effect: str, powers: tuple[int, ...]) -> Model:
-    names = {f"{effect}{n}_{{k}}": n for n in powers}
+def _bent(model: Model, effect: str, order: int) -> Model:
+    """Displacement u becomes u + sum of c u^n / (0.5 mm)^(n - 1), c per probe."""
+    names = {f"{effect}{n}_{{k}}": n for n in powers_to(order)}
     return nonlinearity(model, effect, "field", SENSED, names, 0.5, UNIT, by_channel=False)
 
 
 @effect(link="field", separate="strokes of several lengths")
-def odd_nonlinearity(
-    model: Model, order: int = one_of({3: "cubic", 5: "cubic and quintic"}, "highest power")
-) -> Model:
-    """Cubic deviation of the reading from a line.
-
-    Displacement u becomes u + sum of c u^n / (0.5 mm)^(n - 1), c per probe, n = 3, 5 up to `order`.
-    """
-    return _bent(model, "odd_nonlinearity", (3, 5)[: order // 2])
+def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
+    """Cubic deviation of the reading from a line."""
+    return _bent(model, "odd_nonlinearity", order)
 
 
 @effect(link="field", separate="strokes of several lengths on both sides of zero")
-def even_nonlinearity(
-    model: Model, order: int = one_of({2: "square", 4: "square and fourth power"}, "highest power")
-) -> Model:
-    """Square deviation of the reading from a line.
-
-    Displacement u becomes u + sum of c u^n / (0.5 mm)^(n - 1), c per probe, n = 2, 4 up to `order`.
-    """
-    return _bent(model, "even_nonlinearity", (2, 4)[: order // 2])
+def even_nonlinearity(model: Model, order: int = EVEN) -> Model:
+    """Square deviation of the reading from a line."""
+    return _bent(model, "even_nonlinearity", order)
 
 
 CROSS = {"uv": (1, 1), "vv": (0, 2), "uuv": (2, 1), "uvv": (1, 2), "vvv": (0, 3)}
@@ -105,7 +96,7 @@ def hysteresis(
             rows.append(p[f"loop_{k}"] * (state + slope * (p[WIDTH] / p[f"eta_{k}"] - at)))
         s["displacement"] = s["displacement"] + ca.vertcat(*rows)
 
-    loops = [free([f"loop_{k}"], 1e-4, "m", f"half the height of the loop of probe {k}")[0] for k in probes]
+    loops = free({f"loop_{k}": f"half the height of the loop of probe {k}" for k in probes}, 1e-4, "m")
     width = Parameter(
         WIDTH, half_width_m, half_width_m / 4, half_width_m * 4, "m", "half-width of the loop, of reading"
     )

@@ -20,10 +20,7 @@ PER = one_of({"log": "one delay", "probe": "a delay per probe"}, "one value for 
     separate="the same motion at several frequencies: a lag turns into phase that bends, a delay does not",
 )
 def time_skew(model: Model, per: str = PER) -> Model:
-    """Constant delay between readings and reference.
-
-    Each probe senses the motion a delay ago.
-    """
+    """Constant delay between readings and reference."""
     shared = per == "log"
     return late(model, "time_skew", "reference", SENSED, DELAY, rates_along(model), shared=shared)
 
@@ -44,16 +41,11 @@ def vertical_offset_coupling(model: Model) -> Model:
     Displacement plus c . (Z, Rx, Ry), c per probe: probe lever arm, tilt of probe or magnet.
     """
     arms = {f"tilt_{{k}}_{c}": f"displacement of probe {{k}} per {c}" for c in stage.STATE}
-    return add_terms(
-        model,
-        "vertical_offset_coupling",
-        "mechanics",
-        SENSED,
-        arms,
-        lambda s, p: lambda u, k: [s[c] for c in stage.STATE],
-        1.0,
-        "1",
-    )
+
+    def terms(s: Signals, p: P) -> Callable[[ca.SX, int], list[ca.SX]]:
+        return lambda u, k: [s[c] for c in stage.STATE]
+
+    return add_terms(model, "vertical_offset_coupling", "mechanics", SENSED, arms, terms, 1.0, "1")
 
 
 @effect(link="mechanics", unless=("exact_rotation",), separate="large Rz while x and y are off centre")
@@ -82,7 +74,7 @@ def second_order_rotation(
             rows.append(-of_x * nx * y * rz + of_y * ny * x * rz - turned)
         s["displacement"] = s["displacement"] + ca.vertcat(*rows)
 
-    new = free(names, 3.0, "1", "share of the finite rotation: 1 for a rigid stage")
+    new = free(dict.fromkeys(names, "share of the finite rotation: 1 for a rigid stage"), 3.0, "1")
     return model.with_step("mechanics", step, effect="second_order_rotation", parameters=new)
 
 
@@ -108,7 +100,7 @@ def mount_slip(
 ) -> Model:
     """One probe or magnet moved at an instant.
 
-    One probe moves at an instant: its gain, lever arm and offset step.
+    Its gain, lever arm and offset step.
     """
     if probe not in labels(model):
         known = ", ".join(labels(model))

@@ -24,10 +24,8 @@ def _off(
             error[i] = error[i] + p[name] * s[c]
         s["displacement"] = s["displacement"] - ca.vertcat(*along(model, p, *error))
 
-    new = tuple(
-        free([name], limit, unit, f"error of the reference of {model.pose[i]} per {c}")[0]
-        for name, (i, c) in zip(names, terms, strict=True)
-    )
+    what = [f"error of the reference of {model.pose[i]} per {c}" for i, c in terms]
+    new = free(dict(zip(names, what, strict=True)), limit, unit)
     return model.with_columns(*columns).with_step("reference", step, effect=effect, parameters=new)
 
 
@@ -51,10 +49,7 @@ def reference_abbe_error(
         "vertical motions that the reference of x and y reads",
     ),
 ) -> Model:
-    """The reference reads tilt times an Abbe arm.
-
-    The reference reads tilt (or lift) times an Abbe arm.
-    """
+    """The reference reads tilt times an Abbe arm."""
     tilt, everything = ((0, "ry_rad"), (1, "rx_rad")), [(i, c) for i in (0, 1) for c in stage.STATE]
     return _off(model, "reference_abbe_error", tilt if arms == "tilt" else everything, 1.0, "m/rad")
 
@@ -67,10 +62,7 @@ def reference_drift(
         "degree of the polynomial of each run's time",
     ),
 ) -> Model:
-    """The reference creeps within a run.
-
-    The reference creeps within every run along a polynomial of its time, one per axis.
-    """
+    """The reference creeps within a run."""
     columns = [run_time(n) for n in range(1, degree + 1)]
     terms = [(k, c.name) for c in columns for k in range(3)]
     return _off(model, "reference_drift", terms, 1e-3, "m/s", *columns)

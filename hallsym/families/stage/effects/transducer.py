@@ -5,18 +5,14 @@ from collections.abc import Callable
 import casadi as ca
 
 from hallsym.families.mechanisms import (
-    DEGREE,
-    DURATION,
     LOW_PASS,
-    MEAN_TEMPERATURE,
     Functions,
     P,
     add_terms,
     following,
     late,
-    over_time,
-    settling_time,
-    with_temperature,
+    temperature_drift,
+    time_drift,
 )
 from hallsym.families.stage import models as stage
 from hallsym.families.stage.effects.mechanics import rates_along
@@ -32,10 +28,7 @@ from hallsym.model.arguments import one_of
     unless=("vertical_coupling", "tied_vertical_coupling"),
 )
 def vertical_gain_coupling(model: Model) -> Model:
-    """Gain follows height and tilts (a, b, c of Model (31)).
-
-    The a, b, c terms of Model (31) under the field's name.
-    """
+    """Gain follows height and tilts (a, b, c of Model (31))."""
     return stage.vertical_coupling(model)
 
 
@@ -88,10 +81,7 @@ def first_order_lag(
         "one value for the log or for each probe",
     ),
 ) -> Model:
-    """Low-pass in the path of the readings.
-
-    Each probe senses the motion through a low-pass of first order.
-    """
+    """Low-pass in the path of the readings."""
     shared, rates = per == "log", rates_along(model)
     return late(model, "first_order_lag", "transducer", SENSED, LOW_PASS, rates, shared=shared, least=0.0)
 
@@ -106,57 +96,19 @@ def offset_follows(model: Model, effect: str, functions: Functions) -> Model:
     return following(model, effect, "electronics", READING, functions, 1e-3, "m", by_channel=False)
 
 
-@effect(
-    link="transducer",
-    label="linear",
-    needs=("temperature_degc",),
+gain_temperature_drift = temperature_drift(
+    "gain_temperature_drift", "Gain follows the logged temperature.", gain_follows,
     separate="warm up and cool down, so that temperature is not a function of time",
-)
-def gain_temperature_drift(model: Model, mean_degc: float = MEAN_TEMPERATURE) -> Model:
-    """Gain follows the logged temperature.
-
-    Gain times 1 + g (T - mean), g per probe.
-    """
-    return gain_follows(model, "gain_temperature_drift", with_temperature(mean_degc))
-
-
-@effect(
-    link="transducer",
-    label="linear",
+)  # fmt: skip
+offset_temperature_drift = temperature_drift(
+    "offset_temperature_drift", "Offset follows the logged temperature.", offset_follows,
     separate="long runs over which the temperature changes",
-    needs=("temperature_degc",),
-)
-def offset_temperature_drift(model: Model, mean_degc: float = MEAN_TEMPERATURE) -> Model:
-    """Offset follows the logged temperature.
-
-    Reading plus o (T - mean), o per probe.
-    """
-    return offset_follows(model, "offset_temperature_drift", with_temperature(mean_degc))
-
-
-@effect(link="transducer", separate="the first setting again at the end; log the temperature")
-def gain_time_drift(
-    model: Model,
-    duration_s: float = DURATION,
-    degree: int = DEGREE,
-    settling_s: float | None = settling_time((16, 5)),
-) -> Model:
-    """Gain drifts smoothly over the campaign.
-
-    Gain times 1 + sum of g f(t), g per probe.
-    """
-    return gain_follows(model, "gain_time_drift", over_time(duration_s, degree, settling_s))
-
-
-@effect(link="transducer", separate="long runs at rest; log the temperature")
-def offset_time_drift(
-    model: Model,
-    duration_s: float = DURATION,
-    degree: int = DEGREE,
-    settling_s: float | None = settling_time((16, 5)),
-) -> Model:
-    """Offset drifts smoothly over the campaign.
-
-    Reading plus sum of o f(t), o per probe.
-    """
-    return offset_follows(model, "offset_time_drift", over_time(duration_s, degree, settling_s))
+)  # fmt: skip
+gain_time_drift = time_drift(
+    "gain_time_drift", "Gain drifts smoothly over the campaign.", gain_follows, (16, 5),
+    separate="the first setting again at the end; log the temperature",
+)  # fmt: skip
+offset_time_drift = time_drift(
+    "offset_time_drift", "Offset drifts smoothly over the campaign.", offset_follows, (16, 5),
+    separate="long runs at rest; log the temperature",
+)  # fmt: skip

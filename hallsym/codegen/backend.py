@@ -1,0 +1,250 @@
+"""The table and the files of a decoupler in one arithmetic.
+
+A `Backend` says what numbers are in C, how steps are printed and run, and what is proved of them. What is the
+same for every arithmetic is here and in `arithmetic`; `float_backend` and `integer_backend` are the two there are.
+"""
+
+import json
+import struct
+import textwrap
+import zlib
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hallsym.codegen.arithmetic import Arithmetic, Port
+from hallsym.codegen.decoupler import Decoupler, flag_bit
+from hallsym.codegen.entries import short, unit
+from hallsym.codegen.templates import MARK, filled, tree
+
+VERSION = 1
+"""Of the generated interface and of the head of the table."""
+BINARY = "params/decoupler_params.bin"
+REFERENCE = 1e-15
+"""Rounding [m, rad] of the model's own pose, computed in double and written with 13 digits."""
+C_TYPES = {"f4": "float", "f8": "double", "i4": "int32_t", "u4": "uint32_t", "i2": "int16_t"}
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """An entry of the table as C holds it: a number () or a row (n,), little-endian; `note`: for the header."""
+
+    name: str
+    values: np.ndarray
+    note: str
+    unit: str = ""
+
+    @property
+    def member(self) -> str:
+        """Its declaration in the struct of the table."""
+        size = f"[{len(self.values)}]" if self.values.ndim else ""
+        return f"{C_TYPES[self.values.dtype.str[1:]]} {self.name}{size}; /**< {self.note} */"
+
+
+@dataclass(frozen=True, eq=False)
+class Backend(Arithmetic):
+    """What is printed, run and proved of a decoupler in one arithmetic.
+
+    `record`: what the table came from (model, sha256 of the calibration, options), for its JSON form.
+    """
+
+    record: Mapping[str, Any]
+
+    tree: ClassVar[str]
+    """Folder of templates."""
+    hashed: ClassVar[tuple[int, int]]
+    """Samples in the short and the long hash of the self-test."""
+
+    @abstractmethod
+    def summary(self) -> dict[str, Any]:
+        """Return what the record of a generation says of this arithmetic alone."""
+
+    # -- the table -----------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def entries(self) -> Sequence[Stored]:
+        """Coefficients and limits, rows of numbers that steps look up, and zeros, in the order of the table."""
+
+    @property
+    @abstractmethod
+    def layout(self) -> int:
+        """CRC-32 over names, units and arithmetic: code and table belong together if it is the same."""
+
+    @abstractmethod
+    def _json(self) -> dict[str, Any]:
+        """Return what the JSON form of the table says of its numbers."""
+
+    @abstractmethod
+    def _literal(self, value: Any) -> str:
+        """Return a number of the table in C."""
+
+    @property
+    def head(self) -> tuple[tuple[str, int], ...]:
+        """Words before the entries."""
+        return ("version", VERSION), ("layout", self.layout), ("crc", self.crc)
+
+    @cached_property
+    def covered(self) -> bytes:
+        """The bytes that the CRC covers: not the zeros, which a reset changes."""
+        return b"".join(entry.values.tobytes() for entry in self.entries[: -len(self.decoupler.pose)])
+
+    @property
+    def crc(self) -> int:
+        """CRC-32 (IEEE 802.3, as zlib has it)."""
+        return zlib.crc32(self.covered)
+
+    @property
+    def binary(self) -> bytes:
+        """The table as it lies in the flash of a little-endian controller."""
+        head = struct.pack(f"<{len(self.head)}I", *(word for _, word in self.head))
+        return head + b"".join(entry.values.tobytes() for entry in self.entries)
+
+    def json(self) -> str:
+        """Return the table as a readable record."""
+        record = {
+            "format": "hallsym decoupler parameters 1",
+            "generator": MARK,
+            **self.record,
+            "version": VERSION,
+            "layout": f"0x{self.layout:08x}",
+            "crc32": f"0x{self.crc:08x}",
+            "type": self.type,
+            **self._json(),
+        }
+        return json.dumps(record, indent=1) + "\n"
+
+    def _values(self) -> list[str]:
+        """The table as an initializer in C."""
+        rows = []
+        for name, word in self.head:
+            rows.append(f"    .{name} = {f'0x{word:08X}' if name in ('layout', 'crc') else word}UL,")
+        for entry in self.entries:
+            remark = f" /* [{entry.unit}] */" if entry.unit else ""
+            if entry.values.ndim:
+                text = textwrap.wrap(", ".join(map(self._literal, entry.values.tolist())), 104)
+                rows += [f"    .{entry.name} = {{{remark}", *(f"        {line}" for line in text), "    },"]
+            else:
+                sign = "U" if entry.values.dtype.kind == "u" else ""
+                rows.append(f"    .{entry.name} = {self._literal(entry.values.item())}{sign},{remark}")
+        return rows
+
+    # -- files ---------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _of_input(self, port: Port) -> dict[str, Any]:
+        """Return what templates of this arithmetic say of an input beyond `_inputs`."""
+
+    @abstractmethod
+    def _of_output(self, port: Port) -> dict[str, Any]:
+        """Return what templates of this arithmetic say of an output beyond `_outputs`."""
+
+    def _inputs(self) -> list[dict[str, Any]]:
+        d, out = self.decoupler, []
+        for k, port in enumerate(self.inputs):
+            low, high = ends(d, port.column)
+            out.append({
+                **_record(k, port), "bit": bit(port.column), "mask": f"0x{1 << k:08X}UL",
+                "low": low, "high": high, "least": of_params(low), "greatest": of_params(high),
+                "lowest": f"{d.ends(port.column)[0]:.6g}", "highest": f"{d.ends(port.column)[1]:.6g}",
+                **self._of_input(port),
+            })  # fmt: skip
+        return out
+
+    def _outputs(self, errors: Mapping[str, float]) -> list[dict[str, Any]]:
+        out, found = [], self.bounds
+        for k, port in enumerate(self.outputs):
+            c = port.column
+            out.append({
+                **_record(k, port), "zero": f"zero_{short(c)}",
+                "lowest": f"{found.low[c]:.6g}", "highest": f"{found.high[c]:.6g}",
+                "error": _small(self.error_bound[c], c), "met": _small(errors[c], c), **self._of_output(port),
+            })  # fmt: skip
+        return out
+
+    @abstractmethod
+    def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+        """Return the fields of the templates that are not the same for every arithmetic."""
+
+    def files(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, str | bytes]:
+        """Return the files of the folder by path; `errors`: largest met, `notes`: on the calibration."""
+        fields = self.fields(errors, notes)
+        made: dict[str, str | bytes] = {
+            name: filled(path, fields) for name, path in self._templates().items()
+        }
+        return made | {"params/decoupler_params.json": self.json(), BINARY: self.binary}
+
+    def _templates(self) -> dict[str, str]:
+        """Return the template of each file."""
+        return dict(tree(self.tree))
+
+    def fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+        """Return the fields of all templates."""
+        d, inputs, outputs = self.decoupler, self._inputs(), self._outputs(errors)
+        short_hash, long_hash = (f"0x{self.hash(n):08X}UL" for n in self.hashed)
+        flags = [
+            {"name": f.name, "mask": f"0x{flag_bit(k):08X}UL", "meaning": f.meaning}
+            for k, f in enumerate(d.flags)
+        ]
+        raised = sum(flag_bit(k) for k in range(len(d.flags)))
+        return {
+            "in": inputs,
+            "limited": [i for i in inputs if i["column"] in self.limited],
+            "out": outputs,
+            "bounded": [o for o in outputs if "outer_low" in o],
+            "flag": flags,
+            "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
+            "model": d.model.name,
+            "family": d.model.family,
+            "sha256": self.record["calibration_sha256"],
+            "version": VERSION,
+            "layout": f"0x{self.layout:08X}UL",
+            "table_layout": f"0x{self.layout:08x}",
+            "table_bytes": len(self.binary),
+            "inputs": len(d.inputs),
+            "pose": len(d.pose),
+            "width": len(d.pose) + 1,
+            "first": self.entries[0].name,
+            "last": self.entries[-len(d.pose)].name,
+            "table": [f"uint32_t {n}; /**< 0 */" for n, _ in self.head[3:]]
+            + [e.member for e in self.entries],
+            "values": self._values(),
+            "without_flags": f" & ~({' | '.join(f'DECOUPLER_{f.name}' for f in d.flags)})" if d.flags else "",
+            "status_or_flags": f"status == 0 || status == 0x{raised:08X}" if d.flags else "status == 0",
+            "vectors": self.vectors.inputs.shape[1],
+            "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
+            "hash_short": short_hash,
+            "hash_long": long_hash,
+            **self._fields(errors, notes),
+        }
+
+
+def _record(k: int, port: Port) -> dict[str, Any]:
+    cast = "(uint32_t)" if port.type == "uint32_t" else ""
+    return {**vars(port), "name": short(port.column), "number": k + 1, "index": k, "cast": cast}
+
+
+def _small(value: float, column: str) -> str:
+    return f"{value * 1e9:.3g} n{unit(column)}" if value > 1e-13 else f"{value:.2g} {unit(column)}"
+
+
+def ends(d: Decoupler, column: str) -> tuple[str, str]:
+    """Return the C text of the ends of an input's range."""
+    name = short(column)
+    if d.box.symmetric(column):
+        return f"-p->limit_{name}", f"p->limit_{name}"
+    return f"p->low_{name}", f"p->high_{name}"
+
+
+def of_params(text: str) -> str:
+    """Return C with the entries taken from the constant table."""
+    return text.replace("p->", "decoupler_params.")
+
+
+def bit(column: str) -> str:
+    """Return the name of an input's status bit."""
+    return f"DECOUPLER_{short(column).upper()}"

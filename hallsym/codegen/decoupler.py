@@ -1,0 +1,263 @@
+"""What a decoupler is made of, whatever the family: steps over inputs and table, margins, the whole.
+
+A family's own file makes a `Decoupler` (`hallsym.codegen.lowering`); source, table, self-test, bounds, proofs
+and reports are made from it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.box import Box
+from hallsym.codegen.entries import Entry, short
+from hallsym.codegen.intervals import Enclosure
+from hallsym.log.phase import wrapped
+from hallsym.model import Model
+from hallsym.model.arrays import on_arrays
+
+ENOUGH = 2e-11
+"""Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """`name` = `expression` of the symbols of inputs, table entries and earlier steps."""
+
+    name: str
+    expression: ca.SX
+    remark: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Whole(Step):
+    """`name` = the whole part of `expression`, a symbol, as 32 bits: 0 <= expression < 2^32."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bits(Step):
+    """`name` = bits of `expression`, the symbol of a `Whole`: those from `first` on, or those below it."""
+
+    first: int = 0
+    below: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Array:
+    """A row of numbers in the table, a power of two of them; `integers`: of 16 bits."""
+
+    name: str
+    values: tuple[float, ...]
+    unit: str
+    meaning: str
+    integers: bool = False
+
+
+NONE = Array("none", (0.0,), "1", "nothing")
+
+
+@dataclass(frozen=True, eq=False)
+class Lookup(Step):
+    """`name` = entry `expression` + `ahead` of `array`, counted round; `expression`: the symbol of `Bits`."""
+
+    array: Array = NONE
+    ahead: int = 0
+
+
+@dataclass(frozen=True)
+class Margin:
+    """What must not come near zero in the box: entry `rest` plus, for each of `terms`, entry * columns.
+
+    `column`: the input it belongs to. `decoupler_check()` refuses a table whose terms, at their largest
+    within the limits, leave less than a tenth of `rest`.
+    """
+
+    column: str
+    rest: str
+    terms: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+
+@dataclass(frozen=True)
+class Flag:
+    """A status bit beyond the ranges: set where the value of step `step` is below entry `least`.
+
+    Nothing is claimed of the pose then, but that it is finite.
+    """
+
+    name: str
+    step: str
+    least: str
+    meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class Decoupler:
+    """The arithmetic from inputs to pose: `steps` in order; the last `len(pose)` of them are the pose.
+
+    `inputs`: readings, then state. `table`: coefficients; `limits`: ends of the box of each input; `zeros`:
+    what a reset adds to each pose coordinate. `exact`: inputs (n_inputs, s) -> pose (n_pose, s) of the model
+    itself in double, zeros 0.
+    """
+
+    model: Model
+    inputs: tuple[str, ...]
+    table: tuple[Entry, ...]
+    limits: tuple[Entry, ...]
+    zeros: tuple[Entry, ...]
+    steps: tuple[Step, ...]
+    at_pose: tuple[Step, ...]
+    """Non-linear models: the same with the pose given, for the zero; empty for the others."""
+    margins: tuple[Margin, ...]
+    box: Box
+    exact: Callable[[np.ndarray], np.ndarray]
+    symbols: Mapping[str, ca.SX]
+    flags: tuple[Flag, ...] = ()
+    approximation: float = 0.0
+    """What polynomials and series in place of functions leave in the pose [m, rad]."""
+    cut: float = 0.0
+    """What bits that whole steps cut off add to the pose [m, rad]; `bounded` counts it as rounding."""
+    bounded: "Callable[[int], Mapping[str, Enclosure]] | None" = None
+    """Digits of the significand -> range and rounding of each pose coordinate, flags clear; interval
+    arithmetic on the whole of the steps where there is none."""
+    rest: tuple[float, ...] = ()
+    """Inputs at which the self-test takes a zero, for a pose near zero; any small ones if there are none."""
+    listed: tuple[tuple[float, ...], ...] = ()
+    """Inputs that the self-test shall list, beside its own."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """What the choices of a family came to: given again, they make the same code."""
+    integers: "Callable[..., Any] | None" = None
+    """The program of integers (`hallsym.codegen.fixed_point`), of a family that brings one of its own."""
+    arrays: tuple[Array, ...] = ()
+    """Rows of numbers that steps look up; in the table after the limits."""
+    said: tuple[str, ...] = ()
+    """Sentences for header and report: approximations, and what they may leave."""
+
+    @property
+    def pose(self) -> tuple[str, ...]:
+        """Columns of the output."""
+        return self.model.pose
+
+    @property
+    def slack(self) -> float:
+        """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
+        return ENOUGH if self.at_pose else self.approximation
+
+    def known(self, column: str) -> float:
+        """Return the largest magnitude of a known pose coordinate, for a zero: half its period, or 1."""
+        return self.model.period.get(column, 2.0) / 2
+
+    def difference(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Return a - b of poses (n_pose, s), coordinates that repeat within half a period of zero."""
+        out = np.array(a, dtype=float) - b
+        for k, column in enumerate(self.pose):
+            if column in self.model.period:
+                out[k] = wrapped(out[k], self.model.period[column])
+        return out
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Coefficients, limits and zeros, in the order of the table."""
+        return (*self.table, *self.limits, *self.zeros)
+
+    def ends(self, column: str) -> tuple[float, float]:
+        """Return least and greatest value of an input."""
+        return self.box.ends[column]
+
+    @cached_property
+    def folded(self) -> ca.SX:
+        """The pose as one expression of inputs, table and zeros."""
+        return ca.vertcat(*(self._done[step.name] for step in self.steps[-len(self.pose) :]))
+
+    @cached_property
+    def _done(self) -> dict[str, ca.SX]:
+        """Each step as an expression of inputs, table and zeros."""
+        done: dict[str, ca.SX] = {}
+        for step in self.steps:
+            if isinstance(step, Lookup):
+                continue  # its symbol stays: a number that is looked up
+            earlier = {n: (self.symbols[n], e) for n, e in done.items() if n in self.symbols}
+            made = _replaced(step.expression, earlier)
+            done[step.name] = _whole(step, made)
+        return done
+
+    @cached_property
+    def slopes(self) -> dict[str, ca.SX]:
+        """d pose / d reading by CasADi's differentiation of the printed expressions, by name: `x_hall_a`."""
+        channels, n = self.model.channels, len(self.model.channels)
+        jacobian = ca.jacobian(self.folded, ca.vertcat(*(self.symbols[c] for c in channels)))
+        flat = ca.cse(ca.vertcat(*(jacobian[i, k] for i in range(len(self.pose)) for k in range(n))))
+        names = [f"{short(c)}_{short(m)}" for c in self.pose for m in channels]
+        return dict(zip(names, ca.vertsplit(ca.densify(flat)), strict=True))
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """`(inputs, coefficients and zeros) -> pose`, and the values that flags look at, if any."""
+        table = [*self.table, *self.zeros]
+        given = [self._column(names) for names in (self.inputs, [e.name for e in table])]
+        given += [self._column([s.name for s in self.lookups])] if self.lookups else []
+        seen = [ca.densify(ca.vertcat(*(self._done[f.step] for f in self.flags)))] if self.flags else []
+        return ca.Function("folded", given, [ca.densify(self.folded), *seen])
+
+    def _column(self, names: Sequence[str]) -> ca.SX:
+        return ca.vertcat(*(self.symbols[n] for n in names))
+
+    @property
+    def lookups(self) -> list[Lookup]:
+        """The steps that take an entry of an array."""
+        return [step for step in self.steps if isinstance(step, Lookup)]
+
+    def on_arrays(self, real: type = float) -> Callable[..., list[np.ndarray]]:
+        """Return `run(inputs, coefficients and zeros)` of `function` on arrays, in the type `real`."""
+        run, lookups = on_arrays(self.function, real), self.lookups
+        if not lookups:
+            return run
+        cells = ca.vertcat(*(self._done[step.expression.name()] for step in lookups))
+        place = on_arrays(ca.Function("cells", self.function.sx_in()[:2], [cells]), real)
+
+        def looked_up(inputs: Sequence, constants: Sequence) -> list[np.ndarray]:
+            entries = []
+            for step, cell in zip(lookups, place(inputs, constants)[0], strict=True):
+                values: np.ndarray = np.array(step.array.values, dtype=real)
+                entries.append(values[(cell.astype(np.int64) + step.ahead) % len(values)])
+            return run(inputs, constants, entries)
+
+        return looked_up
+
+    def raised(self, seen: np.ndarray, dtype: type = float) -> np.ndarray:
+        """Return the bits (s,) of the flags that their values (n_flags, s) raise."""
+        values = {e.name: dtype(e.value) for e in self.table}
+        bits = np.zeros(seen.shape[1:], dtype=np.uint32)
+        for k, flag in enumerate(self.flags):
+            bits |= np.where(seen[k] >= values[flag.least], 0, flag_bit(k)).astype(np.uint32)
+        return bits
+
+    @property
+    def constants(self) -> list[float]:
+        """Values of coefficients and zeros."""
+        return [e.value for e in (*self.table, *self.zeros)]
+
+
+def flag_bit(k: int) -> int:
+    """Return the status bit of the flag of that number; bits of inputs begin at the other end."""
+    return 1 << (30 - k)
+
+
+def _whole(step: Step, value: ca.SX) -> ca.SX:
+    """Return what a step makes of its value: integers where it holds bits, exact in any type."""
+    if isinstance(step, Whole):
+        return ca.floor(value)
+    if isinstance(step, Bits):
+        upper = ca.floor(value * 2.0**-step.first)
+        return value - upper * 2.0**step.first if step.below else upper
+    return value
+
+
+def _replaced(expression: ca.SX, pairs: Mapping[str, tuple[ca.SX, ca.SX]]) -> ca.SX:
+    if not pairs:
+        return expression
+    return ca.substitute(
+        expression, ca.vertcat(*(a for a, _ in pairs.values())), ca.vertcat(*(b for _, b in pairs.values()))
+    )

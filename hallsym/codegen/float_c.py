@@ -1,0 +1,175 @@
+"""CasADi expressions as C statements: +, -, *, /, magnitude, comparison, choice; nothing that needs libm."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.decoupler import Bits, Lookup, Step, Whole
+from hallsym.codegen.operations import BRANCHES, TESTS, Operation, graph
+from hallsym.errors import InputError
+
+
+@dataclass(frozen=True)
+class Real:
+    """A C type of real numbers: its name, the suffix of its constants, digits of its significand."""
+
+    name: str
+    suffix: str
+    digits: int
+    dtype: type
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return int(np.dtype(self.dtype).itemsize)
+
+    @property
+    def fabs(self) -> str:
+        """The C function of a magnitude."""
+        return "fabsf" if self.size == 4 else "fabs"
+
+    def constant(self, value: float) -> str:
+        """Return a literal that is read back as the same number."""
+        text = f"{float(self.dtype(value)):.{9 if self.digits == 24 else 17}g}"
+        if "." not in text and "e" not in text:
+            text += ".0"
+        return text + self.suffix
+
+
+FLOAT = Real("float", "f", 24, np.float32)
+DOUBLE = Real("double", "", 53, np.float64)
+
+
+def statements(
+    steps: Sequence[Step], names: Mapping[str, str], real: Real, results: Mapping[str, str]
+) -> list[str]:
+    """Return one C statement per step, and one per value that a step uses twice.
+
+    `names`: C text of each symbol by its SX name (others stand for themselves). `results`: C lvalue of the
+    steps that are results; the others become constants.
+    """
+    lines: list[str] = []
+    names = dict(names)
+    for step in steps:
+        before, text = _text(step, names, real)
+        lines += before
+        left = results.get(step.name, f"const {real.name} {step.name}")
+        lines += [f"/* {step.remark} */"] if step.remark else []
+        if isinstance(step, Whole | Bits):
+            left, text = f"const uint32_t {step.name}", _bits(step)
+            names[step.name] = f"({real.name}){step.name}"
+        elif isinstance(step, Lookup):
+            text = _entry(step, real)
+        lines.append(f"{left} = {text};")
+    return lines
+
+
+def _bits(step: Whole | Bits) -> str:
+    source = step.expression.name()
+    if isinstance(step, Whole):
+        return f"(uint32_t){source}"
+    return f"{source} & 0x{(1 << step.first) - 1:X}U" if step.below else f"{source} >> {step.first}U"
+
+
+def _entry(step: Lookup, real: Real) -> str:
+    """Return `p->name[cell & 63U]`: an index that lies within the array whatever the cell."""
+    cell, size = step.expression.name(), len(step.array.values)
+    place = f"({cell} + {step.ahead % size}U)" if step.ahead else cell
+    entry = f"p->{step.array.name}[{place} & {size - 1}U]"
+    return f"({real.name}){entry}" if step.array.integers else entry
+
+
+def _text(step: Step, names: Mapping[str, str], real: Real) -> tuple[list[str], str]:
+    """Return statements of the values that a step uses twice, and its text."""
+    found = graph([step.expression])
+    operations = found.operations
+    uses = Counter(k for o in operations for k in o.args)
+    uses.update(found.results)
+    before: list[str] = []
+    text: list[str] = []
+    for k, o in enumerate(operations):
+        if o.op == "input":
+            text.append(names.get(o.symbol, o.symbol))
+            continue
+        if o.op == "const":
+            text.append(real.constant(o.value))
+            continue
+        text.append(_choice(o, operations, text) or _operation(o.op, [text[j] for j in o.args], real))
+        if o.op in (*TESTS, "not"):
+            continue
+        if uses[k] > 1 or (o.op in ("sq", "sign") and "(" in text[o.args[0]]):
+            name = f"{step.name}_t{len(before)}"
+            before.append(f"const {real.name} {name} = {_bare(text[k])};")
+            text[k] = name
+    return before, _bare(text[found.results[0]])
+
+
+def _choice(o: Operation, operations: Sequence[Operation], text: Sequence[str]) -> str:
+    """`(c ? a : b)` for CasADi's (c ? a : 0) + (!c ? b : 0), else nothing."""
+    if o.op != "add" or any(operations[k].op != "if_else_zero" for k in o.args):
+        return ""
+    (yes, a), (no, b) = (operations[k].args for k in o.args)
+    if operations[no] != Operation("not", (yes,)):
+        return ""
+    return f"({text[yes]} ? {text[a]} : {text[b]})"
+
+
+def straight(steps: Sequence[Step]) -> bool:
+    """Whether steps hold arithmetic only: no magnitude, comparison or choice."""
+    return not any(o.op in BRANCHES for step in steps for o in graph([step.expression]).operations)
+
+
+_SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<="}
+_CALLS = {"fmin": "lesser", "fmax": "greater"}
+
+
+def _operation(op: str, a: Sequence[str], real: Real) -> str:
+    """Return the C text of one operation, in parentheses where it needs them."""
+    if op in _SIGNS:
+        return f"({a[0]} {_SIGNS[op]} {a[1]})"
+    if op in _CALLS:
+        return f"{_CALLS[op]}({_bare(a[0])}, {_bare(a[1])})"
+    none, one = real.constant(0.0), real.constant(1.0)
+    texts = {
+        "not": "(!{0})",
+        "neg": "(-{0})",
+        "sq": "({0} * {0})",
+        "twice": "({0} + {0})",
+        "inv": f"({one} / {{0}})",
+        "sign": f"(({{0}} > {none}) ? {one} : (({{0}} < {none}) ? -{one} : {none}))",
+        "if_else_zero": f"({{0}} ? {{1}} : {none})",
+        "fabs": f"{real.fabs}({_bare(a[0])})",
+    }
+    if op not in texts:
+        raise InputError(f"Operation {op} of the model has no C without libm; write it as a polynomial.")
+    return texts[op].format(*a)
+
+
+def _bare(text: str) -> str:
+    """Return `a + b` for `(a + b)`."""
+    if not (text.startswith("(") and text.endswith(")")):
+        return text
+    depth = 0
+    for k, sign in enumerate(text):
+        depth += (sign == "(") - (sign == ")")
+        if depth == 0 and k < len(text) - 1:
+            return text
+    return text[1:-1]
+
+
+def shared_statements(
+    expression: ca.SX, names: Mapping[str, str], real: Real, results: Sequence[str]
+) -> list[str]:
+    """Return statements of a vector: what its rows share becomes a constant."""
+    (rest,), symbols, values = ca.shared([expression], "shared_", "")
+    steps: list[Step] = []
+    waiting = {s.name(): e for s, e in zip(symbols, values, strict=True)}
+    needs = {n: {v.name() for v in ca.symvar(e)} & waiting.keys() for n, e in waiting.items()}
+    while waiting:  # CasADi lists them in any order; C needs a value before its use
+        ready = [n for n in waiting if not needs[n] & waiting.keys()]
+        steps += [Step(name, waiting.pop(name)) for name in ready]
+    steps += [Step(f"result_{k}", rest[k]) for k in range(rest.numel())]
+    return statements(steps, names, real, {f"result_{k}": name for k, name in enumerate(results)})

@@ -1,0 +1,180 @@
+"""From a calibration to the files of a decoupler."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.backend import Backend
+from hallsym.codegen.bounds import Bounds, pose_bounds
+from hallsym.codegen.box import box_of
+from hallsym.codegen.checks import check, check_bounds, check_gains, check_same, digest_of, notes_of
+from hallsym.codegen.decoupler import Decoupler
+from hallsym.codegen.float_backend import FloatBackend
+from hallsym.codegen.float_c import DOUBLE, FLOAT
+from hallsym.codegen.folder import replace_params, write_folder
+from hallsym.codegen.integer_backend import IntegerBackend
+from hallsym.codegen.integer_c import integer_program
+from hallsym.codegen.lowering import lower, lowering_of, options_of
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit
+
+ARITHMETICS = ("float", "q31")
+REPLACED = ("params/", "test/selftest_vectors.h", "doc/report.md", "proof/eva.c", "proof/cbmc.c")
+"""Files that a recalibration replaces, in every arithmetic."""
+REPLACED_TOO = {"float": ("proof/rounding.g",), "q31": ("proof/exhaustive.c",)}
+UNSEEN = {"accuracy": np.pi, "correction": "series:0"}
+"""Options of float code of which integers take the model and the box alone: the least there is to compute."""
+
+
+@dataclass(frozen=True, eq=False)
+class Generated:
+    """What `generate` made: files by path, the backend that made them, largest errors met, and notes."""
+
+    backend: Backend
+    files: Mapping[str, str | bytes]
+    errors: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def decoupler(self) -> Decoupler:
+        """The arithmetic from inputs to pose."""
+        return self.backend.decoupler
+
+    @property
+    def bounds(self) -> Bounds:
+        """Range and rounding error bound of the pose over the box."""
+        return self.backend.bounds
+
+    @property
+    def params(self) -> dict[str, str | bytes]:
+        """The files that a recalibration replaces."""
+        replaced = REPLACED + REPLACED_TOO[self.backend.tree]
+        return {name: content for name, content in self.files.items() if name.startswith(replaced)}
+
+    def write(self, folder: str | Path, *, force: bool = False, params_only: bool = False) -> None:
+        """Write the folder, or only its parameters. Raises `InputError` before anything is written."""
+        if params_only:
+            replace_params(Path(folder), self.params, self.backend.layout)
+        else:
+            write_folder(Path(folder), self.files, force=force)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the readable record."""
+        d, backend = self.decoupler, self.backend
+        return {
+            "model": d.model.name,
+            "type": backend.type,
+            "layout": f"0x{backend.layout:08x}",
+            "table_bytes": len(backend.binary),
+            "calibration_sha256": backend.record["calibration_sha256"],
+            "box": {c: list(d.ends(c)) for c in d.inputs},
+            **backend.summary(),
+            "error_bound": dict(backend.error_bound),
+            "error_met": dict(self.errors),
+            "files": sorted(self.files),
+            "notes": list(self.notes),
+        }
+
+
+def generate(
+    fit: Fit,
+    *,
+    arithmetic: str = "float",
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    double: bool = False,
+    jacobian: bool = False,
+    accuracy: float | None = None,
+    correction: str | None = None,
+    allow_undetermined: bool = False,
+    calibration_sha256: str | None = None,
+) -> Generated:
+    """Generate the C decoupler of a calibration.
+
+    `arithmetic`: "float", or "q31" for 32-bit integers, where a controller has no floating-point unit.
+    `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
+    `jacobian`: with `decoupler_jacobian()`. Models of an angle: `accuracy` is what the correction of it
+    may leave besides rounding [rad], default 3e-8, of integers 1e-5; `correction` is "series", "table", or
+    "auto" for the one of fewer bytes. Raises `InputError` for a calibration that cannot be trusted on a
+    controller.
+    """
+    if arithmetic not in ARITHMETICS:
+        raise InputError(
+            f"The arithmetic is one of {', '.join(ARITHMETICS)}; instead received {arithmetic!r}."
+        )
+    check(fit, allow_undetermined)
+    record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
+    given: dict[str, Any] = {"accuracy": accuracy, "correction": correction}
+    if arithmetic == "q31":
+        for name, unwanted in (("double", double), ("jacobian", jacobian)):
+            if unwanted:
+                raise InputError(f"--{name} belongs to --arithmetic float; leave it out, or the integers.")
+        backend: Backend = _integers(fit, record, ranges, given)
+    else:
+        backend = _floats(fit, record, ranges, given, double, jacobian)
+    errors, notes = backend.errors(), notes_of(fit)
+    return Generated(backend, backend.files(errors, notes), errors, notes)
+
+
+def _floats(
+    fit: Fit,
+    record: Mapping[str, Any],
+    ranges: Mapping[str, tuple[float, float]] | None,
+    given: Mapping[str, Any],
+    double: bool,
+    jacobian: bool,
+) -> FloatBackend:
+    found = lower(fit, box_of(fit, ranges), **given)
+    if jacobian and found.bounded is not None:
+        raise InputError(
+            f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
+            "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
+        )
+    record = {**record, **_recorded(found.options, given)}
+    backend = FloatBackend(found, record, DOUBLE if double else FLOAT, jacobian)
+    check_gains(backend.bounds)
+    check_bounds(found, backend.bounds)
+    check_same(found)
+    return backend
+
+
+def _integers(
+    fit: Fit,
+    record: Mapping[str, Any],
+    ranges: Mapping[str, tuple[float, float]] | None,
+    given: Mapping[str, Any],
+) -> IntegerBackend:
+    has_options = bool(options_of(lowering_of(fit.model)))
+    for column in (ranges or {}) if has_options else ():
+        if column in fit.model.channels and column in fit.model.period:
+            raise InputError(
+                f"--range {column} does not go with --arithmetic q31, where every bit pattern of {column} is "
+                "an angle; leave it out."
+            )
+    found = lower(fit, box_of(fit, ranges), **(UNSEEN if has_options else given))
+    check_gains(pose_bounds(found))
+    check_same(found)
+    made = integer_program(found, **{name: value for name, value in given.items() if value is not None})
+    return IntegerBackend(found, {**record, **_recorded(made.options, given)}, made)
+
+
+def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the choices of a lowering as `params/decoupler_params.json` holds them, for a recalibration."""
+    accuracy = {} if given["accuracy"] is None else {"accuracy": given["accuracy"]}
+    return {"options": {**options, **accuracy}} if options else {}
+
+
+def decouple(fit: Fit) -> ca.Function:
+    """Return the decoupled pose as a CasADi function `(reading, state) -> pose`, parameters as numbers.
+
+    Columns in SI: `reading` (n_channels,), `state` (n_state,), `pose` (n_pose,); zero deviations are 0. The
+    route for those who build with CasADi; `generate` writes C without it.
+    """
+    model = fit.model
+    reading, state = ca.SX.sym("reading", len(model.channels)), ca.SX.sym("state", len(model.state))
+    weight = 1.0 / np.array([fit.noise.sigmas[c].value for c in model.channels]) ** 2
+    pose = model.decoded(fit.values, np.zeros(len(model.zeros)), reading, state, weight)
+    return ca.Function("decouple", [reading, state], [pose], ["reading", "state"], ["pose"])

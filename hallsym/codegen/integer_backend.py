@@ -1,0 +1,260 @@
+"""The files of a decoupler in 32-bit integers, for a controller without a floating-point unit."""
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil, floor
+from typing import Any
+
+import numpy as np
+
+from hallsym.codegen.arithmetic import Port
+from hallsym.codegen.backend import bit, ends, of_params
+from hallsym.codegen.binary_angle import UNIT
+from hallsym.codegen.bounds import LEAST_GAIN
+from hallsym.codegen.entries import short
+from hallsym.codegen.fixed_point import Reciprocal, helpers
+from hallsym.codegen.integer_arithmetic import MOST, IntegerArithmetic
+from hallsym.codegen.templates import lines_of
+
+KNOWN = 1 << 29
+"""Largest known pose, in units of its last bit, that a zero may be taken at."""
+KNOWN_BIT = "#define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */"
+SHIFTS = "misra-c2012-10.1:src/decoupler.c"
+"""Deviation: numbers with a sign are shifted right."""
+FRAGMENTS = "q31/fragments/"
+
+
+@dataclass(frozen=True, eq=False)
+class IntegerBackend(IntegerArithmetic):
+    """Prints the files of one integer program."""
+
+    def _templates(self) -> dict[str, str]:
+        """Code without reciprocals is proved as a whole, and every angle that is read is tried."""
+        found = super()._templates()
+        if self.program.angles:
+            found["proof/eva.c"] = f"{FRAGMENTS}eva_of_step.c"
+        if self.reads_angle:
+            found["proof/exhaustive.c"] = f"{FRAGMENTS}every_angle.c"
+        return found
+
+    def _of_input(self, port: Port) -> dict[str, Any]:
+        d, c, rest = self.decoupler, port.column, 1000
+        if c in self.program.angles:
+            return {"rest": f"{rest}U", "interval": "Frama_C_unsigned_int_interval(0U, 0xFFFFFFFFU)"}
+        if d.rest:
+            rest = round(d.rest[d.inputs.index(c)] / port.scale)
+        return {"rest": rest, "interval": f"Frama_C_interval({', '.join(map(of_params, ends(d, c)))})"}
+
+    def _of_output(self, port: Port) -> dict[str, Any]:
+        p, c = self.program, port.column
+        more: dict[str, Any] = {"line": p.outputs[c][0], "at_known": _integer(4096, c in p.angles)}
+        if not p.angles:
+            more["outer_low"], more["outer_high"] = self._integers_of(c)
+        return more
+
+    def _integers_of(self, column: str, room: int = 0) -> tuple[int, int]:
+        """Least and greatest integer of an output by its bounds."""
+        (low, high, error), e = self.program.bounds[column], self.program.outputs[column][1]
+        return floor((low - error) * 2.0**e) - room, ceil((high + error) * 2.0**e) + room
+
+    def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
+        p, d = self.program, self.decoupler
+        prefix = {**dict.fromkeys(p.inputs, "DECOUPLER_"), **dict.fromkeys(p.outputs, "DECOUPLER_OUT_")}
+        scales = [
+            {
+                "macro": prefix[c.column] + short(c.column).upper(),
+                "exponent": e,
+                "column": c.column,
+                "unit": c.unit,
+            }
+            for c in (*self.inputs, *self.outputs)
+            for e in [self.exponents.get(c.column)]
+            if c.column not in p.angles
+        ]
+        said = [f" * {line}" for text in p.said for line in textwrap.wrap(text, 110)]
+        bam = f"#define DECOUPLER_RAD_PER_BAM {UNIT!r} /**< binary angles: 2^-32 turn */"
+        common = {
+            "out": self._outputs(errors),
+            # header
+            "scaled": scales,
+            "no_bits": [] if self.limited or d.flags else [""],
+            "rad_per_bam": [bam] if p.angles else [],
+            "said": [*lines_of(f"{FRAGMENTS}binary_angles.txt", {}), *said] if p.angles else said,
+            "known_bit": [] if p.angles else [KNOWN_BIT],
+            # build files
+            "all_nan": "",
+            "shifts": [SHIFTS] if p.shifts else [],
+            "cpu": "-mcpu=cortex-m0 -mthumb",
+            "machine": "microbit",
+            # report
+            "notes": "\n".join(f"- {note}" for note in (*p.said, *notes)),
+            "operations": len(p.lines),
+            "products": sum(line.operation == "mul" for line in p.lines),
+            "pose_names": ", ".join(short(c) for c in d.pose),
+        }
+        for part in (self._step(common), self._check(), self._selftest(), self._count(), self._proofs()):
+            common |= part
+        return common
+
+    # -- step, check ---------------------------------------------------------------------------------------
+
+    def _step(self, common: Mapping[str, Any]) -> dict[str, Any]:
+        p, d = self.program, self.decoupler
+        used = {name for line in p.lines for name in (line.a, line.b)}
+        held = []
+        for port in self.inputs:
+            c, name = port.column, short(port.column)
+            low, high = ends(d, c)
+            call = f"limited(in->{c}, {low}, {high}, {bit(c)}, &status);"
+            if c in p.angles:
+                held.append(f"const uint32_t {name} = in->{port.member};")
+            else:
+                held.append(f"const int32_t {name} = {call}" if name in used else f"(void){call}")
+        flags = [
+            line
+            for name, (seen, least) in p.flags.items()
+            for line in (f"if ({seen} < p->{least})", "{", f"    status |= DECOUPLER_{name};", "}")
+        ]
+        names = {e.name: f"p->{e.name}" for e in self.numbers}
+        given = {short(port.column): f"in->{port.member}" for port in self.inputs}
+        results = [f"out->{port.member} = {p.outputs[port.column][0]};" for port in self.outputs]
+        known = [f"(pose->{c} >= -{KNOWN}) && (pose->{c} <= {KNOWN})" for c in d.pose]
+        zero = "take_zero_of_angle.c" if p.angles else "take_zero.c"
+        can_fail = bool(self.limited or d.flags)
+        return {
+            "helpers": helpers(p),
+            "limits": lines_of(f"{FRAGMENTS}limited.c", {}) if self.limited else [],
+            "status": ["uint32_t status = 0U;"] if can_fail else [],
+            "held": held,
+            "body": p.c(names),
+            "flags": flags,
+            "returned": "status" if can_fail else "0U",
+            "take_zero": lines_of(FRAGMENTS + zero, {**common, "known": "\n    && ".join(known)}),
+            "bare_includes": [],
+            "bare_helpers": helpers(p),
+            "bare_body": [*p.c(names | given), *results, *(f"(void){n};" for n, _ in p.flags.values())],
+        }
+
+    def _check(self) -> dict[str, Any]:
+        p, d = self.program, self.decoupler
+        sides = {c: ends(d, c) for c in self.limited}
+        within = [
+            f"({high} >= 0)" if d.box.symmetric(c) else f"({low} <= {high})"
+            for c, (low, high) in sides.items()
+        ]
+        gains = []
+        for margin in d.margins if not p.angles else ():
+            e_rest, terms = p.table[margin.rest][1], []
+            for name, columns in margin.terms:
+                text, e = f"size(p->{name})", p.table[name][1]
+                for c in columns:
+                    low, high = sides[c]
+                    reach = f"size({high})" if d.box.symmetric(c) else f"(size({low}) + size({high}))"
+                    text, e = f"(({text} * {reach}) >> 31U)", e + p.inputs[c] - 31
+                terms.append(f"({text} >> {e - e_rest}U)" if e >= e_rest else f"({text} << {e_rest - e}U)")
+            share = round((1 - LEAST_GAIN) * 1024)
+            spread = " + ".join(terms or ["0U"])
+            gains.append(f"(({spread}) >= ((size(p->{margin.rest}) * {share}U) >> 10U))")
+        return {
+            "size": lines_of(f"{FRAGMENTS}size.c", {}) if gains else [],
+            "check_limits": _found("!(" + "\n    && ".join(within) + ")", "LIMITS") if within else [],
+            "check_gains": _found("\n    || ".join(gains), "GAIN") if gains else [],
+        }
+
+    # -- self-test and proofs ------------------------------------------------------------------------------
+
+    def _selftest(self) -> dict[str, Any]:
+        p, found = self.program, self.vectors
+        binary = [port.column in p.angles for port in self.inputs]
+        rows = [
+            f"{{{{{', '.join(map(_integer, found.inputs[:, k], binary))}}}, "
+            f"{{{', '.join(f'{v:.12e}' for v in found.pose[:, k])}}}, 0x{int(found.status[k]):X}UL}},"
+            for k in range(found.inputs.shape[1])
+        ]
+        back = [f"(out.{port.member} == {_integer(4096, port.column in p.angles)})" for port in self.outputs]
+        return {
+            "that_the_model_gives": "[SI] of the model",
+            "vector_includes": [],
+            "slope_bounds": [],
+            "rows": rows,
+            "back": " && ".join(back),
+        }
+
+    def _count(self) -> dict[str, Any]:
+        """Inputs in range, all above, all below, above and below in turn."""
+        d = self.decoupler
+        most = [
+            2.0**29 if self.reads_angle else max(map(abs, d.ends(i.column))) / i.scale for i in self.inputs
+        ]
+        rows = [[max(min(int(share * v), MOST), -MOST) for v in most] for share in (0.7, 3.0, -3.0)]
+        rows.append([v if k % 2 else -v for k, v in enumerate(rows[1])])
+        listed = [", ".join(f"{v % 2**32}U" if self.reads_angle else str(v) for v in row) for row in rows]
+        return {
+            "count_includes": [],
+            "calls": len(rows),
+            "called_with": [f"{{{row}}}," for row in listed],
+            "count_slopes": [],
+            "call_slopes": [],
+        }
+
+    def _proofs(self) -> dict[str, Any]:
+        """Every divisor through its reciprocal, and the arithmetic for Frama-C EVA.
+
+        EVA cannot follow that b (1 / b) is 1: it takes each reciprocal within what the trial of all divisors
+        showed of it.
+        """
+        p = self.program
+        text = p.c({e.name: f"decoupler_params.{e.name}" for e in self.numbers})
+        eva, reciprocals, calls = list(text), [], []
+        for r in p.reciprocals:
+            low, high, least, most = _integers(r)
+            b, result = r.b.text, r.r.text
+            reciprocals += lines_of(f"{FRAGMENTS}reciprocal.c", {
+                "b": b, "lines": text[r.first : r.last], "r": result, "b_unit": repr(r.b.unit),
+                "r_unit": repr(r.r.unit), "error": repr(float(r.r.error)), "least": least, "most": most,
+            })  # fmt: skip
+            calls.append(f"for (int32_t b = {low}; b <= {high}; b++) {{ bad += wrong_{b}(b); divisors++; }}")
+            eva[r.first : r.last] = [""] * (r.last - r.first)
+            eva[r.last - 1] = f"const int32_t {result} = Frama_C_interval({least}, {most});"
+        for c, (name, e) in p.outputs.items():
+            low_value, high_value, _ = p.bounds[c]
+            room = ceil((high_value - low_value) * 2.0**e * 0.01) + 8  # EVA rounds each step outwards
+            least, most = self._integers_of(c, room)
+            eva.append(f"const int32_t out_{short(c)} = {name};")
+            eva.append(f"//@ assert {short(c)}_bounded: {least} <= out_{short(c)} <= {most};")
+        read = "every angle, through all of the code" if self.reads_angle else "range test, all bit patterns"
+        tried = "range test, all bit patterns, and reciprocals, all divisors"
+        largest = max((int(abs(a.values).max()) << a.shift for a in p.arrays.values()), default=0)
+        return {
+            "largest": largest,
+            "read": self.inputs[0].member,
+            "given": self.outputs[0].member,
+            "shift": "decoupler_params.shift" if "shift" in p.unsigned else "0U",
+            "nan_included": "",
+            "any": "int32",
+            "any_type": "int32_t",
+            "reciprocals": reciprocals,
+            "divisor_tests": calls,
+            "tried": read if p.angles else tried,
+            "as_proved": "" if p.angles else ", reciprocals as proved",
+            "outputs_proved": "" if p.angles else ", outputs within the stated bounds",
+            "upper": lines_of(f"{FRAGMENTS}upper.c", {}),
+            "eva_lines": [line for line in eva if line],
+        }
+
+
+def _integers(r: Reciprocal) -> tuple[int, int, int, int]:
+    """Return least and greatest integer of divisor and reciprocal."""
+    b, e, least, most = r.b, r.r.e, r.r.low - r.r.error, r.r.high + r.r.error
+    return floor(b.low * 2.0**b.e), ceil(b.high * 2.0**b.e), floor(least * 2.0**e), ceil(most * 2.0**e)
+
+
+def _integer(value: int | np.integer, unsigned: bool) -> str:
+    if unsigned:
+        return f"{value}U"
+    return f"({value + 1} - 1)" if value == -MOST - 1 else str(value)
+
+
+def _found(condition: str, what: str) -> list[str]:
+    return [f"if ({condition})", "{", f"    found |= DECOUPLER_BAD_{what};", "}"]

@@ -1,0 +1,66 @@
+"""From a model to its decoupler, by kind of decoder.
+
+A lowering is a function `(model, p, weight, box, **options) -> Decoupler`. It takes the model's own
+expressions, folds the parameters `p` into few table entries, and gives steps of +, -, *, /, comparisons and
+`if_else` over inputs and entries; C, table, bounds, self-test, proofs and report follow from that record.
+"""
+
+from collections.abc import Callable, Mapping
+from inspect import Parameter, signature
+from typing import Any
+
+import numpy as np
+
+from hallsym.codegen.box import Box
+from hallsym.codegen.decoupler import Decoupler
+from hallsym.codegen.lowering import angle, linear
+from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
+from hallsym.codegen.lowering.correction import SIZES, Grid, Series, grid, proved, shortest_correction
+from hallsym.codegen.lowering.phase_curve import Curve
+from hallsym.codegen.lowering.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit
+from hallsym.model import Model
+
+__all__ = [
+    "ARCTANGENT", "CORRECTIONS", "KINDS", "SINE", "SIZES", "Curve", "Grid", "Lowering", "Series",
+    "arctangent_error", "grid", "lower", "lowered", "lowering_of", "options_of", "proved",
+    "shortest_correction", "sine_error", "wrapped",
+]  # fmt: skip
+
+Lowering = Callable[..., Decoupler]
+
+KINDS: Mapping[str, Lowering] = {"linear": linear.decoupler, "angle": angle.decoupler}
+"""Lowerings by kind of decoder: readings gain * displacement + offset; one corrected angle."""
+
+
+def lowering_of(model: Model) -> Lowering:
+    """Return the lowering of the family (`Family.decoder`): one of `KINDS`, or a function of its own."""
+    decoder = model.family.decoder
+    return KINDS[decoder] if isinstance(decoder, str) else decoder
+
+
+def options_of(lowering: Lowering) -> tuple[str, ...]:
+    """Return the names of what a lowering takes by keyword."""
+    return tuple(n for n, p in signature(lowering).parameters.items() if p.kind is Parameter.KEYWORD_ONLY)
+
+
+def lower(fit: Fit, box: Box, **options: Any) -> Decoupler:
+    """Return the decoupler of a calibration over a box."""
+    sigma = np.array([fit.noise.sigmas[c].value for c in fit.model.channels])
+    return lowered(fit.model, fit.values, 1.0 / sigma**2, box, **options)
+
+
+def lowered(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, **options: Any) -> Decoupler:
+    """Return the decoupler of a model at parameters `p`; `weight`: 1 / variance of each reading.
+
+    `options` of its lowering by keyword; None stands for the default. Raises `InputError` for others.
+    """
+    lowering = lowering_of(model)
+    given = {name: value for name, value in options.items() if value is not None}
+    for name in given.keys() - set(options_of(lowering)):
+        raise InputError(
+            f"--{name} belongs to families that correct an angle; {model.name} of the family {model.family} "
+            "is decoded as exactly as float32 can: leave it out."
+        )
+    return lowering(model, p, weight, box, **given)

@@ -1,0 +1,258 @@
+"""Decoupler of models whose readings are gain * displacement + offset: few steps over few table entries.
+
+With the gain of probe k as eta_k phi_k, phi_k = 1 + small terms, and displacement = M pose + h(pose, state),
+the reading m gives
+
+    pose = zero + D (m' - eta h),   m'_k = (m_k - offset_k) / phi_k,   D = (M^T W M)^-1 M^T W diag(1 / eta)
+
+which for small angles (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
+deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. One entry of D per
+probe is folded into its gain, phi_k / D_ik, so that column k of D holds a 1: one product and one rounding
+less.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.box import Box, limits
+from hallsym.codegen.decoupler import Decoupler, Margin, Step
+from hallsym.codegen.entries import Entry, per, short, unit
+from hallsym.codegen.lowering.polynomial_model import PolynomialModel
+from hallsym.codegen.lowering.polynomials import Polynomial, Row
+from hallsym.errors import InputError
+from hallsym.model import Model
+
+
+def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
+    """Return the decoupler of a model at parameters `p` over a box (readings are added where it has none).
+
+    `weight`: 1 / variance of each reading, for more channels than pose coordinates.
+    """
+    if not model.symbols.displacement.numel():
+        raise InputError(
+            f"C is generated for readings gain * displacement + offset; model {model.name} has none of that "
+            "form, and its family brings no decoupler of its own."
+        )
+    return _Assembly(PolynomialModel(model, box), p, weight).make()
+
+
+@dataclass(eq=False)
+class _Assembly:
+    """Collects entries, symbols and steps of one calibration."""
+
+    taken: PolynomialModel
+    p: np.ndarray
+    weight: np.ndarray
+    table: list[Entry] = field(default_factory=list)
+    symbols: dict[str, ca.SX] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=list)
+
+    def make(self) -> Decoupler:
+        taken, model = self.taken, self.taken.model
+        inputs = (*model.channels, *model.state)
+        self.symbols |= {c: ca.SX.sym(short(c)) for c in (*inputs, *model.pose)}
+        eta, inverse = taken.eta(self.p), taken.inverse(self.p, self.weight)
+        rows, own = self._design()
+        scale = np.array([inverse[i, k] for k, i in enumerate(own)])
+        monomials = _Monomials(self.symbols, self.steps)
+        margins = self._gains(1 / eta / scale, 1 / scale, own, monomials)
+        self._shares(own, monomials)
+        for i, column in enumerate(model.pose):
+            for k in rows[i]:
+                if i != own[k]:
+                    label, share = short(model.channels[k]), model.pose[own[k]]
+                    about = f"{column} per share of {share} that {label} sees"
+                    value = inverse[i, k] / scale[k]
+                    self._add(f"{short(column)}_{label}", value, per(unit(column), share), about)
+        zeros = tuple(
+            Entry(f"zero_{short(c)}", 0.0, unit(c), f"added to {c}; set by decoupler_zero()")
+            for c in model.pose
+        )
+        self.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
+        at_pose = self._solve(rows, self._bends(eta * scale), monomials)
+        box = Box({**taken.readings(self.p), **dict(taken.box.ends)})
+        return Decoupler(
+            model=model,
+            inputs=inputs,
+            table=tuple(self.table),
+            limits=limits(inputs, box),
+            zeros=zeros,
+            steps=tuple(self.steps),
+            at_pose=at_pose,
+            margins=margins,
+            box=box,
+            exact=taken.exact(self.p, self.weight),
+            symbols=self.symbols,
+        )
+
+    def _design(self) -> tuple[list[list[int]], list[int]]:
+        """Return the channels of each pose coordinate, least influence first, and each channel's own row.
+
+        By the nominal values, not the fitted ones: so code outlasts a calibration. The own row is the
+        coordinate that the channel counts for most, among the channels.
+        """
+        influence = np.abs(self.taken.inverse(self.taken.model.nominal, self.weight))
+        rows = [np.argsort(row, kind="stable").tolist() for row in np.round(influence, 6)]
+        share = np.round(influence / influence.max(axis=1, keepdims=True), 3)
+        return rows, share.argmax(axis=0).tolist()
+
+    # -- steps -------------------------------------------------------------------------------------------
+
+    def _add(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
+        self.table.append(Entry(name, float(value), unit, meaning))
+        self.symbols[name] = ca.SX.sym(name)
+        return self.symbols[name]
+
+    def _gains(
+        self, scale: np.ndarray, at_rest: np.ndarray, own: list[int], monomials: "_Monomials"
+    ) -> tuple[Margin, ...]:
+        """Add the gain of each probe over its own entry of D, small terms first."""
+        model, margins = self.taken.model, []
+        for k, (poly, channel) in enumerate(zip(self.taken.gain, model.channels, strict=True)):
+            name, column = short(channel), model.pose[own[k]]
+            base, about = per("m", column), f"gain of {channel} for its share of {column}"
+            terms = self._terms(poly, poly.rest, f"gain_{name}", scale[k], base, about, "at rest")
+            small = self._sum(terms, monomials) if terms else None
+            rest = self._add(f"gain_{name}", at_rest[k], base, f"{about}, at rest")
+            total = rest if small is None else small + rest
+            self._step(f"now_{name}", total, f"[{base}] {about}")
+            margins.append(Margin(channel, f"gain_{name}", tuple((t.entry, t.columns) for t in terms)))
+        return tuple(margins)
+
+    def _shares(self, own: list[int], monomials: "_Monomials") -> None:
+        """Add what each probe sees: (reading - offset) / gain."""
+        model = self.taken.model
+        for k, (poly, channel) in enumerate(zip(self.taken.offset, model.channels, strict=True)):
+            name, about = short(channel), f"offset of {channel}"
+            terms = self._terms(poly, poly.rows, f"offset_{name}", 1.0, "m", about, "at rest")
+            reading, column = self.symbols[channel], model.pose[own[k]]
+            if terms:
+                reading = reading - self._sum(terms, monomials)
+            value = reading / self.symbols[f"now_{name}"]
+            self._step(f"u_{name}", value, f"[{unit(column)}] share of {column} that {name} sees")
+
+    def _step(self, name: str, expression: ca.SX, remark: str = "") -> ca.SX:
+        self.steps.append(Step(name, expression, remark))
+        return self.symbols.setdefault(name, ca.SX.sym(name))
+
+    def _terms(
+        self, poly: Polynomial, rows: list[Row], name: str, scale: float, base: str, about: str, alone: str
+    ) -> list["_Term"]:
+        """Add the entries of some terms; `alone`: what is said of one without columns."""
+        (values,) = self.taken.numbers([poly], self.p)
+        terms = []
+        for row in rows:
+            label = poly.label(row)
+            columns = tuple(filter(None, label.split("*")))
+            key = "_".join([name, *map(short, columns)])
+            said = f"{about}, per {label}" if label else f"{about}, {alone}"
+            self._add(key, scale * values[row], per(base, label), said)
+            terms.append(_Term(key, columns))
+        return terms
+
+    def _sum(self, terms: Iterable["_Term"], monomials: "_Monomials") -> ca.SX:
+        """Sum of coefficient * monomial in the order of the terms, smallest first."""
+        return _total(
+            self.symbols[t.entry] * monomials(t.columns) if t.columns else self.symbols[t.entry]
+            for t in terms
+        )
+
+    def _bends(self, scale: np.ndarray) -> list[list["_Term"]]:
+        """Add the entries of eta h of each probe."""
+        return [
+            self._terms(
+                poly, poly.rows, f"bend_{short(channel)}", scale[k], "m",
+                f"displacement at {short(channel)} beyond the linear one", "per 1",
+            )
+            for k, (poly, channel) in enumerate(zip(self.taken.bend, self.taken.model.channels, strict=True))
+        ]  # fmt: skip
+
+    # -- from what the probes see to the pose ------------------------------------------------------------
+
+    def _solve(self, rows: list[list[int]], bends: list, monomials: "_Monomials") -> tuple[Step, ...]:
+        """Add the steps from u to the pose; returns those of `decoupler_zero` for a non-linear model."""
+        model = self.taken.model
+        if not self.taken.curved:
+            sensed = self._sensed(bends, monomials, "") if any(bends) else self._seen()
+            self._product(rows, sensed, "")
+            return ()
+        before = list(self.steps)
+        count = self.taken.iterations(self.p, self.weight)
+        source: dict[str, ca.SX] = {}
+        for n in range(count + 1):
+            sensed = self._seen()
+            if n:
+                sensed = self._sensed(bends, _Monomials(self.symbols, self.steps, source, f"_{n}"), f"_{n}")
+            made = self._product(rows, sensed, f"_{n + 1}" if n < count else "")
+            source = dict(zip(model.pose, made, strict=True))
+        every, self.steps = self.steps, before
+        known = _Monomials(self.symbols, self.steps, {c: self.symbols[c] for c in model.pose}, "_known")
+        self._product(rows, self._sensed(bends, known, "_known"), "_seen", zero=False)
+        at_pose, self.steps = tuple(self.steps), every
+        return at_pose
+
+    def _seen(self) -> dict[str, ca.SX]:
+        return {(k := short(c)): self.symbols[f"u_{k}"] for c in self.taken.model.channels}
+
+    def _sensed(self, bends: list, monomials: "_Monomials", tag: str) -> dict[str, ca.SX]:
+        """Take h off what each probe sees."""
+        sensed = self._seen()
+        for bend, label in zip(bends, sensed, strict=True):
+            if bend:
+                sensed[label] = self._step(f"w_{label}{tag}", sensed[label] - self._sum(bend, monomials))
+        return sensed
+
+    def _product(
+        self, rows: list[list[int]], sensed: Mapping[str, ca.SX], tag: str, zero: bool = True
+    ) -> list[ca.SX]:
+        """Add zero + D sensed, one step per pose coordinate."""
+        labels, made = list(sensed), []
+        for i, column in enumerate(self.taken.model.pose):
+            terms = [self.symbols[f"zero_{short(column)}"]] if zero else []
+            for k in rows[i]:
+                entry = self.symbols.get(f"{short(column)}_{labels[k]}")
+                terms.append(sensed[labels[k]] if entry is None else entry * sensed[labels[k]])
+            made.append(self._step(f"{short(column)}{tag}", _total(terms)))
+        return made
+
+
+@dataclass(frozen=True)
+class _Term:
+    """An entry of the table times the product of some columns."""
+
+    entry: str
+    columns: tuple[str, ...]
+
+
+class _Monomials:
+    """Products of columns: one step each, made where first used; `pose` stands in for the pose columns."""
+
+    def __init__(
+        self,
+        symbols: dict[str, ca.SX],
+        steps: list[Step],
+        pose: Mapping[str, ca.SX] | None = None,
+        tag: str = "",
+    ) -> None:
+        self.symbols, self.steps, self.pose, self.tag = symbols, steps, pose or {}, tag
+
+    def __call__(self, names: Sequence[str]) -> ca.SX:
+        column = {name: self.pose.get(name, self.symbols[name]) for name in names}
+        product = column[names[0]]
+        for k in range(1, len(names)):
+            tag = self.tag if any(name in self.pose for name in names[: k + 1]) else ""
+            key = "_".join(short(c) for c in names[: k + 1]) + tag
+            if key not in {step.name for step in self.steps}:
+                self.steps.append(Step(key, product * column[names[k]]))
+                self.symbols.setdefault(key, ca.SX.sym(key))
+            product = self.symbols[key]
+        return product
+
+
+def _total(terms: Iterable[ca.SX]) -> ca.SX:
+    """Sum from left to right, without a 0 before it."""
+    first, *others = terms
+    return sum(others, start=first)

@@ -1,0 +1,6 @@
+
+/** Slopes of the pose by the readings. */
+typedef struct
+{
+    @REAL@ @slope.name@; /**< [@slope.unit@] d @slope.of@ / d @slope.by@ */
+} decoupler_jacobian_t;

@@ -1,0 +1,1 @@
+(void)memcpy(&value, &raw, sizeof(value));

@@ -1,0 +1,3 @@
+uint32_t bits = 0U;
+(void)memcpy(&bits, &value, sizeof(bits));
+return bits;

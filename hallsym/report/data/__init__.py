@@ -1,0 +1,41 @@
+"""What figures and pages show, reduced from a log of any length: typed records that know no renderer."""
+
+from hallsym.report.data.cells import Cells, Tally
+from hallsym.report.data.decoded import Decoded, Decoder, decoded
+from hallsym.report.data.gather import Gathered, Version, gather
+from hallsym.report.data.parameters import ParameterRow, parameter_rows
+from hallsym.report.data.series import RunSeries, run_series
+from hallsym.report.data.survey import (
+    MOST_SETTINGS,
+    Group,
+    Survey,
+    held_out,
+    look_over,
+    representative,
+    settings,
+)
+from hallsym.report.data.trace import COLUMNS, Trace
+
+__all__ = [
+    "COLUMNS",
+    "MOST_SETTINGS",
+    "Cells",
+    "Decoded",
+    "Decoder",
+    "Gathered",
+    "Group",
+    "ParameterRow",
+    "RunSeries",
+    "Survey",
+    "Tally",
+    "Trace",
+    "Version",
+    "decoded",
+    "gather",
+    "held_out",
+    "look_over",
+    "parameter_rows",
+    "representative",
+    "run_series",
+    "settings",
+]

@@ -1,0 +1,209 @@
+"""One more pass over a log: maps of the errors over the coordinates that matter, and series of a few runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hallsym.estimation.calibration import Fit
+from hallsym.log import Block, Log
+from hallsym.log.batches import SIZE, Weigh
+from hallsym.report.data.cells import Cells, Tally
+from hallsym.report.data.decoded import decoded
+from hallsym.report.data.series import RunSeries, series_of
+from hallsym.report.data.survey import Group, Survey, held_out, look_over, representative, settings
+from hallsym.report.data.trace import Trace
+from hallsym.report.words import LEVEL, largest, name, scale
+from hallsym.units import si_unit
+
+ALONG, PLANE, MOST = 15, 11, 60
+"""Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together).
+
+Odd, so that an axis at rest in the middle of its travel lies inside a cell: on an edge, the noise of its own
+reference would decide the cell, and each side would show a median that is not there.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
+
+    `after`: the same maps of another version of the model, cell by cell; empty without one.
+    """
+
+    survey: Survey
+    maps: tuple[Cells, ...]
+    series: tuple[RunSeries, ...]
+    after: tuple[Cells, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Version:
+    """Another version of a model on the same samples: `errors(block)` is (n_pose, samples), in SI.
+
+    `log`: the same samples with all `columns` that `errors` reads. `keep`: samples that count, None for all.
+    """
+
+    name: str
+    log: Log
+    columns: tuple[str, ...]
+    errors: Callable[[Block], np.ndarray]
+    keep: Weigh | None = None
+
+    def read(self, *, timed: bool) -> Iterator[tuple[Block, np.ndarray]]:
+        """Yield each block with its errors, nan where a sample does not count."""
+        columns = dict.fromkeys((*self.columns, *(("t_s",) if timed else ())))
+        for block in self.log.blocks(tuple(columns), size=SIZE):
+            errors = self.errors(block)
+            yield block, errors if self.keep is None else np.where(self.keep(block) > 0, errors, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """Cells without numbers, how many they are, and which of them each sample of a block is in."""
+
+    frame: Cells
+    cells: int
+    place: Callable[[Block], np.ndarray]
+
+
+def gather(
+    log: Log,
+    fit: Fit,
+    *,
+    label: str = "decoded",
+    keep: Weigh | None = None,
+    most_runs: int = 3,
+    after: Version | None = None,
+) -> Gathered:
+    """Read `log` twice, in blocks, for maps and series of the errors of a fit, which is called `label`.
+
+    `after`: a version of the model that is read once more, for the same maps and series.
+
+    Channels of the log are those of the model (`as_read`). Samples to which `keep` gives weight 0 (outliers)
+    take no part and interrupt the series.
+    """
+    survey = look_over(log, fit, keep)
+    chosen, timed = representative(survey, most_runs), survey.time is not None
+    own = ((p.block, np.where(p.kept, p.fitted - p.reference, np.nan)) for p in decoded(log, fit, keep))
+    passes = {label: own} | ({} if after is None else {after.name: after.read(timed=timed)})
+    places = _maps(fit, survey)
+    found = {key: _read(blocks, fit, survey, places, chosen) for key, blocks in passes.items()}
+    series = tuple(
+        series_of(
+            f"run {run}{', held out' if run in held_out(fit) else ''}",
+            fit.model.pose,
+            {key: traces[run] for key, (_, traces) in found.items()},
+            timed=timed,
+            turning=fit.model.period,
+        )
+        for run in chosen
+    )
+    return Gathered(survey, found[label][0], series, found[after.name][0] if after else ())
+
+
+def _read(
+    blocks: Iterator[tuple[Block, np.ndarray]],
+    fit: Fit,
+    survey: Survey,
+    places: Sequence[_Map],
+    chosen: Sequence[int],
+) -> tuple[tuple[Cells, ...], dict[int, Trace]]:
+    """Return the maps of errors (n_pose, samples) by block, and the traces of the chosen runs."""
+    floor = np.array([fit.noise_floor.get(c) or 0.0 for c in fit.model.pose])
+    fine = np.maximum(floor / 20, survey.fitted.peak.max(axis=0) / 1e4)
+    tallies = [Tally(m.cells, fine) for m in places]
+    traces = {run: Trace(1 + len(fine)) for run in chosen}
+    for block, errors in blocks:
+        at = tallies[0].bin_of(errors) if tallies else None
+        for m, tally in zip(places, tallies, strict=True):
+            tally.add(m.place(block), errors, at)
+        if block.run in traces:
+            time = block.data["t_s"] if survey.time is not None else np.zeros(errors.shape[1])
+            traces[block.run].add(np.vstack([time, errors]))
+    filled = (
+        replace(m.frame, count=t.count, median=t.median, rms=t.rms)
+        for m, t in zip(places, tallies, strict=True)
+    )
+    return tuple(filled), traces
+
+
+def _maps(fit: Fit, survey: Survey) -> list[_Map]:
+    """Return maps over two outputs together, each output, the vertical settings or states, and runs."""
+    model = fit.model
+    reach = dict(zip((*model.references, *model.state), survey.reach, strict=True))
+    made = {c.name for c in model.computed}
+    moved = [c for c, (low, high) in reach.items() if high - low > LEVEL and c not in made]
+    poses = [c for c in model.references if c in moved]
+    maps = [_along(c, reach[c], fit) for c in poses]
+    lengths = [c for c in poses if si_unit(c) == "m"][:2]
+    if len(lengths) == 2:
+        maps.insert(0, _plane(lengths, reach, fit))
+    groups, title = settings(fit, survey)
+    if title == "run":
+        maps += [_along(c, reach[c], fit) for c in model.state if c in moved]
+    else:
+        maps.append(_grouped(title, groups, fit))
+    if len(survey.runs) > 1:
+        maps.append(_grouped("run", _few_runs(survey.runs), fit, held_out(fit)))
+    return maps
+
+
+def _frame(by: str, fit: Fit, **more: Any) -> Cells:
+    nothing = np.zeros(0)
+    return Cells(by, fit.model.pose, nothing, nothing, nothing, turning=fit.model.period, **more)
+
+
+def _along(column: str, reach: np.ndarray, fit: Fit) -> _Map:
+    turn = fit.model.period.get(column, np.inf)
+    goes_round = reach[1] - reach[0] > turn  # one map of all turns
+    low, high = (0.0, turn) if goes_round else (float(v) for v in reach)
+    edges = np.linspace(low, high, ALONG + 1)
+    factor, unit = scale(column, largest(edges), fit.model.period)
+
+    def place(block: Block) -> np.ndarray:
+        return _cell(np.mod(block.data[column], turn) if goes_round else block.data[column], edges)
+
+    return _Map(_frame(f"{_name(column)} [{unit}]", fit, edges=factor * edges), ALONG, place)
+
+
+def _plane(columns: Sequence[str], reach: Mapping[str, np.ndarray], fit: Fit) -> _Map:
+    edges = [np.linspace(float(reach[c][0]), float(reach[c][1]), PLANE + 1) for c in columns]
+    scales = [scale(c, largest(e), fit.model.period) for c, e in zip(columns, edges, strict=True)]
+    by, up = (f"{_name(c)} [{unit}]" for c, (_, unit) in zip(columns, scales, strict=True))
+    x, y = (factor * e for (factor, _), e in zip(scales, edges, strict=True))
+
+    def place(block: Block) -> np.ndarray:
+        i, j = (_cell(block.data[c], e) for c, e in zip(columns, edges, strict=True))
+        return i + PLANE * j
+
+    return _Map(_frame(by, fit, edges=x, up=up, across=y), PLANE**2, place)
+
+
+def _grouped(by: str, groups: Sequence[Group], fit: Fit, holdout: Sequence[int] = ()) -> _Map:
+    """Cells of runs; a cell is marked when all of its runs are in `holdout`."""
+    at = {run: k for k, (_, runs) in enumerate(groups) for run in runs}
+    labels = tuple(words for words, _ in groups)
+    marked = tuple(k for k, (_, runs) in enumerate(groups) if holdout and set(runs) <= set(holdout))
+
+    def place(block: Block) -> np.ndarray:
+        return np.full(len(next(iter(block.data.values()))), at.get(block.run, -1))
+
+    return _Map(_frame(by, fit, labels=labels, marked=marked), len(groups), place)
+
+
+def _few_runs(runs: Sequence[int]) -> list[Group]:
+    per = -(-len(runs) // MOST)
+    parts = [list(runs[k : k + per]) for k in range(0, len(runs), per)]
+    return [(f"{p[0]}" if len(p) == 1 else f"{p[0]}\N{EN DASH}{p[-1]}", p) for p in parts]
+
+
+def _cell(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
+def _name(column: str) -> str:
+    return name(column.replace("_ref_", "_"))

@@ -1,0 +1,191 @@
+"""One pass over a log: what its pictures show, for any number of samples; and runs that belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hallsym.estimation.calibration import Fit
+from hallsym.estimation.decoding import ErrorTable
+from hallsym.log import Log
+from hallsym.log.batches import Weigh
+from hallsym.report.data.decoded import Decoded, decoded
+from hallsym.report.data.trace import Trace
+from hallsym.report.words import LEVEL, name, setting
+from hallsym.units import readable, typeset
+
+MOST_SETTINGS = 60
+"""Vertical settings beyond this are shown run by run."""
+
+Group = tuple[str, list[int]]
+"""Label and runs."""
+
+
+class _Run:
+    """Sums over one run; pairs hold the nominal and the fitted model, rows the reference and the state."""
+
+    def __init__(self, start: int, first: Decoded) -> None:
+        n, state = len(first.reference), first.rows(first.decoder.model.state)
+        self.start, self.first_state, self.kept = start, state[:, 0], 0
+        self.squares, self.peak, self.state_sum = np.zeros((2, n)), np.zeros((2, n)), np.zeros(len(state))
+        self.low, self.high = np.full(n + len(state), np.inf), np.full(n + len(state), -np.inf)
+
+    def add(self, part: Decoded, errors: np.ndarray) -> None:
+        """Add a block with its errors, (2, n_pose, samples)."""
+        if not part.kept.any():
+            return
+        errors, state = errors[:, :, part.kept], part.rows(part.decoder.model.state)[:, part.kept]
+        rows = np.vstack([part.reference[:, part.kept], state])
+        self.kept += rows.shape[1]
+        self.squares += np.einsum("vij,vij->vi", errors, errors)
+        self.peak = np.maximum(self.peak, np.abs(errors).max(axis=2))
+        self.low, self.high = np.minimum(self.low, rows.min(axis=1)), np.maximum(self.high, rows.max(axis=1))
+        self.state_sum += state.sum(axis=1)
+
+    @property
+    def travel(self) -> np.ndarray:
+        """Least to greatest value of reference and state; 0 where no sample counts."""
+        return self.high - self.low if self.kept else np.zeros(len(self.low))
+
+    @property
+    def state(self) -> np.ndarray:
+        """Mean state; that of the first sample where no sample counts."""
+        return self.state_sum / self.kept if self.kept else self.first_state
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A log as its pictures need it, for any number of samples.
+
+    `edges`: (runs + 1,) sample numbers where runs begin. `travel`: (runs, n_pose) least to greatest value of
+    the reference. `state`: (runs, n_state) mean vertical state, `drift` its travel. `reach`:
+    (n_pose + n_state, 2) least and greatest value of reference and state over all runs. `errors`: traces of
+    the nominal and of the fitted model, `time`: trace of `t_s` if it is logged, `rejected`: 1 where samples
+    were.
+    """
+
+    runs: tuple[int, ...]
+    edges: np.ndarray
+    travel: np.ndarray
+    state: np.ndarray
+    drift: np.ndarray
+    reach: np.ndarray
+    nominal: ErrorTable
+    fitted: ErrorTable
+    errors: tuple[Trace, Trace]
+    time: Trace | None
+    rejected: Trace
+    n_rejected: int
+
+
+def look_over(log: Log, fit: Fit, keep: Weigh | None = None) -> Survey:
+    """Read `log` once and return what its pictures show."""
+    n = len(fit.model.pose)
+    traces = Trace(n, squares=True), Trace(n, squares=True)
+    time, rejected = Trace(1) if "t_s" in log.columns else None, Trace(1)
+    runs: dict[int, _Run] = {}
+    total = 0
+    for part in decoded(log, fit, keep):
+        run = runs.setdefault(part.block.run, _Run(total, part))
+        errors = np.array([part.nominal, part.fitted]) - part.reference
+        for trace, error in zip(traces, errors, strict=True):
+            trace.add(np.where(part.kept, error, np.nan))
+        if time:
+            time.add(part.time)
+        rejected.add(np.where(part.kept, np.nan, 1.0)[None])
+        run.add(part, errors)
+        total += len(part.kept)
+    return _survey(fit, runs, total, traces, time, rejected)
+
+
+def _survey(
+    fit: Fit,
+    runs: Mapping[int, _Run],
+    total: int,
+    errors: tuple[Trace, Trace],
+    time: Trace | None,
+    rejected: Trace,
+) -> Survey:
+    found, n = list(runs.values()), len(fit.model.pose)
+    count = np.array([r.kept for r in found], dtype=float)
+    squares, peak = np.array([r.squares for r in found]), np.array([r.peak for r in found])
+    tables = [ErrorTable(fit.model.pose, tuple(runs), count, squares[:, v], peak[:, v]) for v in (0, 1)]
+    travel = np.array([r.travel for r in found])
+    low, high = np.min([r.low for r in found], axis=0), np.max([r.high for r in found], axis=0)
+    return Survey(
+        runs=tuple(runs),
+        edges=np.array([*(r.start for r in found), total]),
+        travel=travel[:, :n],
+        state=np.array([r.state for r in found]),
+        drift=travel[:, n:],
+        reach=np.column_stack([low, high]) if count.any() else np.zeros((len(low), 2)),
+        nominal=tables[0],
+        fitted=tables[1],
+        errors=errors,
+        time=time,
+        rejected=rejected,
+        n_rejected=int(total - count.sum()),
+    )
+
+
+def held_out(fit: Fit) -> tuple[int, ...]:
+    """Return the held-out runs, also of a fit that was read back."""
+    return fit.errors.holdout if fit.errors else tuple(fit.log.get("holdout", ()))
+
+
+def representative(survey: Survey, most: int = 3) -> list[int]:
+    """Return up to `most` runs: for each pose coordinate the first in which it moves (nearly) most."""
+    chosen: list[int] = []
+    for travel in survey.travel.T:
+        run = survey.runs[int(np.argmax(travel >= 0.9 * travel.max()))]
+        if run not in chosen:
+            chosen.append(run)
+    return sorted(chosen[:most], key=survey.runs.index)
+
+
+def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
+    """Return `[(label, runs)]` by vertical setting and the axis title; one entry per run without settings.
+
+    Settings are of the states that a campaign can set. Runs belong to one setting when their mean states
+    agree within 2 % of what the campaign covers. A state that moves within runs, or never changes, makes no
+    settings.
+    """
+    by_run: list[Group] = [(str(run), [run]) for run in survey.runs]
+    axes = [k for k, c in enumerate(fit.model.state) if c in fit.model.family.axes]
+    if not axes or len(survey.runs) < 2:
+        return by_run, "run"
+    state, drift = survey.state[:, axes], survey.drift[:, axes]
+    spread = np.ptp(state, axis=0)
+    near = np.maximum(0.02 * spread, LEVEL)
+    if np.all(spread < LEVEL) or np.any(np.median(drift, axis=0) > np.maximum(0.1 * spread, 2 * LEVEL)):
+        return by_run, "run"
+    centres: list[np.ndarray] = []
+    members: list[list[int]] = []
+    for run, point in zip(survey.runs, state, strict=True):
+        match = [k for k, c in enumerate(centres) if np.all(np.abs(point - c) <= near)]
+        if match:
+            members[match[0]].append(run)
+        else:
+            centres.append(point)
+            members.append([run])
+        if len(centres) > MOST_SETTINGS:
+            return by_run, "run"
+    columns, turning = tuple(fit.model.state[k] for k in axes), fit.model.period
+
+    def place(k: int) -> tuple:
+        moved = np.abs(centres[k]) > near
+        return (int(moved.sum()), tuple(~moved), tuple(np.where(moved, centres[k], 0.0)))
+
+    order = sorted(range(len(centres)), key=place)
+    groups = [(setting(columns, centres[k], near, turning=turning), members[k]) for k in order]
+    return groups, f"vertical setting ({_units(columns, turning)})"
+
+
+def _units(columns: Sequence[str], turning: Mapping[str, float]) -> str:
+    """Return `Z in µm; Rx, Ry in µrad`."""
+    by_unit: dict[str, list[str]] = {}
+    for column in columns:
+        by_unit.setdefault(typeset(readable(column, turning)[1]), []).append(name(column))
+    return "; ".join(f"{', '.join(names)} in {unit}" for unit, names in by_unit.items())

@@ -1,0 +1,96 @@
+"""Words for people: names of columns, units that suit the size of the values, numbers with few digits."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from hallsym.units import parameter_unit, readable, scaled, typeset
+
+LEVEL = 1e-6
+"""Vertical positions [m, rad] closer than this are one setting."""
+MINUS = "\N{MINUS SIGN}"
+
+
+def name(column: str) -> str:
+    """Return what people call a column: `rz_rad` is Rz, `hall_a_m` is Hall A."""
+    stem = readable(column)[2] or column
+    if stem.startswith("hall_"):
+        return f"Hall {stem.removeprefix('hall_').upper()}"
+    return stem.capitalize() if stem in ("z", "rx", "ry", "rz") else stem.replace("_", " ")
+
+
+def scale(column: str, largest: float, turning: Collection[str] | None = None) -> tuple[float, str]:
+    """Return factor and printed unit for values of a column up to `largest`; `turning` as in `readable`."""
+    factor, unit = scaled(column, largest, turning)
+    return factor, typeset(unit)
+
+
+def setting(
+    columns: Sequence[str],
+    point: np.ndarray,
+    near: float | np.ndarray,
+    *,
+    units: bool = False,
+    turning: Collection[str] | None = None,
+) -> str:
+    """Return `Z +250 Rx -500`, in um and urad; what is within `near` of zero is left out."""
+    parts = []
+    for column, value, least in zip(columns, point, np.broadcast_to(near, len(columns)), strict=True):
+        if abs(value) > least:
+            factor, unit, _ = readable(column, turning)
+            number = f"{factor * value:+.{0 if abs(factor * value) >= 10 else 1}f}".replace("-", MINUS)
+            parts.append(f"{name(column)} {number}" + (f" {typeset(unit)}" if units else ""))
+    return " ".join(parts) or "level"
+
+
+def amount(column: str, value: float, turning: Collection[str] | None = None) -> str:
+    """Return a value of a column in the unit that suits it: `1.36 µm`."""
+    factor, unit = scale(column, abs(value), turning)
+    return f"{three(factor * value)} {unit}".replace("-", MINUS)
+
+
+def largest(values: np.ndarray) -> float:
+    """Return the largest magnitude that is finite; 0 if there is none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else 0.0
+
+
+def short(value: float) -> str:
+    """Return three significant digits without an exponent, with one where there would be many zeros."""
+    if value == 0 or not np.isfinite(value) or not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.3g}"
+    return np.format_float_positional(float(f"{value:.3g}"), trim="-")
+
+
+def three(value: float) -> str:
+    """Return three significant digits, trailing zeros kept."""
+    if 100 <= abs(value) < 1e6:
+        return f"{value:.0f}"
+    return f"{value:#.3g}" if 1e-4 <= abs(value) < 100 else f"{value:.3g}"
+
+
+def plus_minus(value: float, half: float, unit: str) -> str:
+    """Return `value ± half` of a parameter with two digits of `half`; lengths in mm, angles in degrees."""
+    factor, shown = parameter_unit(unit, millimetres=True)
+    ending = f" {shown}" if shown else ""
+    if not (np.isfinite(half) and half > 0):
+        return f"{factor * value:.6g}{ending}"
+    return f"{digits(factor * value, factor * half)} ± {digits(factor * half, factor * half)}{ending}"
+
+
+def digits(value: float, half: float) -> str:
+    """Return a value with as many digits as two digits of `half` need."""
+    if not np.isfinite(value):
+        return "unknown" if np.isnan(value) else "∞" if value > 0 else f"{MINUS}∞"
+    if not (np.isfinite(half) and half > 0):
+        return f"{value:.4g}".replace("-", MINUS)
+    places = int(np.clip(1 - np.floor(np.log10(half)), 0, 12))
+    return f"{value:.{places}f}".replace("-", MINUS)
+
+
+def thinned(n: int, most: int) -> Sequence[int]:
+    """Return every k-th of n indices, k from 1, 2, 5, 10, .., at most about `most` of them."""
+    step = next(s * 10**e for e in range(12) for s in (1, 2, 5) if n <= most * s * 10**e)
+    return range(0, n, step)

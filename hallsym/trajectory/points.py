@@ -1,0 +1,158 @@
+"""Points that a curve shall pass: read from CSV, with what their own digits can tell."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.files import reason
+from hallsym.trajectory.nominal import COORDINATES
+from hallsym.trajectory.units import column
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points (N, d) in SI at increasing parameters t (N,); `rounding`: half a last digit [m]."""
+
+    t: Array
+    points: Array
+    coordinates: tuple[str, ...]
+    rounding: float = 0.0
+    name: str = "points"
+
+    @property
+    def shares(self) -> Array:
+        """Parameters scaled to [0, 1]."""
+        return (self.t - self.t[0]) / (self.t[-1] - self.t[0])
+
+
+def points_of(
+    points: Array,
+    t: Array | None = None,
+    coordinates: tuple[str, ...] = ("x_m", "y_m"),
+    rounding: float = 0.0,
+    name: str = "points",
+) -> Points:
+    """Return points with their parameters checked; without `t` it is the length of the chords up to each.
+
+    Raises `InputError` for shapes that do not fit, numbers that are none, repeated or unordered parameters.
+    """
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != len(coordinates) or len(points) < 2:
+        raise InputError(
+            f"The {name} must be at least 2 rows of {', '.join(coordinates)}; got shape {points.shape}."
+        )
+    if not np.isfinite(points).all():
+        row = int(np.argwhere(~np.isfinite(points))[0, 0])
+        raise InputError(f"Point {row + 1} of {name} is not a finite number.")
+    lengths = [k for k, c in enumerate(coordinates) if c.endswith("_m")]
+    if t is None:
+        steps = np.linalg.norm(np.diff(points[:, lengths], axis=0), axis=1)
+        if (steps == 0).any():
+            k = int(np.argmax(steps == 0))
+            raise InputError(
+                f"Points {k + 1} and {k + 2} of {name} are the same; take one out or give a column t."
+            )
+        t = np.r_[0.0, np.cumsum(steps)]
+    t = np.asarray(t, float)
+    if t.shape != (len(points),) or not np.isfinite(t).all():
+        raise InputError(
+            f"Parameters of {name} must be one finite number for each of its {len(points)} points."
+        )
+    if (np.diff(t) <= 0).any():
+        k = int(np.argmax(np.diff(t) <= 0))
+        what = "repeats" if t[k] == t[k + 1] else "is less than"
+        raise InputError(
+            f"Parameters of {name} must increase: number {k + 2} ({t[k + 1]:.9g}) {what} number {k + 1} "
+            f"({t[k]:.9g}); sort the points and take repeated ones out."
+        )
+    return Points(t, points, tuple(coordinates), rounding, name)
+
+
+def read_points(path: str | Path) -> Points:
+    """Read points from CSV: columns such as x_um, y_um, rz_urad, and t (or t_s) if they have a parameter.
+
+    The unit ends the name of a column. Raises `InputError` for what cannot be read.
+    """
+    path = Path(path)
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
+    except FileNotFoundError:
+        raise InputError(f"Points file {path} does not exist; give the path of a CSV file.") from None
+    except OSError as error:
+        raise InputError(f"Points file {path} cannot be read: {reason(error)}.") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"Points file {path} is not CSV text: {' '.join(str(error).split())}.") from None
+    rows = [row for row in rows if not row[0].lstrip().startswith("#")]
+    if len(rows) < 3:
+        raise InputError(f"Points file {path} must hold a line of column names and at least 2 points.")
+    names = [name.strip() for name in rows[0]]
+    columns = [_column(name, path) for name in names]
+    kept = [k for k, c in enumerate(columns) if c[0] != "t"]
+    si = [columns[k][0] for k in kept]
+    order = [k for c in COORDINATES.values() for k, name in zip(kept, si, strict=True) if name == c]
+    if len(set(si)) != len(si) or len(columns) - len(kept) > 1:
+        raise InputError(f"Points file {path} gives a column twice; keep one of each.")
+    lengths = [k for k in order if columns[k][0].endswith("_m")]
+    if not lengths:
+        raise InputError(f"Points file {path} must have at least one of the columns x, y, z, such as x_um.")
+    table = np.array(
+        [[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in rows_of(rows)]
+    )
+    parameter = [k for k, c in enumerate(columns) if c[0] == "t"]
+    step = max(columns[k][1] * _step([row[k] for row in rows[1:]]) for k in lengths)
+    return points_of(
+        table[:, order] * np.array([columns[k][1] for k in order]),
+        table[:, parameter[0]] if parameter else None,
+        tuple(columns[k][0] for k in order),
+        step / 2,
+        path.name,
+    )
+
+
+def rows_of(rows: list[list[str]]) -> list[tuple[int, list[str]]]:
+    """Return the rows of data with their number, counted from 1."""
+    return list(enumerate(rows[1:], 1))
+
+
+def _column(name: str, path: Path) -> tuple[str, float]:
+    if name == "t" or name.startswith("t_"):
+        return "t", 1.0
+    found = column(name)
+    if found is None or found[0] not in COORDINATES.values():
+        known = ", ".join(COORDINATES)
+        raise InputError(
+            f"Column {name!r} of {path} must be t, or one of {known} with its unit, such as x_um or rz_urad."
+        )
+    return found
+
+
+def _cell(row: list[str], k: int, number: int, names: list[str], path: Path) -> float:
+    try:
+        value = float(row[k]) if len(row) == len(names) else math.nan
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(
+            f"Point {number} of {path} must have a finite number for {names[k]}; its line is {row}."
+        )
+    return value
+
+
+def _step(cells: list[str]) -> float:
+    """One in the last digit that the column shows: its finest decimal place."""
+    places = []
+    for cell in cells:
+        match = re.fullmatch(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d+))?", cell.strip())
+        if match:
+            places.append(len(match[1]) - int(match[2] or 0))
+    return 10.0 ** -max(places) if places else 0.0

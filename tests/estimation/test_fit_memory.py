@@ -1,0 +1,47 @@
+"""Many short runs: what is kept per run must stay small."""
+
+import resource
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hallsym import Log, Noise, build, fit, published, table8_noise
+from hallsym.model.arrays import on_arrays
+
+RUNS, SAMPLES = 10_000, 20
+MOST_MB = 400.0
+
+
+def many_runs() -> Log:
+    """Runs at their own height and tilt, each with zero deviations of its own; noise of Table 8."""
+    rng, model = np.random.default_rng(12), build("stage31")
+    run, t = np.repeat(np.arange(RUNS), SAMPLES), np.tile(2e-3 * np.arange(SAMPLES), RUNS)
+    frequency = 2 * np.pi * rng.uniform(5, 40, RUNS)[run]
+    pose = [5e-4 * np.sin(frequency * t), 5e-4 * np.cos(frequency * t), 1e-3 * np.sin(0.7 * frequency * t)]
+    state = [rng.uniform(low, high, RUNS)[run] for low, high in ((0, 3e-3), (-1e-3, 1e-3), (-1e-3, 1e-3))]
+    zeros = rng.uniform(-1e-5, 1e-5, (len(model.zeros), RUNS))[:, run]
+    (reading,) = on_arrays(model.reading)(
+        model.vector(published.values("table7_estimates")), zeros, pose, state
+    )
+    columns = dict(zip((*model.references, *model.state), [*pose, *state], strict=True))
+    columns |= dict(zip(model.channels, reading, strict=True))
+    sigma = table8_noise(model).sigma
+    noisy = {c: v + sigma.get(c, 0.0) * rng.standard_normal(len(v)) for c, v in columns.items()}
+    return Log.from_arrays({"run": run, "t_s": t, **noisy}, Noise.given(sigma, tuple(noisy)))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is counted in other units elsewhere")
+def test_ten_thousand_short_runs_are_fitted_in_400_mb():
+    """A process of its own: the peak is that of one fit, imports and the log included."""
+    command = [sys.executable, __file__]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert said[0] == "converged"
+    assert float(said[1]) < MOST_MB
+
+
+if __name__ == "__main__":
+    found = fit(many_runs(), "stage31")
+    print(found.status, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)

@@ -1,0 +1,329 @@
+"""Families that hallsym does not know go through every verb: nothing in hallsym is edited for them.
+
+The 2-DOF and the 6-DOF array are in `trial_families`. Independent facts: a second harmonic of the field makes
+three waves of error per period of x (Maguire, UBC 2015, section 2.6); what was simulated is what is found.
+"""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from firmware import need, ran
+from trial_families import ARRAY, PLANE, TRIALS, second_harmonic, second_harmonic_along
+
+import hallsym
+from hallsym import InputError, Log, Noise, NoiseModel
+from hallsym.families import FAMILIES
+from hallsym.log.phase import continuous, near, wrapped
+from hallsym.model import Parameter
+from hallsym.report.page import diagnosis_page, fit_page
+from hallsym.report.text.diagnosis import diagnosis_text
+from hallsym.simulation import campaign_from, paper_campaign
+
+HARMONIC = {"h2c": 3e-3, "h2s": 1e-3}
+BOX = {
+    "array": {"x_m": (-1e-2, 1e-2), "z_m": (4e-3, 6e-3)},
+    "plane": {"x_m": (-1e-2, 1e-2), "y_m": (-1e-2, 1e-2), "z_m": (4e-3, 6e-3)}
+    | dict.fromkeys(("rx_rad", "ry_rad", "rz_rad"), (-5e-3, 5e-3)),
+}
+each_trial = pytest.mark.parametrize("family", TRIALS, ids=str)
+each_family = pytest.mark.parametrize("family", [*FAMILIES, *TRIALS], ids=str)
+
+
+def recorded(model, extra=None) -> Log:
+    """The log of the family's example."""
+    example = model.family.example
+    campaign = campaign_from(example.campaign, "the example")
+    values = {n: v for n, v in {**example.values, **(extra or {})}.items() if n in model.names}
+    noise = {c: s for c, s in example.noise.items() if c in (*model.channels, *model.references)}
+    columns = hallsym.simulate(model, values, campaign, NoiseModel(noise), seed=1)
+    return Log.from_arrays(columns, Noise.given(noise, tuple(columns)))
+
+
+@cache
+def fitted(family) -> tuple[Log, hallsym.Fit]:
+    model = family.models[0]()
+    log = recorded(model)
+    return log, hallsym.fit(log, model, solver="direct")
+
+
+# -- what every family states ------------------------------------------------------------------------------
+
+
+@each_family
+def test_a_record_is_whole(family):
+    names = [make.__name__ for make in family.models]
+    assert len(set(names)) == len(names)
+    assert set(family.aliases.values()) <= set(names)
+    assert family.model_of(family.models[0]().references) == (family.default or names[0])
+    for make in family.models:
+        model = make()
+        assert model.family is family
+        assert model.name == make.__name__
+        assert len(model.references) == len(model.pose)
+        assert set(model.pose) <= set(family.axes)
+        assert family.reads((*model.channels, *model.references))
+        assert set(model.homes.values()) <= set(model.period)
+        assert set(model.period) <= {*model.pose, *model.references, *model.channels, *model.names}
+        for coordinate, reference in zip(model.pose, model.references, strict=True):
+            assert model.period.get(coordinate) == model.period.get(reference)
+        assert np.all(family.pose_metric.weights(model.pose) == family.pose_metric.weights(model.references))
+
+
+@each_family
+def test_a_model_decodes_what_it_reads(family):
+    for make in family.models:
+        model = make()
+        rng = np.random.default_rng(1)
+        zeros = np.zeros(len(model.zeros))
+        state = np.zeros(len(model.state))
+        for pose in model.typical or (1e-4 * rng.standard_normal(len(model.pose)),):
+            reading = model.reading(model.nominal, zeros, pose, state)
+            weight = np.ones(len(model.channels))
+            found = np.asarray(model.decoded(model.nominal, zeros, reading, state, weight)).ravel()
+            assert np.abs(near(model, found, pose) - pose).max() < 1e-9
+
+
+@each_family
+def test_zero_deviations_are_as_many_as_their_scale(family):
+    for make in family.models:
+        model = make()
+        assert model.zero_scale(model.nominal, np.zeros(len(model.state))).shape == (len(model.zeros),)
+
+
+# -- every verb --------------------------------------------------------------------------------------------
+
+
+@each_trial
+def test_a_fit_finds_what_was_simulated(family):
+    _, fit = fitted(family)
+    assert fit.status == "converged"
+    for k, name in enumerate(fit.model.names):
+        assert abs(fit.values[k] - family.example.values.get(name, fit.model.nominal[k])) < 5 * fit.std[k]
+    rmse = fit.errors.rows()["fitted"]["rmse"]
+    for coordinate, floor in fit.noise_floor.items():
+        assert rmse[coordinate] == pytest.approx(floor, rel=0.15)
+
+
+@each_trial
+def test_a_calibration_is_written_and_read(family, tmp_path):
+    _, fit = fitted(family)
+    fit.save(tmp_path / "calib.json")
+    known = hallsym.load_fit(tmp_path / "calib.json", families=TRIALS)
+    assert known.model.family is family
+    assert np.array_equal(known.values, fit.values)
+    with pytest.raises(InputError, match="Model must be one of"):
+        hallsym.load_fit(tmp_path / "calib.json")
+
+
+def test_an_effect_of_the_family_is_saved_by_its_name(tmp_path):
+    model = ARRAY.models[0]()
+    fit = hallsym.fit(recorded(second_harmonic(model), HARMONIC), model, effects=["second_harmonic"])
+    fit.save(tmp_path / "calib.json")
+    assert json.loads((tmp_path / "calib.json").read_text())["added"] == ["second_harmonic"]
+    known = hallsym.load_fit(tmp_path / "calib.json", families=TRIALS)
+    assert known.value("h2c") == pytest.approx(HARMONIC["h2c"], rel=0.05)
+
+
+@each_trial
+def test_what_the_log_determines_is_said(family):
+    _, fit = fitted(family)
+    found = hallsym.identify(fit, profiles="none")
+    assert found.structural.rank == found.structural.of == len(fit.model.names)
+    json.dumps(found.to_dict())
+
+
+@each_trial
+def test_a_log_without_a_gap_has_none(family):
+    log, fit = fitted(family)
+    found = hallsym.diagnose(log, fit.model, holdout=[2])
+    assert (found.verdict, found.effects) == ("no gap", ())
+    assert diagnosis_page(json.loads(json.dumps(found.to_dict()))).startswith("<!doctype html>")
+
+
+def test_an_effect_of_the_family_is_named():
+    model = ARRAY.models[0]()
+    found = hallsym.diagnose(recorded(second_harmonic(model), HARMONIC), model, holdout=[2])
+    assert (found.verdict, found.ranked) == ("explained", ("second_harmonic",))
+    assert found.metric["after"] < 1.1 * found.metric["floor"]
+    (effect,) = found.effects
+    assert effect.parameters["h2c"].value == pytest.approx(HARMONIC["h2c"], rel=0.05)
+
+
+def test_the_waves_of_an_error_over_x_are_counted():
+    """Nobody knows the effect: the error has three waves per period of x, and goes with the place in it."""
+    model = ARRAY.models[0]()
+    bare = replace(model, family=replace(ARRAY, effects=()))
+    found = hallsym.diagnose(recorded(second_harmonic(model), HARMONIC), bare, holdout=[2])
+    assert (found.verdict, found.ranked) == ("unexplained", ())
+    largest = max(found.waves, key=lambda w: w.model)
+    assert (largest.coordinate, largest.per_turn) == ("x_m", 3)
+    assert largest.model == pytest.approx(5e-6, rel=0.1)
+    assert (found.where[0].by, found.where[0].waves) == ("place in the period of x", (3,))
+    assert found.where[0].share > 0.7
+    assert "waves per period of x [um]" in diagnosis_text(found)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_wave_of_error_is_found_over_its_own_coordinate(axis):
+    """Of two periodic coordinates one has a second harmonic, by the array along it."""
+    model = PLANE.models[0]()
+    found = hallsym.diagnose(recorded(second_harmonic_along(model, axis)), model, holdout=[2])
+    assert found.verdict == "unexplained"
+    assert (found.where[0].by, found.where[0].waves) == (f"place in the period of {axis}", (3,))
+
+
+@each_trial
+def test_a_page_of_a_fit_is_drawn(family):
+    log, fit = fitted(family)
+    assert fit_page(log, fit).startswith("<!doctype html>")
+
+
+@each_trial
+def test_pictures_of_a_fit_are_drawn(family, tmp_path):
+    from hallsym.report.figures import save_pictures
+
+    log, fit = fitted(family)
+    assert all(path.stat().st_size > 1000 for path in save_pictures(log, fit, tmp_path))
+
+
+@each_trial
+def test_what_to_record_is_planned(family):
+    _, fit = fitted(family)
+    ranges = hallsym.Ranges(
+        BOX[str(family)], (1.0, 1.3, 1.7, 2.0, 2.4, 3.0), 1.0, runs=3, trajectories=("one-axis", "combined")
+    )
+    found = hallsym.plan(ranges, fit.model, family.example.values, family.example.noise)
+    assert found.after.std is not None
+    assert len(found.campaign.runs) == 3
+    assert set(found.campaign.runs[0].setting) <= set(fit.model.pose)
+
+
+@each_trial
+def test_a_position_has_an_uncertainty(family):
+    _, fit = fitted(family)
+    for coordinate, budget in hallsym.position_budget(fit, {"z_m": 5e-3}).items():
+        assert 0 < budget.std < 2 * fit.noise_floor[coordinate]
+    found = hallsym.uncertainty_map(fit, {c: BOX[str(family)][c] for c in ("x_m", "z_m")})
+    assert np.isfinite(found.expanded).all()
+
+
+@each_trial
+def test_a_tolerance_has_a_worth(family):
+    pytest.importorskip("SALib")
+    model = family.models[0]().with_parameters({n: {"nominal": v} for n, v in family.example.values.items()})
+    ranges = {f"{n}_percent" if n[0] == "g" else n: 1.0 if n == "g0" else "exact" for n in model.names}
+    campaign = campaign_from(family.example.campaign, "the example")
+    found = hallsym.tolerances(model, campaign, ranges=ranges, samples=16)
+    assert found.active == ("g0",)
+    assert np.all(found.remainder.before > 0)
+    assert np.all(found.remainder.after < 1e-9)
+    with pytest.raises(InputError, match="narrower tolerances"):  # any phase, gains of 0.5 to 2
+        hallsym.tolerances(model, campaign, samples=16)
+
+
+def test_a_self_test_finds_its_effect():
+    log, fit = fitted(ARRAY)
+    found = hallsym.selftest(log, fit.model, holdout=[2], names=["second_harmonic"], ratios=[3.0], repeats=1)
+    (effect,) = found.effects
+    assert effect.status == "found"
+    assert found.false_alarms == 0
+
+
+@pytest.mark.slow
+@each_trial
+def test_a_self_test_tries_every_fault(family):
+    log, fit = fitted(family)
+    found = hallsym.selftest(log, fit.model, holdout=[2], ratios=[4.0], repeats=1)
+    assert found.complete
+    assert found.false_alarms == 0
+
+
+def test_its_lowering_gives_c(tmp_path):
+    need("gcc", "make")
+    _, fit = fitted(ARRAY)
+    code = hallsym.generate(fit, ranges={"x_m": (-3e-4, 3e-4), "z_m": (4.8e-3, 5.2e-3)})
+    assert max(code.bounds.error.values()) < 5e-9
+    code.write(tmp_path / "fw")
+    assert "table good, 0 of" in ran(tmp_path / "fw", "make", "check")
+
+
+def test_a_family_without_a_lowering_is_refused_in_one_sentence():
+    _, fit = fitted(PLANE)
+    with pytest.raises(InputError, match="brings no decoupler of its own"):
+        hallsym.generate(fit)
+
+
+@each_trial
+def test_a_pose_is_decoded_on_the_controller_side(family):
+    log, fit = fitted(family)
+    readings, references = (
+        np.array([log.array(c)[::97] for c in names]) for names in (fit.model.channels, fit.model.references)
+    )
+    decode = hallsym.decouple(fit)
+    pose = np.array([np.asarray(decode(reading, np.zeros(0))).ravel() for reading in readings.T]).T
+    for c, off in zip(fit.model.pose, near(fit.model, pose, references) - references, strict=True):
+        assert np.abs(off).max() < 6 * fit.noise_floor[c]
+
+
+@each_trial
+def test_a_model_without_typical_poses_is_fitted_and_diagnosed(family):
+    """Noise is then averaged at the zero pose alone."""
+    log, fit = fitted(family)
+    plain = replace(fit.model, typical=())
+    known = hallsym.fit(log, plain, solver="direct")
+    assert np.allclose(known.values, fit.values, rtol=0, atol=1e-2 * fit.std.max())
+    assert set(known.noise_floor) == set(plain.pose)
+    assert hallsym.diagnose(log, known, holdout=[2]).verdict in ("no gap", "unexplained")
+
+
+# -- several periodic coordinates --------------------------------------------------------------------------
+
+
+def test_each_reference_that_repeats_is_unwrapped_by_itself():
+    log, fit = fitted(PLANE)
+    columns = {c: log.array(c) for c in log.columns}
+    short = columns | {c: wrapped(columns[c], p) for c, p in fit.model.period.items() if c in columns}
+    assert np.abs(short["x_ref_m"] - columns["x_ref_m"]).max() == 0  # within a period
+    far = {c: columns[c] + np.linspace(0, 0.1, log.rows) for c in ("x_ref_m", "y_ref_m")}
+    folded = columns | {c: wrapped(v, fit.model.period[c]) for c, v in far.items()}
+    whole = continuous(Log.from_arrays(folded), fit.model)
+    for c, v in far.items():
+        for run in whole.runs:
+            at = columns["run"] == run
+            apart = np.concatenate([b.data[c] for b in whole.blocks((c,)) if b.run == run]) - v[at]
+            assert np.ptp(apart) < 1e-12
+
+
+def homed(model):
+    """Give x and z an origin of their own in each run; that of x is a home of the period."""
+    zeros = tuple(Parameter(f"home_{a}", 0.0, -3e-3, 3e-3, "m", f"origin of {a} in a run") for a in "xz")
+
+    def step(s, p):
+        cos, sin = s["wave"]
+        s["wave"] = cos - sin * p["home_x"] / 0.03 * 2 * np.pi, sin + cos * p["home_x"] / 0.03 * 2 * np.pi
+
+    wide = model.with_step("reference", step, effect="homed", zeros=zeros[:1])
+    return replace(wide, homes={"home_x": "x_m"})
+
+
+def test_runs_are_brought_to_one_origin_of_x():
+    model = ARRAY.models[0]()
+    log = recorded(model)
+    columns = {c: log.array(c) for c in log.columns}
+    shift = 0.01 * np.arange(len(log.runs))  # a third of a period from run to run
+    moved = columns | {"x_ref_m": columns["x_ref_m"] - shift[columns["run"].astype(int)]}
+    whole = continuous(Log.from_arrays(moved), homed(model))
+    origin = {run: whole.table.apart["x_ref_m"][run] for run in whole.runs}
+    for k, run in enumerate(whole.runs):
+        assert abs(wrapped(origin[run] - origin[0] - shift[k], 0.03)) < 2e-5
+
+
+# -- logs of others ----------------------------------------------------------------------------------------
+
+
+def test_the_paper_s_campaign_is_no_log_of_an_array():
+    with pytest.raises(InputError, match="array_2dof has not"):
+        hallsym.simulate(ARRAY.models[0](), {}, paper_campaign(), seed=1)

@@ -1,0 +1,103 @@
+"""Four paths within their tolerances: a spiral and a raster by points, a gear tooth and a Lissajous."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from hallsym import InputError
+from hallsym.trajectory import nominal, of_nominal, of_points, points_of, read_points
+from hallsym.trajectory.methods import METHODS, method_named
+
+DATA = Path(__file__).parents[2] / "data/trajectories"
+QUICK = [m for m in METHODS if not m.fitted]
+
+
+def test_a_spiral_of_200_points():
+    points = read_points(DATA / "spiral.csv")
+    assert len(points.t) == 200
+    choice = of_points(points, 0.05e-6)
+    assert choice.best.error_m <= 0.05e-6
+    t = np.linspace(0, 6 * np.pi, 5001)
+    r = 1e-3 + 0.8e-3 * t / (2 * np.pi)
+    true = np.column_stack([r * np.cos(t), r * np.sin(t)])
+    for candidate in choice.candidates:  # what is left out says what lies between
+        if choice.meets(candidate):
+            error = np.linalg.norm(candidate.curve(np.clip(t, *points.t[[0, -1]])) - true, axis=1).max()
+            assert error <= 0.05e-6, candidate.method.name
+
+
+def test_a_raster_with_rounded_corners():
+    points = read_points(DATA / "raster.csv")
+    choice = of_points(points, 1e-6, methods=QUICK)
+    s = np.linspace(*points.t[[0, -1]], 20001)
+    true = raster(1e-3 * np.linspace(0, 40 + 3 * np.pi, 200_001))
+    distance, _ = cKDTree(true).query(choice.curve(s))
+    assert distance.max() <= 1e-6
+    assert choice.curve.length() == pytest.approx(1e-3 * (40 + 3 * np.pi), rel=1e-6)
+
+
+def raster(s: np.ndarray) -> np.ndarray:
+    """Four lines of 10 mm joined by half circles of 1 mm radius, at lengths of path."""
+    line, arc = 10e-3, np.pi * 1e-3
+    row = np.minimum(s // (line + arc), 3)
+    rest = s - row * (line + arc)
+    angle = np.clip((rest - line) / 1e-3, 0, np.pi)
+    x = np.minimum(rest, line) + 1e-3 * np.sin(angle)
+    return np.column_stack([np.where(row % 2 == 0, x, line - x), 2e-3 * row + 1e-3 * (1 - np.cos(angle))])
+
+
+@pytest.mark.parametrize(
+    ("text", "span", "values", "tolerance"),
+    [
+        ("x = r*(cos(t) + t*sin(t)); y = r*(sin(t) - t*cos(t))", "0:1.2", {"r": 5e-3}, 0.05e-6),
+        ("x = a*sin(3*t + pi/4); y = a*sin(2*t)", "0:2*pi", {"a": 2e-3}, 0.1e-6),
+    ],
+    ids=["involute", "lissajous"],
+)
+def test_expressions(text, span, values, tolerance):
+    curve = nominal(text, ("t", *span.split(":")), values)
+    choice = of_nominal(curve, tolerance)
+    assert choice.best.error_m <= tolerance
+    t = np.linspace(curve.start, curve.stop, 10_001)
+    for candidate in choice.candidates:
+        if choice.meets(candidate) and candidate.method.name != "linear":
+            assert np.linalg.norm(candidate.curve(t) - curve(t), axis=1).max() <= candidate.error_m
+    assert choice.best.curve.control_points < 30
+
+
+def test_a_tolerance_that_nothing_holds():
+    spiral = read_points(DATA / "spiral.csv")
+    with pytest.raises(InputError, match="below the rounding of the points"):
+        of_points(spiral, 1e-13)
+    with pytest.raises(InputError, match="below what float64 can hold"):
+        of_nominal(nominal("x = t", ("t", "0", "1")), 1e-17)
+    with pytest.raises(InputError, match="No curve holds 1e-05 um: the nearest is linear"):
+        of_points(spiral, 1e-11, methods=[method_named("linear")])
+    with pytest.raises(InputError, match="cubic: needs at least 5 points"):
+        of_points(points_of(np.eye(3)[:, :2]), methods=[method_named("cubic")])
+
+
+def test_bad_points(tmp_path):
+    def said(text: str) -> str:
+        (tmp_path / "p.csv").write_text(text, encoding="utf-8")
+        with pytest.raises(InputError) as caught:
+            read_points(tmp_path / "p.csv")
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+    assert "number 3 (1) repeats number 2" in said("t,x_um,y_um\n0,0,0\n1,1,1\n1,2,2\n")
+    assert "number 3 (1) is less than number 2 (2)" in said("t,x_um,y_um\n0,0,0\n2,1,1\n1,2,2\n")
+    assert "Points 2 and 3 of p.csv are the same" in said("x_um,y_um\n0,0\n2,1\n2,1\n")
+    assert "Point 2 of" in said("x_um,y_um\n0,0\n2,nan\n2,1\n")
+    assert "must be t, or one of" in said("x,y_um\n0,0\n2,3\n2,1\n")
+    assert "at least 2 points" in said("x_um,y_um\n0,0\n")
+    assert "at least one of the columns" in said("t,rz_urad\n0,0\n1,1\n")
+    assert "a column twice" in said("x_um,x_mm\n0,0\n1,1\n")
+    assert "its line is" in said("x_um,y_um\n0,0\n1,1,1\n")
+    with pytest.raises(InputError, match="does not exist"):
+        read_points(tmp_path / "none.csv")
+    assert read_points(DATA / "spiral.csv").rounding == pytest.approx(0.5e-12)
+    with pytest.raises(InputError, match="one finite number for each"):
+        points_of(np.eye(2), np.zeros(3))

@@ -1,0 +1,183 @@
+"""Factors, solutions and QR beside arithmetic of 100 digits."""
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hallsym import InputError
+from hallsym.trajectory import BERNSTEIN, Basis, factorise, orthogonalise, trigonometric
+from hallsym.trajectory.corner_cutting import FgForm
+from hallsym.trajectory.forms import chebyshev_nodes
+
+
+@pytest.fixture(autouse=True)
+def hundred_digits():
+    with mpmath.workdps(100):
+        yield
+
+
+def exact(basis: Basis, t: np.ndarray, order: int) -> mpmath.matrix:
+    """Collocation matrix of the float64 parameters."""
+    rows = []
+    for value in map(mpmath.mpf, t.tolist()):
+        if basis.shape is None:
+            f, g = value, 1 - value
+        else:
+            f, g = mpmath.sin((basis.shape + value) / 2), mpmath.sin((basis.shape - value) / 2)
+        rows.append([mpmath.binomial(order, j) * f**j * g ** (order - j) for j in range(order + 1)])
+    return mpmath.matrix(rows)
+
+
+def relative(found: np.ndarray, true: mpmath.matrix) -> float:
+    return float(mpmath.norm(mpmath.matrix(found.tolist()) - true) / mpmath.norm(true))
+
+
+@pytest.mark.parametrize(("n", "lu"), [(10, 1e-14), (20, 1e-10), (25, 1e-8), (50, 0.1)])
+def test_table_1(n, lu):
+    t = np.arange(1, n + 1) / (n + 1)
+    a = exact(BERNSTEIN, t, n - 1)
+    rounded = np.array(a.tolist(), float)
+    factors = factorise(BERNSTEIN, t)
+    for seed in range(2):
+        c = np.random.default_rng(seed).uniform(size=n)
+        true = mpmath.lu_solve(a, mpmath.matrix(c.tolist()))
+        assert relative(factors.solve(c), true) <= 1e-13
+        assert relative(np.linalg.solve(rounded, c), true) >= lu
+
+
+@pytest.mark.parametrize("basis", [BERNSTEIN, trigonometric()], ids=lambda b: b.name)
+@pytest.mark.parametrize("closed", [False, True])
+def test_every_entry_of_the_inverse_is_right_to_a_few_digits(basis, closed):
+    n = 15
+    share = np.linspace(0, 1, n) if closed else np.arange(1, n + 1) / (n + 1)
+    t = basis.start + share * (basis.stop - basis.start)
+    t[-1] = basis.stop if closed else t[-1]
+    inverse = mpmath.inverse(exact(basis, t, n - 1))
+    found = factorise(basis, t).solve(np.eye(n))
+    for i in range(n):
+        for j in range(n):
+            # zero where a closed end decouples the first and last point
+            assert abs(found[i, j] - inverse[i, j]) <= 2e-13 * abs(inverse[i, j]) + 1e-30
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats(0.001, 0.999), min_size=2, max_size=9, unique=True), st.integers(0, 10**6))
+def test_any_parameters(values, seed):
+    t = np.sort(np.array(values))
+    a = exact(BERNSTEIN, t, len(t) - 1)
+    # alternating data, for which no step of the solution cancels
+    c = np.random.default_rng(seed).uniform(0.5, 1, len(t)) * (-1.0) ** np.arange(len(t))
+    found = factorise(BERNSTEIN, t).solve(c)
+    true = mpmath.lu_solve(a, mpmath.matrix(c.tolist()))
+    assert all(abs(x - y) <= 1e-13 * abs(y) for x, y in zip(found, true, strict=True))
+
+
+@settings(max_examples=15)
+@given(st.integers(2, 7), st.integers(0, 12), st.booleans(), st.integers(0, 10**6))
+def test_least_squares(columns, more, closed, seed):
+    rng = np.random.default_rng(seed)
+    points = columns + more
+    share = np.cumsum(rng.uniform(0.1, 1, points + 1))
+    share = share[:-1] / share[-1]
+    if closed:
+        share = (share - share[0]) / (share[-1] - share[0])
+    for basis in (BERNSTEIN, trigonometric(1.2)):
+        t = np.clip(basis.start + share * (basis.stop - basis.start), basis.start, basis.stop)
+        a = exact(basis, t, columns - 1)
+        p = rng.normal(size=(points, 2))
+        q = orthogonalise(factorise(basis, t, columns))
+        pseudo = mpmath.inverse(a.T * a) * a.T
+        assert relative(q.solve(p), pseudo * mpmath.matrix(p.tolist())) < 1e-11
+        hat = a * pseudo
+        assert q.leverage() == pytest.approx([float(hat[k, k]) for k in range(points)], abs=1e-12)
+
+
+def test_r_has_full_accuracy_where_householder_loses_half_the_digits():
+    n = 26
+    t = np.arange(1, 31) / 31
+    a = exact(BERNSTEIN, t, n - 1)
+    with mpmath.workdps(60):
+        _, r = mpmath.qr(a, mode="skinny")
+        true = [abs(r[k, k]) for k in range(n)]
+    q = orthogonalise(factorise(BERNSTEIN, t, n))
+    ours = np.ldexp(q.pivot, q.exponent)
+    assert max(abs(x / y - 1) for x, y in zip(ours, true, strict=True)) < 1e-13
+    lapack = np.abs(np.diag(np.linalg.qr(np.array(a.tolist(), float))[1]))
+    assert max(abs(x / y - 1) for x, y in zip(lapack, true, strict=True)) > 1e-9
+
+
+def test_a_thousand_control_points_neither_overflow_nor_underflow():
+    n, t = 999, np.linspace(0, 1, 1000)
+    factors = factorise(BERNSTEIN, t)
+    assert np.isfinite(factors.lower).all()
+    assert np.isfinite(factors.upper).all()
+    assert ((factors.pivot >= 0.5) & (factors.pivot < 1)).all()
+    exactly = [mpmath.mpf(float(v)) for v in t]
+    g = [1 - v for v in exactly]
+    for i, j in ((2, 1), (500, 499), (700, 3), (999, 700), (400, 200)):  # Eq. (10), counted from 1
+        m = g[i - 1] ** (n - j + 1) * g[i - j - 1] / g[i - 2] ** (n - j + 2)
+        for k in range(1, j):
+            m *= (exactly[i - 1] - exactly[i - k - 1]) / (exactly[i - 2] - exactly[i - k - 2])
+        assert factors.lower[j - 1, i - 2] == pytest.approx(float(m), rel=1e-12)
+    for i in (1, 2, 500, 1000):
+        p = mpmath.binomial(n, i - 1) * g[i - 1] ** (n - i + 1)
+        for k in range(1, i):
+            p *= (exactly[i - 1] - exactly[k - 1]) / g[k - 1]
+        assert (
+            abs(mpmath.ldexp(mpmath.mpf(factors.pivot[i - 1]), int(factors.exponent[i - 1])) / p - 1) < 1e-12
+        )
+    factors = factorise(BERNSTEIN, chebyshev_nodes(1000))
+    assert np.isfinite(factors.lower).all()
+    assert np.isfinite(factors.upper).all()
+    with pytest.raises(InputError, match="at most 1000 control points"):
+        factorise(BERNSTEIN, chebyshev_nodes(1001))
+
+
+def hyperbolic() -> Basis:
+    """A basis of the user's: sinh((D + t)/2), sinh((D - t)/2) with D = 1."""
+    return Basis(
+        "hyperbolic", -1.0, 1.0, lambda t: np.sinh((1 + t) / 2), lambda t: np.sinh((1 - t) / 2),
+        lambda t, s: np.sinh(1.0) * np.sinh((t - s) / 2), (0.5 / np.tanh(1.0), 0.5 / np.sinh(1.0)),
+    )  # fmt: skip
+
+
+def test_a_basis_of_the_user():
+    basis, t = hyperbolic(), np.linspace(-1, 1, 7)
+    p = np.column_stack([np.cosh(t), np.sinh(3 * t)])  # in the span of order 6
+    form = FgForm(basis, factorise(basis, t).solve(p))
+    fine = np.linspace(-1, 1, 101)
+    assert form.evaluate(fine) == pytest.approx(
+        np.column_stack([np.cosh(fine), np.sinh(3 * fine)]), abs=1e-13
+    )
+    slope = np.column_stack([np.sinh(fine), 3 * np.cosh(3 * fine)])
+    assert form.derivative().evaluate(fine) == pytest.approx(slope, abs=1e-11)
+
+
+def refused(basis: Basis, t, columns=None) -> str:
+    with pytest.raises(InputError) as caught:
+        factorise(basis, np.array(t, float), columns)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith(".")
+    return str(caught.value)
+
+
+def test_bad_parameters():
+    assert "number 3 (0.5) repeats number 2" in refused(BERNSTEIN, [0.1, 0.5, 0.5])
+    assert "number 2 (0.1) is less than number 1" in refused(BERNSTEIN, [0.5, 0.1])
+    assert "1.5 lies outside" in refused(BERNSTEIN, [0.1, 1.5])
+    assert "3 points for 4 control points" in refused(BERNSTEIN, [0.1, 0.2, 0.3], 4)
+    assert "not a finite number" in refused(BERNSTEIN, [0.1, np.nan])
+    falling = Basis("falling", 0.0, 1.0, lambda t: 1 - t, lambda t: t, lambda t, s: s - t)
+    assert "'falling' is not totally positive" in refused(falling, [0.1, 0.5, 0.7])
+    negative = Basis("negative", -1.0, 1.0, lambda t: t, lambda t: 1 - t, lambda t, s: t - s)
+    assert "not totally positive" in refused(negative, [-0.5, 0.5])
+    with pytest.raises(InputError, match="between 0 and pi"):
+        trigonometric(3.2)
+    with pytest.raises(InputError, match="as many points"):
+        factorise(BERNSTEIN, np.array([0.1, 0.2, 0.3]), 2).solve(np.ones(3))
+    with pytest.raises(InputError, match="larger than float64"):
+        factorise(BERNSTEIN, np.linspace(0, 1, 1000)).solve(
+            np.random.default_rng(0).normal(size=1000) * 1e200
+        )
