@@ -111,13 +111,13 @@ def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> 
 def _error_words(table: ErrorTable, k: int, fit: Fit, holdout: Sequence[int]) -> str:
     """Return rmse and peak of coordinate `k`, those of the runs in `holdout` by themselves."""
     coordinate = table.pose[k]
-    used, apart = table.over([r for r in table.runs if r not in holdout]), table.over(holdout)
+    used, others = table.over([r for r in table.runs if r not in holdout]), table.over(holdout)
     factor, unit = scale(coordinate, float(table.peak[:, k].max()), fit.model.period)
     texts = [
         f"{label} {three(factor * row['rmse'][coordinate])}, {word}{three(factor * row['peak'][coordinate])}"
         for label, word, row in (
             ("rmse", "peak ", used),
-            ("held out" if used else "held out: rmse", "", apart),
+            ("held out" if used else "held out: rmse", "", others),
         )
         if row
     ]
