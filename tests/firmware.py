@@ -15,7 +15,7 @@ import pytest
 
 import hallsym
 from hallsym import Fit, Model, Parameter
-from hallsym.codegen import Decoupler, Generated, generate
+from hallsym.codegen import Decoupler, Generated
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.families.stage import models as stage
@@ -93,15 +93,9 @@ CASES: dict[str, Callable[[], Fit]] = {
 
 
 @cache
-def made(case: str, **variant: bool) -> Generated:
+def made(case: str, **variant: bool | str) -> Generated:
     """Generated code of a case, once per process."""
     return hallsym.generate(CASES[case](), **variant)
-
-
-@cache
-def integers(case: str) -> Generated:
-    """Generated integers of a case, once per process."""
-    return generate(CASES[case](), arithmetic="q31")
 
 
 def need(*tools: str) -> None:
@@ -125,6 +119,19 @@ def ran(folder: Path, *command: str) -> str:
     )
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
     return done.stdout
+
+
+def proved_by_eva(folder: Path, *, integers: bool = False) -> None:
+    """Frama-C EVA raises no alarm about a folder and proves what its driver asserts."""
+    need("frama-c")
+    floats = [] if integers else ["-warn-special-float", "non-finite"]
+    sources = ["proof/eva.c", *([] if integers else ["src/decoupler.c"]), "params/decoupler_params.c"]
+    said = ran(
+        folder, "frama-c", "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64", *floats,
+        "-cpp-extra-args=-Iinclude -Iparams", *sources,
+    )  # fmt: skip
+    assert "  0 alarms generated" in said
+    assert "100% of the logical properties" in said
 
 
 class Library:

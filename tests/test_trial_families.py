@@ -268,6 +268,17 @@ def test_a_pose_is_decoded_on_the_controller_side(family):
         assert np.abs(off).max() < 6 * fit.noise_floor[c]
 
 
+@each_trial
+def test_a_model_without_typical_poses_is_fitted_and_diagnosed(family):
+    """Noise is then averaged at the zero pose alone."""
+    log, fit = fitted(family)
+    plain = replace(fit.model, typical=())
+    known = hallsym.fit(log, plain, solver="direct")
+    assert np.allclose(known.values, fit.values, rtol=0, atol=1e-2 * fit.std.max())
+    assert set(known.noise_floor) == set(plain.pose)
+    assert hallsym.diagnose(log, known, holdout=[2]).verdict in ("no gap", "unexplained")
+
+
 # -- several periodic coordinates --------------------------------------------------------------------------
 
 

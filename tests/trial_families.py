@@ -9,6 +9,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen import Box, Decoupler, Entry, Margin, Step, limits
 from hallsym.model import Example, Family, Model, Parameter, PoseMetric, effect
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import rate
@@ -125,10 +126,6 @@ def late_readings(model):
 
 def lowered(model, p, weight, box):
     """The C of three sums near x = 0: the arctangent of x and the logarithm of z are odd series."""
-    from hallsym.codegen.parts import Decoupler, Margin, Step
-
-    from hallsym.codegen.box import Box, limits
-    from hallsym.codegen.entries import Entry
 
     v = model.named(p)
     inputs, columns = [ca.SX.sym(f"col_{k}") for k in range(3)], model.channels

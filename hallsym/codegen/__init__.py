@@ -1,6 +1,7 @@
 """C for the controller: the decoupler of a calibration, printed from the model's own expressions."""
 
-from hallsym.codegen.backend import Backend, mix
+from hallsym.codegen.arithmetic import mix
+from hallsym.codegen.backend import Backend
 from hallsym.codegen.bounds import Bounds, pose_bounds
 from hallsym.codegen.box import Box, box_of, limits
 from hallsym.codegen.checks import notes_of

@@ -13,7 +13,7 @@ from hallsym.codegen.operations import graph
 from hallsym.model import Model
 
 TYPICAL = {"m": 5e-4, "rad": 5e-4, "degC": 10.0}
-"""Reach of a column by its unit where no box is given: what a stage moves."""
+"""Reach of a column by its unit where no box is given: a fine stroke, some ten degrees of temperature."""
 HEAD = 12
 """Bytes before the entries of a table."""
 

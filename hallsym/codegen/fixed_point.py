@@ -1,6 +1,6 @@
 """A program of 32-bit integers: its lines, run in Python and printed in C."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -41,19 +41,49 @@ class Fixed:
 
 @dataclass(frozen=True)
 class Line:
-    """One integer statement: `name` = an operation on earlier names, constants of the table and shifts.
-
-    Operations: `mul a b` (upper 32 bits), `add a i b j` (a >> i plus b >> j), `sub`, `left a n`, `right a n`,
-    `one n a` (2^n - a); of angles, which are unsigned (`hallsym.codegen.binary_angle`): `angle x y` in i
-    steps, `look a` in an array, `turn a b` (a plus b, counted round).
-    """
+    """One integer statement: `name` = an operation on earlier names, entries of the table and shifts i, j."""
 
     name: str
     operation: str
+    """One of `OPERATIONS`."""
     a: str
     b: str = ""
     i: int = 0
     j: int = 0
+
+
+def _upper(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The upper 32 bits of a product, low by at most 2: three 16-bit products, as `upper` of the C."""
+    ah, al, bh, bl = a >> 16, a & 0xFFFF, b >> 16, b & 0xFFFF
+    return np.asarray(ah * bh + ((ah * bl) >> 16) + ((al * bh) >> 16))
+
+
+def _shifted(text: str, n: int) -> str:
+    return f"({text} >> {n})" if n else text
+
+
+OPERATIONS: dict[str, tuple[Callable[..., np.ndarray], Callable[[str, str, int, int], str]]] = {
+    "mul": (lambda a, b, i, j: _upper(a, b), lambda a, b, i, j: f"upper({a}, {b})"),
+    "add": (
+        lambda a, b, i, j: (a >> i) + (b >> j),
+        lambda a, b, i, j: f"{_shifted(a, i)} + {_shifted(b, j)}",
+    ),
+    "sub": (
+        lambda a, b, i, j: (a >> i) - (b >> j),
+        lambda a, b, i, j: f"{_shifted(a, i)} - {_shifted(b, j)}",
+    ),
+    "left": (lambda a, b, i, j: a << i, lambda a, b, i, j: f"{a} * {1 << i}"),
+    "right": (lambda a, b, i, j: a >> i, lambda a, b, i, j: f"{a} >> {i}"),
+    "one": (lambda a, b, i, j: (1 << i) - a, lambda a, b, i, j: f"{1 << i} - {a}"),
+    "look": (lambda a, b, i, j: b.at(a), lambda a, b, i, j: f"{b}_at(p, {a})"),
+    "angle": (lambda a, b, i, j: turns.angle_of(a, b, i), lambda a, b, i, j: f"angle_of({a}, {b})"),
+    "turn": (lambda a, b, i, j: (a + b) & turns.MASK, lambda a, b, i, j: f"{a} + {b}"),
+}
+"""What a line computes of a, b and shifts i, j in 64-bit integers, and in C.
+
+`one`: 2^i - a; `look`: b is a table; `angle`: of the vector (a, b), in i steps; `turn`: counted round. The
+last two are binary angles (`hallsym.codegen.binary_angle`), which are unsigned.
+"""
 
 
 @dataclass(frozen=True)
@@ -94,43 +124,20 @@ class Program:
     """What the choices of a family came to: given again, they make the same code."""
     flags: dict[str, tuple[str, str]] = field(default_factory=dict)
     """By name of a flag: the line and the least value, an entry, below which it is set."""
-    _count: int = 0
 
     def run(self, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return the integers of the pose for integers of the inputs: the same as C, in 64-bit integers."""
-        value: dict[str, np.ndarray] = {n: np.asarray(v, dtype=np.int64) for n, v in inputs.items()}
-        value |= {n: np.array(q, dtype=np.int64) for n, (q, _) in self.table.items()}
+        value: dict[str, Any] = {n: np.asarray(v, dtype=np.int64) for n, v in inputs.items()}
+        value |= {n: np.array(q, dtype=np.int64) for n, (q, _) in self.table.items()} | self.arrays
         for line in self.lines:
-            a = value[line.a]
-            b = value[line.b] if line.b in value else np.int64(0)
-            if line.operation in UNSIGNED:
-                value[line.name] = self._angle(line, value)
-                continue
-            if line.operation == "mul":
-                ah, al, bh, bl = a >> 16, a & 0xFFFF, b >> 16, b & 0xFFFF
-                result = ah * bh + ((ah * bl) >> 16) + ((al * bh) >> 16)
-            elif line.operation == "add":
-                result = (a >> line.i) + (b >> line.j)
-            elif line.operation == "sub":
-                result = (a >> line.i) - (b >> line.j)
-            elif line.operation == "left":
-                result = a << line.i
-            elif line.operation == "right":
-                result = a >> line.i
-            elif line.operation == "look":
-                result = self.arrays[line.b].at(a)
-            else:  # one
-                result = (np.int64(1) << line.i) - a
-            if np.any(np.abs(result) > 2**31 - 1):
+            compute, _ = OPERATIONS[line.operation]
+            result = compute(value[line.a], value.get(line.b), line.i, line.j)
+            if line.operation not in UNSIGNED and np.any(np.abs(result) > 2**31 - 1):
                 raise OverflowError(f"{line.name} overflows")
             value[line.name] = result
-        return {c: value[name] for c, (name, _) in self.outputs.items()} | {
-            flag: value[name] for flag, (name, _) in self.flags.items()
-        }
-
-    def _angle(self, line: Line, value: Mapping[str, np.ndarray]) -> np.ndarray:
-        a, b = value[line.a], value[line.b]
-        return turns.angle_of(a, b, line.i) if line.operation == "angle" else (a + b) & turns.MASK
+        wanted = {c: name for c, (name, _) in self.outputs.items()}
+        wanted |= {flag: name for flag, (name, _) in self.flags.items()}
+        return {key: value[name] for key, name in wanted.items()}
 
     @property
     def shifts(self) -> bool:
@@ -144,30 +151,12 @@ class Program:
         out = []
         for line in self.lines:
             a, b = names.get(line.a, line.a), names.get(line.b, line.b)
-            if line.operation == "mul":
-                text = f"upper({a}, {b})"
-            elif line.operation in ("add", "sub"):
-                sign = "+" if line.operation == "add" else "-"
-                text = f"{_shifted(a, line.i)} {sign} {_shifted(b, line.j)}"
-            elif line.operation == "left":
-                text = f"{a} * {1 << line.i}"
-            elif line.operation == "right":
-                text = f"{a} >> {line.i}"
-            elif line.operation == "angle":
-                text = f"angle_of({a}, {b})"
-            elif line.operation == "look":
-                text = f"{line.b}_at(p, {a})"
-            elif line.operation == "turn":
-                text = f"{a} + {b if line.b in self.unsigned else f'(uint32_t){b}'}"
-            else:
-                text = f"{1 << line.i} - {a}"
+            if line.operation == "turn" and line.b not in self.unsigned:
+                b = f"(uint32_t){b}"
+            _, text = OPERATIONS[line.operation]
             kind = "uint32_t" if line.operation in UNSIGNED else "int32_t"
-            out.append(f"const {kind} {line.name} = {text};")
+            out.append(f"const {kind} {line.name} = {text(a, b, line.i, line.j)};")
         return out
-
-
-def _shifted(text: str, n: int) -> str:
-    return f"({text} >> {n})" if n else text
 
 
 def helpers(program: Program) -> list[str]:

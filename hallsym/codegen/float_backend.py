@@ -8,7 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.codegen.backend import Port, bit, ends
+from hallsym.codegen.arithmetic import Port
+from hallsym.codegen.backend import bit, ends
 from hallsym.codegen.bounds import LEAST_GAIN, slope_errors, spreads
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.entries import short, unit

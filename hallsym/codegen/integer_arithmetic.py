@@ -8,7 +8,8 @@ from zlib import crc32
 
 import numpy as np
 
-from hallsym.codegen.backend import COUNT, VERSION, Backend, Port, Stored, mix
+from hallsym.codegen.arithmetic import COUNT, Port, mix
+from hallsym.codegen.backend import VERSION, Backend, Stored
 from hallsym.codegen.binary_angle import MASK, UNIT
 from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import flag_bit

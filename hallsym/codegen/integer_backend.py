@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.codegen.backend import Port, bit, ends, of_params
+from hallsym.codegen.arithmetic import Port
+from hallsym.codegen.backend import bit, ends, of_params
 from hallsym.codegen.binary_angle import UNIT
 from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short

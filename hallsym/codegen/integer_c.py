@@ -112,8 +112,7 @@ class Compiler:
         return made[found.results[0]]
 
     def _line(self, operation: str, a: str, b: str = "", i: int = 0, j: int = 0) -> str:
-        self.p._count += 1
-        name = f"q{self.p._count}"
+        name = f"q{len(self.p.lines) + 1}"
         self.p.lines.append(Line(name, operation, a, b, i, j))
         return name
 

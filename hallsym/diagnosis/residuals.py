@@ -1,6 +1,6 @@
 """The residual of a fitted model, run by run: computed once for each model and log that fits in memory."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -39,15 +39,15 @@ Residual = tuple[np.ndarray, np.ndarray]
 _KNOWN: WeakKeyDictionary[Base, list[Residual]] = WeakKeyDictionary()
 
 
-def pieces(base: Base, runs: frozenset[int]) -> Iterator[Piece]:
-    """Yield the whitened residual of some runs beside what it may depend on.
+def pieces(base: Base, runs: frozenset[int], further: Sequence[str] = ()) -> Iterator[Piece]:
+    """Yield the whitened residual of some runs beside what it may depend on, and `further` logged columns.
 
     Residuals of a log whose batches are kept (`is_held`) are kept too, for the next call with the same base.
     """
     model = base.model
     extra = _extra(model)
     log = extended(base.log, model.with_columns(*extra), base.sigma, base.values)
-    wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc")
+    wanted = (*columns_of(model), *(c.name for c in extra), "t_s", "temperature_degc", *further)
     columns = tuple(dict.fromkeys(c for c in wanted if c in log.columns))
     known, fresh, held = _KNOWN.get(base, []), [], is_held(base.log)
     evaluate = residual_of(base)

@@ -65,7 +65,14 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     if model.typical:
         return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
     still = model.remember("gain at rest, on arrays", lambda: on_arrays(model.noise_gain))
-    return lambda p, pose, state, weight: still(p, state, weight)
+    if model.state:
+        return lambda p, pose, state, weight: still(p, state, weight)
+    size = len(model.channels) * len(model.pose)
+
+    def same(p: np.ndarray, pose: list, state: list, weight: np.ndarray) -> list[np.ndarray]:
+        return [np.broadcast_to(still(p, state, weight)[0].reshape(size, 1), (size, np.size(pose[0])))]
+
+    return same
 
 
 Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]

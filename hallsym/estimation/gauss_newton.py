@@ -56,45 +56,48 @@ def judge(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """The cost of all runs, and of the fitted ones, linearised at `p` and `zeros`.
+    """The cost of all runs, and of the fitted ones, linearised at `p`.
 
-    `known`: what earlier passes found determined, the last one last; shared by all passes.
+    `before`: what the last pass found determined, None in the first.
     """
 
     everything: Cost
     fitted: Cost
     p: np.ndarray
-    known: list[Determination]
+    before: Determination | None
 
     @cached_property
     def cost(self) -> float:
         return self.fitted.at(self.p).value
 
     @cached_property
-    def determination(self) -> Determination:
-        """What is determined here; what is held does not change while the rank stays the same."""
-        found = determine(self.fitted, self.p)
-        if self.known and self.known[-1].null.shape == found.null.shape:
-            found = replace(found, held=self.known[-1].held)
-        self.known.append(found)
-        return found
+    def _found(self) -> tuple[Determination, np.ndarray]:
+        """What is determined here, and where the search begins.
 
-    @cached_property
-    def begin(self) -> np.ndarray:
-        """Where the search begins: `p`, what is held newly at its nominal value."""
-        p, held = self.p.copy(), list(self.determination.held)
-        if len(self.known) == 1 or self.known[-2].null.shape != self.determination.null.shape:
-            p[held] = np.clip(self.fitted.summary.model.nominal, *self.fitted.summary.model.bounds)[held]
-        return p
+        What is held stays at its value while the rank does not change, else it goes to its nominal value.
+        """
+        found, before, model = determine(self.fitted, self.p), self.before, self.fitted.summary.model
+        if before is not None and before.null.shape == found.null.shape:
+            return replace(found, held=before.held), self.p
+        p, held = self.p.copy(), list(found.held)
+        p[held] = np.clip(model.nominal, *model.bounds)[held]
+        return found, p
+
+    @property
+    def determination(self) -> Determination:
+        return self._found[0]
 
     @cached_property
     def target(self) -> Search:
         """The optimum of the linearised cost inside the bounds."""
-        return search(self.fitted, self.fitted, self.begin, self.determination, solver="direct", seed=0)
+        found, begin = self._found
+        return search(self.fitted, self.fitted, begin, found, solver="direct", seed=0)
 
     def moved(self, share: float) -> tuple[np.ndarray, Zeros]:
-        to = self.begin + share * (self.target.p - self.begin) if share < 1 else self.target.p
-        return to, zeros_of(self.everything, to if share == 1 else self.begin)
+        if share == 1.0:
+            return self.target.p, zeros_of(self.everything, self.target.p)
+        begin = self._found[1]
+        return begin + share * (self.target.p - begin), zeros_of(self.everything, begin)
 
 
 def optimum(
@@ -107,23 +110,24 @@ def optimum(
     say: Callable[[str], None],
 ) -> Solution:
     """Minimise the cost of the runs that are not held out, from `start` (n,), inside the bounds."""
-    number, known, passes = count(1), list[Determination](), list[_Pass]()
+    number, evaluations, before = count(1), 0, None
 
     def linearise(at: tuple[np.ndarray, Zeros]) -> _Pass:
         say(f"pass {next(number)} over the log")
         p, zeros = at
         everything = cost_of(summarise_at(log, model, p, zeros, weigh, sigma=noise), noise)
-        return _Pass(everything, everything.without(holdout), p, known)
+        return _Pass(everything, everything.without(holdout), p, before)
 
     def converged(now: _Pass, gained: float) -> bool:
-        passes.append(now)
+        nonlocal evaluations, before
+        evaluations, before = evaluations + now.target.evaluations, now.determination
         readings = float(now.fitted.summary.counts.sum()) * len(model.channels)
         return now.cost - now.target.cost <= DROP * max(now.cost / readings, 1e-300)
 
     first = np.clip(np.asarray(start, dtype=float), *model.bounds)
     zeros = zeros_of(cost_near(log, model, first, noise, weigh), first)
     best, outcome = solvers.gauss_newton(linearise, (first, zeros), converged, PASSES)
-    found = replace(best.target, evaluations=sum(done.target.evaluations for done in passes))
+    found = replace(best.target, evaluations=evaluations)
     if outcome != "converged":
         said = f"{next(number) - 1} passes over the log did not bring it to rest"
         said = "no step along the tangent lowers the cost" if outcome == "stuck" else said

@@ -59,19 +59,28 @@ def test_float_errors_over_a_million_inputs():
     assert met["rz_rad"] <= 3e-9
 
 
-QUICK = [pytest.param(c, marks=pytest.mark.slow if c == "cubic" else ()) for c in CASES]
+LATER = {("cubic", "float")}
+BACKENDS = {"float": {}, "q31": {"arithmetic": "q31"}}
+LINEAR = ("stage31", "four probes", "user's height_quadratic", "vertical_offset_coupling")
+BUILT = [
+    pytest.param(case, backend, marks=pytest.mark.slow if (case, backend) in LATER else ())
+    for case in CASES
+    for backend in BACKENDS
+    if backend == "float" or case in LINEAR
+]
 
 
-@pytest.mark.parametrize("case", QUICK)
-def test_no_error_exceeds_its_proved_bound(case):
-    code = made(case)
-    met = code.backend.errors(20_000, seed=5)
-    for column, error in met.items():
-        assert error <= code.bounds.error[column] + code.decoupler.slack
-    pose, _ = code.backend.step(inputs_of(code.decoupler, 20_000, 1, np.float32))
-    for row, column in zip(pose, code.decoupler.pose, strict=True):
-        assert code.bounds.low[column] <= row.min() + 1e-9
-        assert row.max() <= code.bounds.high[column] + 1e-9
+@pytest.mark.parametrize(("case", "backend"), BUILT)
+def test_no_error_exceeds_its_proved_bound(case, backend):
+    code = made(case, **BACKENDS[backend])
+    for column, error in code.backend.errors(20_000, seed=5).items():
+        assert error <= code.backend.error_bound[column]
+    rng, (low, high) = np.random.default_rng(1), code.backend.span
+    inputs = low + (high - low) * rng.random((len(low), 20_000))
+    pose, _ = code.backend.step(inputs.astype(code.backend.ends[0].dtype))
+    for row, port in zip(pose, code.backend.outputs, strict=True):
+        assert code.bounds.low[port.column] <= row.min() * port.scale + 1e-9
+        assert row.max() * port.scale <= code.bounds.high[port.column] + 1e-9
 
 
 def test_a_users_effect_follows_into_table_and_code():

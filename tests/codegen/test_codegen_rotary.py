@@ -11,7 +11,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import STRICT, Library, calibration, need, ran
+from firmware import STRICT, Library, calibration, need, proved_by_eva, ran
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -249,14 +249,7 @@ def test_same_bits_and_few_instructions_on_a_cortex_m4f(case, form, tmp_path):
     ("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow), *LATER]
 )
 def test_eva_raises_no_alarm(case, form, tmp_path):
-    need("frama-c")
-    said = ran(
-        written(case, form, tmp_path), "frama-c", "-eva", "-eva-precision", "3", "-machdep", "gcc_x86_64",
-        "-warn-special-float", "non-finite", "-cpp-extra-args=-Iinclude -Iparams", "proof/eva.c",
-        "src/decoupler.c", "params/decoupler_params.c",
-    )  # fmt: skip
-    assert "  0 alarms generated" in said
-    assert "100% of the logical properties" in said
+    proved_by_eva(written(case, form, tmp_path))
 
 
 @pytest.mark.slow

@@ -10,11 +10,11 @@ from twins import record
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.decoded_errors import block_errors
+from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap_size import sizes
-from hallsym.diagnosis.links import _smoothed
+from hallsym.diagnosis.link_products import smoothed
 from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.scores import Score, candidates, scores
-from hallsym.diagnosis.search import facts_of
 from hallsym.diagnosis.survey import survey
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -101,7 +101,7 @@ def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
 def test_smoothing_the_reference_moves_it_less_than_its_noise_and_leaves_the_residual() -> None:
     """Axes at rest stand still; readings follow, so that what is left is what was left."""
     base, _ = found("odd_nonlinearity")
-    log = _smoothed(base, [s.model for s in scored(base, some()[:1])])
+    log = smoothed(base, [s.model for s in scored(base, some()[:1])])
     model, read = base.model, on_arrays(base.model.reading)
     old = {b.run: b.data for b in base.log.blocks()}
     assert set(log.runs) == set(fitted_runs(base))

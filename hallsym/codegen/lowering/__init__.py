@@ -35,7 +35,7 @@ KINDS: Mapping[str, Lowering] = {"linear": linear.decoupler, "angle": angle.deco
 
 
 def lowering_of(model: Model) -> Lowering:
-    """Return the lowering of the model's family, `Family.decoder`: one of `KINDS` or its own function."""
+    """Return the lowering of the family (`Family.decoder`): one of `KINDS`, or a function of its own."""
     decoder = model.family.decoder
     return KINDS[decoder] if isinstance(decoder, str) else decoder
 

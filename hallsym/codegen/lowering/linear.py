@@ -5,13 +5,13 @@ the reading m gives
 
     pose = zero + D (m' - eta h),   m'_k = (m_k - offset_k) / phi_k,   D = (M^T W M)^-1 M^T W diag(1 / eta)
 
-which for the small-angle stage (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
+which for small angles (h = 0) is Eq. (31) of Chen et al., doi:10.3390/s16060872, with its zero
 deviations in `zero` = -D delta'. Where h depends on the pose the last line is iterated. One entry of D per
 probe is folded into its gain, phi_k / D_ik, so that column k of D holds a 1: one product and one rounding
 less.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -20,7 +20,7 @@ import numpy as np
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Margin, Step
 from hallsym.codegen.entries import Entry, per, short, unit
-from hallsym.codegen.lowering.anatomy import Anatomy
+from hallsym.codegen.lowering.polynomial_model import PolynomialModel
 from hallsym.codegen.lowering.polynomials import Polynomial, Row
 from hallsym.errors import InputError
 from hallsym.model import Model
@@ -36,14 +36,14 @@ def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Deco
             f"C is generated for readings gain * displacement + offset; model {model.name} has none of that "
             "form, and its family brings no decoupler of its own."
         )
-    return _Assembly(Anatomy(model, box), p, weight).make()
+    return _Assembly(PolynomialModel(model, box), p, weight).make()
 
 
 @dataclass(eq=False)
 class _Assembly:
     """Collects entries, symbols and steps of one calibration."""
 
-    anatomy: Anatomy
+    taken: PolynomialModel
     p: np.ndarray
     weight: np.ndarray
     table: list[Entry] = field(default_factory=list)
@@ -51,10 +51,10 @@ class _Assembly:
     steps: list[Step] = field(default_factory=list)
 
     def make(self) -> Decoupler:
-        anatomy, model = self.anatomy, self.anatomy.model
+        taken, model = self.taken, self.taken.model
         inputs = (*model.channels, *model.state)
         self.symbols |= {c: ca.SX.sym(short(c)) for c in (*inputs, *model.pose)}
-        eta, inverse = anatomy.eta(self.p), anatomy.inverse(self.p, self.weight)
+        eta, inverse = taken.eta(self.p), taken.inverse(self.p, self.weight)
         rows, own = self._design()
         scale = np.array([inverse[i, k] for k, i in enumerate(own)])
         monomials = _Monomials(self.symbols, self.steps)
@@ -73,7 +73,7 @@ class _Assembly:
         )
         self.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         at_pose = self._solve(rows, self._bends(eta * scale), monomials)
-        box = Box({**anatomy.readings(self.p), **dict(anatomy.box.ends)})
+        box = Box({**taken.readings(self.p), **dict(taken.box.ends)})
         return Decoupler(
             model=model,
             inputs=inputs,
@@ -84,7 +84,7 @@ class _Assembly:
             at_pose=at_pose,
             margins=margins,
             box=box,
-            exact=anatomy.exact(self.p, self.weight),
+            exact=taken.exact(self.p, self.weight),
             symbols=self.symbols,
         )
 
@@ -94,7 +94,7 @@ class _Assembly:
         By the nominal values, not the fitted ones: so code outlasts a calibration. The own row is the
         coordinate that the channel counts for most, among the channels.
         """
-        influence = np.abs(self.anatomy.inverse(self.anatomy.model.nominal, self.weight))
+        influence = np.abs(self.taken.inverse(self.taken.model.nominal, self.weight))
         rows = [np.argsort(row, kind="stable").tolist() for row in np.round(influence, 6)]
         share = np.round(influence / influence.max(axis=1, keepdims=True), 3)
         return rows, share.argmax(axis=0).tolist()
@@ -110,133 +110,121 @@ class _Assembly:
         self, scale: np.ndarray, at_rest: np.ndarray, own: list[int], monomials: "_Monomials"
     ) -> tuple[Margin, ...]:
         """Add the gain of each probe over its own entry of D, small terms first."""
-        model, margins = self.anatomy.model, []
-        for k, (poly, channel) in enumerate(zip(self.anatomy.gain, model.channels, strict=True)):
+        model, margins = self.taken.model, []
+        for k, (poly, channel) in enumerate(zip(self.taken.gain, model.channels, strict=True)):
             name, column = short(channel), model.pose[own[k]]
             base, about = per("m", column), f"gain of {channel} for its share of {column}"
-            small, terms = self._sum(poly, f"gain_{name}", scale[k], base, about, monomials)
+            terms = self._terms(poly, poly.rest, f"gain_{name}", scale[k], base, about, "at rest")
+            small = self._sum(terms, monomials) if terms else None
             rest = self._add(f"gain_{name}", at_rest[k], base, f"{about}, at rest")
             total = rest if small is None else small + rest
             self._step(f"now_{name}", total, f"[{base}] {about}")
-            margins.append(Margin(channel, f"gain_{name}", terms))
+            margins.append(Margin(channel, f"gain_{name}", tuple((t.entry, t.columns) for t in terms)))
         return tuple(margins)
 
     def _shares(self, own: list[int], monomials: "_Monomials") -> None:
         """Add what each probe sees: (reading - offset) / gain."""
-        model = self.anatomy.model
-        for k, (poly, channel) in enumerate(zip(self.anatomy.offset, model.channels, strict=True)):
+        model = self.taken.model
+        for k, (poly, channel) in enumerate(zip(self.taken.offset, model.channels, strict=True)):
             name, about = short(channel), f"offset of {channel}"
-            level, _ = self._sum(poly, f"offset_{name}", 1.0, "m", about, monomials, constant=True)
+            terms = self._terms(poly, poly.rows, f"offset_{name}", 1.0, "m", about, "at rest")
             reading, column = self.symbols[channel], model.pose[own[k]]
-            value = (reading if level is None else reading - level) / self.symbols[f"now_{name}"]
+            if terms:
+                reading = reading - self._sum(terms, monomials)
+            value = reading / self.symbols[f"now_{name}"]
             self._step(f"u_{name}", value, f"[{unit(column)}] share of {column} that {name} sees")
 
     def _step(self, name: str, expression: ca.SX, remark: str = "") -> ca.SX:
         self.steps.append(Step(name, expression, remark))
         return self.symbols.setdefault(name, ca.SX.sym(name))
 
-    def _sum(
-        self,
-        poly: Polynomial,
-        name: str,
-        scale: float,
-        base: str,
-        about: str,
-        monomials: "_Monomials",
-        constant: bool = False,
-    ) -> tuple[ca.SX | None, tuple[tuple[str, tuple[str, ...]], ...]]:
-        """Sum of coefficient * monomial, smallest first; None without terms. Also the entries' columns."""
-        rest = [(0,) * len(poly.variables)] if constant and not poly.constant.is_zero() else []
-        (values,) = self.anatomy.numbers([poly], self.p)
-        total: ca.SX | None = None
+    def _terms(
+        self, poly: Polynomial, rows: list[Row], name: str, scale: float, base: str, about: str, alone: str
+    ) -> list["_Term"]:
+        """Add the entries of some terms; `alone`: what is said of one without columns."""
+        (values,) = self.taken.numbers([poly], self.p)
         terms = []
-        for row in [*poly.rest, *rest]:
+        for row in rows:
             label = poly.label(row)
             columns = tuple(filter(None, label.split("*")))
             key = "_".join([name, *map(short, columns)])
-            said = f"{about}, per {label}" if label else f"{about}, at rest"
-            entry = self._add(key, scale * values[row], per(base, label), said)
-            term = entry * monomials(poly, row) if label else entry
-            total = term if total is None else total + term
-            terms.append((key, columns))
-        return total, tuple(terms)
+            said = f"{about}, per {label}" if label else f"{about}, {alone}"
+            self._add(key, scale * values[row], per(base, label), said)
+            terms.append(_Term(key, columns))
+        return terms
 
-    def _bends(self, scale: np.ndarray) -> list[Callable[["_Monomials"], ca.SX] | None]:
-        """Return eta h of each probe as a function of where its monomials are taken from."""
+    def _sum(self, terms: Iterable["_Term"], monomials: "_Monomials") -> ca.SX:
+        """Sum of coefficient * monomial in the order of the terms, smallest first."""
+        return _total(
+            self.symbols[t.entry] * monomials(t.columns) if t.columns else self.symbols[t.entry]
+            for t in terms
+        )
+
+    def _bends(self, scale: np.ndarray) -> list[list["_Term"]]:
+        """Add the entries of eta h of each probe."""
         return [
-            self._bend(poly, short(channel), scale[k])
-            for k, (poly, channel) in enumerate(
-                zip(self.anatomy.bend, self.anatomy.model.channels, strict=True)
+            self._terms(
+                poly, poly.rows, f"bend_{short(channel)}", scale[k], "m",
+                f"displacement at {short(channel)} beyond the linear one", "per 1",
             )
-        ]
-
-    def _bend(self, poly: Polynomial, label: str, scale: float) -> Callable[["_Monomials"], ca.SX] | None:
-        rows = [*poly.rest, *([(0,) * len(poly.variables)] if not poly.constant.is_zero() else [])]
-        if not rows:
-            return None
-        (values,) = self.anatomy.numbers([poly], self.p)
-        entries = []
-        for row in rows:
-            name = poly.label(row)
-            key = "_".join(["bend", label, *(short(c) for c in name.split("*") if c)])
-            about = f"displacement at {label} beyond the linear one, per {name or '1'}"
-            entries.append(self._add(key, scale * values[row], per("m", name), about))
-
-        def at(monomials: "_Monomials") -> ca.SX:
-            return _total(
-                entry * monomials(poly, row) if sum(row) else entry
-                for entry, row in zip(entries, rows, strict=True)
-            )
-
-        return at
+            for k, (poly, channel) in enumerate(zip(self.taken.bend, self.taken.model.channels, strict=True))
+        ]  # fmt: skip
 
     # -- from what the probes see to the pose ------------------------------------------------------------
 
     def _solve(self, rows: list[list[int]], bends: list, monomials: "_Monomials") -> tuple[Step, ...]:
         """Add the steps from u to the pose; returns those of `decoupler_zero` for a non-linear model."""
-        model = self.anatomy.model
-        if not self.anatomy.curved:
-            felt = self._felt(bends, monomials, "") if any(bends) else self._seen()
-            self._product(rows, felt, "")
+        model = self.taken.model
+        if not self.taken.curved:
+            sensed = self._sensed(bends, monomials, "") if any(bends) else self._seen()
+            self._product(rows, sensed, "")
             return ()
         before = list(self.steps)
-        count = self.anatomy.iterations(self.p, self.weight)
+        count = self.taken.iterations(self.p, self.weight)
         source: dict[str, ca.SX] = {}
         for n in range(count + 1):
-            felt = self._seen()
+            sensed = self._seen()
             if n:
-                felt = self._felt(bends, _Monomials(self.symbols, self.steps, source, f"_{n}"), f"_{n}")
-            made = self._product(rows, felt, f"_{n + 1}" if n < count else "")
+                sensed = self._sensed(bends, _Monomials(self.symbols, self.steps, source, f"_{n}"), f"_{n}")
+            made = self._product(rows, sensed, f"_{n + 1}" if n < count else "")
             source = dict(zip(model.pose, made, strict=True))
         every, self.steps = self.steps, before
         known = _Monomials(self.symbols, self.steps, {c: self.symbols[c] for c in model.pose}, "_known")
-        self._product(rows, self._felt(bends, known, "_known"), "_seen", zero=False)
+        self._product(rows, self._sensed(bends, known, "_known"), "_seen", zero=False)
         at_pose, self.steps = tuple(self.steps), every
         return at_pose
 
     def _seen(self) -> dict[str, ca.SX]:
-        return {(k := short(c)): self.symbols[f"u_{k}"] for c in self.anatomy.model.channels}
+        return {(k := short(c)): self.symbols[f"u_{k}"] for c in self.taken.model.channels}
 
-    def _felt(self, bends: list, monomials: "_Monomials", tag: str) -> dict[str, ca.SX]:
+    def _sensed(self, bends: list, monomials: "_Monomials", tag: str) -> dict[str, ca.SX]:
         """Take h off what each probe sees."""
-        felt = self._seen()
-        for bend, label in zip(bends, felt, strict=True):
+        sensed = self._seen()
+        for bend, label in zip(bends, sensed, strict=True):
             if bend:
-                felt[label] = self._step(f"w_{label}{tag}", felt[label] - bend(monomials))
-        return felt
+                sensed[label] = self._step(f"w_{label}{tag}", sensed[label] - self._sum(bend, monomials))
+        return sensed
 
     def _product(
-        self, rows: list[list[int]], felt: Mapping[str, ca.SX], tag: str, zero: bool = True
+        self, rows: list[list[int]], sensed: Mapping[str, ca.SX], tag: str, zero: bool = True
     ) -> list[ca.SX]:
-        """Add zero + D felt, one step per pose coordinate."""
-        labels, made = list(felt), []
-        for i, column in enumerate(self.anatomy.model.pose):
+        """Add zero + D sensed, one step per pose coordinate."""
+        labels, made = list(sensed), []
+        for i, column in enumerate(self.taken.model.pose):
             terms = [self.symbols[f"zero_{short(column)}"]] if zero else []
             for k in rows[i]:
                 entry = self.symbols.get(f"{short(column)}_{labels[k]}")
-                terms.append(felt[labels[k]] if entry is None else entry * felt[labels[k]])
+                terms.append(sensed[labels[k]] if entry is None else entry * sensed[labels[k]])
             made.append(self._step(f"{short(column)}{tag}", _total(terms)))
         return made
+
+
+@dataclass(frozen=True)
+class _Term:
+    """An entry of the table times the product of some columns."""
+
+    entry: str
+    columns: tuple[str, ...]
 
 
 class _Monomials:
@@ -251,8 +239,7 @@ class _Monomials:
     ) -> None:
         self.symbols, self.steps, self.pose, self.tag = symbols, steps, pose or {}, tag
 
-    def __call__(self, poly: Polynomial, row: Row) -> ca.SX:
-        names = poly.label(row).split("*")
+    def __call__(self, names: Sequence[str]) -> ca.SX:
         column = {name: self.pose.get(name, self.symbols[name]) for name in names}
         product = column[names[0]]
         for k in range(1, len(names)):

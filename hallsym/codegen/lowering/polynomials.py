@@ -35,6 +35,11 @@ class Polynomial:
         """Exponents of the other terms, the highest degree, so the smallest, first."""
         return sorted((row for row in self.terms if sum(row)), key=lambda row: (-sum(row), row))
 
+    @property
+    def rows(self) -> list[Row]:
+        """Exponents of all terms, the constant one last."""
+        return [*self.rest, *([] if self.constant.is_zero() else [(0,) * len(self.variables)])]
+
     def label(self, row: Row) -> str:
         """Name of a monomial, such as `z_m*z_m`."""
         return "*".join(name for name, power in zip(self.variables, row, strict=True) for _ in range(power))

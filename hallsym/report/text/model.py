@@ -31,7 +31,11 @@ def model_record(model: Model) -> dict[str, Any]:
         "parameters": [_entry(p) for p in model.parameters],
         "combinations": [{"expression": c.expression, "unit": c.unit} for c in model.combinations],
         "zeros": [_entry(z) for z in model.zeros],
-        "can_take": sorted(name for name in effects(model.family) if name not in taken),
+        "can_take": sorted(
+            name
+            for name, effect in effects(model.family).items()
+            if name not in taken and not taken & set(effect.unless)
+        ),
     }
 
 

@@ -2,7 +2,7 @@
 
 A family of that chain leaves `displacement`, `gain` and `reading`. The coefficients of gain, displacement and
 offset by pose and state are found by differentiation and are functions of the parameters; what they are at
-one calibration goes into the table (`hallsym.codegen.lowering.linear`).
+one calibration goes into the table (`lowering.linear`).
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ MOST_ITERATIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Anatomy:
+class PolynomialModel:
     """The polynomials of one model over one box; `p` of its methods is a parameter vector."""
 
     model: Model
@@ -45,7 +45,7 @@ class Anatomy:
 
     @cached_property
     def displacement(self) -> list[Polynomial]:
-        """What each channel feels, without zero deviations."""
+        """What each channel senses, without zero deviations."""
         return self._polynomials(self.model.symbols.displacement, "displacement")
 
     @cached_property
