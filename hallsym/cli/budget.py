@@ -21,9 +21,8 @@ from hallsym.cli.common import (
     seed,
 )
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.log import Log, Noise
-from hallsym.log.noise import check_noise_keys
+from hallsym.estimation import Fit, load_fit
+from hallsym.log import Log, Noise, check_noise_keys
 from hallsym.report.text import budget_text, comparison_text, position_words, recorded_text
 from hallsym.uncertainty import (
     Budget,

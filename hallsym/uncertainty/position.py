@@ -12,10 +12,9 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError, nearest
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.estimation.covariance import FEW_RUNS
-from hallsym.log import Log
-from hallsym.log.batches import batches
+from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.uncertainty.gum import Budget, Source

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation import ErrorTable, Fit
 from hallsym.report.data import MOST_SETTINGS, Group, Survey, held_out, settings
 from hallsym.report.figures.style import (
     AFTER,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,

@@ -9,13 +9,17 @@ from functools import partial
 import numpy as np
 
 from hallsym.errors import counted
-from hallsym.estimation.calibration import Fit, added_effects
-from hallsym.estimation.channel_assignment import as_read
-from hallsym.estimation.gauss_newton import cost_near
-from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals
-from hallsym.log import Log
-from hallsym.log.batches import Weigh
+from hallsym.estimation import (
+    Cost,
+    Fit,
+    added_effects,
+    as_read,
+    column_spikes,
+    cost_near,
+    reject_spikes,
+    residuals,
+)
+from hallsym.log import Log, Weigh
 from hallsym.report.data import Decoder, Gathered, gather
 from hallsym.report.page import figures, parts
 from hallsym.report.page.html import Markup, facts, items, join, tag
