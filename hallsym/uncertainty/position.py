@@ -192,7 +192,7 @@ class UncertaintyMap:
     turning: Collection[str] = ()
 
     def worst(self, coordinate: str) -> tuple[dict[str, float], float]:
-        """Return where a coordinate is known worst, and its U there."""
+        """Return where the uncertainty of a coordinate is largest, and its U there."""
         grid = self.expanded[self.pose.index(coordinate)]
         spot = np.unravel_index(int(np.argmax(grid)), grid.shape)
         where = {c: float(v[k]) for (c, v), k in zip(self.axes.items(), spot, strict=True)}
