@@ -1,4 +1,4 @@
-"""`hallsym budget`: what a decoded position is known to, and any other budget by the GUM."""
+"""`hallsym budget`: the uncertainty of a decoded position, and any other budget by the GUM."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
@@ -21,9 +21,8 @@ from hallsym.cli.common import (
     seed,
 )
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.log import Log, Noise
-from hallsym.log.noise import check_noise_keys
+from hallsym.estimation import Fit, load_fit
+from hallsym.log import Log, Noise, check_noise_keys
 from hallsym.report.text import budget_text, comparison_text, position_words, recorded_text
 from hallsym.uncertainty import (
     Budget,
@@ -55,11 +54,11 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "budget", run,
-        "Say what a decoded position is known to: fit, Hall noise, vertical sensors, reference, ADC and\n"
-        "zeroing, propagated through the model; or work out a budget stated in a TOML file.", EPILOG,
+        "State the uncertainty of a decoded position: fit, Hall noise, vertical sensors, reference, ADC and\n"
+        "zeroing, propagated through the model; or evaluate a budget stated in a TOML file.", EPILOG,
     )  # fmt: skip
     parser.add_argument("file", metavar="FILE", help="a calibration (.json), or a budget (.toml)")
-    parser.add_argument("log", metavar="LOG", nargs="?", help="log whose workspace is looked over")
+    parser.add_argument("log", metavar="LOG", nargs="?", help="log whose workspace is evaluated")
     _position_options(parser)
     parser.add_argument(
         "--monte-carlo", nargs="?", const=0, type=int, metavar="N",
@@ -84,7 +83,11 @@ def _position_options(parser: ArgumentParser) -> None:
     group.add_argument(
         "--split", action="store_true", help="one line for each fitted parameter instead of one for the fit"
     )
-    group.add_argument("--map", action="store_true", help="map U over x, y and Z (with LOG or --range)")
+    group.add_argument(
+        "--map",
+        action="store_true",
+        help="map U over two pose coordinates and the first state, such as x, y and Z (with LOG or --range)",
+    )
     group.add_argument(
         "--range", action="append", default=[], metavar="COLUMN=LOW:HIGH",
         help="what the map covers: --range x_um=-300:300 (repeat; default: what LOG recorded)",

@@ -12,13 +12,12 @@ from typing import Any
 
 from hallsym.cli import COMMANDS
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.estimation import Fit, load_fit
 from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
-from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
-from hallsym.log.noise import check_noise_keys
+from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.families import published
 from hallsym.log import Log
 from hallsym.report.tables import error_rows

@@ -12,10 +12,9 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError, nearest
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.estimation.covariance import FEW_RUNS
-from hallsym.log import Log
-from hallsym.log.batches import batches
+from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.uncertainty.gum import Budget, Source
@@ -193,7 +192,7 @@ class UncertaintyMap:
     turning: Collection[str] = ()
 
     def worst(self, coordinate: str) -> tuple[dict[str, float], float]:
-        """Return where a coordinate is known worst, and its U there."""
+        """Return where the uncertainty of a coordinate is largest, and its U there."""
         grid = self.expanded[self.pose.index(coordinate)]
         spot = np.unravel_index(int(np.argmax(grid)), grid.shape)
         where = {c: float(v[k]) for (c, v), k in zip(self.axes.items(), spot, strict=True)}

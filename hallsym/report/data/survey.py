@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import ErrorTable
-from hallsym.log import Log
-from hallsym.log.batches import Weigh
+from hallsym.estimation import ErrorTable, Fit
+from hallsym.log import Log, Weigh
 from hallsym.report.data.decoded import Decoded, decoded
 from hallsym.report.data.trace import Trace
 from hallsym.report.words import LEVEL, name, setting

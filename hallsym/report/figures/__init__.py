@@ -13,11 +13,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.channel_assignment import as_read
-from hallsym.estimation.decoding import ErrorTable
-from hallsym.log import Log
-from hallsym.log.batches import Weigh
+from hallsym.estimation import ErrorTable, Fit, as_read
+from hallsym.log import Log, Weigh
 from hallsym.report.data import look_over
 from hallsym.report.figures.by_setting import errors_by_setting
 from hallsym.report.figures.captions import broken

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation import ErrorTable, Fit
 from hallsym.report.data import Survey, Trace, held_out
 from hallsym.report.figures.style import (
     AFTER,
@@ -111,13 +110,13 @@ def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> 
 def _error_words(table: ErrorTable, k: int, fit: Fit, holdout: Sequence[int]) -> str:
     """Return rmse and peak of coordinate `k`, those of the runs in `holdout` by themselves."""
     coordinate = table.pose[k]
-    used, apart = table.over([r for r in table.runs if r not in holdout]), table.over(holdout)
+    used, others = table.over([r for r in table.runs if r not in holdout]), table.over(holdout)
     factor, unit = scale(coordinate, float(table.peak[:, k].max()), fit.model.period)
     texts = [
         f"{label} {three(factor * row['rmse'][coordinate])}, {word}{three(factor * row['peak'][coordinate])}"
         for label, word, row in (
             ("rmse", "peak ", used),
-            ("held out" if used else "held out: rmse", "", apart),
+            ("held out" if used else "held out: rmse", "", others),
         )
         if row
     ]

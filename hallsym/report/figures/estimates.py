@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -19,8 +19,7 @@ from hallsym.report.figures.style import (
     label_x,
     legend,
     log_axis,
-    panels,
-    stripes,
+    row_panels,
     text_width,
 )
 from hallsym.report.words import MINUS, plus_minus
@@ -49,29 +48,21 @@ def parameters(fit: Fit) -> Figure:
     words = [_number_words(fit, row) for row in range(n)]
     instead = [plus_minus(c.value, COVERAGE * c.std, c.unit) for c in fit.combinations]
     header = "estimate ± 95 %"
-    left = 0.1 + max(map(text_width, model.names))
     right = 0.14 + max(map(text_width, (*words, *instead, header)))
-    figure, axes = panels(
-        1, 2, ROW * n, left=left, right=right, top=0.4, bottom=0.52 + ROW * extra, gaps=(0.34, 0),
-        sharey=True, gridspec_kw={"width_ratios": (3, 2)},
+    figure, (place, sharp) = row_panels(
+        model.names, 2, ROW, right=right, gap=0.34, top=0.4, bottom=0.52 + ROW * extra,
+        gridspec_kw={"width_ratios": (3, 2)},
     )  # fmt: skip
-    place, sharp = axes[0]
-    for ax in (place, sharp):
-        stripes(ax, n)
     _values(place, sharp, fit)
     for row, text in enumerate(words):
         beside(sharp, row, text)
     beside(sharp, -1.1, header)
-    place.set_yticks(range(n), model.names)
-    place.tick_params("y", length=0)
-    sharp.tick_params("y", length=0, labelleft=False)
-    place.set_ylim(n - 0.5, -0.5)
     place.set_xlim(-0.04, 1.04)
     label_x(place, "position within the bounds")
     place.set_xticks((0, 0.25, 0.5, 0.75, 1), ("lower", "", "middle", "", "upper"))
     _precision_axis(sharp, fit)
     if below:
-        _combinations(figure, left, below, instead, right)
+        _combinations(figure, below, instead, right)
     _parameter_legend(figure, fit)
     return figure
 
@@ -125,9 +116,9 @@ def beside(ax: Axes, row: float, text: str) -> None:
 
 
 def _combinations(
-    figure: Figure, left: float, below: Sequence[tuple[list[str], Any]], instead: Sequence[str], right: float
+    figure: Figure, below: Sequence[tuple[list[str], Any]], instead: Sequence[str], right: float
 ) -> None:
-    """List what the data determine instead of single parameters, one picture row per line."""
+    """List the identifiable combinations, one picture row per line."""
     width, height = figure.get_size_inches()
     rows = [("Identifiable combinations", "")]
     for (lines, _), value in zip(below, instead, strict=True):

@@ -18,8 +18,7 @@ from hallsym.report.figures.style import (
     label_x,
     legend,
     log_axis,
-    panels,
-    stripes,
+    row_panels,
     text_width,
 )
 from hallsym.report.figures.verdicts import LOOKS, present, shown
@@ -52,23 +51,16 @@ def intervals(report: Identifiability) -> Figure:
     entries = shown(report)
     words, header = [in_words(entry) for entry in entries], "95 % interval"
     lines, handles = _instead(report), _handles(entries)
-    figure, axes = panels(
-        1, 2, ROW * len(entries), left=0.1 + max(text_width(entry.name) for entry in entries),
-        right=0.16 + max(map(text_width, (*words, header))),
-        top=0.4 + LINE * ((len(handles) - 1) // ACROSS), bottom=0.52 + height(lines),
-        gaps=(0.2, 0), sharey=True, gridspec_kw={"width_ratios": (2, 3)},
+    figure, (place, share) = row_panels(
+        [entry.name for entry in entries], 2, ROW, right=0.16 + max(map(text_width, (*words, header))),
+        gap=0.2, top=0.4 + LINE * ((len(handles) - 1) // ACROSS), bottom=0.52 + height(lines),
+        gridspec_kw={"width_ratios": (2, 3)},
     )  # fmt: skip
-    place, share = axes[0]
-    for ax in (place, share):
-        stripes(ax, len(entries))
-        ax.tick_params("y", length=0)
     _places(place, entries, report)
     _shares(share, entries)
     for row, text in enumerate(words):
         beside(share, row, text)
     beside(share, -1.1, header)
-    place.set_yticks(range(len(entries)), [entry.name for entry in entries])
-    place.set_ylim(len(entries) - 0.5, -0.5)
     caption(figure, lines)
     legend(figure, handles, "upper left", ncols=min(len(handles), ACROSS), columnspacing=1.4)
     return figure

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.log import Log
-from hallsym.log.batches import Weigh
+from hallsym.estimation import Fit
+from hallsym.log import Log, Weigh
 from hallsym.report.data import COLUMNS, Survey, Trace, decoded, held_out, representative
 from hallsym.report.figures.style import (
     AFTER,

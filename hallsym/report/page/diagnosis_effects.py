@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hallsym.diagnosis.record import Diagnosis, Separation
+from hallsym.diagnosis import Diagnosis, Separation
 from hallsym.errors import counted
 from hallsym.report.page import figures
 from hallsym.report.page.diagnosis_words import p_cell, percent, with_interval

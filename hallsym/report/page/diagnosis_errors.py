@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from hallsym.diagnosis.record import Diagnosis
+from hallsym.diagnosis import Diagnosis
 from hallsym.report.page import figures, parts
 from hallsym.report.page.diagnosis_words import changed, percent, with_interval
 from hallsym.report.page.html import Markup, join, table, tag

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hallsym.diagnosis.record import Diagnosis
-from hallsym.estimation.calibration import Fit
+from hallsym.diagnosis import Diagnosis
+from hallsym.estimation import Fit
 from hallsym.report.data import Cells, RunSeries
 from hallsym.report.page import parts
 from hallsym.report.page.diagnosis_effects import effects_section

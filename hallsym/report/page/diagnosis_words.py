@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from hallsym.diagnosis.record import Diagnosis
+from hallsym.diagnosis import Diagnosis
 from hallsym.report.text.diagnosis import p_text
 from hallsym.report.words import MINUS
 

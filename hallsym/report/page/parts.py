@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.report.data import Cells, ParameterRow, parameter_rows
 from hallsym.report.page import figures, maps
 from hallsym.report.page.html import Markup, facts, join, table, tag

@@ -141,10 +141,10 @@ def _calibration(found: Tolerances) -> Iterator[str]:
         f"rms before: {errors(r.before)}; after: {errors(r.after)}"
     )
     if determined:
-        yield f"  removes the error of {', '.join(determined)}: each can be determined by itself"
+        yield f"  removes the error of {', '.join(determined)}: each is identifiable"
     if r.undetermined:
         yield (
-            f"  no recording tells {', '.join(r.undetermined)} apart "
+            f"  not identifiable from any recording: {', '.join(r.undetermined)} "
             f"({r.freedom} directions change no reading): they stay wrong by up to "
             f"{r.apart:.2g} of their tolerance, and that is harmless"
         )

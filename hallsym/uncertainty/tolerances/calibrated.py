@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.estimation import Coefficients
-from hallsym.estimation.identifiable import scales, structural_null
+from hallsym.estimation import Coefficients, scales, structural_null
 from hallsym.log.phase import near
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
