@@ -139,7 +139,8 @@ def column_numbers(text: str, columns: Sequence[str], option: str, example: str)
         found = []
     if len(found) != 1 + example.count(":") or not all(map(math.isfinite, found)):
         raise InputError(
-            f"{option} must be numbers with the unit in the name, such as {example}; got {text!r}."
+            f"{option} must be numbers with the unit in the name, such as {key}={example.partition('=')[2]}; "
+            f"got {text!r}."
         )
     return column, found
 
