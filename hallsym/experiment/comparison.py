@@ -28,6 +28,11 @@ class Comparison:
     runs_same_value: int | None = None
     runs_same_std: int | None = None
 
+    @property
+    def factor(self) -> np.ndarray | None:
+        """How many times smaller each standard uncertainty of the plan is, (q,); None as for `other`."""
+        return self.other.std / self.planned.std if self.other and self.planned else None
+
     def to_dict(self, names: tuple[str, ...], pose: tuple[str, ...]) -> dict[str, Any]:
         """Return the record for JSON."""
         record: dict[str, Any] = {"name": self.name, "runs": self.runs, "seconds": self.seconds}
@@ -42,7 +47,7 @@ class Comparison:
             }
         return record | {
             "determined": True,
-            "std_factor": named(names, self.other.std / self.planned.std),
+            "std_factor": named(names, self.factor),
             "runs_same_value": self.runs_same_value,
             "runs_same_std": self.runs_same_std,
         }
