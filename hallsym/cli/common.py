@@ -149,7 +149,8 @@ def column_ranges(given: Sequence[str], columns: Sequence[str]) -> dict[str, tup
     """Read every `--range x_um=-300:300`: column -> least and greatest SI value."""
     ranges = {}
     for text in given:
-        column, (low, high) = column_numbers(text, columns, "--range", "x_um=-300:300")
+        example = f"{text.partition('=')[0]}=-300:300"
+        column, (low, high) = column_numbers(text, columns, "--range", example)
         if not low < high:
             raise InputError(
                 f"--range must go from the lesser to the greater value; instead received {text!r}."

@@ -30,8 +30,8 @@ class Comparison:
 
     @property
     def factor(self) -> np.ndarray | None:
-        """How many times smaller each standard uncertainty is in as many planned runs, (q,)."""
-        return None if self.other is None or self.planned is None else self.other.std / self.planned.std
+        """How many times smaller each standard uncertainty of the plan is, (q,); None as for `other`."""
+        return self.other.std / self.planned.std if self.other and self.planned else None
 
     def to_dict(self, names: tuple[str, ...], pose: tuple[str, ...]) -> dict[str, Any]:
         """Return the record for JSON."""
