@@ -36,6 +36,7 @@ class Table:
     def __init__(self, raw: Mapping[str, Any], where: str, keys: Sequence[str] | None = None) -> None:
         """Take a table; a key that is not one of `keys` would be ignored and is refused."""
         self.raw, self.where = raw, where
+        self._file, self._path = where, ""
         for key in raw:
             if keys is not None and key not in keys:
                 raise InputError(
@@ -111,10 +112,12 @@ class Table:
 
     def table(self, key: str, keys: Sequence[str] | None = None, where: str = "") -> Table:
         """Return the `[key]` table, empty where there is none."""
-        raw = self.raw.get(key, {})
+        raw, path = self.raw.get(key, {}), f"{self._path}{key}"
         if not isinstance(raw, Mapping):
-            raise InputError(f"In {self.where}, {key} must be a table [{key}]; instead received {raw!r}.")
-        return Table(raw, where or f"[{key}] of {self.where}", keys)
+            raise InputError(f"In {self._file}, {key} must be a table [{path}]; instead received {raw!r}.")
+        found = Table(raw, where or f"[{path}] of {self._file}", keys)
+        found._file, found._path = self._file, f"{path}."
+        return found
 
     def tables(self, key: str, keys: Sequence[str] | None = None) -> list[Table]:
         """Return the `[[key]]` tables, none where there are none."""

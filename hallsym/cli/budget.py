@@ -1,4 +1,4 @@
-"""`hallsym budget`: what a decoded position is known to, and any other budget by the GUM."""
+"""`hallsym budget`: the uncertainty of a decoded position, and any other budget by the GUM."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
@@ -9,11 +9,20 @@ from typing import Any
 import numpy as np
 
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import assignment, command, log_options, noted, open_log, say, seed
+from hallsym.cli.common import (
+    assignment,
+    column_numbers,
+    column_ranges,
+    command,
+    log_options,
+    noted,
+    open_log,
+    say,
+    seed,
+)
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.log import Noise
-from hallsym.log.noise import check_noise_keys
+from hallsym.estimation import Fit, load_fit
+from hallsym.log import Noise, check_noise_keys
 from hallsym.report.text import (
     along_text,
     budget_text,
@@ -22,7 +31,6 @@ from hallsym.report.text import (
     position_words,
     recorded_text,
 )
-from hallsym.toml import column_of
 from hallsym.trajectory import Curve, CurveCost, curve_cost, read_curve
 from hallsym.uncertainty import (
     AlongCurve,
@@ -58,11 +66,11 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "budget", run,
-        "Say what a decoded position is known to: fit, Hall noise, vertical sensors, reference, ADC and\n"
-        "zeroing, propagated through the model; or work out a budget stated in a TOML file.", EPILOG,
+        "State the uncertainty of a decoded position: fit, Hall noise, vertical sensors, reference, ADC and\n"
+        "zeroing, propagated through the model; or evaluate a budget stated in a TOML file.", EPILOG,
     )  # fmt: skip
     parser.add_argument("file", metavar="FILE", help="a calibration (.json), or a budget (.toml)")
-    parser.add_argument("log", metavar="LOG", nargs="?", help="log whose workspace is looked over")
+    parser.add_argument("log", metavar="LOG", nargs="?", help="log whose workspace is evaluated")
     parser.add_argument(
         "--curve", metavar="JSON",
         help="a curve that the machine follows: its error joins the budget, worst part and number of points",
@@ -91,7 +99,11 @@ def _position_options(parser: ArgumentParser) -> None:
     group.add_argument(
         "--split", action="store_true", help="one line for each fitted parameter instead of one for the fit"
     )
-    group.add_argument("--map", action="store_true", help="map U over x, y and Z (with LOG or --range)")
+    group.add_argument(
+        "--map",
+        action="store_true",
+        help="map U over two pose coordinates and the first state, such as x, y and Z (with LOG or --range)",
+    )
     group.add_argument(
         "--range", action="append", default=[], metavar="COLUMN=LOW:HIGH",
         help="what the map covers: --range x_um=-300:300 (repeat; default: what LOG recorded)",
@@ -244,7 +256,7 @@ def _position_text(
     parts = [f"\n{budget_text(budget)}" for budget in budgets.values()]
     parts += [f"\n{comparison_text(found)}"] if found else []
     parts += [f"\n{recorded_text(recorded, f'U ({coverage}), recorded workspace')}"] if recorded else []
-    parts += [f"\n{recorded_text(_over_map(grid), f'U ({coverage}), map')}"] if grid else []
+    parts += [f"\n{recorded_text(grid.over(), f'U ({coverage}), map')}"] if grid else []
     return parts
 
 
@@ -260,47 +272,17 @@ def _at(given: Sequence[str], fit: Fit) -> dict[str, float]:
     """`x_um=100` as column -> SI value."""
     at: dict[str, float] = {}
     for text in given:
-        key, _, value = text.partition("=")
-        column, factor = column_of(key, (*fit.model.pose, *fit.model.state), "--at")
+        column, (value,) = column_numbers(text, (*fit.model.pose, *fit.model.state), "--at", "x_um=100")
         if column in at:
             raise InputError(f"--at gives {column} twice; keep one.")
-        at[column] = _number(value, "--at", text, "x_um=100") * factor
+        at[column] = value
     return at
-
-
-def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
-    """`x_um=-300:300` as column -> least and greatest SI value."""
-    ranges: dict[str, tuple[float, float]] = {}
-    axes = map_axes(fit.model)
-    for text in given:
-        key, _, value = text.partition("=")
-        column, factor = column_of(key, axes, "--range")
-        low, _, high = value.partition(":")
-        ends = [_number(v, "--range", text, "x_um=-300:300") * factor for v in (low, high)]
-        if not ends[0] < ends[1]:
-            raise InputError(
-                f"--range must go from the lesser to the greater value; instead received {text!r}."
-            )
-        ranges[column] = (ends[0], ends[1])
-    return ranges
-
-
-def _number(text: str, option: str, whole: str, example: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise InputError(
-            f"{option} must be numbers with the unit in the name, such as {example}; got {whole!r}."
-        )
-    return value
 
 
 def _map(
     options: Namespace, fit: Fit, settings: Settings, at: Mapping[str, float], recorded: Recorded | None
 ) -> UncertaintyMap:
-    ranges = _ranges(options.range, fit)
+    ranges = column_ranges(options.range, map_axes(fit.model))
     spans = recorded.span if recorded else {}
     axes = {c: ranges.get(c) or spans.get(c) for c in map_axes(fit.model)}
     for column, span in axes.items():
@@ -309,7 +291,12 @@ def _map(
                 f"A map needs to know what it shall cover: give a LOG, or --range {column}=LOW:HIGH "
                 f"(a calibration does not hold its workspace)."
             )
-    lines = {c: sorted(set(span)) for c, span in axes.items() if span}  # one height, where Z never moved
+    turn = fit.model.period
+    lines = {
+        c: (0.0, turn[c]) if c in turn and span[1] - span[0] > turn[c] else sorted(set(span))
+        for c, span in axes.items()
+        if span
+    }  # one turn of what went round more often; one height, where Z never moved
     return uncertainty_map(fit, lines, settings, fixed={c: v for c, v in at.items() if c not in axes})
 
 
@@ -327,19 +314,6 @@ def _worst(
             return {}
         worst[column] = position_budget(fit, spot, settings, split=split)[column]
     return worst
-
-
-def _over_map(grid: UncertaintyMap) -> Recorded:
-    """rms and worst over the points of a map."""
-    worst = {c: grid.worst(c) for c in grid.pose}
-    return Recorded(
-        span={c: (float(v[0]), float(v[-1])) for c, v in grid.axes.items()},
-        rms={c: float(np.sqrt(np.mean(u**2))) for c, u in zip(grid.pose, grid.expanded, strict=True)},
-        worst={c: u for c, (_, u) in worst.items()},
-        where={c: at for c, (at, _) in worst.items()},
-        samples=grid.expanded[0].size,
-        turning=grid.turning,
-    )
 
 
 def _pictures(

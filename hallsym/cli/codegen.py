@@ -1,21 +1,16 @@
 """`hallsym codegen`: a calibration as C for the controller."""
 
 from argparse import Namespace
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import command, noted, say
+from hallsym.cli.common import column_numbers, column_ranges, command, noted, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.checks import sha256
 from hallsym.codegen.folder import options_of
 from hallsym.codegen.lowering import CORRECTIONS
-from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.toml import column_of
 
 EPILOG = """\
 examples:
@@ -77,7 +72,8 @@ def run(options: Namespace) -> int:
 
 def _made(fit: Fit, options: Namespace) -> Generated:
     digest = sha256(Path(options.calibration).read_bytes())
-    ranges, allow = _ranges(options.range, fit), options.allow_undetermined
+    columns = (*fit.model.pose, *fit.model.state, *fit.model.channels)
+    ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
     before = options_of(Path(options.output)) if options.params_only else {}
     accuracy, correction = _accuracy(options.accuracy, fit), options.correction
     if accuracy is None:
@@ -114,31 +110,4 @@ def _accuracy(given: str | None, fit: Fit) -> float | None:
     """`angle_mrad=1` in SI."""
     if given is None:
         return None
-    key, _, value = given.partition("=")
-    _, factor = column_of(key, fit.model.pose, "--accuracy")
-    try:
-        return float(value) * factor
-    except ValueError:
-        raise InputError(
-            f"--accuracy must be a column of the pose and a number, such as angle_mrad=1; got {given!r}."
-        ) from None
-
-
-def _ranges(given: Sequence[str], fit: Fit) -> dict[str, tuple[float, float]]:
-    """`z_um=-200:200` as column -> least and greatest SI value."""
-    ranges: dict[str, tuple[float, float]] = {}
-    known = (*fit.model.pose, *fit.model.state, *fit.model.channels)
-    for text in given:
-        key, _, value = text.partition("=")
-        column, factor = column_of(key, known, "--range")
-        low, _, high = value.partition(":")
-        try:
-            ends = (float(low) * factor, float(high) * factor)
-        except ValueError:
-            ends = (np.nan, np.nan)
-        if not ends[0] < ends[1] or not np.isfinite(ends).all():
-            raise InputError(
-                f"--range must go from the lesser to the greater value, such as z_um=-200:200; got {text!r}."
-            )
-        ranges[column] = ends
-    return ranges
+    return column_numbers(given, fit.model.pose, "--accuracy", "angle_mrad=1")[1][0]

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
@@ -11,16 +12,16 @@ from typing import Any
 
 from hallsym.cli import COMMANDS
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.estimation import Fit, load_fit
 from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
-from hallsym.log import Log, Meta, Noise, parse_column_option, read_log
-from hallsym.log.noise import check_noise_keys
+from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
+from hallsym.toml import column_of
 
 
 def command(
@@ -128,6 +129,36 @@ def assignment(text: str) -> tuple[str, float]:
     return name, sigma
 
 
+def column_numbers(text: str, columns: Sequence[str], option: str, example: str) -> tuple[str, list[float]]:
+    """Read `x_um=100` or `x_um=-300:300` of an option: the column and its finite values in SI."""
+    key, _, value = text.partition("=")
+    column, factor = column_of(key, columns, option)
+    try:
+        found = [float(number) * factor for number in value.split(":")]
+    except ValueError:
+        found = []
+    if len(found) != 1 + example.count(":") or not all(map(math.isfinite, found)):
+        raise InputError(
+            f"{option} must be numbers with the unit in the name, such as {key}={example.partition('=')[2]}; "
+            f"got {text!r}."
+        )
+    return column, found
+
+
+def column_ranges(given: Sequence[str], columns: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Read every `--range x_um=-300:300`: column -> least and greatest SI value."""
+    ranges = {}
+    for text in given:
+        example = f"{text.partition('=')[0]}=-300:300"
+        column, (low, high) = column_numbers(text, columns, "--range", example)
+        if not low < high:
+            raise InputError(
+                f"--range must go from the lesser to the greater value; instead received {text!r}."
+            )
+        ranges[column] = low, high
+    return ranges
+
+
 def run_numbers(text: str) -> list[int]:
     """`2,7,12` or `40-45` as run numbers."""
     runs: list[int] = []
@@ -146,7 +177,7 @@ def run_numbers(text: str) -> list[int]:
 
 
 def progress_of(options: Namespace) -> Callable[[str], None]:
-    """One line on a terminal's stderr, overwritten; silent elsewhere."""
+    """Return what shows one line on a terminal's stderr, overwriting the last; silent elsewhere."""
     if options.json or not sys.stderr.isatty():
         return lambda _: None
 
@@ -200,7 +231,7 @@ def campaign_of(options: Namespace) -> Campaign:
 def truth_of(
     options: Namespace, machine: Machine, campaign: Campaign | None = None
 ) -> tuple[Model, dict[str, float]]:
-    """Model and values of the twin: a calibration's, else the published ones as far as the model has them.
+    """Return model and values of the simulated machine: a calibration's, else the published ones it has.
 
     Where no model is named, that of the axes which `campaign` moves.
     """
@@ -225,7 +256,7 @@ def truth_of(
 
 
 def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Noise by column: the campaign file's own, else Table 8's.
+    """Return the noise by column: the campaign file's own, else the example's of the family, else Table 8's.
 
     A file may state the noise of every form in which a family is read (two voltages, or an angle).
     """

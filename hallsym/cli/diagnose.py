@@ -21,7 +21,7 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import compare
 from hallsym.diagnosis.decoded_errors import errors_of
-from hallsym.diagnosis.engine import Examined, examine
+from hallsym.diagnosis.engine import Examined, examine, prepare
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import columns_of
@@ -40,8 +40,8 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "diagnose", run,
-        "Fit a model on a log, find what it leaves above the noise, which effect explains it, and how\n"
-        "far the gap shrinks once that effect is added, judged on held-out runs.",
+        "Fit a model on a log, find the error that it leaves above the noise, which effect causes it, and\n"
+        "how far the error shrinks with that effect in the model, judged on holdout runs.",
         "examples:\n"
         "  hallsym diagnose LOG --model stage31\n"
         "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
@@ -91,7 +91,7 @@ def run(options: Namespace) -> int:
             holdout=holdout,
             drop_bad=options.drop_bad,
         )
-    seen = examine(
+    setup = prepare(
         log,
         model,
         holdout=holdout,
@@ -100,6 +100,7 @@ def run(options: Namespace) -> int:
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),
     )
+    seen = examine(setup)
     found = seen.diagnosis
     for path in options.output:
         if path.lower().endswith((".html", ".htm")):
@@ -134,7 +135,7 @@ def _page(options: Namespace, seen: Examined) -> str:
     name = options.model or first.model.name
     command = shlex.join(["hallsym", "diagnose", options.log, "--model", name])
     return diagnosis_page(
-        seen.diagnosis.to_dict(),
+        seen.diagnosis,
         maps=shown.maps,
         after=shown.after,
         series=shown.series,

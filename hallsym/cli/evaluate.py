@@ -51,7 +51,13 @@ def run(options: Namespace) -> int:
         "noise": {c: {"value": s.value, "source": s.source} for c, s in noise.sigmas.items()},
         "notes": notes,
     }
-    say(options, record, lambda: "\n".join([error_rows(known.model.pose, rows, None), *noted(notes)]))
+    say(
+        options,
+        record,
+        lambda: "\n".join(
+            [error_rows(known.model.pose, rows, None, turning=known.model.period), *noted(notes)]
+        ),
+    )
     return OK
 
 

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.fit import fit
+from hallsym.estimation import Fit, fit
 from hallsym.families import published
 from hallsym.log import Log
 from hallsym.report.tables import error_rows
@@ -27,7 +26,7 @@ def reproduce(on_progress: Callable[[str], None] | None = None) -> tuple[Log, Fi
     both = [run for run, z in heights.items() if abs(abs(z) - HEIGHT) < 20e-6]
     full = fit(log, "stage31", on_progress=on_progress)
     assert full.errors is not None
-    steps = [_step("designed values, Model (15), Z = +-250 um", 2, 15, full.errors.designed.over(both))]
+    steps = [_step("nominal values, Model (15), Z = +-250 um", 2, 15, full.errors.designed.over(both))]
     steps.append(_step("Model (30), both heights in one fit", 4, 30, _fitted(log, both)))
     each = [_fitted(log, [r for r in both if heights[r] * sign > 0]) for sign in (-1, 1)]
     steps.append(_step("Model (30), each height by itself", 4, 30, _joined(each)))

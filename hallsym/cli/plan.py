@@ -17,8 +17,7 @@ from hallsym.cli.common import (
     truth_of,
 )
 from hallsym.errors import InputError
-from hallsym.estimation import fit, noise_of
-from hallsym.estimation.calibration import load_fit
+from hallsym.estimation import fit, load_fit, noise_of
 from hallsym.experiment import CRITERIA, Plan, Ranges, paper_ranges, plan, read_ranges
 from hallsym.families.machine_file import Machine, read_machine
 from hallsym.log import Log

@@ -28,9 +28,10 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "selftest", run,
-        "Fit a model, take it and the recorded motion as the truth, inject each effect of the catalogue at\n"
-        "several sizes with noise like the log's own, diagnose blind, and say which would be found, from\n"
-        "which size on, and which would be taken for another. Takes minutes; Ctrl-C keeps what was done.",
+        "Fit a model and simulate it on the recorded motion. Inject each effect of the catalogue at several\n"
+        "sizes, with noise like that of the log, and diagnose each simulated log blind. Print which effects\n"
+        "would be found, from which size on, and which would be taken for another. Takes minutes; Ctrl-C\n"
+        "keeps what was done.",
         "examples:\n"
         "  hallsym selftest LOG --model stage31\n"
         "  hallsym selftest LOG --effects hysteresis,time_skew --sizes 1.1,1.2 --repeats 3\n"
@@ -47,7 +48,7 @@ def add(sub: Any) -> None:
     parser.add_argument("--seed", type=seed, default=0, help="of signs, instants and noise (default 0)")
     parser.add_argument(
         "--rows", type=int, default=ROWS, metavar="N",
-        help=f"thin the log to about N samples where motion and mains stay resolved (default {ROWS})",
+        help=f"decimate the log to about N samples, motion and mains resolved (default {ROWS})",
     )  # fmt: skip
     parser.add_argument(
         "--holdout", metavar="RUNS", help="runs to judge on (default: the log's own, else every fifth)"

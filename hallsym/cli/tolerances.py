@@ -15,7 +15,7 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "tolerances", run,
-        "Draw machines with every parameter in its tolerance, read them with the designed decoder, and say\n"
+        "Draw machines with every parameter in its tolerance, read them with the nominal decoder, and say\n"
         "how much of the error each tolerance makes: fall of the rms error if it is exact or halved, Sobol\n"
         "indices with 95 % intervals, and what a calibration would remove. Needs SALib:\n"
         "pip install 'hallsym[sobol]'.",
@@ -28,7 +28,7 @@ def add(sub: Any) -> None:
         "  H1x_um = 20                                        rectangular, half width\n"
         '  H1y_um = { half_width = 20, distribution = "triangular" }\n'
         "  theta_A_deg = { std = 0.1 }                        normal\n"
-        "  eta_A_percent = 2                                  of the designed value",
+        "  eta_A_percent = 2                                  of the nominal value",
     )  # fmt: skip
     parser.add_argument(
         "campaign", metavar="TOML", nargs="?",
@@ -37,7 +37,7 @@ def add(sub: Any) -> None:
     parser.add_argument(
         "--ranges",
         metavar="TOML",
-        help="tolerances; the model's bounds about the designed values if not given",
+        help="tolerances; the model's bounds about the nominal values if not given",
     )
     parser.add_argument(
         "--samples", type=int, default=1024, metavar="N",

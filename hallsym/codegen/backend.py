@@ -1,7 +1,7 @@
 """The table and the files of a decoupler in one arithmetic.
 
 A `Backend` says what numbers are in C, how steps are printed and run, and what is proved of them. What is the
-same for every arithmetic is here and in `arithmetic`; `float_backend` and `integer_backend` are the two there are.
+same for every arithmetic is here and in `arithmetic`; `float_backend` and `integer_backend` are the two.
 """
 
 import json
@@ -31,7 +31,7 @@ C_TYPES = {"f4": "float", "f8": "double", "i4": "int32_t", "u4": "uint32_t", "i2
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """An entry of the table as C holds it: a number () or a row (n,), little-endian; `note`: for the header."""
+    """An entry of the table in C: a number () or a row (n,), little-endian; `note`: for the header."""
 
     name: str
     values: np.ndarray
@@ -68,7 +68,7 @@ class Backend(Arithmetic):
     @property
     @abstractmethod
     def entries(self) -> Sequence[Stored]:
-        """Coefficients and limits, rows of numbers that steps look up, and zeros, in the order of the table."""
+        """Coefficients and limits, rows of numbers that steps look up, and zeros, in their order."""
 
     @property
     @abstractmethod

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.codegen import binary_angle as turns
+from hallsym.codegen import binary_angle
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.templates import lines_of
 
@@ -76,8 +76,8 @@ OPERATIONS: dict[str, tuple[Callable[..., np.ndarray], Callable[[str, str, int, 
     "right": (lambda a, b, i, j: a >> i, lambda a, b, i, j: f"{a} >> {i}"),
     "one": (lambda a, b, i, j: (1 << i) - a, lambda a, b, i, j: f"{1 << i} - {a}"),
     "look": (lambda a, b, i, j: b.at(a), lambda a, b, i, j: f"{b}_at(p, {a})"),
-    "angle": (lambda a, b, i, j: turns.angle_of(a, b, i), lambda a, b, i, j: f"angle_of({a}, {b})"),
-    "turn": (lambda a, b, i, j: (a + b) & turns.MASK, lambda a, b, i, j: f"{a} + {b}"),
+    "angle": (lambda a, b, i, j: binary_angle.angle_of(a, b, i), lambda a, b, i, j: f"angle_of({a}, {b})"),
+    "turn": (lambda a, b, i, j: (a + b) & binary_angle.MASK, lambda a, b, i, j: f"{a} + {b}"),
 }
 """What a line computes of a, b and shifts i, j in 64-bit integers, and in C.
 
@@ -117,7 +117,7 @@ class Program:
     """Columns that are binary angles: 2^32 to a turn, unsigned."""
     unsigned: dict[str, str] = field(default_factory=dict)
     """Entries of the table that are binary angles, and what they mean."""
-    arrays: dict[str, turns.AngleTable] = field(default_factory=dict)
+    arrays: dict[str, binary_angle.AngleTable] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
     """Sentences for header and report."""
     options: dict[str, Any] = field(default_factory=dict)
@@ -165,7 +165,7 @@ def helpers(program: Program) -> list[str]:
     called = lines_of(f"{FRAGMENTS}upper.c", {}) if "mul" in used else []
     for line in program.lines:
         if line.operation == "angle":
-            angles = [f"{t}U" for t in turns.ARCTANGENTS[: line.i]]
+            angles = [f"{t}U" for t in binary_angle.ARCTANGENTS[: line.i]]
             rows = [", ".join(angles[k : k + 8]) for k in range(0, line.i, 8)]
             fields: dict[str, Any] = {"steps": line.i, "arctangents": ",\n        ".join(rows)}
             called += lines_of(f"{FRAGMENTS}angle_of.c", fields)
@@ -174,9 +174,9 @@ def helpers(program: Program) -> list[str]:
     return called
 
 
-def _look_up(array: turns.AngleTable) -> list[str]:
+def _look_up(array: binary_angle.AngleTable) -> list[str]:
     """The C of `Array.at`."""
-    fine, count = turns.FINE, len(array.values)
+    fine, count = binary_angle.FINE, len(array.values)
     left, right = f"p->{array.name}[cell]", f"p->{array.name}[(cell + 1U) & {count - 1}U]"
     if array.bits == 16:
         left, right = f"(int32_t){left}", f"(int32_t){right}"

@@ -7,15 +7,18 @@
 """
 
 from hallsym.diagnosis.engine import diagnose
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis, FoundEffect, Separation, Statement
 from hallsym.families.user import load_effects
 from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
+    "POLICY",
     "Diagnosis",
     "Effect",
     "Facts",
     "FoundEffect",
+    "Policy",
     "Separation",
     "Statement",
     "Variant",

@@ -4,11 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from hallsym.diagnosis.facts import facts_of
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.ranking import refitted
 from hallsym.diagnosis.scores import candidates, scores
-from hallsym.diagnosis.search import TYPICAL_INFLATION, base_of, facts_of
+from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.verdict import SURE
 from hallsym.errors import InputError
 from hallsym.estimation import fit
 from hallsym.estimation.calibration import Fit
@@ -64,8 +65,8 @@ def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     runs = [r for r in base.log.runs if r not in apart]
     facts = facts_of(base, survey(base, frozenset(runs)))
     tried, trouble = candidates(base, [effect], facts)
-    ranked = scores(base, tried, runs, TYPICAL_INFLATION)[0] if tried else []
-    exact = refitted(base, ranked, runs, facts, TYPICAL_INFLATION, lambda s: s.corrected(1) < SURE)
+    ranked = scores(base, tried, runs)[0] if tried else []
+    exact = refitted(base, ranked, runs, facts, lambda s: s.corrected(1) < POLICY.certain)
     if not exact:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(

@@ -11,30 +11,27 @@ import numpy as np
 from hallsym.diagnosis.refit import Refitted
 from hallsym.log.phase import designed
 
-OVER = 2.0
-"""Times the whole deviation of the machine from its design by which an effect alone may move the pose, and
-times its former size and the gap that goes by which it may grow beside another.
 
-Causes that happen to oppose each other may make one of them larger than the whole, hardly twice."""
-
-
-def cancelled(fit: Refitted, beside: Refitted, start: Refitted, owner: Mapping[str, str]) -> bool:
+def cancelled(
+    fit: Refitted, beside: Refitted, start: Refitted, owner: Mapping[str, str], over: float
+) -> bool:
     """Return whether what `fit` has beyond the fit `beside` is undone by other parameters, or undoes others.
 
     `start`: the fit without any effect, whose parameters say what the machine deviates from its design by.
-    `owner`: parameter -> the effect that it belongs to.
+    `owner`: parameter -> the effect that it belongs to. `over`: times that deviation by which an effect alone
+    may move the pose, and times its former size and the gap that goes by which it may grow beside another.
     """
     own, known = start.base.model.names, beside.base.model.names
     new = [n for n in fit.base.model.names if n not in known]
     whole = moved(start, start.base.p - designed(start.base.model, start.base.p))
-    if _alone(fit, new) > OVER * np.hypot(whole, start.gap(start.fitted)):
+    if _alone(fit, new) > over * np.hypot(whole, start.gap(start.fitted)):
         return True
     lower = np.sqrt(max(beside.gap(beside.fitted) ** 2 - fit.gap(fit.fitted) ** 2, 0.0))
     groups: dict[str, list[str]] = {}
     for n in known:
         if n not in own:
             groups.setdefault(owner.get(n, n), []).append(n)
-    return any(_alone(fit, g) > OVER * np.hypot(_alone(beside, g), lower) for g in groups.values())
+    return any(_alone(fit, g) > over * np.hypot(_alone(beside, g), lower) for g in groups.values())
 
 
 def _alone(fit: Refitted, names: Sequence[str]) -> float:

@@ -13,23 +13,21 @@ from typing import Any
 import numpy as np
 from scipy.special import erfc
 
-from hallsym.diagnosis.record import Diagnosis
+from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Statement
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import FORMAT
 
-LEVEL = 0.05
-"""Probability, over all parameters that are compared, of calling a change significant that is none."""
-KEYS = ("verdict", "model", "metric", "gap_before", "gap_after", "noise_floor", "effects", "groups", "where")
-
-Record = Mapping[str, Any]
+Calibration = Mapping[str, Any]
+"""What `Fit.to_dict` returns and `hallsym fit -o` writes."""
 
 
 @dataclass(frozen=True)
 class ParameterChange:
     """A parameter in SI: values and standard uncertainties, `p_value` of no change (None: no uncertainty).
 
-    `significant`: corrected for the number of parameters compared; None where it cannot be said.
+    `significant`: corrected for the number of parameters compared; None where it cannot be told.
     """
 
     name: str
@@ -46,7 +44,7 @@ class ParameterChange:
 class EffectChange:
     """An effect in the two records. `state`: "stays", "gone" or "came"; `remark`: what qualifies that.
 
-    `share`: part of the gap above the floor that it closes, before and after.
+    `share`: part of the excess above the noise floor that it closes, before and after.
     """
 
     name: str
@@ -72,7 +70,8 @@ class Comparison:
     """What changed between two records of one machine. Pairs are (before, after); SI units.
 
     `kind`: "diagnoses" or "calibrations". `gap`, `rest`, `floor`: gap metric [m] of the model, with the
-    effects that were found, and of the noise. `rmse`: output -> its error of the model on held-out runs.
+    effects that were found, and of the noise. `rmse`: output -> its error on the holdout runs, without
+    effects.
     """
 
     kind: str
@@ -92,43 +91,51 @@ class Comparison:
         return asdict(self)
 
 
-def compare(before: Diagnosis | Record | str | Path, after: Diagnosis | Record | str | Path) -> Comparison:
-    """Say what changed between two diagnoses of one machine, or two calibrations.
+Source = Diagnosis | Mapping[str, Any] | str | Path
+
+
+def compare(before: Source, after: Source) -> Comparison:
+    """Return what changed between two diagnoses of one machine, or two calibrations.
 
     Each is a `Diagnosis`, what its `to_dict` returns, or the JSON file that a command wrote. Raises
     `InputError` for a file that is no such record and for records of different models or outputs.
     """
     old, new = _record(before, "before"), _record(after, "after")
-    if (old.get("format") == FORMAT) != (new.get("format") == FORMAT):
+    models = tuple(r.model if isinstance(r, Diagnosis) else r["model"] for r in (old, new))
+    if models[0] != models[1] and type(old) is type(new):
+        raise InputError(
+            f"Records to compare must be of one model; before is of {models[0]}, after of {models[1]}."
+        )
+    if isinstance(old, Diagnosis) and isinstance(new, Diagnosis):
+        return _diagnoses(old, new)
+    if isinstance(old, Diagnosis) or isinstance(new, Diagnosis):
         raise InputError(
             "Records to compare must be two diagnoses or two calibrations; one of each was given."
         )
-    if old["model"] != new["model"]:
-        raise InputError(
-            f"Records to compare must be of one model; before is of {old['model']}, after of {new['model']}."
-        )
-    return _calibrations(old, new) if old.get("format") == FORMAT else _diagnoses(old, new)
+    return _calibrations(old, new)
 
 
-def _record(source: Diagnosis | Record | str | Path, which: str) -> Record:
+def _record(source: Source, which: str) -> Diagnosis | Calibration:
     if isinstance(source, Diagnosis):
-        return source.to_dict()
+        return source
     where = f"Record {which!r}"
     if isinstance(source, str | Path):
         where = f"Record {source}"
         try:
-            raw = json.loads(Path(source).read_text(encoding="utf-8"))
+            source = json.loads(Path(source).read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise InputError(
                 f"{where} does not exist; make one with 'hallsym diagnose LOG -o {source}'."
             ) from None
         except (OSError, ValueError) as error:
             raise InputError(f"{where} cannot be read as JSON: {' '.join(str(error).split())}.") from None
-        source = raw
     if isinstance(source, Mapping):
-        calibration = source.get("format") == FORMAT and "parameters" in source and "model" in source
-        if calibration or all(key in source for key in KEYS):
+        if source.get("format") == FORMAT and "parameters" in source and "model" in source:
             return source
+        try:
+            return Diagnosis.from_dict(source)
+        except (KeyError, TypeError, ValueError, AttributeError):
+            pass
     raise InputError(
         f"{where} must be what 'hallsym diagnose -o' or 'hallsym fit -o' writes; it is something else."
     )
@@ -137,144 +144,148 @@ def _record(source: Diagnosis | Record | str | Path, which: str) -> Record:
 # -- diagnoses ---------------------------------------------------------------------------------------------
 
 
-def _diagnoses(old: Record, new: Record) -> Comparison:
-    outputs = [tuple(r["gap_before"]["rmse"]) for r in (old, new)]
-    if outputs[0] != outputs[1]:
+def _diagnoses(old: Diagnosis, new: Diagnosis) -> Comparison:
+    outputs, others = tuple(old.gap_before.rmse), tuple(new.gap_before.rmse)
+    if outputs != others:
         raise InputError(
-            f"Records to compare must have the same outputs; before has {', '.join(outputs[0])}, "
-            f"after {', '.join(outputs[1])}."
+            f"Records to compare must have the same outputs; before has {', '.join(outputs)}, "
+            f"after {', '.join(others)}."
         )
-    gap, rest, floor = (
-        (float(old["metric"][k]), float(new["metric"][k])) for k in ("before", "after", "floor")
-    )
     effects = _effects(old, new)
     return Comparison(
         kind="diagnoses",
-        model=old["model"],
-        sentence=_sentence((old["verdict"], new["verdict"]), gap, floor, effects, gap_unit(outputs[0])),
-        verdict=(old["verdict"], new["verdict"]),
-        gap=gap,
-        rest=rest,
-        floor=floor,
-        rmse={c: (old["gap_before"]["rmse"][c], new["gap_before"]["rmse"][c]) for c in outputs[0]},
+        model=old.model,
+        sentence=_sentence(old, new, effects),
+        verdict=(old.verdict, new.verdict),
+        gap=(old.metric.before, new.metric.before),
+        rest=(old.metric.after, new.metric.after),
+        floor=(old.metric.floor, new.metric.floor),
+        rmse={c: (old.gap_before.rmse[c], new.gap_before.rmse[c]) for c in outputs},
         effects=effects,
-        where=_places(old["where"], new["where"]),
+        where=_places(old.where, new.where),
         notes=_notes(old, new),
     )
 
 
-def _effects(old: Record, new: Record) -> tuple[EffectChange, ...]:
-    one, two = ({e["name"]: e for e in r["effects"]} for r in (old, new))
-    pairs = [(one[n], two[n]) for n in one if n in two and one[n]["variant"] == two[n]["variant"]]
-    count = sum(len(set(a["parameters"]) & set(b["parameters"])) for a, b in pairs)
-    out = []
-    for name in dict.fromkeys((*one, *two)):
-        a, b = one.get(name), two.get(name)
-        form = (a["variant"] if a else "", b["variant"] if b else "")
-        share = (a["share"] if a else None, b["share"] if b else None)
-        parameters: tuple[ParameterChange, ...] = ()
-        if a and b:
-            state, remark = "stays", "" if form[0] == form[1] else "its form changed: no parameters compared"
-            if not remark:
-                parameters = _parameters(a["parameters"], b["parameters"], count)
-        else:
-            state = "gone" if a else "came"
-            remark = _remark(name, new if a else old, "after" if a else "before")
-        out.append(EffectChange(name, state, share, form, parameters, remark))
-    return tuple(sorted(out, key=lambda e: ("gone", "came", "stays").index(e.state)))
+def _effects(old: Diagnosis, new: Diagnosis) -> tuple[EffectChange, ...]:
+    one, two = ({e.name: e for e in d.effects} for d in (old, new))
+    same = [(one[n], two[n]) for n in one if n in two and one[n].variant == two[n].variant]
+    count = sum(len(set(a.parameters) & set(b.parameters)) for a, b in same)
+    gone = [_missing(one[n], "gone", new) for n in one if n not in two]
+    came = [_missing(two[n], "came", old) for n in two if n not in one]
+    return (*gone, *came, *(_stays(one[n], two[n], count) for n in one if n in two))
 
 
-def _remark(name: str, other: Record, when: str) -> str:
-    """Why an effect that one record names is missing in the other."""
-    partner = next((e["name"] for e in other["effects"] for g in other["groups"]
-                    if name in g and e["name"] in g), None)  # fmt: skip
+def _stays(a: FoundEffect, b: FoundEffect, count: int) -> EffectChange:
+    """Return an effect of both records; `count`: parameters that are compared in all."""
+    same = a.variant == b.variant
+    return EffectChange(
+        name=a.name,
+        state="stays",
+        share=(a.share, b.share),
+        form=(a.variant, b.variant),
+        parameters=_parameters(a.parameters, b.parameters, count) if same else (),
+        remark="" if same else "its form changed: no parameters compared",
+    )
+
+
+def _missing(e: FoundEffect, state: str, other: Diagnosis) -> EffectChange:
+    """Return an effect of one record, with the reason why the `other` may lack it."""
+    gone = state == "gone"
+    remark = _reason(e.name, other)
+    return EffectChange(
+        name=e.name,
+        state=state,
+        share=(e.share, None) if gone else (None, e.share),
+        form=(e.variant, "") if gone else ("", e.variant),
+        parameters=(),
+        remark=f"{'after' if gone else 'before'}, {remark}" if remark else "",
+    )
+
+
+def _reason(name: str, other: Diagnosis) -> str:
+    groups = [g for g in other.groups if name in g]
+    partner = next((e.name for e in other.effects for g in groups if e.name in g), None)
     if partner:
-        return f"{when}, the log cannot tell it from {partner}"
-    if name in other.get("not_testable", {}):
-        return f"{when}, not testable: {other['not_testable'][name]}"
-    smaller = next((f for f in other.get("smaller_findings", ()) if f["name"] == name), None)
-    if smaller:
-        return f"{when}, below the threshold: {100 * smaller['shrinkage']:.2g} %"
-    return ""
+        return f"the log cannot tell it from {partner}"
+    if name in other.not_testable:
+        return f"not testable: {other.not_testable[name]}"
+    smaller = next((f for f in other.smaller_findings if f.name == name), None)
+    return f"below the threshold: {100 * smaller.shrinkage:.2g} %" if smaller else ""
 
 
-def _parameters(one: Record, two: Record, count: int) -> tuple[ParameterChange, ...]:
+def _parameters(
+    one: Mapping[str, Estimate], two: Mapping[str, Estimate], count: int
+) -> tuple[ParameterChange, ...]:
     """Compare parameters by name; `count`: how many are compared in all."""
     out = []
     for name in (n for n in one if n in two):
         a, b = one[name], two[name]
         p = None
-        if a["std"] is not None and b["std"] is not None and np.hypot(a["std"], b["std"]) > 0:
-            p = float(erfc(abs(b["value"] - a["value"]) / np.hypot(a["std"], b["std"]) / np.sqrt(2)))
-        significant = None if p is None else p * max(count, 1) < LEVEL
-        out.append(
-            ParameterChange(name, a["unit"], a["value"], a["std"], b["value"], b["std"], p, significant)
-        )
+        if a.std is not None and b.std is not None and np.hypot(a.std, b.std) > 0:
+            p = float(erfc(abs(b.value - a.value) / np.hypot(a.std, b.std) / np.sqrt(2)))
+        significant = None if p is None else p * max(count, 1) < POLICY.changed
+        out.append(ParameterChange(name, a.unit, a.value, a.std, b.value, b.std, p, significant))
     return tuple(out)
 
 
-def _places(one: Sequence[Record], two: Sequence[Record]) -> tuple[PlaceChange, ...]:
-    before, after = ({(s["by"], s["at"]): s for s in r} for r in (one, two))
+def _places(one: Sequence[Statement], two: Sequence[Statement]) -> tuple[PlaceChange, ...]:
+    before, after = ({(s.by, s.at): s for s in statements} for statements in (one, two))
     out = []
     for key in dict.fromkeys((*before, *after)):
         a, b = before.get(key), after.get(key)
-        out.append(
-            PlaceChange(
-                *key,
-                (a["share"] if a else None, b["share"] if b else None),
-                (a["text"] if a else "", b["text"] if b else ""),
-            )
-        )
+        share = (a.share if a else None, b.share if b else None)
+        out.append(PlaceChange(*key, share, (a.text if a else "", b.text if b else "")))
     return tuple(out)
 
 
-def _notes(old: Record, new: Record) -> tuple[str, ...]:
+def _notes(old: Diagnosis, new: Diagnosis) -> tuple[str, ...]:
     notes = []
-    if old.get("threshold") != new.get("threshold"):
+    if old.threshold != new.threshold:
         notes.append(
-            f"The thresholds differ: {100 * old['threshold']:g} % before, {100 * new['threshold']:g} % after."
+            f"The thresholds differ: {100 * old.threshold:g} % before, {100 * new.threshold:g} % after."
         )
-    unit = gap_unit(old["gap_before"]["rmse"])
-    a, b = float(old["metric"]["floor"]), float(new["metric"]["floor"])
-    if not 1 / 1.2 < b / max(a, 1e-300) < 1.2:
+    unit, most = gap_unit(old.gap_before.rmse), POLICY.floors_differ
+    a, b = old.metric.floor, new.metric.floor
+    if not 1 / most < b / max(a, 1e-300) < most:
         notes.append(
-            f"The noise floors differ: {gap_text(a, unit)} before, {gap_text(b, unit)} after; what one log "
-            "shows, the other may hide."
+            f"The noise floors differ: {gap_text(a, unit)} before, {gap_text(b, unit)} after; one log may "
+            "hide what the other shows."
         )
     return tuple(notes)
 
 
-def _sentence(
-    verdict: tuple[str, str],
-    gap: tuple[float, float],
-    floor: tuple[float, float],
-    effects: Sequence[EffectChange],
-    unit: tuple[float, str],
-) -> str:
-    times = tuple(g / max(f, 1e-300) for g, f in zip(gap, floor, strict=True))
-    said = (
-        f"The gap went from {gap_text(gap[0], unit)} ({times[0]:.3g} x the noise floor, {verdict[0]}) to "
-        f"{gap_text(gap[1], unit)} ({times[1]:.3g} x, {verdict[1]})"
-    )
+def _sentence(old: Diagnosis, new: Diagnosis, effects: Sequence[EffectChange]) -> str:
+    unit = gap_unit(old.gap_before.rmse)
+    said = []
+    for d, noun in ((old, " the noise floor"), (new, "")):
+        times = d.metric.before / max(d.metric.floor, 1e-300)
+        said.append(f"{gap_text(d.metric.before, unit)} ({times:.3g} x{noun}, {d.verdict})")
+    text = f"The gap went from {said[0]} to {said[1]}"
     for state, word in (("gone", "gone"), ("came", "new"), ("stays", "still there")):
         names = [e.name for e in effects if e.state == state]
-        said += f"; {word}: {', '.join(names)}" if names else ""
-    return said + "."
+        text += f"; {word}: {', '.join(names)}" if names else ""
+    return text + "."
 
 
 # -- calibrations ------------------------------------------------------------------------------------------
 
 
-def _calibrations(old: Record, new: Record) -> Comparison:
+def _calibrations(old: Calibration, new: Calibration) -> Comparison:
     if old["effects"] != new["effects"]:
         raise InputError(
             f"Calibrations to compare must have the same effects; before has {', '.join(old['effects'])}, "
             f"after {', '.join(new['effects'])}."
         )
     one, two = (
-        {n: p for n, p in r["parameters"].items() if p["determined"] and not p["held"]} for r in (old, new)
+        {
+            n: Estimate(p["value"], p["std"], p["unit"])
+            for n, p in r["parameters"].items()
+            if p["determined"] and not p["held"]
+        }
+        for r in (old, new)
     )
-    changed = _parameters(one, two, sum(n in two for n in one))
+    changed = _parameters(one, two, len(set(one) & set(two)))
     left = sorted((set(old["parameters"]) | set(new["parameters"])) - {c.name for c in changed})
     moved = [c.name for c in changed if c.significant]
     return Comparison(
@@ -289,5 +300,5 @@ def _calibrations(old: Record, new: Record) -> Comparison:
         rmse={},
         effects=(EffectChange(old["model"], "stays", (None, None), ("", ""), changed),),
         where=(),
-        notes=(f"Not compared, undetermined in one or both: {', '.join(left)}.",) if left else (),
+        notes=(f"Not compared, not identifiable in one or both: {', '.join(left)}.",) if left else (),
     )

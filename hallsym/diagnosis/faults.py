@@ -12,10 +12,10 @@ import numpy as np
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.p_values import beyond, statistic_at
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.residuals import pieces
 from hallsym.diagnosis.survey import Survey
-from hallsym.diagnosis.verdict import SURE
 from hallsym.estimation.outliers import residuals
 from hallsym.families.faults import FAULTS
 from hallsym.log import Block, Log
@@ -73,7 +73,7 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     """
 
     def certain(p: float) -> bool:
-        return p * tested < SURE
+        return p * tested < POLICY.certain
 
     out = []
     variance = max(found.variance, 1e-12)

@@ -1,11 +1,61 @@
-"""What a diagnosis says, as data: frozen, and JSON as documented."""
+"""The results of a diagnosis: typed, frozen records, and their JSON as documented in docs/diagnose.md."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
-Gap = Mapping[str, Mapping[str, float]]
-"""`{"rmse": {"x_m": ..}, "peak": {..}}` on the held-out runs."""
+
+@dataclass(frozen=True)
+class Gap:
+    """Errors of the decoded pose on the holdout runs: `rmse` and `peak` by output, SI."""
+
+    rmse: dict[str, float]
+    peak: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """The gap as one number over all outputs [m, or rad where the pose is an angle].
+
+    `before`: of the model; `after`: with the effects that were found; `floor`: of noise alone.
+    """
+
+    before: float
+    after: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """RMSE that noise alone leaves, by output. `source`: "stated", "estimated" or "stated and estimated"."""
+
+    outputs: dict[str, float]
+    source: str
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """How far the gap shrinks with everything that was found.
+
+    `value`: 1 - gap after / gap before; `interval`: its 95 % interval from resampled blocks; `share_closed`:
+    part of the excess above the noise floor that is closed (squares); `parameters_added`: to the model.
+    """
+
+    value: float
+    interval: tuple[float, float]
+    share_closed: float
+    parameters_added: int
+
+
+@dataclass(frozen=True)
+class SmallerFinding:
+    """An effect that is significant and lowers the gap by less than the threshold."""
+
+    name: str
+    shrinkage: float
+    p_value: float
 
 
 @dataclass(frozen=True)
@@ -19,13 +69,14 @@ class Estimate:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect that lowers the gap, with all others of the list in place.
+    """An effect that lowers the gap, with all other effects of the list in place.
 
-    `shrinkage`: 1 - gap with it / gap without it, on the held-out runs, and its 95 % interval from resampled
-    blocks. `share`: part of the gap above the noise floor that it closes. `p_value`: of its absence, honest
-    for correlated residuals and corrected for the size of the catalogue. `cost`: what it adds to the model.
-    `text`: what `--effect` takes to fit it, empty for faults of the recording. `at_bound`: parameters that
-    ended at a bound; they have no uncertainty, and `note` says so. `note` also says what to do about a fault.
+    `shrinkage`: 1 - gap with it / gap without it, on the holdout runs; `interval`: its 95 % interval from
+    resampled blocks. `share`: part of the excess above the noise floor that it closes. `p_value`: of its
+    absence, valid for residuals that are correlated within a run, corrected for everything that was tested.
+    `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
+    `at_bound`: parameters that ended at a bound; they have no uncertainty, and `note` says so. `note` also
+    says what to do about a fault.
     """
 
     name: str
@@ -46,11 +97,12 @@ class FoundEffect:
 class Statement:
     """Where the gap lives: `share` of the excess above the noise floor that goes with `by` (at `at`).
 
-    `share`: 0 to 1, on fitted runs; statements on coordinates count only what those before leave, so that
-    their shares add up to at most 1. `held_out`: the same on held-out runs, with what was fitted on the
-    others; None where it is not asked. `kind`: as of `Share`; of a frequency "mains", "motion" or "band". Of
-    a coordinate: its `unit`, the `period` of ripples or of a place within a period, the `waves` per period
-    and the `sensor` that sees it above all. JSON holds the first six; `text` says the rest.
+    `share`: 0 to 1, on fitted runs; a statement on a coordinate counts only what those before it leave, so
+    the shares of coordinates add up to at most 1. `held_out`: the same on the holdout runs, with the curve
+    fitted on the others; None where it does not apply. `kind`: as of `Share`; of a frequency "mains",
+    "motion" or "band". Of a coordinate, `unit` is its unit, `period` that of ripples or of a place within a
+    period, `waves` the waves per period, `sensor` the channel that sees it above all. JSON holds the first
+    six fields; `text` tells the others in words.
     """
 
     by: str
@@ -67,16 +119,17 @@ class Statement:
 
 
 IN_WORDS = ("kind", "unit", "period", "waves", "sensor")
-"""Fields of a statement that its JSON has in `text` only."""
+"""Fields of a statement that its JSON tells in `text` only."""
 
 
 @dataclass(frozen=True)
 class Share:
-    """What one coordinate, link, output, sensor, frequency or run takes of the excess by itself.
+    """The share of the excess that goes with one coordinate, link, output, sensor, frequency or run alone.
 
     `kind`: "coordinate", "link", "output", "sensor", "frequency" or "run". `share`: 0 to 1 on fitted runs;
-    shares of different rows overlap. None where it cannot be said, then `text` says why. `p_value`: of no
-    such share, all that was tried counted; above 0.01 a share is no evidence. `text`: what it rests on.
+    shares of different rows overlap. It is None where it cannot be told, and `text` says why. `p_value`: of
+    no such share, corrected for all that was tried; above 0.01 a share is no evidence. `text`: what it rests
+    on.
     """
 
     kind: str
@@ -88,14 +141,14 @@ class Share:
 
 @dataclass(frozen=True)
 class Separation:
-    """The recording that would tell the members of a group apart, and by how much.
+    """The recording that would separate the members of a group, and by how much.
 
-    `distance`, `needed`: whitened squared distance between what the members leave on this log, and the one
-    that 5 sigma take; `factor`: how many times larger the difference must be, sqrt(needed / distance).
-    `simulated`: whether `recording` comes from the members' own models; then one such run of `run_s` seconds
-    adds `sigma` standard deviations to the `sigma_now` of this log, and `runs` of them (`seconds` in all)
-    reach 5. `tried`: every simulated recording, with its sigma per run. Where no recording can be simulated,
-    or none separates, `recording` is what the catalogue says.
+    `distance`: whitened squared distance between the residuals of the members on this log; `needed`: the one
+    at 5 sigma; `factor`: how many times larger the difference must be, sqrt(needed / distance). `simulated`:
+    whether `recording` was simulated with the members' models; then one such run of `run_s` seconds adds
+    `sigma` standard deviations to the `sigma_now` of this log, and `runs` of them (`seconds` in all) reach 5.
+    `tried`: every simulated recording, with its sigma per run. Where no recording can be simulated, or none
+    separates, `recording` is the advice of the catalogue.
     """
 
     group: tuple[str, ...]
@@ -114,11 +167,11 @@ class Separation:
 
 @dataclass(frozen=True)
 class Waves:
-    """Amplitude of the wave of error that repeats `per_turn` times per period of a coordinate, over all runs.
+    """Amplitude of the harmonic of the error that repeats `per_turn` times per period of a coordinate. SI.
 
     `designed`: of the nominal sensor, only its zeros fitted; `model`: of the diagnosed model; `after`: with
-    the effects that were found, None where there are none. SI. `causes`: effects of the catalogue that make
-    so many waves. `coordinate`: of a pose of several coordinates, the one that is periodic.
+    the effects that were found, None where there are none. `causes`: effects of the catalogue that make this
+    harmonic. `coordinate`: of a pose of several coordinates, the one that is periodic.
     """
 
     per_turn: int
@@ -130,32 +183,30 @@ class Waves:
 
     @property
     def absorbed(self) -> bool:
-        """Whether the model's own parameters take up most of it, so that no effect can be told from them."""
+        """Whether the model's own parameters absorb most of it, so no effect can be told from them."""
         return self.model < 0.5 * self.designed
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The answer of `diagnose`: verdict, where, which, how far the gap shrinks. SI units throughout.
+    """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
-    `noise_floor`: `{"x_m": .., "source": "stated" or "estimated"}`. `ranked`: names that carry evidence, best
-    first. `groups`: names that this log cannot tell apart. `metric`: the scalar gap metric [m] before,
-    after, and of the floor. `smaller_findings`: significant but not worth the threshold. `remaining`: where
-    what no effect explains lies. `unexplained`: its share of the gap, what it goes with and how, see `shape`;
-    empty unless that is the verdict. `size`: how large the gap is, per output and per sensor, on fitted and
-    on held-out runs, see `size.sizes`. `shares`: what each coordinate, link, output, sensor, frequency and
-    run takes of the excess by itself; empty where noise explains it.
-    `next_step`: what `hallsym fit LOG` takes to fit the model with the effects found; empty without any.
-    `waves`: of each periodic coordinate, its error by waves per period.
+    `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
+    what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
+    "unexplained". `unexplained`: share and shape of that rest, see `curve_data.unexplained`. `size`: the gap
+    per output and sensor, on fitted and on holdout runs, see `gap_size.sizes`. `shares`: what each
+    coordinate, link, output, sensor, frequency and run takes of the excess alone; empty where noise explains
+    it. `waves`: the harmonics of the error over each periodic coordinate. `next_step`: the arguments of
+    `hallsym fit LOG` that fit the model with the effects found; empty without any.
     """
 
     verdict: str
     sentence: str
-    noise_floor: dict[str, Any]
+    noise_floor: NoiseFloor
     gap_before: Gap
     gap_after: Gap
-    metric: dict[str, float]
-    shrinkage: dict[str, Any]
+    metric: Metric
+    shrinkage: Shrinkage
     ranked: tuple[str, ...]
     groups: tuple[tuple[str, ...], ...]
     effects: tuple[FoundEffect, ...]
@@ -164,7 +215,7 @@ class Diagnosis:
     separate_by: tuple[Separation, ...]
     validation_runs: tuple[int, ...]
     not_testable: dict[str, str]
-    smaller_findings: tuple[dict[str, Any], ...]
+    smaller_findings: tuple[SmallerFinding, ...]
     threshold: float
     model: str
     log: dict[str, Any]
@@ -179,14 +230,26 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""
-        record: dict[str, Any] = _plain(asdict(self))
-        for wave in record["waves"]:
+        floor = {**self.noise_floor.outputs, "source": self.noise_floor.source}
+        plain: dict[str, Any] = _plain(asdict(self) | {"noise_floor": floor})
+        for wave in plain["waves"]:
             if not wave["coordinate"]:
                 del wave["coordinate"]
-        for statement in (*record["where"], *record["remaining"]):
+        for statement in (*plain["where"], *plain["remaining"]):
             for name in IN_WORDS:
                 del statement[name]
-        return record
+        return plain
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "Diagnosis":
+        """Return the diagnosis that `to_dict` turned into JSON data.
+
+        Raises `KeyError` or `TypeError` for data that lack an entry or hold something else in its place.
+        """
+        floor = dict(data["noise_floor"])
+        source = floor.pop("source")
+        typed: Diagnosis = _typed(cls, {**data, "noise_floor": {"outputs": floor, "source": source}})
+        return typed
 
 
 def _plain(value: Any) -> Any:
@@ -195,7 +258,22 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
     if isinstance(value, float):
-        return value if value == value and abs(value) != float("inf") else None
+        return value if math.isfinite(value) else None
     if hasattr(value, "item"):
         return _plain(value.item())
+    return value
+
+
+def _typed(kind: Any, value: Any) -> Any:
+    """Return plain JSON data as the annotated type `kind`: a record, a tuple, a dictionary, or a value."""
+    origin, args = get_origin(kind), get_args(kind)
+    if value is None or origin in (Union, UnionType):
+        return value
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return kind(**{f.name: _typed(hints[f.name], value[f.name]) for f in fields(kind) if f.name in value})
+    if origin is tuple:
+        return tuple(_typed(args[0], v) for v in value)
+    if origin is dict:
+        return {k: _typed(args[1], v) for k, v in value.items()}
     return value

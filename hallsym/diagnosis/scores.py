@@ -1,7 +1,8 @@
-"""Which effects are promising: score tests of the whole catalogue from one pass over the log."""
+"""Screening: score tests of the whole catalogue, from one pass over the log."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.diagnosis.p_values import beyond
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.refit import inverse, solve
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import columns_of
@@ -20,14 +22,24 @@ NIL = 1e-9
 """Part of a column's squares below which what is left of it is rounding (products are good to 1e-13)."""
 
 
+class Candidate(NamedTuple):
+    """One variant of an effect on a model: the extended `model` and the names of its `new` parameters."""
+
+    effect: Effect
+    variant: Variant
+    model: Model
+    new: list[str]
+
+
 @dataclass(frozen=True, eq=False)
 class Score:
     """What one variant of an effect would explain, to first order.
 
-    `gain`: decrease of the whitened squares on the fitted runs; `bic`: N log cost plus the price of its
-    parameters; `ratio`: gap metric over that without it, cross-validated within the fitted runs; `p_value`:
-    of the score test across runs, before any correction for what else was tried. `absorbed`: the model's own
-    parameters hide it. `place`: of the effect in the catalogue, the usual causes first.
+    `gain`: decrease of the whitened squares on the fitted runs. `size`: parameters added, searched numbers
+    included. `bic`: Bayesian information criterion with the effect. `ratio`: gap metric over that without the
+    effect, cross-validated within the fitted runs. `p_value`: of the score test across runs, not corrected.
+    `absorbed`: the model's own parameters can do the same. `place`: of the effect in the catalogue, usual
+    causes first.
     """
 
     effect: Effect
@@ -56,31 +68,34 @@ class Trouble:
 
 def candidates(
     base: Base, catalogue: Sequence[Effect], facts: Facts
-) -> tuple[dict[str, tuple[Effect, Variant, Model, list[str]]], list[Trouble]]:
+) -> tuple[dict[str, Candidate], list[Trouble]]:
     """Return every variant of every effect that this log can show, and the effects that it cannot."""
-    out: dict[str, tuple[Effect, Variant, Model, list[str]]] = {}
+    out: dict[str, Candidate] = {}
     trouble = []
     for effect in catalogue:
-        missing = [c for c in effect.needs if c not in facts.columns]
-        if missing:
-            what = "time" if missing[0] == "t_s" else missing[0].rsplit("_", 1)[0]
-            trouble.append(Trouble(effect.name, f"no {what} logged"))
-            continue
         if effect.name in base.model.effects:
             continue
         try:
-            variants = effect.variants(base.model, facts)
-            for variant in variants:
-                wide, new = _extended(base.model, effect, variant)
-                lacking = _lacking(wide, facts)
-                if lacking:
-                    raise InputError(f"no {lacking} logged")
-                out[f"{effect.name}|{variant.label}"] = (effect, variant, wide, new)
+            for candidate in _variants(base.model, effect, facts):
+                out[f"{effect.name}|{candidate.variant.label}"] = candidate
         except InputError as error:
             trouble.append(Trouble(effect.name, str(error)))
         except Exception as error:  # a user's effect may raise anything: the others still run
             trouble.append(Trouble(effect.name, f"raised {type(error).__name__}: {error}"))
     return out, trouble
+
+
+def _variants(model: Model, effect: Effect, facts: Facts) -> Iterator[Candidate]:
+    missing = [c for c in effect.needs if c not in facts.columns]
+    if missing:
+        what = "time" if missing[0] == "t_s" else missing[0].rsplit("_", 1)[0]
+        raise InputError(f"no {what} logged")
+    for variant in effect.variants(model, facts):
+        wide, new = _extended(model, effect, variant)
+        lacking = _lacking(wide, facts)
+        if lacking:
+            raise InputError(f"no {lacking} logged")
+        yield Candidate(effect, variant, wide, new)
 
 
 def _lacking(model: Model, facts: Facts) -> str | None:
@@ -103,50 +118,47 @@ def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, li
 
 
 def scores(
-    base: Base,
-    tried: dict[str, tuple[Effect, Variant, Model, list[str]]],
-    runs: Sequence[int],
-    inflation: float,
+    base: Base, tried: dict[str, Candidate], runs: Sequence[int], inflation: float = POLICY.inflation
 ) -> tuple[list[Score], NormalEquations]:
-    """Score every candidate on `runs`; best first (by BIC), one pass over the log."""
-    t = normal_equations(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
-    tried = {key: entry for key, entry in tried.items() if key not in t.spoiled}
-    units, K = t.units(runs), len(base.model.channels)
-    folds = [units[k::FOLDS] for k in range(min(FOLDS, len(units)))]
-    sums = [t.likelihood[f].sum(axis=0) for f in folds]
-    total = _Split(np.sum(sums, axis=0), t.span[""].stop)
-    N = float(t.count[units].sum()) * K
-    start = total.square
-    parts = [
-        (_Split(total.M - own, t.span[""].stop), t.output[f].sum(axis=0), own)
-        for f, own in zip(folds, sums, strict=True)
+    """Score every candidate on `runs`, best first (by BIC), in one pass over the log."""
+    t = normal_equations(base, {key: (c.model, c.new) for key, c in tried.items()})
+    units = t.units(runs)
+    groups = [units[k::FOLDS] for k in range(min(FOLDS, len(units)))]
+    sums = [t.likelihood[g].sum(axis=0) for g in groups]
+    own = t.span[""].stop
+    total = _Split(np.sum(sums, axis=0), own)
+    folds = [
+        _Fold(_Split(total.M - left_out, own), t.output[g].sum(axis=0), left_out)
+        for g, left_out in zip(groups, sums, strict=True)
     ]
-    plain = sum(train.tested(output, NONE)[-1, -1] for train, output, _ in parts)
+    plain = sum(f.train.tested(f.output, NONE)[-1, -1] for f in folds)
+    N = float(t.count[units].sum()) * len(base.model.channels)
+    places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
     out = []
-    places = {name: k for k, name in enumerate(dict.fromkeys(e.name for e, *_ in tried.values()))}
-    for key, (effect, variant, model, new) in tried.items():
+    for key, c in tried.items():
+        if key in t.spoiled:
+            continue
         at = np.arange(t.span[key].start, t.span[key].stop)
-        own = total.of(at)
-        raw, left = np.diag(total.M)[at], np.diag(own)[:-1]
-        absorbed = bool(np.all(left <= NIL * np.maximum(raw, 1e-300)))
-        lower, upper = (b[[model.names.index(n) for n in new]] for b in model.bounds)
-        v = np.append(-np.clip(total.solved(at, raw), lower, upper), 1.0)
-        cost = float(v @ own @ v)
-        gain = max(start - cost, 0.0)
-        size = len(new) + variant.shapes
-        ratio, p = _cross_validated(parts, at, raw, lower, upper, plain, -v[:-1])
+        products = total.of(at)
+        raw, left = np.diag(total.M)[at], np.diag(products)[:-1]
+        lower, upper = (b[[c.model.names.index(n) for n in c.new]] for b in c.model.bounds)
+        best = np.clip(total.solved(at, raw), lower, upper)
+        v = np.append(-best, 1.0)
+        cost = float(v @ products @ v)
+        ratio, p = _cross_validated(folds, at, raw, (lower, upper), plain, best)
+        size = len(c.new) + c.variant.shapes
         out.append(
             Score(
-                effect,
-                variant,
-                model,
-                gain,
-                size,
-                bic(cost, N / inflation, size, N),
-                ratio,
-                p,
-                absorbed,
-                places[effect.name],
+                effect=c.effect,
+                variant=c.variant,
+                model=c.model,
+                gain=max(total.square - cost, 0.0),
+                size=size,
+                bic=bic(cost, N / inflation, size, N),
+                ratio=ratio,
+                p_value=p,
+                absorbed=bool(np.all(left <= NIL * np.maximum(raw, 1e-300))),
+                place=places[c.effect.name],
             )
         )
     return sorted(out, key=lambda s: s.bic), t
@@ -156,7 +168,7 @@ NONE = np.zeros(0, dtype=int)
 
 
 class _Split:
-    """Products over some units with the model's own parameters taken out of what is asked for."""
+    """Products over some units, the model's own parameters projected out of the columns asked for."""
 
     def __init__(self, products: np.ndarray, parameters: int) -> None:
         self.M = products
@@ -174,7 +186,7 @@ class _Split:
         return self.M[pick[:, None], pick] - self.M[pick, : self.own] @ self.through[:, pick]
 
     def solved(self, at: np.ndarray, raw: np.ndarray) -> np.ndarray:
-        """Return coefficients of the columns `at`; 0 where next to nothing of their squares `raw` is left."""
+        """Return the coefficients of the columns `at`, 0 where the model absorbs their squares `raw`."""
         own = self.of(at)
         seen = np.flatnonzero(np.diag(own)[:-1] > NIL * np.maximum(raw, 1e-300))
         pick = np.append(seen, len(at))
@@ -183,35 +195,43 @@ class _Split:
         return out
 
     def tested(self, M: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Return products of other units with what was taken out as these units say."""
+        """Return the products of other units, with the projection that these units give."""
         pick = np.append(at, len(self.M) - 1)
         P = self.through[:, pick]
         across = M[pick, : self.own] @ P
         return M[pick[:, None], pick] - across - across.T + P.T @ M[: self.own, : self.own] @ P
 
 
+class _Fold(NamedTuple):
+    """A group of runs left out: products of the others, and of its own in the output and the likelihood."""
+
+    train: _Split
+    output: np.ndarray
+    likelihood: np.ndarray
+
+
 def bic(cost: float, effective: float, size: int, N: float) -> float:
-    """Return the Bayesian information criterion of squares over N numbers, `effective` of them free."""
+    """Return the Bayesian information criterion of squares over N numbers, `effective` independent."""
     return float(effective * np.log(max(cost, 1e-300) / N) + size * np.log(max(effective, 2.0)))
 
 
 def _cross_validated(
-    parts: list[tuple[_Split, np.ndarray, np.ndarray]],
+    folds: list[_Fold],
     at: np.ndarray,
     raw: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
     plain: float,
     best: np.ndarray,
 ) -> tuple[float, float]:
-    """Gap metric over that without the effect, and the significance of its score, both across runs.
+    """Return the gap metric over that without the effect, and the p-value of its score, both across runs.
 
-    The score of each fold is taken along what the other folds say, so under no effect its mean is 0. Tested
-    against how what the effect leaves scatters between folds of runs, whatever happens within a run.
+    The coefficients come from the other folds, so without an effect the score of a fold has mean 0. Its
+    scatter is that of the residual with the effect fitted (`best`), from fold to fold: it holds for noise
+    that is correlated within a run.
     """
     total, scores, noise = 0.0, [], []
-    for train, output, likelihood in parts:
-        theta = np.clip(train.solved(at, raw), lower, upper)
+    for train, output, likelihood in folds:
+        theta = np.clip(train.solved(at, raw), *bounds)
         v = np.append(-theta, 1.0)
         total += float(v @ train.tested(output, at) @ v)
         M = train.tested(likelihood, at)

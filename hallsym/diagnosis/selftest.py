@@ -1,8 +1,8 @@
 """What a diagnosis of this log can find: known effects injected into its own motion, diagnosed blind.
 
-The fitted model is the machine, the recorded motion is the truth, the noise looks like the residuals. Each
-effect of the catalogue and each fault of samples is given sizes whose noise-free gap is so many times the
-noise floor, and the simulated log is diagnosed as the real one would be.
+The fitted model is the simulated machine, the recorded motion its motion, and the noise is drawn from a model
+of the residuals. Each effect of the catalogue and each fault of samples is injected at sizes whose noise-free
+gap is a given multiple of the noise floor, and each simulated log is diagnosed as the real one would be.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,16 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis import engine
-from hallsym.diagnosis.decimation import decimated
 from hallsym.diagnosis.effect import Effect
-from hallsym.diagnosis.engine import diagnose
-from hallsym.diagnosis.injection import Injection, Sized, generator, injections, sized
-from hallsym.diagnosis.noise_model import ResidualNoise, residual_noise
-from hallsym.diagnosis.record import Diagnosis
-from hallsym.diagnosis.search import base_of, facts_of, floor_of
-from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of
-from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.engine import prepare
+from hallsym.diagnosis.trials import NO_EFFECT, Bench, Trial, run_trials
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
 from hallsym.families.faults import FAULTS
@@ -31,35 +24,14 @@ from hallsym.model import Model
 RATIOS = (1.07, 1.3, 2.0)
 """Gap over noise floor of the sizes that are tried: at the threshold, clear, dominant."""
 ROWS = 8000
-"""Samples to which a log is thinned if it still shows the same."""
-NONE = "no effect"
+"""Samples to which a log is decimated if it still shows the same."""
 HITS = ("found", "group")
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One injection and what the blind diagnosis said.
-
-    `ratio`: gap over noise floor that was asked for, None where nothing can be scaled; `gap_m`: noise-free
-    gap metric that was reached. `size`: parameter -> (value in SI, unit). `outcome`: "found" (named first),
-    "group" (in one group with the first), "listed" (named, not first), "other", "unexplained", "no gap", or
-    "refused" (the diagnosis would not take the log).
-    """
-
-    name: str
-    ratio: float | None
-    repeat: int
-    gap_m: float
-    size: dict[str, tuple[float, str]]
-    outcome: str
-    verdict: str
-    named: tuple[str, ...]
-    seconds: float
+"""Outcomes of a trial in which the injected effect was found."""
 
 
 @dataclass(frozen=True)
 class Findable:
-    """What the trials say of one effect.
+    """The result of the trials of one effect.
 
     `status`: "found" (from `ratio` on, in every trial), "not found", "not testable" (`reason` says why) or
     "not run". `gap_m` and `size` are those of `ratio`; `confused_with`: named beside or instead of it.
@@ -129,37 +101,34 @@ def selftest(
     drop_bad: bool = False,
     on_progress: Callable[[str], None] | None = None,
 ) -> SelfTest:
-    """Say which effects a diagnosis of `log` would find, and from which size on.
+    """Return which effects a diagnosis of `log` would find, and from which size on.
 
     `names`: effects and faults to try (default: all). `ratios`: gap over noise floor of the sizes, above 1.
-    `repeats`: trials of each size, with other signs, instants and noise. `rows`: samples to thin the log to.
-    `model`, `holdout`, `effects`, `threshold` as in `diagnose`. A keyboard interrupt ends it early: what was
-    done is returned with `complete` False.
+    `repeats`: trials of each size, with other signs, instants and noise. `rows`: samples to decimate the log
+    to. `model`, `holdout`, `effects`, `threshold` as in `diagnose`. A keyboard interrupt ends it early: what
+    was done is returned with `complete` False.
 
     Raises `InputError` for an unknown name, a ratio not above 1, and wherever `diagnose` does.
     """
-    began, say = perf_counter(), on_progress or (lambda _: None)
-    model = engine._built(log, model)
-    catalogue = (*model.family.catalogue, *effects)
-    wanted = _wanted(names, catalogue)
+    began = perf_counter()
     ratios = _ratios(ratios)
-    if repeats < 1:
-        raise InputError(f"Input repeats of the self-test must be 1 or more; instead received {repeats}.")
-    if rows < 1:
-        raise InputError(f"Input rows of the self-test must be 1 or more; instead received {rows}.")
-    log, pieces = engine._pieces(log, model) if holdout is None else (log, None)
-    apart, level = pieces or engine._holdout(log, holdout), engine._threshold(log, threshold)
-    say("fitting the model")
-    log, result = engine._fitted(log, model, apart, drop_bad, say)
-    bench = _Bench(log, result, apart, level, tuple(effects), catalogue, seed, rows, say)
-    trials, complete = _run(bench, wanted, ratios, repeats)
-    quiet = tuple(t for t in trials if t.name == NONE)
+    for name, value in (("repeats", repeats), ("rows", rows)):
+        if value < 1:
+            raise InputError(f"Input {name} of the self-test must be 1 or more; instead received {value}.")
+    setup = prepare(
+        log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
+        on_progress=on_progress,
+    )  # fmt: skip
+    wanted = _wanted(names, setup.catalogue)
+    bench = Bench(setup, tuple(effects), seed, rows)
+    trials, complete = run_trials(bench, wanted, ratios, repeats)
+    quiet = tuple(t for t in trials if t.name == NO_EFFECT)
     return SelfTest(
-        effects=tuple(_findable(bench, name, trials, ratios, repeats) for name in wanted if name != NONE),
+        effects=tuple(_findable(bench, name, trials) for name in wanted),
         false_alarms=sum(t.verdict != "no gap" for t in quiet),
         quiet_trials=quiet,
         floor_m=bench.truth.floor_m,
-        threshold=level,
+        threshold=setup.threshold,
         ratios=ratios,
         repeats=repeats,
         seed=seed,
@@ -169,30 +138,36 @@ def selftest(
             "correlation_lag_one": bench.noise.lag_one,
             "residual_variance_over_stated": bench.noise.excess,
         },
-        thinning=bench.thinning,
+        thinning=bench.decimation,
         rows=bench.truth.clean.shape[1],
-        model=result.model.name,
-        outputs=result.model.pose,
-        log={**result.log, "holdout": list(apart)},
+        model=setup.fit.model.name,
+        outputs=setup.fit.model.pose,
+        log={**setup.fit.log, "holdout": list(setup.holdout)},
         complete=complete,
-        notes=tuple(dict.fromkeys((*bench.notes, *result.notes))),
+        notes=tuple(dict.fromkeys((NOT_TESTED, *setup.fit.notes))),
         seconds=perf_counter() - began,
     )
 
 
+NOT_TESTED = (
+    "The fitted model is the simulated machine and the recorded motion its motion: a gap that this log has "
+    "is not part of the test."
+)
+
+
 def _wanted(names: Sequence[str] | None, catalogue: Sequence[Effect]) -> tuple[str, ...]:
-    known = [NONE, *dict.fromkeys(e.name for e in catalogue), *FAULTS]
+    known = list(dict.fromkeys((*(e.name for e in catalogue), *FAULTS)))
     if names is None:
         return tuple(known)
     if not names:
         raise InputError("Effects to test must be at least one name; none was given.")
     for name in names:
-        if name not in known[1:]:
+        if name not in known:
             raise InputError(
-                f"Effect to test must be one of {', '.join(known[1:])}; instead received {name!r}"
-                f"{nearest(name, known[1:])}."
+                f"Effect to test must be one of {', '.join(known)}; instead received {name!r}"
+                f"{nearest(name, known)}."
             )
-    return (NONE, *dict.fromkeys(names))
+    return tuple(dict.fromkeys(names))
 
 
 def _ratios(ratios: Sequence[float]) -> tuple[float, ...]:
@@ -204,148 +179,26 @@ def _ratios(ratios: Sequence[float]) -> tuple[float, ...]:
     return tuple(sorted(set(ratios)))
 
 
-# -- the trials --------------------------------------------------------------------------------------------
-
-
-class _Bench:
-    """What all trials share: the machine, its noise, and how a simulated log is diagnosed."""
-
-    def __init__(
-        self,
-        log: Log,
-        result: Fit,
-        apart: tuple[int, ...],
-        level: float,
-        own: tuple[Effect, ...],
-        catalogue: tuple[Effect, ...],
-        seed: int,
-        rows: int,
-        say: Callable[[str], None],
-    ) -> None:
-        self.model, self.apart, self.level, self.own = result.model, apart, level, own
-        self.catalogue, self.seed, self.say = catalogue, seed, say
-        base = base_of(log, result)
-        base = replace(base, model=base.model.family.direct(base.model))
-        say("thinning the log")
-        short = decimated(base, rows)
-        base = replace(base, log=short.log, keep=None)
-        self.truth: SimulatedMachine = machine_of(base, floor_of(result, base.pose_weights).metric)
-        self.thinning = short.text
-        say("learning the noise")
-        facts = facts_of(base, survey(base, frozenset(self.truth.runs)))
-        self.noise: ResidualNoise = residual_noise(base, catalogue, facts)
-        self.reasons: dict[str, str] = {}
-        self.forms: dict[str, str] = {}
-        self.notes = [
-            "The fitted model is the machine and the recorded motion is the truth: a gap that this log has "
-            "is not part of the test."
-        ]
-
-    def injections(self, repeat: int) -> list[Injection]:
-        """Return what can be injected, drawn anew for each repeat."""
-        found, reasons = injections(
-            self.truth, self.catalogue, lambda name: generator(self.seed, "draw", name, repeat)
-        )
-        self.reasons |= reasons
-        self.forms = {i.name: i.form for i in found}
-        return found
-
-    def trial(self, injection: Injection | None, ratio: float | None, repeat: int) -> Trial | str:
-        """Inject, diagnose blind, and say what came out; the reason where nothing can be injected."""
-        began, truth = perf_counter(), self.truth
-        name = injection.name if injection else NONE
-        size = sized(truth, injection, ratio) if injection and injection.sized and ratio else Sized(1.0, 0.0)
-        if size.reason:
-            return size.reason
-        noise = self.noise.draw(truth.columns["run"], generator(self.seed, "noise", name, str(ratio), repeat))
-        readings = injection.make(size.amount, noise) if injection else truth.clean + noise
-        outcome, verdict, named = self.diagnosed(truth.log(readings), name)
-        return Trial(
-            name, ratio if injection and injection.sized else None, repeat, size.gap_m,
-            injection.size(size.amount) if injection else {}, outcome, verdict, named,
-            perf_counter() - began,
-        )  # fmt: skip
-
-    def diagnosed(self, log: Log, name: str) -> tuple[str, str, tuple[str, ...]]:
-        """Diagnose a simulated log; returns outcome, verdict and names."""
-        try:
-            found = diagnose(log, self.model, holdout=self.apart, effects=self.own, threshold=self.level)
-        except InputError:
-            return "refused", "refused", ()
-        outcome, named = _outcome(found, name)
-        return outcome, found.verdict, named
-
-
-def _outcome(found: Diagnosis, name: str) -> tuple[str, tuple[str, ...]]:
-    """Outcome, and the names that were given: those of the first group, or the first."""
-    ranked = found.ranked
-    if found.verdict == "no gap":
-        return "no gap", ()
-    if not ranked or not found.effects:
-        return "unexplained", ()
-    group = next((tuple(g) for g in found.groups if ranked[0] in g), (ranked[0],))
-    if ranked[0] == name:
-        return "found", group
-    if name in group:
-        return "group", group
-    return ("listed" if name in [e.name for e in found.effects] else "other"), group
-
-
-def _run(
-    bench: _Bench, wanted: Sequence[str], ratios: Sequence[float], repeats: int
-) -> tuple[list[Trial], bool]:
-    """Run all trials; an interrupt ends it, with what was done."""
-    out: list[Trial] = []
-    quiet = [(None, r, k) for k in range(repeats) for r in ratios]
-    try:
-        for injection, ratio, repeat in quiet:
-            bench.say(f"{NONE}, trial {len(out) + 1} of {len(quiet)}")
-            made = bench.trial(injection, ratio, repeat)
-            out += [made] if isinstance(made, Trial) else []
-        began = perf_counter()
-        for repeat in range(repeats):
-            queue = [i for i in bench.injections(repeat) if i.name in wanted]
-            for k, injection in enumerate(queue):
-                left = _left(perf_counter() - began, repeat * len(queue) + k, repeats * len(queue))
-                for ratio in ratios if injection.sized else ratios[:1]:
-                    bench.say(f"{injection.name} at {ratio:g} x the noise floor{left}")
-                    made = bench.trial(injection, ratio, repeat)
-                    if isinstance(made, Trial):
-                        out.append(made)
-                    else:
-                        bench.reasons.setdefault(injection.name, made)
-                        break
-    except KeyboardInterrupt:
-        return out, False
-    return out, True
-
-
-def _left(seconds: float, done: int, total: int) -> str:
-    if not done:
-        return ""
-    minutes = seconds / done * (total - done) / 60
-    return f", {done} of {total} effects done, about {minutes:.1f} min left"
-
-
-def _findable(
-    bench: _Bench, name: str, trials: Sequence[Trial], ratios: Sequence[float], repeats: int
-) -> Findable:
-    effect = next((e for e in bench.catalogue if e.name == name), None)
-    link = (effect or FAULTS[name]).link
+def _findable(bench: Bench, name: str, trials: Sequence[Trial]) -> Findable:
+    """Return the result of one effect: found from the smallest size on above which every trial finds it."""
+    effect = next((e for e in bench.setup.catalogue if e.name == name), None)
     own = tuple(t for t in trials if t.name == name)
-    form = bench.forms.get(name, "")
-    if not own:
-        reason = bench.reasons.get(name, "")
-        return Findable(name, link, "not testable" if reason else "not run", reason, form)
-    others = tuple(dict.fromkeys(n for t in own for n in t.named if n != name))
-    asked = list(dict.fromkeys(t.ratio for t in own))
-    good: list[float | None] = []
-    for ratio in reversed(asked):
-        if not all(t.outcome in HITS for t in own if t.ratio == ratio):
-            break
-        good.append(ratio)
     reason = bench.reasons.get(name, "")
-    if not good:
-        return Findable(name, link, "not found", reason, form, confused_with=others, trials=own)
-    least = next(t for t in own if t.ratio == good[-1])
-    return Findable(name, link, "found", reason, form, good[-1], least.gap_m, least.size, others, own)
+    row = Findable(
+        name,
+        (effect or FAULTS[name]).link,
+        "not found" if own else "not testable" if reason else "not run",
+        reason,
+        bench.forms.get(name, ""),
+        confused_with=tuple(dict.fromkeys(n for t in own for n in t.named if n != name)),
+        trials=own,
+    )
+    least: Trial | None = None
+    for ratio in reversed(list(dict.fromkeys(t.ratio for t in own))):
+        at = [t for t in own if t.ratio == ratio]
+        if not all(t.outcome in HITS for t in at):
+            break
+        least = at[0]
+    if least is None:
+        return row
+    return replace(row, status="found", ratio=least.ratio, gap_m=least.gap_m, size=least.size)

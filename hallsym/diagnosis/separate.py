@@ -1,7 +1,8 @@
-"""The recording that would tell apart what this log cannot, simulated from the members' own fitted models.
+"""The recording that would separate confusable effects, simulated from the members' own fitted models.
 
-Of every pair of a group one member records (without noise) what could be moved next; the other is fitted to
-that and to the log at once. What it cannot follow, whitened, is how far the recording tells them apart.
+Of every pair of a group, one member generates the readings of each possible recording, without noise; the
+other is fitted to these and to the log at once. The whitened residual of that fit is how far the recording
+tells the two apart.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ import numpy as np
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.normal_equations import normal_equations
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Separation
 from hallsym.diagnosis.recordings import BETWEEN, Range, Recording, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inverse
@@ -21,29 +23,32 @@ from hallsym.log import Log
 from hallsym.log.derived import extended
 from hallsym.model.arrays import on_arrays
 
-SIGMAS = 5.0
-"""Standard deviations at which two members count as told apart."""
-MOST = 100
-"""Runs above which a recording is not worth proposing."""
-NEARLY = 0.7
-"""Of recordings that separate at least this well beside the best one the plainest is proposed."""
-
 
 def separation(
-    names: Sequence[str], fits: Sequence[Refitted], distance: float, variance: float, prose: str
+    names: Sequence[str],
+    fits: Sequence[Refitted],
+    distance: float,
+    variance: float,
+    advice: str,
+    policy: Policy = POLICY,
 ) -> Separation:
-    """Return what would separate the members of a group.
+    """Return the recording that would separate the members of a group.
 
-    `fits`: the members, each fitted on the log. `distance`: whitened squared distance between what they
-    leave on it. `variance`: of a slow average of the whitened residual (noise times inflation), by which
-    squared distances are divided to count in sigma. `prose`: what the catalogue says, for what cannot be
-    simulated or is not separated by any of the recordings.
+    `fits`: the members, each fitted on the log. `distance`: whitened squared distance between what they leave
+    on it. `variance`: of a slow average of the whitened residual (noise times inflation), by which squared
+    distances are divided to count in sigma. `advice`: of the catalogue, for effects that cannot be simulated
+    or are not separated by any of the recordings. Of the recordings that separate nearly as well as the best
+    one, the plainest is proposed.
     """
-    needed = SIGMAS**2 * variance
+    needed = policy.separated**2 * variance
     plain = Separation(
-        tuple(names), prose, distance, needed, float((needed / max(distance, 1e-12)) ** 0.5),
+        group=tuple(names),
+        recording=advice,
+        distance=distance,
+        needed=needed,
+        factor=float((needed / max(distance, 1e-12)) ** 0.5),
         sigma_now=float((distance / variance) ** 0.5),
-    )  # fmt: skip
+    )
     if not fits[0].base.timed:
         return plain  # no clock, no motion to propose
     try:
@@ -51,22 +56,26 @@ def separation(
     except (InputError, KeyError, ValueError, np.linalg.LinAlgError):
         return plain
     sigma = np.sqrt(squared / variance)
-    record = {r.text: float(s) for r, s in zip(tried, sigma, strict=True)}
-    best = int(np.argmax(sigma >= NEARLY * sigma.max()))
+    plain = replace(plain, tried={r.text: float(s) for r, s in zip(tried, sigma, strict=True)})
+    best = int(np.argmax(sigma >= policy.nearly_best * sigma.max()))
     gain = float(squared[best])
-    runs = int(np.ceil(max(needed - distance, 0.0) / gain)) if gain > 0 else MOST + 1
-    if runs > MOST:
-        return replace(plain, tried=record)
+    runs = max(int(np.ceil(max(needed - distance, 0.0) / gain)), 1) if gain > 0 else policy.most_runs + 1
+    if runs > policy.most_runs:
+        return plain
     each = tried[best].run.duration_s
-    runs = max(runs, 1)
     return replace(
-        plain, recording=tried[best].text, simulated=True, sigma=float(sigma[best]), run_s=each, runs=runs,
-        seconds=runs * each, tried=record,
-    )  # fmt: skip
+        plain,
+        recording=tried[best].text,
+        simulated=True,
+        sigma=float(sigma[best]),
+        run_s=each,
+        runs=runs,
+        seconds=runs * each,
+    )
 
 
 def simulated(fits: Sequence[Refitted]) -> tuple[list[Recording], np.ndarray]:
-    """Return recordings and the whitened squared distance that one run of each adds, for the closest pair."""
+    """Return recordings, and the whitened squared distance that a run of each adds for the closest pair."""
     span = range_of(fits[0].base)
     tried = recordings(span)
     least = np.full(len(tried), np.inf)
@@ -78,7 +87,7 @@ def simulated(fits: Sequence[Refitted]) -> tuple[list[Recording], np.ndarray]:
 
 
 def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> np.ndarray:
-    """Distance that b keeps from what a records, b refitted to the log and the run at once."""
+    """Return the squared distance of b from the readings of a, b refitted to the log and the run at once."""
     log = recorded(span, tried, a.base)
     n = len(b.base.free)
     known = b.tangents.likelihood[b.fitted].sum(axis=0)[:n, :n]
@@ -93,7 +102,7 @@ def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> 
 
 
 def recorded(span: Range, tried: Sequence[Recording], base: Base) -> Log:
-    """Log of what `base` reads in each recording, without noise.
+    """Return the log of what `base` reads in each recording, without noise.
 
     The clock goes on where the log ended: a stub at its start keeps the origin of campaign time.
     """

@@ -72,7 +72,7 @@ class Survey:
     delay, `smooth` the correlation of neighbouring time shifts (0 for jitter), `bursts` the share of spikes
     and stale samples that are within one of many, `quiet` the whitened variance of all others. `adc_step`:
     (K,) step seen, 0 for none, among `values`, different readings of each channel (20 000 or little more).
-    `lines_hz`: mains lines; `line_power`: their share of the residual's power.
+    `lines_hz`: mains lines.
     """
 
     step_s: float = 0.0
@@ -96,7 +96,6 @@ class Survey:
     adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
     values: tuple[np.ndarray, ...] = ()
     lines_hz: tuple[float, ...] = ()
-    line_power: float = 0.0
     spike_p: float = 1.0
     stale_p: float = 1.0
     jitter_p: float = 1.0

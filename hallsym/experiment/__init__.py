@@ -13,12 +13,14 @@ from hallsym.experiment.exchange import choose, exchange, greedy
 from hallsym.experiment.information import Worst, planned_cost
 from hallsym.experiment.ranges import Ranges, paper_ranges, read_ranges
 from hallsym.experiment.relaxed import relax
+from hallsym.experiment.study import Outcome
 
 __all__ = [
     "CRITERIA",
     "Candidate",
     "Comparison",
     "Criterion",
+    "Outcome",
     "Plan",
     "Ranges",
     "Worst",

@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.estimation import noise_of
-from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.likelihood import cost_of
-from hallsym.estimation.run_statistics import summarise
+from hallsym.estimation import columns_of, cost_of, noise_of, summarise
 from hallsym.experiment.comparison import Comparison, compare
 from hallsym.experiment.criteria import CRITERIA
 from hallsym.experiment.information import Worst
 from hallsym.experiment.ranges import Ranges
 from hallsym.experiment.study import Choice, Study, study
 from hallsym.families import build, default_model
-from hallsym.log import Log, Meta, Noise, check_log
-from hallsym.log.noise import check_noise_keys
+from hallsym.log import Log, Meta, Noise, check_log, check_noise_keys
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.simulation import Campaign

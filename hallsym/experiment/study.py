@@ -10,7 +10,7 @@ from hallsym.errors import InputError
 from hallsym.experiment.candidates import Candidate, candidates
 from hallsym.experiment.criteria import Criterion, criterion
 from hallsym.experiment.exchange import choose, greedy
-from hallsym.experiment.information import Directions, directions, planned_cost, quantities
+from hallsym.experiment.information import Directions, Worst, directions, planned_cost, quantities
 from hallsym.experiment.ranges import Ranges, corners
 from hallsym.experiment.relaxed import Relaxed, relax
 from hallsym.model import Model
@@ -41,6 +41,21 @@ class Choice:
     def efficiency(self) -> float:
         """Share of the bound that is reached; the best plan's own share may be below 1."""
         return self.value / self.bound
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What recorded information determines.
+
+    `value`: the criterion. `std`: (q,) standard uncertainties of the study's `names`, `position`: (n_pose,)
+    worst one over the workspace that the parameters leave in the decoded position, SI. `worst`: the
+    worst-determined combination.
+    """
+
+    value: float
+    std: np.ndarray
+    position: np.ndarray
+    worst: Worst
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +133,15 @@ class Study:
             if self.determined(self.known + np.tensordot(counts, self.infos, axes=1)):
                 return n
         raise InputError(f"Even {MOST_RUNS} runs within these ranges do not determine {self.model.name}.")
+
+    def outcome(self, information: np.ndarray) -> Outcome:
+        """Return what information (m, m) that determines every direction gives."""
+        return Outcome(
+            self.value(information),
+            self.std(information),
+            self.position(information),
+            self.directions.worst(information),
+        )
 
     def std(self, information: np.ndarray) -> np.ndarray:
         """Return the standard uncertainties of `names`, (q,), SI."""

@@ -1,6 +1,6 @@
 """What every text is made of: aligned tables, values with their uncertainty, rows of errors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -37,12 +37,14 @@ def error_rows(
     rows: Mapping[str, Mapping[str, Mapping[str, float]] | None],
     floor: Mapping[str, float] | None,
     source: str = "",
+    turning: Collection[str] | None = None,
 ) -> str:
     """Return a table of rmse and peak per pose coordinate, one line per entry of `rows`.
 
-    `source`: whether the noise floor is stated or estimated, where that is to be said.
+    `source`: whether the noise floor is stated or estimated, where that is to be said. `turning`: coordinates
+    that go round, see `hallsym.units.readable`.
     """
-    shown = [readable(c) for c in pose]
+    shown = [readable(c, turning) for c in pose]
     head = ["errors", *(f"{what} {name} [{unit}]" for what in ("rmse", "peak") for _, unit, name in shown)]
     body = [
         [

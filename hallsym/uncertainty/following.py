@@ -23,7 +23,7 @@ from hallsym.uncertainty.settings import Settings
 PLACES = 501
 """Places along a curve at which the uncertainty is worked out, evenly over its parameter."""
 TOP, ALIKE = 0.1, 0.01
-"""The worst part of a path: where U is in the upper tenth of its range; none if it varies by less than 1 %."""
+"""The worst part of a path: where U is in the upper tenth of its range; none if it varies by under 1 %."""
 SOURCE = "curve"
 
 

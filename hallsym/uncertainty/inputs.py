@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.influence import influence

@@ -13,8 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import decoder
+from hallsym.estimation import Fit, decoder
 from hallsym.model.arrays import on_arrays
 from hallsym.uncertainty.gum import Budget
 from hallsym.uncertainty.inputs import (

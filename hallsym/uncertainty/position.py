@@ -12,10 +12,9 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError, nearest
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.estimation.covariance import FEW_RUNS
-from hallsym.log import Log
-from hallsym.log.batches import batches
+from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.uncertainty.gum import Budget, Source
@@ -205,11 +204,25 @@ class UncertaintyMap:
     turning: Collection[str] = ()
 
     def worst(self, coordinate: str) -> tuple[dict[str, float], float]:
-        """Return where a coordinate is known worst, and its U there."""
+        """Return where the uncertainty of a coordinate is largest, and its U there."""
         grid = self.expanded[self.pose.index(coordinate)]
         spot = np.unravel_index(int(np.argmax(grid)), grid.shape)
         where = {c: float(v[k]) for (c, v), k in zip(self.axes.items(), spot, strict=True)}
         return {**self.fixed, **where}, float(grid[spot])
+
+    def over(self) -> "Recorded":
+        """Return rms and worst over the points of the map."""
+        worst = {c: self.worst(c) for c in self.pose}
+        return Recorded(
+            span={c: (float(v[0]), float(v[-1])) for c, v in self.axes.items()},
+            rms=named(
+                self.pose, np.sqrt(np.mean(self.expanded**2, axis=tuple(range(1, self.expanded.ndim))))
+            ),
+            worst={c: u for c, (_, u) in worst.items()},
+            where={c: at for c, (at, _) in worst.items()},
+            samples=self.expanded[0].size,
+            turning=self.turning,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the map as plain numbers in SI: one nested list per pose coordinate."""

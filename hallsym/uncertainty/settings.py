@@ -70,7 +70,7 @@ def read_settings(path: str | Path, model: Model) -> Settings:
     reading, zeroing, state, reference = (
         file.table(key) for key in ("reading", "zeroing", "state", "reference")
     )
-    at = zeroing.table("at", where=f"[zeroing.at] of {file.where}")
+    at = zeroing.table("at")
     return Settings(
         averaged=reading.whole("averaged", 1),
         adc_step=_adc_step(reading, model),

@@ -17,7 +17,7 @@ from time import process_time
 import numpy as np
 
 import hallsym
-from hallsym.diagnosis.engine import examine
+from hallsym.diagnosis.engine import examine, prepare
 from hallsym.families import build
 from hallsym.log import Log, Noise
 
@@ -57,7 +57,7 @@ def main():
     log = knots(arguments.knots, 2014)
     found = []
     fit = seconds(lambda: hallsym.fit(log, build("rotary", meta=log.meta)))
-    diagnosis = seconds(lambda: found.append(examine(log, build("rotary", meta=log.meta))))
+    diagnosis = seconds(lambda: found.append(examine(prepare(log, build("rotary", meta=log.meta)))))
     before, after = found[-1].before.model, (found[-1].after or found[-1].before).model
     named = ", ".join(e.name for e in found[-1].diagnosis.effects) or "no effect"
     print(f"{named}: diagnosis / fit {diagnosis / fit:.1f}, operations of a reading "

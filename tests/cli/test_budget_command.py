@@ -260,3 +260,11 @@ def test_the_map_shows_its_values_and_says_units(here):
 def test_a_flat_map_can_be_drawn(here):
     grid = uncertainty_map(here, {"x_m": [0.0, 1e-9], "y_m": [0.0, 1e-9], "z_m": [0.0]})
     assert uncertainty_picture(grid).axes
+
+
+def test_a_map_over_one_axis_is_a_line(here):
+    grid = uncertainty_map(here, {"x_m": [-1e-4, 1e-4]})
+    figure = uncertainty_picture(grid)
+    assert [ax.get_ylabel() for ax in figure.axes] == ["U x [µm]", "U y [µm]", "U Rz [µrad]"]
+    (line,) = figure.axes[0].lines
+    assert line.get_ydata() == pytest.approx(1e6 * grid.expanded[0])

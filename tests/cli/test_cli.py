@@ -384,7 +384,7 @@ def test_demo_prints_the_papers_steps(capsys, tmp_path):
     code, out, _ = run(capsys, "demo", "-o", tmp_path / "demo", "--json")
     steps = {s["step"]: s for s in json.loads(out)["steps"]}
     assert code == 0
-    designed = steps["designed values, Model (15), Z = +-250 um"]["here"]["rmse"]
+    designed = steps["nominal values, Model (15), Z = +-250 um"]["here"]["rmse"]
     final = steps["Model (31), held-out runs"]
     # the paper's step: Table 2 to Table 8
     assert designed["y_m"] == pytest.approx(44e-6, rel=0.03)

@@ -31,7 +31,9 @@ def diagnosis(*effects: dict, gap: float = 3e-6, verdict: str = "explained", **m
         "metric": {"before": gap, "after": 1.5e-6, "floor": 1.4e-6},
         "gap_before": {"rmse": rmse, "peak": rmse}, "gap_after": {"rmse": rmse, "peak": rmse},
         "effects": list(effects), "groups": [], "where": [], "ranked": [e["name"] for e in effects],
-        "not_testable": {}, "smaller_findings": [], "threshold": 0.05, **more,
+        "not_testable": {}, "smaller_findings": [], "threshold": 0.05, "sentence": "", "remaining": [],
+        "shrinkage": {"value": 0.5, "interval": [0.4, 0.6], "share_closed": 0.9, "parameters_added": 1},
+        "separate_by": [], "validation_runs": [2], "log": {}, **more,
     }  # fmt: skip
 
 

@@ -13,11 +13,12 @@ import hallsym
 from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.change_points import instants
+from hallsym.diagnosis.facts import rails_of
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import inside_bounds, refit, with_model
-from hallsym.diagnosis.search import base_of, rails_of
+from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Meta, Noise, Sigma, extended
@@ -59,10 +60,10 @@ def test_a_hidden_effect_is_named_and_closes_the_gap(name: str, campaign: str) -
     curvature = 0.0 if campaign == "turning" else 0.3
     found = diagnose(hidden(name, campaign, thin=6, curvature=curvature))
     assert (found.verdict, found.ranked[0]) == ("explained", name)
-    assert found.metric["after"] < 1.1 * found.metric["floor"]
+    assert found.metric.after < 1.1 * found.metric.floor
     assert found.effects[0].p_value < 1e-3
-    low, high = found.shrinkage["interval"]
-    assert low <= found.shrinkage["value"] <= high
+    low, high = found.shrinkage.interval
+    assert low <= found.shrinkage.value <= high
 
 
 @pytest.mark.parametrize(
@@ -126,7 +127,7 @@ def test_noise_stated_a_tenth_too_small_is_no_gap_but_said(quiet: tuple[Log, Dia
 @pytest.mark.slow
 def test_a_shape_is_a_gap_even_below_the_stated_floor() -> None:
     found = diagnose(with_sigma(hidden("bump", "raster", kind=unlisted, thin=6), 4.0))
-    assert found.metric["before"] < found.metric["floor"]
+    assert found.metric.before < found.metric.floor
     assert found.verdict == "unexplained"
 
 
@@ -151,7 +152,7 @@ def test_an_effect_whose_parameters_end_at_their_bounds_is_still_found() -> None
     log = machine("grid", (effects["odd_nonlinearity"], effects["cross_axis_sensitivity"]), seed=3)
     found = diagnose(log)
     assert found.ranked[0] == "cross_axis_sensitivity"
-    assert found.shrinkage["share_closed"] > 0.8
+    assert found.shrinkage.share_closed > 0.8
 
 
 def test_delay_and_lag_at_one_frequency_are_a_group_with_what_would_separate_them() -> None:
@@ -167,7 +168,7 @@ def test_the_papers_own_step_from_model_30_to_31() -> None:
     found = diagnose(log, "stage30")
     assert (found.verdict, found.ranked[0]) == ("explained", "vertical_gain_coupling")
     refitted = hallsym.fit(log, "stage31", solver="direct").errors.rows()["holdout"]["rmse"]
-    for name, value in found.gap_after["rmse"].items():
+    for name, value in found.gap_after.rmse.items():
         assert value == pytest.approx(refitted[name], rel=0.05)
 
 
@@ -304,7 +305,7 @@ def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: t
     bump = fitted(machine("raster", (unlisted(rng)["bump"],), seed=7, thin=6))
     best = lack_of_fit(bump, runs).best(0.01)
     assert best is not None
-    assert best.by.startswith(("reading", "displacement"))
+    assert best.key.kind in ("reading", "displacement")
     own = lack_of_fit(fitted(machine("grid", (unlisted(rng)["run_gain"],), seed=7)), range(57))
     assert own.shapes[0].by == "a gain or trend of each run"
 

@@ -20,7 +20,7 @@ from hallsym.diagnosis.faults import faults, wiring_p, wirings
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
 from hallsym.diagnosis.p_values import as_many, as_often, exceeds, student
 from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.search import base_of
+from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.survey import survey
 from hallsym.estimation import columns_of, rewired
 from hallsym.families import effects

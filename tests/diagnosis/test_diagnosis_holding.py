@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hallsym.diagnosis import diagnose
 from hallsym.diagnosis.coordinates import coordinates
 from hallsym.diagnosis.decoded_errors import BlockErrors, interval
-from hallsym.diagnosis.engine import _built, _pieces, examine
-from hallsym.diagnosis.holding import shrinks
+from hallsym.diagnosis.engine import examine, prepare
 from hallsym.diagnosis.refit import refit, with_model
 from hallsym.diagnosis.residual_table import residual_table
+from hallsym.diagnosis.validation import decrease_p
 from hallsym.families import effects
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.log import Log
@@ -38,25 +39,25 @@ def blocks(sums):
 def test_a_decrease_by_chance_is_uniform_and_a_real_one_is_certain():
     rng = np.random.default_rng(0)
     draws = rng.chisquare(10, (2, 2000, 10))
-    p = np.array([shrinks(blocks(a), blocks(b)) for a, b in draws.swapaxes(0, 1)])
+    p = np.array([decrease_p(blocks(a), blocks(b)) for a, b in draws.swapaxes(0, 1)])
     for level in (0.05, 0.5):
         assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 2000))
     size = rng.uniform(1.0, 20.0, 10)  # a strong effect that differs from block to block
-    assert shrinks(blocks(size * draws[0, 0]), blocks(1e-2 * draws[1, 0])) < 1e-5
+    assert decrease_p(blocks(size * draws[0, 0]), blocks(1e-2 * draws[1, 0])) < 1e-5
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3))])
 def test_what_is_named_shrinks_the_gap_on_the_held_out_runs(seed):
-    found = examine(turn(seed, pattern=1.5e-3, noise=7e-4), "rotary").diagnosis
+    found = diagnose(turn(seed, pattern=1.5e-3, noise=7e-4), "rotary")
     assert [e.name for e in found.effects] == ["reference_pole_pairs"]
     assert found.effects[0].interval[0] > 0
     named = {e.name for e in found.effects}
-    assert not named & {s["name"] for s in found.smaller_findings}
+    assert not named & {s.name for s in found.smaller_findings}
 
 
 def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
     """200 knots sample 100 waves at their crossings: the sine is 0 at each of them."""
-    examined = examine(turn(pattern=1.5e-3), "rotary_ideal")
+    examined = examine(prepare(turn(pattern=1.5e-3), "rotary_ideal"))
     base = examined.before
     wide = effects(ROTARY_FAMILY)["reference_pole_pairs"](base.model, periods=(50, 100))
     fit = refit(with_model(base, wide), [r for r in base.log.runs if r not in base.apart])
@@ -75,8 +76,7 @@ def residue_names(base):
 
 @pytest.mark.parametrize("zero", [0.0, 2.0, 5.5])
 def test_a_turn_goes_on_from_piece_to_piece(zero):
-    log = turn(zero=zero)
-    whole, _ = _pieces(log, _built(log, "rotary"))
+    whole = prepare(turn(zero=zero), "rotary").log
     assert np.ptp(whole.array("angle_ref_rad")) == pytest.approx(TURN * 199 / 200)
 
 

@@ -10,11 +10,11 @@ from twins import record
 
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.decoded_errors import block_errors
+from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap_size import sizes
 from hallsym.diagnosis.link_products import smoothed
 from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.scores import Score, candidates, scores
-from hallsym.diagnosis.search import facts_of
 from hallsym.diagnosis.survey import survey
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY

@@ -1,5 +1,6 @@
 """A diagnosis reads a log in memory a few times at most, however many models it tries on it."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,6 @@ def test_diagnosis_reads_the_log_at_most_eight_times(monkeypatch: pytest.MonkeyP
 
 def test_a_log_that_is_too_long_to_be_kept_is_diagnosed_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = diagnose(read_log(DATA / "encoder")).to_dict()
-    monkeypatch.setattr("hallsym.log.batches.HELD", 0)
+    monkeypatch.setattr(sys.modules["hallsym.log.batches"], "HELD", 0)
     streamed = diagnose(read_log(DATA / "encoder")).to_dict()
     assert streamed | {"seconds": 0} == kept | {"seconds": 0}

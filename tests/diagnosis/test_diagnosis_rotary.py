@@ -12,7 +12,7 @@ import pytest
 import hallsym
 from hallsym.diagnosis import diagnose
 from hallsym.diagnosis.holdout_pieces import split
-from hallsym.diagnosis.record import Estimate
+from hallsym.diagnosis.record import Estimate, NoiseFloor
 from hallsym.diagnosis.words import shown
 from hallsym.errors import InputError
 from hallsym.families import effects
@@ -114,7 +114,7 @@ def test_names_the_cause_or_its_group(cause, name, alike):
     first = next((set(g) for g in found.groups if found.ranked[0] in g), {found.ranked[0]})
     assert name in first
     assert first <= {name, *alike}
-    assert found.metric["after"] < 1.05 * found.metric["floor"]
+    assert found.metric.after < 1.05 * found.metric.floor
     link = next(e.link for e in CATALOGUE if e.name == name)
     assert link == "reference" or not name.startswith("reference")
 
@@ -165,7 +165,7 @@ def test_angles_of_an_encoder_are_read_in_degrees():
     shape = {"unit": "rad", "grid": [np.pi], "column": "angle_ref_rad"}
     assert "skewed 0.70000(57) deg" in text._parameters(effect, text.units_of(found))
     assert text._at(shape, 0) == "180 deg"
-    stage = text.units_of(replace(found, noise_floor={"rz_rad": 1e-7}))
+    stage = text.units_of(replace(found, noise_floor=NoiseFloor({"rz_rad": 1e-7}, "stated")))
     assert "skewed 12217(10) urad" in text._parameters(effect, stage)
     assert shown(2 * np.pi, "rad/s") == "60 rpm"
 
@@ -202,7 +202,7 @@ def test_a_knot_table_tells_encoder_from_reference():
     assert np.hypot(*size) == pytest.approx(3e-3, rel=0.05)
     assert {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"} & set(by_name)
     assert found.not_testable["time_skew"] == "no time logged"
-    assert found.shrinkage["value"] > 0.8
+    assert found.shrinkage.value > 0.8
     assert any("every second held out" in note for note in found.notes)
 
 

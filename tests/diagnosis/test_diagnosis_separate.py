@@ -1,4 +1,4 @@
-"""What would separate a group, from the models of its members; the price of an effect; the text of it all."""
+"""What would separate a group, from the models of its members; firmware cost; the text of a diagnosis."""
 
 import re
 from collections.abc import Callable
@@ -12,13 +12,24 @@ from gap_twins import listed, machine
 
 import hallsym
 from hallsym.codegen import cost_of
-from hallsym.diagnosis.price import operations, price
+from hallsym.diagnosis.firmware_cost import firmware_cost, operations
 from hallsym.diagnosis.ranking import distance
-from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
+from hallsym.diagnosis.record import (
+    Diagnosis,
+    Estimate,
+    FoundEffect,
+    Gap,
+    Metric,
+    NoiseFloor,
+    Separation,
+    Shrinkage,
+    SmallerFinding,
+    Statement,
+)
 from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, refit, with_model
-from hallsym.diagnosis.search import base_of
 from hallsym.diagnosis.separate import recorded, separation, with_readings
+from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.mechanisms import Functions, following, port
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -167,20 +178,20 @@ def test_recordings_stay_inside_what_the_log_moved() -> None:
             assert moved.max() <= 1.3 * span.amplitude[axis]
 
 
-# -- price ---------------------------------------------------------------------------------------------------
+# -- firmware cost -----------------------------------------------------------------------------------------
 
 
-def test_the_price_counts_parameters_instructions_and_signals() -> None:
+def test_the_firmware_cost_counts_parameters_instructions_and_signals() -> None:
     small, large = hallsym.build("stage30"), hallsym.build("stage31")
     # three products, three sums and three entries per probe more
     assert cost_of(large).operations - cost_of(small).operations == 18
     assert cost_of(large).moves - cost_of(small).moves == 9
     a, b = cost_of(small).instructions, cost_of(large).instructions
-    said = price(small, large)
+    said = firmware_cost(small, large)
     assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 84 -> 120 B"
     late = STAGE["time_skew"](large)
-    assert price(large, late).startswith("1 parameter; decoding")
-    assert "12 signals to compute (d1_x_ref_m, " in price(large, late)
+    assert firmware_cost(large, late).startswith("1 parameter; decoding")
+    assert "12 signals to compute (d1_x_ref_m, " in firmware_cost(large, late)
 
 
 def test_operations_are_those_of_the_decoded_pose() -> None:
@@ -198,7 +209,7 @@ def test_operations_are_those_of_the_decoded_pose() -> None:
 
 
 def a_diagnosis(**changes) -> Diagnosis:
-    gap = {"rmse": dict.fromkeys(("x_m", "y_m"), 2e-6), "peak": dict.fromkeys(("x_m", "y_m"), 9e-6)}
+    gap = Gap(dict.fromkeys(("x_m", "y_m"), 2e-6), dict.fromkeys(("x_m", "y_m"), 9e-6))
     effect = FoundEffect(
         "height_quadratic", "transducer", "height of each probe",
         {f"bend_{k}": Estimate(-123456.0, 321.0, "1/m2") for k in "ABCDEFGH"}
@@ -207,13 +218,14 @@ def a_diagnosis(**changes) -> Diagnosis:
     )  # fmt: skip
     d = Diagnosis(
         verdict="explained", sentence="The gap is " + "long " * 40,
-        noise_floor={"x_m": 1e-6, "y_m": 1e-6, "source": "stated"},
-        gap_before=gap, gap_after=gap, metric={}, ranked=("height_quadratic",), groups=(), effects=(effect,),
-        shrinkage={"value": 0.4, "interval": [0.35, 0.45], "share_closed": 0.9, "parameters_added": 10},
+        noise_floor=NoiseFloor({"x_m": 1e-6, "y_m": 1e-6}, "stated"),
+        gap_before=gap, gap_after=gap, metric=Metric(2e-6, 1e-6, 1e-6), ranked=("height_quadratic",),
+        groups=(), effects=(effect,),
+        shrinkage=Shrinkage(0.4, (0.35, 0.45), 0.9, 10),
         where=(Statement("height Z", "", 0.5, 1e-300, "50 % of the excess goes with height Z", 0.48),),
         remaining=(), separate_by=(delay_or_lag(),), validation_runs=(1, 2),
         not_testable={"a": "no temperature logged", "b": "no temperature logged"},
-        smaller_findings=({"name": "time_skew", "shrinkage": 0.01},), threshold=0.05, model="stage31", log={},
+        smaller_findings=(SmallerFinding("time_skew", 0.01, 1e-4),), threshold=0.05, model="stage31", log={},
     )  # fmt: skip
     return replace(d, **changes)
 
@@ -225,9 +237,9 @@ def test_the_text_says_everything_within_its_width() -> None:
     for said in (
         "noise floor, stated 1 1", "height_quadratic transducer 40.0 % (35.0 to 45.0) 90 % < 1e-6",
         "bend_A -123456(321) 1/m2", "tau 1.200(20) ms", "offset 2.5 um", "decoding 98 -> 680 operations",
-        "50 % of the excess goes with height Z (p < 1e-6; held-out runs 48 %)",
+        "50 % of the excess goes with height Z (p < 1e-6; holdout runs 48 %)",
         "This log cannot tell apart: time_skew, first_order_lag", "one such run is enough for 5 sigma",
-        "not testable: a, b: no temperature logged", "time_skew 1.0 %", "for 10 parameters more",
+        "not testable: a, b: no temperature logged", "time_skew 1.0 %", "with 10 parameters more",
     ):  # fmt: skip
         assert said in words, said
 

@@ -18,7 +18,7 @@ from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
 from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.residual_table import ResidualTable
-from hallsym.diagnosis.search import base_of
+from hallsym.diagnosis.setup import base_of
 from hallsym.diagnosis.spectrum import Spectrum
 from hallsym.log import Log, Noise, Sigma
 

@@ -9,17 +9,18 @@ import pytest
 from gap_twins import Inject, Motion, U, gains, machine
 
 import hallsym
-import hallsym.diagnosis.selftest as module
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose, engine
+from hallsym.diagnosis import diagnose
 from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.decimation import decimated
+from hallsym.diagnosis.engine import prepare
+from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.noise_model import residual_noise
-from hallsym.diagnosis.search import base_of, facts_of
-from hallsym.diagnosis.selftest import NONE, RATIOS, SelfTest, selftest
+from hallsym.diagnosis.selftest import RATIOS, SelfTest, selftest
 from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of, readings_of
 from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.trials import NO_EFFECT, Bench
 from hallsym.families import effects
 from hallsym.families.faults import ages
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -37,8 +38,7 @@ def quiet(seed: int = 3, **options) -> Log:
 
 
 def base_on(log: Log) -> Base:
-    apart = engine._holdout(log, None)
-    return base_of(log, hallsym.fit(log, "stage31", solver="direct", holdout=apart))
+    return prepare(log, "stage31").base
 
 
 @cache
@@ -172,14 +172,14 @@ def test_long_runs_are_cut_and_left_out_samples_stay_out(monkeypatch) -> None:
 
 def stubbed(monkeypatch, answers) -> None:
     """Replace the blind diagnosis by answers, so that only the book-keeping is tested."""
-    monkeypatch.setattr(module._Bench, "diagnosed", lambda self, log, name: answers(name))
+    monkeypatch.setattr(Bench, "diagnosed", lambda self, log, name: answers(name))
 
 
 def test_found_from_the_smallest_size_above_which_all_are_found(monkeypatch) -> None:
     said = iter(["found", "other", "group", "found", "found", "found", "no gap"] * 2)
 
     def answers(name: str):
-        if name == NONE:
+        if name == NO_EFFECT:
             return "no gap", "no gap", ()
         outcome = next(said)
         return outcome, "explained", ("time_skew",) if outcome in ("other", "group") else (name,)
@@ -199,7 +199,7 @@ def test_an_interrupt_keeps_what_was_done(monkeypatch) -> None:
     def answers(name: str):
         if name == "time_skew":
             raise KeyboardInterrupt
-        return ("no gap", "no gap", ()) if name == NONE else ("found", "explained", (name,))
+        return ("no gap", "no gap", ()) if name == NO_EFFECT else ("found", "explained", (name,))
 
     stubbed(monkeypatch, answers)
     s = selftest(quiet(), "stage31", names=["odd_nonlinearity", "time_skew"])

@@ -88,7 +88,7 @@ def test_a_fit_with_what_was_found_agrees_with_the_diagnosis(name: str, campaign
     result = hallsym.fit(log, "stage31", effects=(text,), holdout=found.validation_runs, solver="direct")
     assert result.status == "converged"
     after = result.errors.rows()["holdout"]["rmse"]
-    for c, value in found.gap_after["rmse"].items():
+    for c, value in found.gap_after.rmse.items():
         assert after[c] == pytest.approx(value, rel=0.04)
     for n, estimate in found.effects[0].parameters.items():
         k = result.model.names.index(n)
@@ -271,8 +271,8 @@ def test_a_play_of_known_width_is_recovered_and_the_gap_shrinks_as_far_as_it_can
     best = hallsym.fit(machine("multisine", seed=seed, thin=3, curvature=0.0), "stage31", solver="direct")
     metric = {c: (0.35 if c.startswith("r") else 1.0) for c in fit.model.pose}
     left = sum((metric[c] * v) ** 2 for c, v in best.errors.rows()["holdout"]["rmse"].items()) ** 0.5
-    achievable = 1 - left / found.metric["before"]
-    assert achievable - 0.03 < found.shrinkage["value"] < achievable + 0.03
+    achievable = 1 - left / found.metric.before
+    assert achievable - 0.03 < found.shrinkage.value < achievable + 0.03
 
 
 # -- at a bound --------------------------------------------------------------------------------------------

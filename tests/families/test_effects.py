@@ -230,3 +230,10 @@ def test_info_explains_every_effect_and_fault(capsys) -> None:
             for parameter in entry["parameters"].values():
                 assert set(parameter) == {"unit", "nominal", "lower", "upper", "meaning"}
             assert effects(family)[name].meaning in said
+
+
+def test_a_bend_with_each_height_has_readings_at_nominal_slopes_of_nil() -> None:
+    model = build("stage31", added=("height_quadratic:form=tied",))
+    pose, state = [1e-4, -1e-4, 1e-4], [2e-4, 1e-4, -1e-4]
+    reading = model.reading(model.nominal, np.zeros(len(model.zeros)), pose, state)
+    assert np.isfinite(np.asarray(reading)).all()

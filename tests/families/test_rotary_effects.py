@@ -272,7 +272,7 @@ def test_what_is_diagnosed_on_an_encoder_is_what_is_fitted() -> None:
     assert all(texts)
     fit = hallsym.fit(log, "rotary", effects=texts, holdout=found.validation_runs, solver="direct")
     after = fit.errors.rows()["holdout"]["rmse"]["angle_rad"]
-    assert after == pytest.approx(found.gap_after["rmse"]["angle_rad"], rel=0.04)
+    assert after == pytest.approx(found.gap_after.rmse["angle_rad"], rel=0.04)
 
 
 def test_the_self_test_and_the_comparison_of_an_encoder_are_in_degrees(tmp_path: Path, capsys) -> None:

@@ -404,7 +404,7 @@ def test_recorded_encoders_are_taken_apart_by_their_waves():
         assert {e.name for e in d.effects} & set(largest.causes), file.name
         steps = np.degrees(max((w.model for w in d.waves if w.per_turn in (50, 100)), default=0.0))
         assert steps < 0.04 or "reference_pole_pairs" in d.ranked, file.name
-        assert d.metric["after"] < 0.4 * d.metric["before"], file.name
+        assert d.metric.after < 0.4 * d.metric.before, file.name
 
 
 @pytest.mark.slow

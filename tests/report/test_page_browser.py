@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from test_page import HOLDOUT
-from test_page_diagnosis import POSE, a_record
+from test_page_diagnosis import POSE, a_record, page_of
 from twins import record, with_noise
 
 from hallsym.estimation import fit
 from hallsym.report.data import gather, run_series
-from hallsym.report.page import diagnosis_page, fit_page
+from hallsym.report.page import fit_page
 
 OVERLAPS = """
 JSON.stringify({ across: document.documentElement.scrollWidth - document.documentElement.clientWidth,
@@ -73,7 +73,7 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     wordy["effects"][0]["name"] = wordy["where"][0]["by"] = "a_long_name_of_an_effect_that_a_user_wrote" * 3
     texts = {
         "fit": fit_page(log, fitted, command="hallsym report calib.json log.csv"),
-        "diagnosis": diagnosis_page(wordy, maps=found.maps, after=found.maps, series=series, fit=fitted),
+        "diagnosis": page_of(wordy, maps=found.maps, after=found.maps, series=series, fit=fitted),
     }
     for name, text in texts.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.collections import PathCollection
 from twins import SIGMAS, TRUTH, with_noise
 
-from hallsym.experiment import paper_ranges, plan
+from hallsym.experiment import Ranges, paper_ranges, plan
 from hallsym.families import build
 from hallsym.report.figures import coverage, criterion_by_runs
 from hallsym.simulation import paper_campaign, simulate
@@ -58,8 +58,18 @@ def test_the_curve_marks_the_plan_and_the_comparison(planned):
     lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
     assert np.allclose(lines["Table 6"], [(57, 1)])
     runs, values = planned.curve()
-    assert np.allclose(lines["plans"].T, [runs, np.sqrt(planned.comparison.value / values)])
+    assert np.allclose(lines["plans"].T, [runs, np.sqrt(planned.comparison.other.value / values)])
     assert np.all(lines["no plan is below"][:, 1] <= lines["plans"][:, 1] * (1 + 1e-12))
     (here,) = lines["this plan"]
     assert here[0] == 10
     assert any(np.allclose(here, point) for point in lines["plans"])
+
+
+def test_the_path_of_a_single_coordinate_is_drawn_over_the_run():
+    ranges = Ranges({"angle_rad": (-3.0, 3.0)}, (1.0, 2.0), 1.0, runs=2)
+    noise = {"v_sin_v": 3e-4, "v_cos_v": 3e-4, "angle_ref_rad": 2e-5}
+    (ax,) = coverage(plan(ranges, "rotary", noise=noise)).axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("part of the run [%]", "angle [deg]")
+    part, angle = ax.lines[0].get_data()
+    assert (part[0], part[-1]) == (0.0, 100.0)
+    assert np.abs(angle).max() == pytest.approx(np.degrees(3.0), rel=1e-2)

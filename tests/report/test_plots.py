@@ -39,7 +39,7 @@ def _legends(figure) -> list[str]:
 def test_plotted_peak_is_the_peak_of_the_table(fitted: Fit, survey: data.Survey) -> None:
     assert survey.errors[0].width > 1, "the log shall be long enough to be decimated"
     figure = plots.errors_before_after(fitted, survey)
-    tables = (survey.designed, survey.fitted)
+    tables = (survey.nominal, survey.fitted)
     assert len(figure.axes) == 6
     for k, ax in enumerate(figure.axes):
         trace = max(ax.lines, key=lambda line: len(line.get_xdata()))
@@ -69,13 +69,13 @@ def test_measured_lays_the_decoded_pose_over_the_reference(
 
 
 def test_errors_by_setting_shows_every_series(fitted: Fit, survey: data.Survey) -> None:
-    steps = {"Model (30)": survey.designed}
+    steps = {"Model (30)": survey.nominal}
     figure = plots.errors_by_setting(fitted, survey, steps)
-    labels = ["designed", "Model (30)", "fitted", "fitted, held-out runs", "noise floor"]
+    labels = ["nominal", "Model (30)", "fitted", "fitted, held-out runs", "noise floor"]
     assert _legends(figure) == labels
     assert [ax.get_ylabel() for ax in figure.axes] == ["rmse x [µm]", "rmse y [µm]", "rmse Rz [µrad]"]
     assert all(ax.get_yscale() == "log" for ax in figure.axes)
-    level = survey.designed.over((0, 1, 2))
+    level = survey.nominal.over((0, 1, 2))
     assert level is not None
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata()[0], 1e6 * level["rmse"]["x_m"], rtol=1e-9)
 
@@ -83,7 +83,7 @@ def test_errors_by_setting_shows_every_series(fitted: Fit, survey: data.Survey) 
 def test_parameters_say_what_is_not_determined(fitted: Fit) -> None:
     figure = plots.parameters(fitted)
     words = [text.get_text() for place in (*figure.axes, figure) for text in place.texts]
-    told = words.count("not determined") + words.count("not determined, held")
+    told = words.count("not determined") + words.count("not identifiable, fixed")
     assert told == np.sum(~fitted.determined) - len(fitted.at_bound)
     assert sum("±" in word for word in words) == fitted.determined.sum() + len(fitted.combinations) + 1
     half = 100 * plots.COVERAGE * np.nanmax(fitted.std / (fitted.model.bounds[1] - fitted.model.bounds[0]))
@@ -147,7 +147,7 @@ def test_nothing_is_drawn_beyond_the_edge(log: Log, fitted: Fit, survey: data.Su
     """Margins are stated in inches: everything must fit into them."""
     from matplotlib import style
 
-    steps = {f"Model ({k})": survey.designed for k in (15, 30)}
+    steps = {f"Model ({k})": survey.nominal for k in (15, 30)}
     with style.context(["default", plots.STYLE]):
         figures = (
             plots.measured(log, fitted, survey),

@@ -264,7 +264,7 @@ def test_intervals_lie_in_their_bounds(full: Identifiability) -> None:
     text = words(figure)
     assert text.count("not determined") == 6
     assert sum(" to " in line for line in text) == 15 + len(full.combinations)
-    assert "Determined instead" in text
+    assert "Identifiable combinations" in text
 
 
 def test_intervals_without_ends_are_arrows_and_words(odd: Identifiability) -> None:

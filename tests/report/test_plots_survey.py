@@ -87,7 +87,7 @@ def test_a_cell_without_kept_samples_has_no_rms() -> None:
 
 def test_survey_has_the_error_tables_of_the_fit(fitted: Fit, survey: data.Survey) -> None:
     assert fitted.errors is not None
-    for mine, theirs in ((survey.designed, fitted.errors.designed), (survey.fitted, fitted.errors.fitted)):
+    for mine, theirs in ((survey.nominal, fitted.errors.designed), (survey.fitted, fitted.errors.fitted)):
         assert mine.runs == theirs.runs
         np.testing.assert_allclose(mine.squares, theirs.squares, rtol=1e-9)
         np.testing.assert_allclose(mine.peak, theirs.peak, rtol=1e-9)

@@ -285,7 +285,7 @@ def test_a_calibration_leaves_rounding(paper):
     assert r.before == pytest.approx(paper.errors.rms, rel=0.4)  # 16 machines of 512
     assert r.freedom == 3
     assert set(r.undetermined) == {"H1x", "H1y", "H2x", "H2y", "H3x", "H3y"}
-    assert 0.5 < r.apart < 1.2  # hardly moved from the designed value
+    assert 0.5 < r.apart < 1.2  # hardly moved from the nominal value
     assert len(r.combinations) == 3
 
 
@@ -355,7 +355,7 @@ def test_default_ranges_are_table_3_about_table_1(model):
     for t in default_tolerances(model):
         low, high = PAPER[t.name]
         assert t.width == pytest.approx((high - low) / 2)
-        assert t.centre == t.designed
+        assert t.centre == t.nominal
     assert default_tolerances(model.with_parameters({"H1x": {"lower": 0.2, "upper": 0.2}}))[0].width == 0
 
 
@@ -475,7 +475,7 @@ def test_the_command_prints_the_ranking_first(capsys, tmp_path):
     words = ["tolerances", "--ranges", str(tmp_path / "drawing.toml"), "--samples", "32"]
     assert main([*words, "--plots", str(tmp_path / "pictures")]) == 0
     out = capsys.readouterr().out
-    assert out.index("errors of the designed decoder") < out.index("worth") < out.index("Sobol indices")
+    assert out.index("errors of the nominal decoder") < out.index("worth") < out.index("Sobol indices")
     rows = [line.split()[0] for line in out.splitlines() if line.startswith(("eta_A ", "H1x "))]
     assert rows == ["eta_A", "H1x", "eta_A", "H1x"]
     wanted = re.search(r"too wide to rank by: about --samples (\d+) brings them below 5", out)

@@ -11,7 +11,7 @@ from math import asin, hypot, pi
 
 import numpy as np
 
-from hallsym.codegen import binary_angle as turns
+from hallsym.codegen import binary_angle
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.fixed_point import Fixed, Program
@@ -54,7 +54,7 @@ def program(
             "without a floating-point unit: leave out --correction series."
         )
     aim = ENOUGH if accuracy is None else accuracy
-    return _Turns(d, curve, weak, table_of(curve, aim, correction), turns.steps_for(aim)).compile()
+    return _Turns(d, curve, weak, table_of(curve, aim, correction), binary_angle.steps_for(aim)).compile()
 
 
 def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
@@ -82,11 +82,11 @@ def _table(curve: Curve, count: int, bits: int, power: int | None = None) -> Gri
     """Return a table in units of 2^`power` BAM, by default the finest that its bits hold."""
     middle, rest = curve.needed
     if power is None:
-        least = np.log2(max(np.abs(rest).max() / turns.UNIT / WORST, 1.0))
+        least = np.log2(max(np.abs(rest).max() / binary_angle.UNIT / WORST, 1.0))
         power = int(np.ceil(least)) if bits == 16 else 0
-    unit = turns.UNIT * 2.0**power
+    unit = binary_angle.UNIT * 2.0**power
     values = np.round(rest[:: POINTS // count] / unit)
-    constant = float(wrapped(np.array(round(middle / turns.UNIT) * turns.UNIT), 2 * pi))
+    constant = float(wrapped(np.array(round(middle / binary_angle.UNIT) * binary_angle.UNIT), 2 * pi))
     return Grid(constant, np.clip(values, -WORST, WORST) if bits == 16 else values, unit, 1, bits=bits)
 
 
@@ -106,8 +106,8 @@ class _Turns(Compiler):
         if table is not None:
             shift, left = table.constant, table.left
             values = np.roll(table.values.astype(np.int64), len(table.values) // 2)
-            power = round(np.log2(table.unit / turns.UNIT))
-            array = turns.AngleTable("correction", values, power, table.bits)
+            power = round(np.log2(table.unit / binary_angle.UNIT))
+            array = binary_angle.AngleTable("correction", values, power, table.bits)
             p.arrays["correction"] = array
             p.options["correction"] = f"{table.form}:{power}"
             error = error * (1 + table.slope) + array.error
@@ -119,7 +119,7 @@ class _Turns(Compiler):
             looked = self._line("look", phase, "correction")
         if table is not None or shift:
             angle = self._turn(angle, self._angle("shift", shift, "correction, the same all round"))
-            error += turns.UNIT / 2
+            error += binary_angle.UNIT / 2
         if table is not None:
             angle = self._turn(angle, looked)
         angle = self._turn(angle, self._angle(f"zero_{short(pose)}", 0.0, "set by decoupler_zero()"))
@@ -129,7 +129,7 @@ class _Turns(Compiler):
 
     def _angle(self, name: str, value: float, meaning: str) -> str:
         self.p.unsigned[name] = f"[2^-32 turn] {meaning}"
-        self.p.table[name] = (round(value / turns.UNIT) % 2**32, 0)
+        self.p.table[name] = (round(value / binary_angle.UNIT) % 2**32, 0)
         return name
 
     def _turn(self, a: str, b: str) -> str:
@@ -154,7 +154,7 @@ class _Turns(Compiler):
             entry = self._constant(f"center_{short(channel)}", float(center), volts)
             off.append(self._add(given, entry, minus=True))
         x, y = (self._row(axis, row, off) for axis, row in zip("xy", self.curve.matrix, strict=True))
-        e = min(x.e, y.e, 31 - int(np.ceil(np.log2(turns.SPREAD * max(x.most, y.most)))))
+        e = min(x.e, y.e, 31 - int(np.ceil(np.log2(binary_angle.SPREAD * max(x.most, y.most)))))
         x, y = self._cut(x, e), self._cut(y, e)
         field = self._add(self._mul(x, x), self._mul(y, y))
         least = Entry(
@@ -165,7 +165,7 @@ class _Turns(Compiler):
         # where the flag is clear, the vector is as long but for the rounding of its square
         length = np.sqrt(max(self.weak**2 - field.error - field.unit, 1e-9))
         moved = asin(min(1.0, hypot(x.error, y.error) / (length - hypot(x.error, y.error))))
-        cordic = turns.angle_error(length * 2.0**e, self.steps)
+        cordic = binary_angle.angle_error(length * 2.0**e, self.steps)
         p.said.append(
             f"The angle comes from {self.steps} steps of CORDIC, a loop of fixed length: off by at most "
             f"{cordic:.2g} rad where the field is not weak (proved)."

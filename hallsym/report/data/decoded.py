@@ -8,11 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import columns_of, decoder
-from hallsym.log import Block, Log
+from hallsym.estimation import Fit, columns_of, decoder
+from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
-from hallsym.log.derived import extended
 from hallsym.log.phase import designed, near
 
 

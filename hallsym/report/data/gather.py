@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.log import Block, Log
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.cells import Cells, Tally

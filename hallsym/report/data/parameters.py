@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.units import parameter_unit
 
 

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import ErrorTable
-from hallsym.log import Log
-from hallsym.log.batches import Weigh
+from hallsym.estimation import ErrorTable, Fit
+from hallsym.log import Log, Weigh
 from hallsym.report.data.decoded import Decoded, decoded
 from hallsym.report.data.trace import Trace
 from hallsym.report.words import LEVEL, name, setting
@@ -72,7 +70,7 @@ class Survey:
     state: np.ndarray
     drift: np.ndarray
     reach: np.ndarray
-    designed: ErrorTable
+    nominal: ErrorTable
     fitted: ErrorTable
     errors: tuple[Trace, Trace]
     time: Trace | None
@@ -121,7 +119,7 @@ def _survey(
         state=np.array([r.state for r in found]),
         drift=travel[:, n:],
         reach=np.column_stack([low, high]) if count.any() else np.zeros((len(low), 2)),
-        designed=tables[0],
+        nominal=tables[0],
         fitted=tables[1],
         errors=errors,
         time=time,

@@ -13,11 +13,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.channel_assignment import as_read
-from hallsym.estimation.decoding import ErrorTable
-from hallsym.log import Log
-from hallsym.log.batches import Weigh
+from hallsym.estimation import ErrorTable, Fit, as_read
+from hallsym.log import Log, Weigh
 from hallsym.report.data import look_over
 from hallsym.report.figures.by_setting import errors_by_setting
 from hallsym.report.figures.captions import broken
@@ -30,7 +27,7 @@ from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
 from hallsym.report.figures.profiles import ends_in_words, profiles
 from hallsym.report.figures.saving import SUFFIXES, save_figures
-from hallsym.report.figures.sensitivity import save_sensitivity_pictures
+from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
 from hallsym.report.figures.spectrum import sorts, spectrum
 from hallsym.report.figures.style import DPI, STYLE, WIDTH, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
@@ -50,6 +47,7 @@ __all__ = [
     "correlation",
     "coverage",
     "criterion_by_runs",
+    "drawable",
     "effects",
     "ends_in_words",
     "errors_before_after",

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation import ErrorTable, Fit
 from hallsym.report.data import MOST_SETTINGS, Group, Survey, held_out, settings
 from hallsym.report.figures.style import (
     AFTER,
@@ -72,21 +71,21 @@ def _series(
     """Label, error table, runs of each group, look and shift to the right of every series."""
     held, every = held_out(fit), [runs for _, runs in groups]
     used = [[r for r in runs if r not in held] for runs in every]
-    apart = [[r for r in runs if r in held] for runs in every]
+    holdout = [[r for r in runs if r in held] for runs in every]
     size = {"ms": 4.2 if len(groups) <= 2 * MOST_SETTINGS else 2.0}
     looks: list[dict[str, Any]] = [{"marker": "s", "mfc": "white", "color": BEFORE}]
     found: list[tuple[str, ErrorTable, list[list[int]], dict[str, Any], Any]] = [
-        ("designed", survey.designed, every, looks[0] | size, 0.0)
+        ("nominal", survey.nominal, every, looks[0] | size, 0.0)
     ]
     for k, (label, table) in enumerate(steps.items()):
         look = {"marker": MARKERS[k % len(MARKERS)], "mfc": "white", "color": SERIES[(k + 2) % len(SERIES)]}
         found.append((label, table, every, look | size, 0.0))
     look = {"marker": "o", "mfc": AFTER, "color": AFTER}
     found.append(("fitted", survey.fitted, used, look | size, 0.0))
-    if any(apart):
+    if any(holdout):
         look = {"marker": "D", "mfc": "white", "color": AFTER}
-        aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, apart, strict=True)])
-        found.append(("fitted, held-out runs", survey.fitted, apart, look | size, aside))
+        aside = np.array([0.25 if u and a else 0.0 for u, a in zip(used, holdout, strict=True)])
+        found.append(("fitted, held-out runs", survey.fitted, holdout, look | size, aside))
     return found
 
 

@@ -16,8 +16,7 @@ from hallsym.report.figures.style import (
     label_x,
     legend,
     log_axis,
-    panels,
-    stripes,
+    row_panels,
     text_width,
 )
 from hallsym.report.figures.verdicts import LOOKS, present, shown
@@ -43,15 +42,13 @@ def effects(report: Identifiability) -> Figure:
     """
     entries, pose = shown(report), report.model.pose
     words = [entry.verdict.word for entry in entries]
-    figure, axes = panels(
-        1, len(pose), ROW * len(entries), left=0.1 + max(text_width(entry.name) for entry in entries),
-        right=BESIDE + 0.06 + max(map(text_width, words)), top=0.45, bottom=0.42, gaps=(0.3, 0), sharey=True,
+    figure, axes = row_panels(
+        [entry.name for entry in entries], len(pose), ROW, right=BESIDE + 0.06 + max(map(text_width, words)),
+        gap=0.3, top=0.45, bottom=0.42,
     )  # fmt: skip
-    for ax, column in zip(axes[0], pose, strict=True):
+    for ax, column in zip(axes, pose, strict=True):
         _panel(ax, entries, column, report)
-    _verdicts(axes[0, -1], words)
-    axes[0, 0].set_yticks(range(len(entries)), [entry.name for entry in entries])
-    axes[0, 0].set_ylim(len(entries) - 0.5, -0.5)
+    _verdicts(axes[-1], words)
     _legend(figure, entries)
     return figure
 
@@ -63,7 +60,6 @@ def _panel(ax: Axes, entries: list[ParameterReport], column: str, report: Identi
     floor, together = (report.outputs[column].noise_floor, report.outputs[column].parameters_worst)
     every = np.array([*sigma, *percent, floor, together])
     factor, unit = scale(column, largest(every), report.model.period)
-    stripes(ax, len(entries))
     least = LEAST * floor if floor > 0 else 0.0
     lined = every[np.isfinite(every) & (every > least)]
     log_axis(ax, "x", factor * np.array([*lined, least]))
@@ -81,7 +77,6 @@ def _panel(ax: Axes, entries: list[ParameterReport], column: str, report: Identi
     for value, dashes, color in ((floor, DASHED, BLACK), (together, ":", AFTER)):
         if value > 0:
             ax.axvline(factor * value, color=color, lw=0.9, ls=dashes, zorder=4)
-    ax.tick_params("y", length=0)
     label_x(ax, f"largest change of {name(column)} [{unit}]")
 
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation import ErrorTable, Fit
 from hallsym.report.data import Survey, Trace, held_out
 from hallsym.report.figures.style import (
     AFTER,
@@ -43,7 +42,7 @@ SOLID = 2.5
 
 
 def errors_before_after(fit: Fit, survey: Survey) -> Figure:
-    """Draw the errors of the decoded pose over the whole campaign: designed parameters left, fitted right.
+    """Draw the errors of the decoded pose over the whole campaign: nominal parameters left, fitted right.
 
     Every sample counts: of each picture column the least and the greatest error are drawn, and where that
     makes a solid block the local rms too. The two sides have scales of their own, and the right one says by
@@ -52,7 +51,7 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
     model = fit.model
     n = len(model.pose)
     figure, axes = panels(n, 2, 1.17, top=0.45, bottom=0.62, gaps=(LEFT + 0.06, 0.28), sharex=True)
-    tables, highest = (survey.designed, survey.fitted), np.zeros((n, 2))
+    tables, highest = (survey.nominal, survey.fitted), np.zeros((n, 2))
     solid = False
     for column, (trace, table) in enumerate(zip(survey.errors, tables, strict=True)):
         for k, coordinate in enumerate(model.pose):
@@ -78,14 +77,14 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
     finer = ", ".join(">10000" if ratio > 1e4 else short(float(f"{ratio:.2g}")) for ratio in ratios)
     for ax in axes[-1]:
         label_x(ax, _campaign_label(survey))
-    for ax, title in zip(axes[0], (_designed_words(fit), f"Fitted; scales {finer} × finer"), strict=True):
+    for ax, title in zip(axes[0], (_nominal_words(fit), f"Fitted; scales {finer} × finer"), strict=True):
         ax.set_title(f"{title}\n{ax.get_title('left')}", loc="left", linespacing=1.6)
     _campaign_legend(figure, fit, survey, solid)
     return figure
 
 
-def _designed_words(fit: Fit) -> str:
-    return "Designed parameters" + (", no zero deviations" if fit.model.zeros else "")
+def _nominal_words(fit: Fit) -> str:
+    return "Nominal parameters" + (", no zero deviations" if fit.model.zeros else "")
 
 
 def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> bool:
@@ -111,13 +110,13 @@ def _rms_line(ax: Axes, survey: Survey, trace: Trace, k: int, factor: float) -> 
 def _error_words(table: ErrorTable, k: int, fit: Fit, holdout: Sequence[int]) -> str:
     """Return rmse and peak of coordinate `k`, those of the runs in `holdout` by themselves."""
     coordinate = table.pose[k]
-    used, apart = table.over([r for r in table.runs if r not in holdout]), table.over(holdout)
+    used, others = table.over([r for r in table.runs if r not in holdout]), table.over(holdout)
     factor, unit = scale(coordinate, float(table.peak[:, k].max()), fit.model.period)
     texts = [
         f"{label} {three(factor * row['rmse'][coordinate])}, {word}{three(factor * row['peak'][coordinate])}"
         for label, word, row in (
             ("rmse", "peak ", used),
-            ("held out" if used else "held out: rmse", "", apart),
+            ("held out" if used else "held out: rmse", "", others),
         )
         if row
     ]

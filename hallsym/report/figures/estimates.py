@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -19,8 +19,7 @@ from hallsym.report.figures.style import (
     label_x,
     legend,
     log_axis,
-    panels,
-    stripes,
+    row_panels,
     text_width,
 )
 from hallsym.report.words import MINUS, plus_minus
@@ -49,29 +48,21 @@ def parameters(fit: Fit) -> Figure:
     words = [_number_words(fit, row) for row in range(n)]
     instead = [plus_minus(c.value, COVERAGE * c.std, c.unit) for c in fit.combinations]
     header = "estimate ± 95 %"
-    left = 0.1 + max(map(text_width, model.names))
     right = 0.14 + max(map(text_width, (*words, *instead, header)))
-    figure, axes = panels(
-        1, 2, ROW * n, left=left, right=right, top=0.4, bottom=0.52 + ROW * extra, gaps=(0.34, 0),
-        sharey=True, gridspec_kw={"width_ratios": (3, 2)},
+    figure, (place, sharp) = row_panels(
+        model.names, 2, ROW, right=right, gap=0.34, top=0.4, bottom=0.52 + ROW * extra,
+        gridspec_kw={"width_ratios": (3, 2)},
     )  # fmt: skip
-    place, sharp = axes[0]
-    for ax in (place, sharp):
-        stripes(ax, n)
     _values(place, sharp, fit)
     for row, text in enumerate(words):
         beside(sharp, row, text)
     beside(sharp, -1.1, header)
-    place.set_yticks(range(n), model.names)
-    place.tick_params("y", length=0)
-    sharp.tick_params("y", length=0, labelleft=False)
-    place.set_ylim(n - 0.5, -0.5)
     place.set_xlim(-0.04, 1.04)
     label_x(place, "position within the bounds")
     place.set_xticks((0, 0.25, 0.5, 0.75, 1), ("lower", "", "middle", "", "upper"))
     _precision_axis(sharp, fit)
     if below:
-        _combinations(figure, left, below, instead, right)
+        _combinations(figure, below, instead, right)
     _parameter_legend(figure, fit)
     return figure
 
@@ -116,7 +107,7 @@ def _number_words(fit: Fit, row: int) -> str:
         return "at its bound"
     if fit.determined[row]:
         return plus_minus(float(fit.values[row]), COVERAGE * float(fit.std[row]), p.unit)
-    return "not determined, held" if p.name in fit.held else "not determined"
+    return "not identifiable, fixed" if p.name in fit.held else "not determined"
 
 
 def beside(ax: Axes, row: float, text: str) -> None:
@@ -125,11 +116,11 @@ def beside(ax: Axes, row: float, text: str) -> None:
 
 
 def _combinations(
-    figure: Figure, left: float, below: Sequence[tuple[list[str], Any]], instead: Sequence[str], right: float
+    figure: Figure, below: Sequence[tuple[list[str], Any]], instead: Sequence[str], right: float
 ) -> None:
-    """List what the data determine instead of single parameters, one picture row per line."""
+    """List the identifiable combinations, one picture row per line."""
     width, height = figure.get_size_inches()
-    rows = [("Determined instead", "")]
+    rows = [("Identifiable combinations", "")]
     for (lines, _), value in zip(below, instead, strict=True):
         indents = (1, *[3] * (len(lines) - 1))
         rows += [(" " * i + line, "") for i, line in zip(indents, lines, strict=True)]
@@ -169,5 +160,5 @@ def _parameter_legend(figure: Figure, fit: Fit) -> None:
     if fit.at_bound:
         handles.append(key("estimate at its bound", marker="s", **POINT))
     if not np.all(fit.determined):
-        handles.append(key("not determined by the data", marker="o", mfc="white", **POINT))
+        handles.append(key("not identifiable from the data", marker="o", mfc="white", **POINT))
     legend(figure, handles, "upper left", ncols=len(handles))

@@ -18,8 +18,7 @@ from hallsym.report.figures.style import (
     label_x,
     legend,
     log_axis,
-    panels,
-    stripes,
+    row_panels,
     text_width,
 )
 from hallsym.report.figures.verdicts import LOOKS, present, shown
@@ -47,28 +46,21 @@ def intervals(report: Identifiability) -> Figure:
     """Draw where each 95 % interval lies within the bounds (left) and its width as a share of them (middle).
 
     The numbers stand on the right, with how the interval was found unless it is a normal one; combinations
-    that are determined instead of parameters stand below.
+    that are identifiable where parameters are not stand below.
     """
     entries = shown(report)
     words, header = [in_words(entry) for entry in entries], "95 % interval"
     lines, handles = _instead(report), _handles(entries)
-    figure, axes = panels(
-        1, 2, ROW * len(entries), left=0.1 + max(text_width(entry.name) for entry in entries),
-        right=0.16 + max(map(text_width, (*words, header))),
-        top=0.4 + LINE * ((len(handles) - 1) // ACROSS), bottom=0.52 + height(lines),
-        gaps=(0.2, 0), sharey=True, gridspec_kw={"width_ratios": (2, 3)},
+    figure, (place, share) = row_panels(
+        [entry.name for entry in entries], 2, ROW, right=0.16 + max(map(text_width, (*words, header))),
+        gap=0.2, top=0.4 + LINE * ((len(handles) - 1) // ACROSS), bottom=0.52 + height(lines),
+        gridspec_kw={"width_ratios": (2, 3)},
     )  # fmt: skip
-    place, share = axes[0]
-    for ax in (place, share):
-        stripes(ax, len(entries))
-        ax.tick_params("y", length=0)
     _places(place, entries, report)
     _shares(share, entries)
     for row, text in enumerate(words):
         beside(share, row, text)
     beside(share, -1.1, header)
-    place.set_yticks(range(len(entries)), [entry.name for entry in entries])
-    place.set_ylim(len(entries) - 0.5, -0.5)
     caption(figure, lines)
     legend(figure, handles, "upper left", ncols=min(len(handles), ACROSS), columnspacing=1.4)
     return figure
@@ -137,7 +129,7 @@ def _shares(ax: Axes, entries: list[ParameterReport]) -> None:
 def _instead(report: Identifiability) -> list[str]:
     if not report.combinations:
         return []
-    lines = ["Determined instead"]
+    lines = ["Identifiable combinations"]
     for c in report.combinations:
         lines += ["  " + line for line in broken(f"{typeset(c.expression)}: {in_words(c)}", 6.7)]
     return lines

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
-from hallsym.log import Log
-from hallsym.log.batches import Weigh
+from hallsym.estimation import Fit
+from hallsym.log import Log, Weigh
 from hallsym.report.data import COLUMNS, Survey, Trace, decoded, held_out, representative
 from hallsym.report.figures.style import (
     AFTER,
@@ -49,7 +48,7 @@ def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> F
     timed = survey.time is not None
     looks: tuple[tuple[str, dict[str, Any]], ...] = (
         ("reference", {"color": LIGHT, "lw": 3.2}),
-        ("decoded, designed parameters", {"color": BLACK, "lw": 0.7, "ls": DASHED}),
+        ("decoded, nominal parameters", {"color": BLACK, "lw": 0.7, "ls": DASHED}),
         ("decoded, fitted", {"color": AFTER, "lw": 0.9}),
     )
     for column, (run, trace) in enumerate(zip(chosen, traces, strict=True)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,44 +58,48 @@ def save_plan_pictures(
 
 
 def coverage(plan: Plan, other: Campaign | Log | None = None, other_name: str = "recorded") -> Figure:
-    """Draw vertical settings (area: number of runs) and paths of the motion, planned and recorded."""
+    """Draw vertical settings (area: number of runs) and paths of the motion, planned and recorded.
+
+    The path of a single pose coordinate is drawn over the run. A row shows three pairs of axes at most.
+    """
     model = plan.study.model
-    planned = list(_paths(plan.campaign, (*model.pose, *model.state)))
-    shown = [] if other is None else list(_paths(other, (*model.pose, *model.state), model.references))
-    rows = [list(_pairs(len(model.pose), 0))]
+    n, columns = len(model.pose), (*model.pose, *model.state)
+    planned = list(_paths(plan.campaign, columns))
+    shown = [] if other is None else list(_paths(other, columns, model.references))
+    rows = [list(combinations(range(n), 2)) or [(len(columns), 0)]]
     if len(model.state) >= 2:
-        rows.insert(0, list(_pairs(len(model.state), len(model.pose))))
-    columns = (*model.pose, *model.state)
-    figure, axes = panels(len(rows), 3, 1.75, top=0.3, bottom=0.42, gaps=(0.72, 0.55), right=0.14)
+        rows.insert(0, list(combinations(range(n, len(columns)), 2)))
+    across = min(3, max(map(len, rows)))
+    figure, axes = panels(len(rows), across, 1.75, top=0.3, bottom=0.42, gaps=(0.72, 0.55), right=0.14)
     for line, pairs in zip(axes, rows, strict=True):
-        for ax, (i, j) in zip(line, pairs, strict=False):
-            both = np.array([largest(np.hstack([p[k] for p in planned + shown])) for k in (i, j)])
-            units = [scale(columns[k], most, model.period) for k, most in zip((i, j), both, strict=True)]
-            draw = _settings if i >= len(model.pose) else _motion
-            draw(ax, shown, (i, j), units, BEFORE, False)
-            draw(ax, planned, (i, j), units, AFTER, True)
-            label_x(ax, f"{name(columns[i])} [{units[0][1]}]", 0.3)
-            label_y(ax, f"{name(columns[j])} [{units[1][1]}]", 0.62)
+        for ax, at in zip(line, pairs, strict=False):
+            words, factors = [], []
+            for k in at:
+                most = max(largest(path[k]) for path in planned + shown)
+                factor, unit = scale(columns[k], most, model.period) if k < len(columns) else (100.0, "%")
+                factors.append(factor)
+                words.append(f"{name(columns[k]) if k < len(columns) else 'part of the run'} [{unit}]")
+            draw = _settings if n <= at[0] < len(columns) else _motion
+            draw(ax, shown, at, factors, BEFORE, False)
+            draw(ax, planned, at, factors, AFTER, True)
+            label_x(ax, words[0], 0.3)
+            label_y(ax, words[1], 0.62)
             ax.margins(0.14)
             ax.grid(color=SHADE, lw=0.5, zorder=0)
+        for ax in line[len(pairs) :]:
+            ax.set_axis_off()
     _coverage_legend(figure, len(planned), len(shown), other_name)
     return figure
-
-
-def _pairs(n: int, first: int) -> Iterator[tuple[int, int]]:
-    for i in range(n):
-        for j in range(i + 1, n):
-            yield first + i, first + j
 
 
 def _paths(
     source: Campaign | Log, columns: Sequence[str], references: Sequence[str] = ()
 ) -> Iterator[np.ndarray]:
-    """Position of every axis over each run, (columns, points)."""
+    """Yield the position of every axis over each run, and last the part of the run, (columns + 1, points)."""
     if isinstance(source, Campaign):
         for run in source.runs:
             t = np.linspace(0.0, run.duration_s, POINTS)
-            yield np.array([run.position(c, t) for c in columns])
+            yield np.array([*(run.position(c, t) for c in columns), t / run.duration_s])
         return
     logged = (*references, *columns[len(references) :])
     parts: dict[int, list[np.ndarray]] = {}
@@ -102,43 +107,43 @@ def _paths(
         rows = np.array([block.data[c] for c in logged])
         parts.setdefault(block.run, []).append(rows[:, :: max(1, rows.shape[1] // POINTS)])
     for pieces in parts.values():
-        yield np.hstack(pieces)
+        path = np.hstack(pieces)
+        yield np.vstack([path, np.linspace(0.0, 1.0, path.shape[1])])
 
 
 def _settings(
     ax: Axes,
     paths: list[np.ndarray],
     at: tuple[int, int],
-    units: list[tuple[float, str]],
+    factors: list[float],
     color: str,
     full: bool,
 ) -> None:
     """A disc for each setting, its area the number of runs; a line where the axes move within a run."""
     if not paths:
         return
-    factors = np.array([u[0] for u in units])
-    middle = factors * np.array([p[list(at)].mean(axis=1) for p in paths])
+    middle = np.array(factors) * np.array([p[list(at)].mean(axis=1) for p in paths])
     places, count = np.unique(np.round(middle, 1), axis=0, return_counts=True)
     look: dict[str, Any] = (
         {"facecolors": color, "alpha": 0.75} if full else {"facecolors": "none", "edgecolors": color}
     )
     x, y = places.T
     ax.scatter(x, y, s=14.0 * count, zorder=3 if full else 4, linewidths=1.0, **look)
-    _motion(ax, [p for p in paths if np.ptp(p[list(at)], axis=1).max() > 2e-6], at, units, color, full)
+    _motion(ax, [p for p in paths if np.ptp(p[list(at)], axis=1).max() > 2e-6], at, factors, color, full)
 
 
 def _motion(
     ax: Axes,
     paths: list[np.ndarray],
     at: tuple[int, int],
-    units: list[tuple[float, str]],
+    factors: list[float],
     color: str,
     full: bool,
 ) -> None:
     look: dict[str, Any] = {"lw": 0.9} if full else {"ls": "none", "marker": "o", "ms": 2.2, "mfc": "none"}
     for path in _distinct([p[list(at)] for p in paths]):
         step = 1 if full else max(1, path.shape[1] // CIRCLES)
-        x, y = (f * row[::step] for (f, _), row in zip(units, path, strict=True))
+        x, y = (f * row[::step] for f, row in zip(factors, path, strict=True))
         ax.plot(x, y, color=color, zorder=2 + full, **look)
 
 
@@ -163,32 +168,21 @@ def criterion_by_runs(plan: Plan) -> Figure:
     """Draw how uncertainty by the plan's criterion falls with the number of runs, the comparison marked."""
     runs, values = plan.curve()
     bounds = np.array([plan.study.choose(int(n)).bound for n in runs])
-    other = plan.comparison if plan.comparison and plan.comparison.determined else None
-    one = other.value if other else plan.choice.value
+    other = plan.comparison if plan.comparison and plan.comparison.other else None
+    one = other.other.value if other and other.other else plan.choice.value
     what = other.name if other else f"{len(plan.campaign.runs)} runs"
     figure, axes = panels(1, 1, 2.4, top=0.3, bottom=0.42, right=0.2)
     ax = axes[0, 0]
     ax.axhline(1.0, color=FAINT, lw=0.8, zorder=1)
     (limit,) = ax.plot(runs, np.sqrt(one / bounds), color=GREY, ls=DASHED, label="no plan is below")
     (line,) = ax.plot(runs, np.sqrt(one / values), color=AFTER, marker="o", ms=3.6, label="plans")
-    handles, all_runs = [line, limit], [*runs]
+    ring: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 7.5, "mfc": "none", "color": BLACK}
     here = np.sqrt(one / plan.choice.value)
-    handles += ax.plot(
-        len(plan.campaign.runs),
-        here,
-        ls="none",
-        marker="o",
-        ms=7.5,
-        mfc="none",
-        color=BLACK,
-        label="this plan",
-    )
+    handles = [line, limit, *ax.plot(len(plan.campaign.runs), here, label="this plan", **ring)]
     if other:
         handles += ax.plot(other.runs, 1.0, ls="none", marker="D", ms=5.5, color=BEFORE, label=other.name)
-        all_runs.append(other.runs)
-    drawn = np.array([*np.sqrt(one / values), *np.sqrt(one / bounds), 1.0])
-    log_axis(ax, "x", np.array(all_runs, dtype=float))
-    log_axis(ax, "y", drawn)
+    log_axis(ax, "x", np.array([*runs, *([other.runs] if other else [])], dtype=float))
+    log_axis(ax, "y", np.array([*np.sqrt(one / values), *np.sqrt(one / bounds), 1.0]))
     ax.grid(color=SHADE, lw=0.5, zorder=0)
     label_x(ax, "runs", 0.3)
     label_y(ax, f"uncertainty by {plan.study.criterion.name}, {what} = 1")

@@ -85,6 +85,22 @@ def panels(
     )
 
 
+def row_panels(
+    names: Sequence[str], columns: int, row: float, *, right: float, gap: float, **options: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of `columns` axes side by side with one row per name, `row` high; inches."""
+    figure, axes = panels(
+        1, columns, row * len(names), left=0.1 + max(map(text_width, names)), right=right, gaps=(gap, 0),
+        sharey=True, **options,
+    )  # fmt: skip
+    for ax in axes[0]:
+        bands(ax, [(k - 0.5, k + 0.5) for k in range(0, len(names), 2)], STRIPE, upright=False)
+        ax.tick_params("y", length=0)
+    axes[0, 0].set_yticks(range(len(names)), names)
+    axes[0, 0].set_ylim(len(names) - 0.5, -0.5)
+    return figure, list(axes[0])
+
+
 def label_y(ax: Axes, text: str, margin: float = LEFT) -> None:
     """Label the y axis at the outer edge of a left margin [inches]."""
     ax.set_ylabel(text, va="top")
@@ -138,11 +154,6 @@ def bands(ax: Axes, spans: Sequence[tuple[float, float]], color: str, *, upright
     place = ax.get_xaxis_transform() if upright else ax.get_yaxis_transform()
     shade = PolyCollection(corners, facecolors=color, linewidths=0, zorder=0, transform=place)
     ax.add_collection(shade, autolim=False)
-
-
-def stripes(ax: Axes, rows: int) -> None:
-    """Shade every other one of `rows` rows."""
-    bands(ax, [(row - 0.5, row + 0.5) for row in range(0, rows, 2)], STRIPE, upright=False)
 
 
 def log_axis(ax: Axes, which: str, values: np.ndarray) -> None:

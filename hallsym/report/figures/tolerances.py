@@ -9,17 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hallsym.report.figures.saving import save_figures
-from hallsym.report.figures.style import (
-    AFTER,
-    BLACK,
-    LIGHT,
-    key,
-    label_x,
-    legend,
-    panels,
-    stripes,
-    text_width,
-)
+from hallsym.report.figures.style import AFTER, BLACK, LIGHT, key, label_x, legend, row_panels
 from hallsym.report.words import name
 
 if TYPE_CHECKING:
@@ -39,21 +29,10 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
     from matplotlib.patches import Patch
 
     order, pose = [found.active.index(n) for n in found.ranking], found.model.pose
-    left, rows = 0.1 + max(map(text_width, found.ranking)), np.arange(len(order))
-    figure, axes = panels(
-        1,
-        len(pose),
-        ROW * len(order),
-        left=left,
-        right=0.1,
-        top=0.42,
-        bottom=0.42,
-        gaps=(0.16, 0),
-        sharey=True,
-    )
-    for ax, column in zip(axes[0], pose, strict=True):
+    rows = np.arange(len(order))
+    figure, axes = row_panels(found.ranking, len(pose), ROW, right=0.1, gap=0.16, top=0.42, bottom=0.42)
+    for ax, column in zip(axes, pose, strict=True):
         indices = found.indices[quantity][column]
-        stripes(ax, len(order))
         for side, color, values, half in (
             (-0.5, AFTER, indices.first, indices.first_half),
             (0.5, LIGHT, indices.total, indices.total_half),
@@ -65,10 +44,7 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
             )  # fmt: skip
         ax.set_title(name(column), pad=3)
         ax.set_xlim(min(0.0, ax.get_xlim()[0]), ax.get_xlim()[1])
-        ax.tick_params("y", length=0)
         label_x(ax, "share of the variance [%]")
-    axes[0, 0].set_yticks(rows, found.ranking)
-    axes[0, 0].set_ylim(len(order) - 0.5, -0.5)
     legend(
         figure,
         [

@@ -2,93 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
+from hallsym.diagnosis import Diagnosis, Separation
 from hallsym.errors import counted
 from hallsym.report.page import figures
-from hallsym.report.page.diagnosis_record import (
-    Record,
-    interval_text,
-    p_cell,
-    pair,
-    percent,
-)
+from hallsym.report.page.diagnosis_words import p_cell, percent, with_interval
 from hallsym.report.page.html import Markup, items, join, table, tag
 from hallsym.report.words import three
 
 
-def effects_section(record: Record) -> Markup:
+def effects_section(d: Diagnosis) -> Markup:
     """Return the ranking of the effects, and groups that the log cannot tell apart."""
-    effects, groups = record.get("effects") or [], record.get("groups") or []
-    if not (effects or groups or record.get("ranked")):
-        return tag("p", "None: no effect of the catalogue lowers the gap by what is worth reporting.")
-    return join([_ranking(record, effects), _ranked(record, effects, groups), _groups(record, groups)])
+    if not (d.effects or d.groups or d.ranked):
+        return tag("p", "None. No effect of the catalogue lowers the gap by what is worth reporting.")
+    return join([_ranking(d), _ranked(d), _groups(d)])
 
 
-def _ranking(record: Record, effects: Sequence[Record]) -> Markup:
-    drawn = [e for e in effects if e.get("shrinkage") is not None]
-    if not drawn:
+def _ranking(d: Diagnosis) -> Markup:
+    if not d.effects:
         return Markup("")
-    rows = [(str(e["name"]), float(e["shrinkage"]), pair(e.get("interval"))) for e in drawn]
-    title = "the gap without it shrinks by [%], with its 95 % interval"
-    return tag("figure", figures.intervals(rows, title))
+    rows = [(e.name, e.shrinkage, e.interval) for e in d.effects]
+    return tag(
+        "figure", figures.intervals(rows, "decrease of the gap by the effect [%], with its 95 % interval")
+    )
 
 
-def _ranked(record: Record, effects: Sequence[Record], groups: Sequence[Sequence[str]]) -> Markup:
+def _ranked(d: Diagnosis) -> Markup:
     """Return the ranking as a table: effects with numbers, then names that carry evidence without them."""
-    head = ["effect", "link", "form", "shrinks the gap by", "share of the gap", "p", "not told apart from"]
-    rows: list[list[object]] = []
-    for e in effects:
-        shrinks = (
-            "" if e.get("shrinkage") is None else percent(e["shrinkage"]) + interval_text(e.get("interval"))
-        )
-        share = "" if e.get("share") is None else percent(e["share"], 0)
-        row = [
-            e["name"],
-            e.get("link") or "",
-            e.get("variant") or "",
-            shrinks,
-            share,
-            p_cell(e.get("p_value")),
+    head = ["effect", "link", "form", "shrinks the gap by", "share of the excess", "p", "not told apart from"]
+    rows: list[list[object]] = [
+        [
+            e.name,
+            e.link,
+            e.variant,
+            with_interval(e.shrinkage, e.interval),
+            percent(e.share, 0),
+            p_cell(e.p_value),
+            _others(d, e.name),
         ]
-        rows.append([*row, _others(e["name"], groups)])
-    named = {e["name"] for e in effects}
-    for name in record.get("ranked") or []:
-        if name not in named:
-            rows.append([name, "", "", "", "", "", _others(name, groups)])
+        for e in d.effects
+    ]
+    named = {e.name for e in d.effects}
+    rows += [[name, "", "", "", "", "", _others(d, name)] for name in d.ranked if name not in named]
     return table(head, rows, left=3, wordy=(6,), caption="effects, best first")
 
 
-def _others(name: str, groups: Sequence[Sequence[str]]) -> str:
-    return ", ".join(dict.fromkeys(other for g in groups if name in g for other in g if other != name))
+def _others(d: Diagnosis, name: str) -> str:
+    return ", ".join(dict.fromkeys(other for g in d.groups if name in g for other in g if other != name))
 
 
-def _groups(record: Record, groups: Sequence[Sequence[str]]) -> Markup:
+def _groups(d: Diagnosis) -> Markup:
     """Return what the log cannot tell apart, and the recording that would."""
-    found = {tuple(s.get("group") or ()): s for s in record.get("separate_by") or []}
-    lines = []
-    for group in dict.fromkeys([*map(tuple, groups), *found]):
-        s = found.get(group, {})
-        lines.append(join([tag("strong", ", ".join(group)), *_separation(s)]))
-    return join([tag("h3", "Groups"), items(lines)]) if lines else Markup("")
+    found = {s.group: s for s in d.separate_by}
+    lines = [
+        join([tag("strong", ", ".join(group)), *_separation(found.get(group))])
+        for group in dict.fromkeys([*d.groups, *found])
+    ]
+    return join([tag("h3", "Confusable effects"), items(lines)]) if lines else Markup("")
 
 
-def _separation(s: Record) -> list[object]:
+def _separation(s: Separation | None) -> list[object]:
     """Return what would separate a group, and by how much."""
-    now = "" if s.get("sigma_now") is None else f" ({three(s['sigma_now'])} sigma)"
-    out: list[object] = [f": this log cannot tell them apart{now}."]
-    if not s.get("recording"):
-        return out
-    out.append(f" Record {s['recording']}")
-    if s.get("simulated") and s.get("sigma") is not None and s.get("runs"):
-        each = f": simulated, one run of {s['run_s']:.3g} s tells them apart by {three(s['sigma'])} sigma"
-        total = f" ({s['seconds']:.3g} s in all)" if s["runs"] > 1 and s.get("seconds") else ""
-        out.append(f"{each}; 5 sigma take {counted(s['runs'], 'run')}{total}.")
-        tried = sorted((s.get("tried") or {}).items(), key=lambda x: -(x[1] or 0.0))
-        rows = [[what, three(sigma)] for what, sigma in tried if sigma is not None]
-        out.append(table(["recording that was simulated", "sigma per run"], rows))
-    elif s.get("factor"):
-        out.append(f": the difference must show {s['factor']:.3g} times more than here.")
-    else:
-        out.append(".")
-    return out
+    if s is None:
+        return [": this log cannot tell them apart."]
+    now = "" if s.sigma_now is None else f" ({three(s.sigma_now)} sigma)"
+    said = f": this log cannot tell them apart{now}. Record {s.recording}"
+    if not s.simulated or s.sigma is None or s.run_s is None or not s.runs:
+        return [f"{said}: the difference must be {s.factor:.3g} times larger than here."]
+    total = f" ({s.seconds:.3g} s in all)" if s.runs > 1 and s.seconds else ""
+    each = f": simulated, one run of {s.run_s:.3g} s tells them apart by {three(s.sigma)} sigma"
+    tried = sorted(s.tried.items(), key=lambda item: -item[1])
+    return [
+        f"{said}{each}; 5 sigma take {counted(s.runs, 'run')}{total}.",
+        table(["recording that was simulated", "sigma per run"], [[what, three(v)] for what, v in tried]),
+    ]

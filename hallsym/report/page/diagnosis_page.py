@@ -1,26 +1,27 @@
-"""The page of a diagnosis: `hallsym diagnose LOG -o report.html`. Built from its record, plain JSON data."""
+"""The page of a diagnosis: `hallsym diagnose LOG -o report.html`."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-from hallsym.estimation.calibration import Fit
+from hallsym.diagnosis import Diagnosis
+from hallsym.estimation import Fit
 from hallsym.report.data import Cells, RunSeries
 from hallsym.report.page import parts
 from hallsym.report.page.diagnosis_effects import effects_section
-from hallsym.report.page.diagnosis_errors import errors_section, errors_title, gaps_of
+from hallsym.report.page.diagnosis_errors import errors_section, errors_title
 from hallsym.report.page.diagnosis_places import rest_section, where_section
-from hallsym.report.page.diagnosis_record import Record, floor_of, log_of, percent, source_of, typeset
+from hallsym.report.page.diagnosis_words import percent, typeset
 from hallsym.report.page.html import Markup, facts, items, join, table, tag
 from hallsym.report.page.page import Section, document
 from hallsym.report.page.series import all_series
 from hallsym.report.tables import concise
+from hallsym.report.text.diagnosis import units_of
 from hallsym.report.words import MINUS
 
 
 def diagnosis_page(
-    record: Record,
+    d: Diagnosis,
     *,
     maps: Sequence[Cells] = (),
     after: Sequence[Cells] = (),
@@ -30,69 +31,58 @@ def diagnosis_page(
 ) -> str:
     """Return the page of a diagnosis as HTML.
 
-    `record`: `Diagnosis.to_dict()`; entries that are missing or None leave their place out. `maps`, `after`,
-    `series`: of the errors before and after, from `gather` or `run_series`. `fit`: the calibration that was
-    diagnosed, for its parameter table. `command`: what was typed. How long it took is not shown, so that the
-    page of the same data is the same.
+    `maps`, `after`, `series`: of the errors before and after, from `gather` or `run_series`. `fit`: the
+    calibration that was diagnosed, for its parameter table. `command`: what was typed. The duration is not
+    shown, so the same data give the same page.
     """
-    floor = floor_of(record)
+    floor = d.noise_floor.outputs
     sections = [
-        Section("asked", "What was asked", _asked(record, floor)),
-        Section("errors", errors_title(record), errors_section(record, floor)),
-        Section("effects", "Which effects", effects_section(record)),
-        Section("where", "Where the gap lies", where_section(record)),
-        Section("rest", "What no effect explains", rest_section(record)),
+        Section("asked", "Input", _input(d)),
+        Section("errors", errors_title(d), errors_section(d)),
+        Section("effects", "Which effects", effects_section(d)),
+        Section("where", "Where the gap lies", where_section(d)),
+        Section("rest", "What no effect explains", rest_section(d)),
         Section("maps", "Maps of the error", parts.maps_section(maps, floor, after=after)),
         Section("series", "Decoded minus reference over time", all_series(series)),
-        Section("parameters", "Parameters", _parameters(record, fit)),
-        Section("notes", "Also looked at, and notes", _notes(record)),
-        Section("origin", "Origin", parts.provenance(log_of(record), record.get("versions") or {}, command)),
+        Section("parameters", "Parameters", _parameters(d, fit)),
+        Section("notes", "Other checks", _notes(d)),
+        Section("origin", "Origin", parts.provenance(d.log, d.versions, command)),
     ]
-    title = f"Diagnosis of {record.get('model') or 'a model'}: {parts.called(log_of(record).get('path'))}"
-    verdict = [tag("strong", f"{str(record['verdict']).capitalize()}."), " ", _sentence(record)]
-    footer = f"hallsym {(record.get('versions') or {}).get('hallsym', '')}"
-    return document(title, verdict, sections, footer)
+    title = f"Diagnosis of {d.model}: {parts.called(d.log.get('path'))}"
+    verdict = [tag("strong", f"{d.verdict.capitalize()}."), " ", _sentence(d)]
+    return document(title, verdict, sections, f"hallsym {d.versions.get('hallsym', '')}")
 
 
-def _sentence(record: Record) -> str:
-    """Return the record's own sentence, else one from its numbers."""
-    if record.get("sentence"):
-        return typeset(str(record["sentence"]).removeprefix(f"{str(record['verdict']).capitalize()}: "))
-    ranked = record.get("ranked") or []
-    found = f"The evidence names {', '.join(ranked)}" if ranked else "No effect of the catalogue is named"
-    said = [f"{parts.each(gap['rmse'])} {when}" for when, gap in gaps_of(record).items()]
-    return f"{found}; rmse {', '.join(said)}." if said else f"{found}."
+def _sentence(d: Diagnosis) -> str:
+    """Return the sentence of the record without the verdict, which stands before it."""
+    return typeset(d.sentence.removeprefix(f"{d.verdict.capitalize()}. "))
 
 
-def _asked(record: Record, floor: Mapping[str, float]) -> Markup:
-    log, runs = log_of(record), record.get("validation_runs") or []
-    apart = "took part in neither the fit nor the choice of effects"
-    threshold = record.get("threshold")
+def _input(d: Diagnosis) -> Markup:
+    judging = "which took part in neither the fit nor the choice of effects"
     return facts(
         [
-            ("log", tag("code", log.get("path") or "a log in memory")),
-            ("samples", f"{log['rows']} in {log['runs']} runs" if {"rows", "runs"} <= set(log) else None),
-            ("model", record.get("model")),
-            ("runs held out", f"{len(runs)} ({parts.numbers(runs)}), which {apart}" if runs else None),
-            ("noise floor", f"{parts.each(floor)}{source_of(record, '; ')}" if floor else None),
+            ("log", tag("code", d.log.get("path") or "a log in memory")),
             (
-                "worth reporting",
-                f"what lowers the gap by at least {100 * threshold:g} %" if threshold else None,
+                "samples",
+                f"{d.log['rows']} in {d.log['runs']} runs" if {"rows", "runs"} <= set(d.log) else None,
             ),
+            ("model", d.model),
+            ("holdout runs", f"{len(d.validation_runs)} ({parts.numbers(d.validation_runs)}), {judging}"),
+            ("noise floor", f"{parts.each(d.noise_floor.outputs)}; {d.noise_floor.source}"),
+            ("worth reporting", f"a decrease of the gap by at least {100 * d.threshold:g} %"),
         ]
     )
 
 
-def _parameters(record: Record, fit: Fit | None) -> Markup:
+def _parameters(d: Diagnosis, fit: Fit | None) -> Markup:
     rows: list[list[object]] = []
-    turns = "angle_rad" in (record.get("noise_floor") or {})
-    for e in record.get("effects") or []:
-        for name, p in (e.get("parameters") or {}).items():
-            degrees = turns and p.get("unit") == "rad"
-            factor, unit = (180 / math.pi, "deg") if degrees else (1.0, p.get("unit") or "")
-            std = None if p.get("std") is None else factor * p["std"]
-            value = "" if p.get("value") is None else concise(factor * p["value"], std).replace("-", MINUS)
-            rows.append([e["name"], name, value, unit, e.get("cost") or ""])
+    angle = units_of(d)["rad"]
+    for e in d.effects:
+        for name, p in e.parameters.items():
+            factor, unit = angle if angle[1] == "deg" and p.unit == "rad" else (1.0, p.unit)
+            std = None if p.std is None else factor * p.std
+            rows.append([e.name, name, concise(factor * p.value, std).replace("-", MINUS), unit, e.cost])
     head = ["effect", "parameter", "value (std)", "unit", "adds to the model"]
     added = table(head, rows, left=2, wordy=(4,), caption="parameters of the effects")
     own = (
@@ -103,14 +93,10 @@ def _parameters(record: Record, fit: Fit | None) -> Markup:
     return join([added, own])
 
 
-def _notes(record: Record) -> Markup:
+def _notes(d: Diagnosis) -> Markup:
     smaller = [
-        f"{f['name']}: significant, lowers the gap by {percent(f['shrinkage'])}, less than the threshold"
-        if f.get("shrinkage") is not None
-        else f"{f['name']}: significant, less than the threshold"
-        for f in record.get("smaller_findings") or []
+        f"{f.name}: significant, lowers the gap by {percent(f.shrinkage)}, less than the threshold"
+        for f in d.smaller_findings
     ]
-    untested = [
-        f"{name}: not testable, {reason}" for name, reason in (record.get("not_testable") or {}).items()
-    ]
-    return items([*smaller, *untested, *(record.get("notes") or [])])
+    untested = [f"{name}: not testable, {reason}" for name, reason in d.not_testable.items()]
+    return items([*smaller, *untested, *d.notes])

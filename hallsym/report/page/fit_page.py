@@ -9,13 +9,17 @@ from functools import partial
 import numpy as np
 
 from hallsym.errors import counted
-from hallsym.estimation.calibration import Fit, added_effects
-from hallsym.estimation.channel_assignment import as_read
-from hallsym.estimation.gauss_newton import cost_near
-from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals
-from hallsym.log import Log
-from hallsym.log.batches import Weigh
+from hallsym.estimation import (
+    Cost,
+    Fit,
+    added_effects,
+    as_read,
+    column_spikes,
+    cost_near,
+    reject_spikes,
+    residuals,
+)
+from hallsym.log import Log, Weigh
 from hallsym.report.data import Decoder, Gathered, gather
 from hallsym.report.page import figures, parts
 from hallsym.report.page.html import Markup, facts, items, join, tag
@@ -26,7 +30,7 @@ from hallsym.report.words import name
 
 NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
-LOOKS = {"designed": "before", "fitted": "after", "held out": "apart", "this log": "after"}
+LOOKS = {"nominal": "before", "fitted": "after", "held out": "apart", "this log": "after"}
 
 Gap = Mapping[str, Mapping[str, float]]
 
@@ -48,7 +52,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
     shown = {k: v for k, v in rows.items() if v is not None}
     notes = _notes(log, fit, found, same)
     sections = [
-        Section("asked", "What was asked", _asked(log, fit, found, same)),
+        Section("input", "Input", _input(log, fit, found, same)),
         Section("errors", "Errors against the noise floor", _errors(shown, fit, same)),
         Section("maps", "Where the error is", parts.maps_section(found.maps, fit.noise_floor)),
         Section("series", "Decoded minus reference over time", all_series(found.series)),
@@ -67,7 +71,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
 
 
 def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
-    """Return in one or two sentences what the fit leaves and what it does not determine."""
+    """Return in one or two sentences what the fit leaves and which parameters are not identifiable."""
     where, gap = _judged(rows)
     on = {"held out": "on runs that were held out", "fitted": "on the runs that were fitted"}
     floor = {c: v for c, v in fit.noise_floor.items() if v}
@@ -84,12 +88,12 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
             f"; the noise floor is {each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
             "so there is more in the machine than in this model, or more noise than stated."
         )
-    return " ".join(filter(None, (_unfinished(fit), text, _determined(fit))))
+    return " ".join(filter(None, (_unfinished(fit), text, _identifiable(fit))))
 
 
 def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
     """Return the rows to judge by: held-out runs where there are any."""
-    key = next(k for k in ("held out", "this log", "fitted", "designed") if k in rows)
+    key = next(k for k in ("held out", "this log", "fitted", "nominal") if k in rows)
     return key, rows[key]
 
 
@@ -99,15 +103,15 @@ def _unfinished(fit: Fit) -> str:
     return f"The solver did not finish ({fit.status}); these are the best values so far."
 
 
-def _determined(fit: Fit) -> str:
+def _identifiable(fit: Fit) -> str:
     free = [n for n, p in zip(fit.model.names, fit.model.parameters, strict=True) if p.width > 0]
     missing = [n for n, d in zip(fit.model.names, fit.determined, strict=True) if not d and n in free]
     never, here = ([n for n in missing if (n in fit.structural) == own] for own in (True, False))
-    said = [] if missing else [f"All {len(free)} free parameters are determined."]
+    said = [] if missing else [f"All {len(free)} free parameters are identifiable."]
     if here:
-        said.append(f"This log does not determine {', '.join(here)}.")
+        said.append(f"Not identifiable from this log: {', '.join(here)}.")
     if never:
-        said.append(f"No recording determines {', '.join(never)} of this model by themselves.")
+        said.append(f"Not identifiable by themselves from any recording: {', '.join(never)}.")
     if fit.at_bound:
         said.append(f"At a bound: {', '.join(fit.at_bound)}.")
     return " ".join(said)
@@ -115,13 +119,13 @@ def _determined(fit: Fit) -> str:
 
 def _rows(fit: Fit, found: Gathered) -> dict[str, Gap | None]:
     """Errors as the fit recorded them: without the outliers that it left out."""
-    rows = fit.error_rows or {"designed": found.survey.designed.over(), "fitted": found.survey.fitted.over()}
-    return {"designed": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
+    rows = fit.error_rows or {"designed": found.survey.nominal.over(), "fitted": found.survey.fitted.over()}
+    return {"nominal": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
 
 
-def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
-    runs, apart = found.survey.runs, [r for r in fit.log["holdout"] if same]
-    fitted = [r for r in runs if r not in apart]
+def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
+    runs, holdout = found.survey.runs, [r for r in fit.log["holdout"] if same]
+    fitted = [r for r in runs if r not in holdout]
     count = int(np.diff(found.survey.edges).sum())
     used = (
         f"{len(fitted)} ({parts.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
@@ -136,7 +140,7 @@ def _asked(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
             ("runs fitted", used),
             (
                 "runs held out",
-                (f"{len(apart)} ({parts.numbers(apart)})" if apart else "none") if same else None,
+                (f"{len(holdout)} ({parts.numbers(holdout)})" if holdout else "none") if same else None,
             ),
             ("calibrated on", None if same else tag("code", fit.log["path"] or "a log in memory")),
             ("noise floor", f"{floor}: what the noise of readings and reference alone leaves"),
@@ -148,7 +152,7 @@ def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> Markup:
     drawn = {label: (LOOKS[label], gap) for label, gap in rows.items()}
     note = "Dashed line: noise floor. "
     none = ", no zero deviations" if fit.model.zeros else ""
-    note += f"Designed: nominal parameters{none}. " if same else ""
+    note += f"Nominal: every parameter at its nominal value{none}. " if same else ""
     note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
     return join(
         [

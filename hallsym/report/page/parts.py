@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation import Fit
 from hallsym.report.data import Cells, ParameterRow, parameter_rows
 from hallsym.report.page import figures, maps
 from hallsym.report.page.html import Markup, facts, join, table, tag
@@ -23,8 +23,8 @@ BANDS = "Line: median; band: plus and minus the rms."
 OVER = BANDS + " Pale with a light line: before; darker, drawn over it: after."
 VALUES = (
     "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
-    "not determined. In its bounds: dot and line are the value with two standard uncertainties, the small "
-    "stroke the nominal value; a hollow dot is not determined."
+    "not identifiable. In its bounds: dot and line are the value with two standard uncertainties, the small "
+    "stroke the nominal value; a hollow dot is not identifiable."
 )
 
 
@@ -163,9 +163,9 @@ def _signed(value: float) -> str:
 
 def parameter_table(fit: Fit) -> Markup:
     """Return the parameters: value, standard uncertainty, bounds, and whether the data determine them."""
-    head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "verdict", "meaning"]
+    head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "meaning and verdict"]
     rows = [_parameter(row) for row in parameter_rows(fit)]
-    return join([_note(VALUES), table(head, rows, wordy=(6, 7), caption="parameters")])
+    return join([_note(VALUES), table(head, rows, wordy=(6,), caption="parameters")])
 
 
 def _parameter(p: ParameterRow) -> list[object]:
@@ -173,15 +173,16 @@ def _parameter(p: ParameterRow) -> list[object]:
     bounds = "fixed" if p.fixed else f"{p.lower:.4g} to {p.upper:.4g}"
     mark = figures.in_bounds(p.value, p.std, p.lower, p.upper, p.nominal)
     numbers_ = [n.replace("-", MINUS) for n in (shown, p.unit, f"{p.nominal:.4g}", bounds)]
-    verdict = "fixed" if p.fixed else p.remark.replace("see below", "combined below") or "determined"
-    return [p.name, *numbers_, mark, verdict, p.meaning]
+    verdict = "fixed" if p.fixed else p.remark.replace("see below", "combined below") or "identifiable"
+    said = join([tag("span", p.meaning, class_="note"), tag("br"), verdict]) if p.meaning else verdict
+    return [p.name, *numbers_, mark, said]
 
 
 def combinations(fit: Fit) -> Markup:
     """Return what the data determine instead of parameters that they do not."""
     rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
     return (
-        join([tag("h3", "Determined instead"), table(["combination", "value", "unit"], rows)])
+        join([tag("h3", "Identifiable combinations"), table(["combination", "value", "unit"], rows)])
         if rows
         else Markup("")
     )

@@ -30,7 +30,10 @@ def budget_text(budget: Budget, shown: str | None = None) -> str:
     dof = budget.degrees_of_freedom
     level = "" if budget.level is None else f", {100 * budget.level:g} %"
     freedom = "" if np.isinf(dof) else f"; {dof:.0f} effective degrees of freedom"
-    value = "" if budget.value is None else f" = {_three(budget.value * factor)} {unit}"
+    value = ""
+    if budget.value is not None:
+        size, name = fitting(budget.unit, budget.value, turns=budget.turns)
+        value = f" = {_three(budget.value * size)} {name}"
     return "\n".join(
         [
             f"{budget.quantity}{value}",

@@ -1,6 +1,7 @@
 """A comparison as a person reads it in a terminal."""
 
-from hallsym.diagnosis.compare import LEVEL, Comparison, EffectChange, ParameterChange, PlaceChange
+from hallsym.diagnosis.compare import Comparison, EffectChange, ParameterChange, PlaceChange
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.words import gap_unit
 from hallsym.report.tables import concise, grid
 from hallsym.units import readable
@@ -17,7 +18,7 @@ def comparison_text(c: Comparison) -> str:
     if rows:
         head = ["parameter", "before", "after", "unit", "p of no change", "significant"]
         parts += ["", grid([head, *rows], left=1)]
-        parts.append(f"significant: at {100 * LEVEL:g} % over all {len(rows)} parameters together")
+        parts.append(f"significant: at {100 * POLICY.changed:g} % over all {len(rows)} parameters together")
     if c.where:
         parts += ["", "where the gap lies (share of the excess, before and after):", *map(_place, c.where)]
     return "\n".join([*parts, *(f"note: {note}" for note in c.notes)])

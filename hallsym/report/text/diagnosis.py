@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from textwrap import fill
 from typing import Any
 
@@ -12,15 +13,15 @@ from hallsym.report.tables import concise, error_rows, grid
 from hallsym.units import readable
 
 MUCH = 1e3
-"""Times that a difference must show more, from which on the number says nothing: this log has none."""
+"""Factor by which a difference must grow above which the number says nothing: this log shows none."""
 WIDTH = 110
 MOST = 10
-"""Statements on where a gap lies that are printed."""
+"""Statements on where a gap lies that are printed at most."""
 LEAST_P = 1e-6
-"""Probabilities below this are only said to be below it: no test is better than its assumptions."""
+"""P-values below this are only said to be below it: no test is better than its assumptions."""
 UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""),
          "m s2/m": (1e6, "um per m/s2")}  # fmt: skip
-"""How parameters are shown: unit -> factor and unit for reading."""
+"""How parameters are shown: SI unit -> factor and unit for reading."""
 
 
 def next_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
@@ -43,12 +44,15 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
         parts.append(next_text(d, reading))
     for s in d.separate_by:
         parts += ["", separation_text(s)]
-    above = "where what is above the noise lies" if d.verdict == "no gap" else "where the gap lies"
+    above = "where the excess over the noise lies" if d.verdict == "no gap" else "where the gap lies"
     parts += _statements(above, d.where)
-    parts += _statements("where the rest lies", d.remaining) if d.remaining != d.where else []
+    parts += _statements("where the unexplained rest lies", d.remaining) if d.remaining != d.where else []
     parts += _curve(d.unexplained)
     if d.smaller_findings:
-        parts += ["", _wrapped(f"smaller findings (significant, below the threshold): {_smaller(d)}", "  ")]
+        parts += [
+            "",
+            _wrapped(f"smaller findings (significant, but below the threshold): {_smaller(d)}", "  "),
+        ]
     parts += _untested(d.not_testable)
     if d.notes:
         parts += ["", *(_wrapped(f"note: {note}", "  ") for note in d.notes)]
@@ -56,7 +60,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
 
 
 def p_text(p: float | None) -> str:
-    """Return a probability for reading: never 0, never more digits than it is worth."""
+    """Return a p-value for reading: never 0, never more digits than it is worth."""
     if p is None:
         return ""
     return f"< {LEAST_P:.0e}".replace("e-0", "e-") if p < LEAST_P else f"{p:.1g}"
@@ -69,56 +73,46 @@ def _wrapped(text: str, indent: str = "") -> str:
 def _basis(d: Diagnosis) -> str:
     return (
         f"verdict: {d.verdict}. Model {d.model}; errors are on "
-        f"{counted(len(d.validation_runs), 'held-out run')}, "
-        "which took part in neither the fit nor the choice of effects; a gap counts from "
-        f"{100 * d.threshold:g} %; the noise floor is {d.noise_floor['source']}; {d.seconds:.1f} s."
+        f"{counted(len(d.validation_runs), 'holdout run')}, which took part in neither the fit nor the "
+        f"choice of effects; a decrease of {100 * d.threshold:g} % is worth reporting; the noise floor is "
+        f"{d.noise_floor.source}; {d.seconds:.1f} s."
     )
 
 
 def _errors(d: Diagnosis) -> str:
-    """The errors on held-out runs, before and after, with the noise floor."""
-    floor = {c: v for c, v in d.noise_floor.items() if c != "source"}
-    rows = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"held out": d.gap_before}
-    return error_rows(tuple(floor), rows, floor, d.noise_floor["source"])
+    """Return the errors on the holdout runs, before and after, with the noise floor."""
+    gaps = {"before": d.gap_before, "after": d.gap_after} if d.effects else {"holdout": d.gap_before}
+    rows = {when: asdict(gap) for when, gap in gaps.items()}
+    return error_rows(tuple(d.noise_floor.outputs), rows, d.noise_floor.outputs, d.noise_floor.source)
 
 
 def _sizes(d: Diagnosis) -> list[str]:
-    """How large the gap is per output and sensor, fitted and held-out runs apart."""
-    rows = [
-        [
-            "rms of the model",
-            "fitted",
-            "held out",
-            "noise",
-            "above it: fitted",
-            "held out",
-            "share",
-            "held out",
-        ]
-    ]
+    """Return the size of the gap per output and sensor, on fitted and on holdout runs."""
+    head = ["rms error", "fitted", "holdout", "noise", "above it: fitted", "holdout", "share", "holdout"]
+    rows = []
     for kind in ("outputs", "sensors"):
         for column, sides in d.size.get(kind, {}).items():
             if kind == "sensors" and column in d.size["outputs"]:
                 continue  # a decoded angle is both
             factor, unit, name = readable(column)
-            row = [f"{name} [{unit}]"]
             both = [sides.get(side) for side in ("fitted", "held_out")]
-            row += ["" if s is None else f"{factor * s['rms']:.3g}" for s in both]
-            row.append(next((f"{factor * s['noise']:.3g}" for s in both if s), ""))
-            row += ["" if s is None else f"{factor * s['above']:.3g}" for s in both]
-            row += ["" if s is None or s["share"] is None else f"{100 * s['share']:.0f} %" for s in both]
-            rows.append(row)
-    return ["", grid(rows)] if len(rows) > 1 else []
+            noise = next((f"{factor * s['noise']:.3g}" for s in both if s), "")
+            rms, above = (
+                ["" if s is None else f"{factor * s[k]:.3g}" for s in both] for k in ("rms", "above")
+            )
+            share = ["" if s is None or s["share"] is None else f"{100 * s['share']:.0f} %" for s in both]
+            rows.append([f"{name} [{unit}]", *rms, noise, *above, *share])
+    return ["", grid([head, *rows])] if rows else []
 
 
 def _waves(d: Diagnosis) -> list[str]:
-    """The error of periodic coordinates by waves per period; what the model absorbs of the largest."""
+    """Return the harmonics of the error over each periodic coordinate, and which the model absorbs."""
     lines = []
     for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
         mine = [w for w in d.waves if w.coordinate == coordinate]
-        factor, unit, name = readable(coordinate or next(iter(d.noise_floor)))
+        factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
         per = f"period of {name}" if coordinate else "turn"
-        rows = [[f"waves per {per} [{unit}]", "as designed", "model", "with the effects", "of them"]]
+        rows = [[f"waves per {per} [{unit}]", "nominal", "model", "with the effects", "effects found"]]
         for w in mine:
             found = [e.name for e in d.effects if e.name in w.causes]
             sizes = ["" if a is None else f"{factor * a:.2g}" for a in (w.designed, w.model, w.after)]
@@ -127,15 +121,18 @@ def _waves(d: Diagnosis) -> list[str]:
         most = max(mine, key=lambda w: w.designed)
         if most.absorbed and most.causes:
             size = f"{factor * most.designed:.2g} {unit}"
-            own = f"Most is {most.per_turn} per {per} ({size}), which the model's own parameters take up: "
-            either = f"{' or '.join(most.causes)}, which this model does not tell apart."
-            lines.append(_wrapped(own + either))
+            lines.append(
+                _wrapped(
+                    f"The largest harmonic is {most.per_turn} per {per} ({size}). The model's own parameters "
+                    f"absorb it, whichever causes it: {' or '.join(most.causes)}."
+                )
+            )
     return lines
 
 
 def effect_text(effects: tuple[FoundEffect, ...]) -> str:
     """Return the table of effects, best first."""
-    rows = [["effect", "link", "gap shrinks by (95 %)", "of the gap", "p"]]
+    rows = [["effect", "link", "gap shrinks by (95 %)", "share of excess", "p"]]
     for e in effects:
         low, high = e.interval
         shrinks = f"{100 * e.shrinkage:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
@@ -144,13 +141,13 @@ def effect_text(effects: tuple[FoundEffect, ...]) -> str:
 
 
 def units_of(d: Diagnosis) -> Mapping[str, tuple[float, str]]:
-    """How numbers of a diagnosis are shown: angles that go round in degrees, small ones in urad."""
-    factor, unit, _ = readable(next(iter(d.noise_floor), "x_m"))
+    """Return how numbers are shown: angles in degrees where the first output is an angle, else in urad."""
+    factor, unit, _ = readable(next(iter(d.noise_floor.outputs), "x_m"))
     return UNITS | ({"rad": (factor, unit)} if unit == "deg" else {})
 
 
 def _parameters(effect: FoundEffect, units: Mapping[str, tuple[float, str]]) -> str:
-    """What an effect is on this machine, and what it costs."""
+    """Return the parameters of an effect on this machine, and its firmware cost."""
     values = ", ".join(f"{n} {_estimate(p, units)}" for n, p in effect.parameters.items())
     form = f" ({effect.variant})" if effect.variant else ""
     text = f"{effect.name}{form}: {values + '; ' if values else ''}{effect.cost}"
@@ -164,26 +161,25 @@ def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> str:
 
 
 def _shrinks(d: Diagnosis) -> str:
-    low, high = d.shrinkage["interval"]
-    added = d.shrinkage["parameters_added"]
+    low, high = d.shrinkage.interval
     return (
-        f"The gap shrinks by {100 * d.shrinkage['value']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f}), "
-        f"{100 * d.shrinkage['share_closed']:.0f} % of what is above the floor, for "
-        f"{counted(added, 'parameter')} more."
+        f"The gap shrinks by {100 * d.shrinkage.value:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f}); "
+        f"{100 * d.shrinkage.share_closed:.0f} % of the excess above the noise floor is closed, with "
+        f"{counted(d.shrinkage.parameters_added, 'parameter')} more."
     )
 
 
 def separation_text(s: Separation) -> str:
-    """Return what a log cannot tell apart, what would, and by how much."""
-    text = f"This log cannot tell apart: {', '.join(s.group)}"
-    text += f" ({s.sigma_now:.2g} sigma)." if s.sigma_now is not None else "."
+    """Return what a log cannot tell apart, and the recording that would."""
+    now = "" if s.sigma_now is None else f" ({s.sigma_now:.2g} sigma)"
+    text = f"This log cannot tell apart: {', '.join(s.group)}{now}."
     if s.simulated and s.sigma is not None and s.runs is not None and s.seconds is not None:
         many = "one such run is enough" if s.runs == 1 else f"{s.runs} such runs are enough"
-        each = f"a run tells them apart by {s.sigma:.3g} sigma (simulated), {many} for 5 sigma"
         total = f", {s.seconds:.3g} s in all" if s.runs > 1 else ""
-        return _wrapped(f"{text} Record {s.recording}: {each}{total}.", "  ")
-    none = " None of the recordings that were simulated does it." if s.tried else ""
-    more = f" The difference must show {s.factor:.3g} times more than here." if s.factor < MUCH else ""
+        each = f"one run tells them apart by {s.sigma:.3g} sigma (simulated)"
+        return _wrapped(f"{text} Record {s.recording}: {each}; {many} for 5 sigma{total}.", "  ")
+    none = " None of the simulated recordings tells them apart." if s.tried else ""
+    more = f" The difference must be {s.factor:.3g} times larger than here." if s.factor < MUCH else ""
     return _wrapped(f"{text}{none} Record {s.recording}.{more}", "  ")
 
 
@@ -194,17 +190,13 @@ def _statements(title: str, statements: tuple[Statement, ...]) -> list[str]:
 
 
 def _statement(s: Statement) -> str:
-    held = "" if s.held_out is None else f"; held-out runs {100 * max(s.held_out, 0.0):.0f} %"
-    return f"{s.text} (p {_equals(s.p_value)}{held})"
-
-
-def _equals(p: float | None) -> str:
-    said = p_text(p)
-    return said if said.startswith("<") else f"= {said}"
+    held = "" if s.held_out is None else f"; holdout runs {100 * max(s.held_out, 0.0):.0f} %"
+    p = p_text(s.p_value)
+    return f"{s.text} (p {p if s.p_value < LEAST_P else f'= {p}'}{held})"
 
 
 def _curve(rest: Mapping[str, Any]) -> list[str]:
-    """One line on the shape of the rest: its largest value over its coordinate, for each reading."""
+    """Return one line on the shape of the rest: its largest value over its coordinate, for each reading."""
     curve = rest.get("curve")
     if not curve or not curve["line"]:
         return []
@@ -230,11 +222,11 @@ def _at(curve: Mapping[str, Any], k: int) -> str:
 
 
 def _smaller(d: Diagnosis) -> str:
-    return ", ".join(f"{f['name']} {100 * f['shrinkage']:.1f} %" for f in d.smaller_findings)
+    return ", ".join(f"{f.name} {100 * f.shrinkage:.1f} %" for f in d.smaller_findings)
 
 
 def _untested(reasons: Mapping[str, str]) -> list[str]:
-    """What could not be tested, names with the same reason together."""
+    """Return what could not be tested, names with the same reason together."""
     together: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         together.setdefault(reason, []).append(name)

@@ -23,7 +23,7 @@ def fit_text(fit: Fit) -> str:
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
         + f"; {fit.status} in {fit.seconds:.2f} s",
         "",
-        error_rows(fit.model.pose, _labelled(fit.error_rows), fit.noise_floor),
+        error_rows(fit.model.pose, _labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
         "",
         parameter_text(fit),
     ]
@@ -68,7 +68,7 @@ def circumstances(fit: Fit) -> list[str]:
         how += f"; {same} of {s['starts']} refined starts reached this optimum"
     by_source: dict[str, list[str]] = {}
     for channel, sigma in fit.noise.sigmas.items():
-        factor, unit, name = readable(channel)
+        factor, unit, name = readable(channel, fit.model.period)
         by_source.setdefault(sigma.source, []).append(f"{name} {sigma.value * factor:.3g} {unit}")
     noise = "; ".join(f"{source}: {', '.join(values)}" for source, values in by_source.items())
     return [

@@ -1,6 +1,6 @@
 """The report of `identify` as tables for a terminal."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from hallsym.inference import (
     Offsets,
     ParameterReport,
 )
+from hallsym.model import Model
 from hallsym.report.tables import concise, grid
-from hallsym.units import readable
+from hallsym.units import parameter_unit, readable
 
 
 def report_text(report: Identifiability, *, zeros: bool = False) -> str:
@@ -25,7 +26,7 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     parts = [
         f"{report.model.name}: what {runs} runs of {report.evidence.recorded} {what}",
         "",
-        parameters_text(report.parameters),
+        parameters_text(report.parameters, {p.name: p.meaning for p in report.model.parameters}),
     ]
     if report.combinations:
         parts += ["", combinations_text(report.combinations)]
@@ -38,21 +39,22 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     return "\n".join(parts)
 
 
-def _shown(unit: str) -> tuple[float, str]:
-    return (180 / np.pi, "deg") if unit == "rad" else (1.0, unit)
+def parameters_text(parameters: Sequence[ParameterReport], meanings: Mapping[str, str] | None = None) -> str:
+    """Return value, interval, strongest correlation and verdict of every parameter.
 
-
-def parameters_text(parameters: Sequence[ParameterReport]) -> str:
-    """Return value, interval, strongest correlation and verdict of every parameter."""
+    `meanings`: what each parameter is, by name; it is said where the verdict needs no reason.
+    """
     rows = [["parameter", "value", "unit", "95 % interval", "of bounds", "correlated with", "verdict"]]
     for entry in parameters:
-        factor, unit = _shown(entry.unit)
+        factor, unit = parameter_unit(entry.unit)
         value = f"({entry.value * factor:.4g})"
         if entry.std is not None:
             value = concise(entry.value * factor, entry.std * factor)
         rows.append([entry.name, value, unit, _interval(entry, factor), _share(entry), _other(entry)])
-        because = entry.verdict.because
-        rows[-1].append(entry.verdict.word + (f": {because}" if because else ""))
+        because, meaning = entry.verdict.because, (meanings or {}).get(entry.name)
+        rows[-1].append(
+            entry.verdict.word + (f": {because}" if because else f"; {meaning}" if meaning else "")
+        )
     body = grid([row[:-1] for row in rows]).split("\n")
     width, words = len(body[1]), [rows[0][-1], "", *(row[-1] for row in rows[1:])]
     return "\n".join(f"{line:{width}}  {word}".rstrip() for line, word in zip(body, words, strict=True))
@@ -107,7 +109,7 @@ def _direction(direction: NullDirection) -> str:
 
 def effects_text(report: Identifiability) -> str:
     """Return what 1 sigma and 1 % of each parameter do to the decoded pose."""
-    shown = [readable(c) for c in report.model.pose]
+    shown = [readable(c, report.model.period) for c in report.model.pose]
     rows = [
         [
             "largest effect",
@@ -118,25 +120,29 @@ def effects_text(report: Identifiability) -> str:
     for entry in report.parameters:
         if entry.verdict.word == "fixed":
             continue
-        sigma = [""] * len(shown) if entry.sigma is None else _numbers(entry.sigma, report.model.pose)
-        rows.append([entry.name, *sigma, *_numbers(entry.percent, report.model.pose)])
+        sigma = [""] * len(shown) if entry.sigma is None else _numbers(entry.sigma, report.model)
+        rows.append([entry.name, *sigma, *_numbers(entry.percent, report.model)])
     return grid(rows)
 
 
-def _numbers(change: Change, pose: Sequence[str]) -> list[str]:
-    return [f"{change.worst[c] * readable(c)[0]:.3g}" for c in pose]
+def _numbers(change: Change, model: Model) -> list[str]:
+    return [f"{change.worst[c] * readable(c, model.period)[0]:.3g}" for c in model.pose]
 
 
 def outputs_text(report: Identifiability) -> str:
     """Return what the uncertainty of all parameters together does to the decoded pose."""
-    rows = [["decoded pose (1 sigma)", *(f"{n} [{u}]" for _, u, n in map(readable, report.model.pose))]]
+    shown = [readable(c, report.model.period) for c in report.model.pose]
+    rows = [["decoded pose (1 sigma)", *(f"{name} [{unit}]" for _, unit, name in shown)]]
     labels = {
         "parameters_rms": "all parameters, rms",
         "parameters_worst": "all parameters, worst",
         "noise_floor": "noise of one reading",
     }
     for key, label in labels.items():
-        sizes = {c: getattr(output, key) * readable(c)[0] for c, output in report.outputs.items()}
+        sizes = {
+            c: getattr(output, key) * readable(c, report.model.period)[0]
+            for c, output in report.outputs.items()
+        }
         rows.append([label, *(f"{sizes[c]:.3g}" for c in report.model.pose)])
     return grid(rows)
 
@@ -176,7 +182,7 @@ def _cell(report: Identifiability, name: str) -> str:
     if name not in report.model.names:
         return "-"
     entry = report[name]
-    factor, unit = _shown(entry.unit)
+    factor, unit = parameter_unit(entry.unit)
     if entry.std is None:
         return entry.verdict.word
     return f"{concise(entry.value * factor, entry.std * factor)} {unit}"

@@ -47,28 +47,24 @@ def worst_text(worst: Worst) -> str:
 
 def comparison_text(plan: Plan, c: Comparison) -> str:
     """Return the table of a plan beside another campaign of as many runs."""
-    name = plan.study.criterion.name
-    if not c.determined:
+    name, a, b = plan.study.criterion.name, c.other, c.planned
+    if a is None or b is None:
         return f"compared with {c.name}: {runs(c.runs)} that cannot determine {plan.study.model.name}"
     rows = [["", c.name, f"plan, {runs(c.runs)}", "smaller by"]]
-    for coordinate, a, b in zip(plan.study.model.pose, c.position, c.position_as_many, strict=True):
+    for coordinate, one, two in zip(plan.study.model.pose, a.position, b.position, strict=True):
         factor, unit, short = readable(coordinate, plan.study.model.period)
         rows.append(
-            [f"worst u of {short} [{unit}]", f"{a * factor:.3g}", f"{b * factor:.3g}", f"{a / b:.2f}"]
+            [f"worst u of {short} [{unit}]", f"{one * factor:.3g}", f"{two * factor:.3g}", f"{one / two:.2f}"]
         )
-    if c.worst and c.worst_as_many:
-        rows.append(
-            ["worst combination [% of width]", f"{100 * c.worst:.2g}", f"{100 * c.worst_as_many:.2g}",
-             f"{c.worst / c.worst_as_many:.2f}"]
-        )  # fmt: skip
-    low, middle, high = c.factor.min(), np.median(c.factor), c.factor.max()
-    rows.append(
-        ["standard uncertainties, median", "", "", f"{middle:.2f}"],
-    )
+    if a.worst.std and b.worst.std:
+        shares = (f"{100 * a.worst.std:.2g}", f"{100 * b.worst.std:.2g}")
+        rows.append(["worst combination [% of width]", *shares, f"{a.worst.std / b.worst.std:.2f}"])
+    times = a.std / b.std
+    rows.append(["standard uncertainties, median", "", "", f"{np.median(times):.2f}"])
     lines = [f"each with the {runs(plan.recorded)} recorded already:"] if plan.recorded else []
     lines += [
         grid(rows),
-        f"each of the {len(c.factor)} standard uncertainties: smaller by {low:.2f} to {high:.2f}",
+        f"each of the {len(times)} standard uncertainties: smaller by {times.min():.2f} to {times.max():.2f}",
     ]
     for what, n in ((f"the same {name}", c.runs_same_value), ("every uncertainty as small", c.runs_same_std)):
         lines.append(f"{what}: in {runs(n)}" if n else f"{what}: not in {runs(c.runs)}")

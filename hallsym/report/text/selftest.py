@@ -76,10 +76,10 @@ def size_text(e: Findable) -> str:
 def _legend(s: SelfTest) -> str:
     lines = [
         f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; yes: named first; "
-        "group: in one group with the first; second: named beside another;",
-        "wrong: another name was given; unexplained: a gap without a name; no gap: not noticed; -: cannot be "
-        "made that large here",
-        "found from: gap above the floor from which on it is found, and the largest parameters that make it",
+        "group: in one group with the effect named first; second: named beside another;",
+        "wrong: only another effect was named; unexplained: a gap without a name; no gap: not detected; -: "
+        "cannot be made that large here",
+        "found from: gap above the floor from which on it is found, and the largest parameters at that size",
     ]
     bounded = [e for e in s.effects if e.trials and e.reason]
     return "\n".join([*lines, *(f"{e.name}: {e.reason}" for e in bounded)])

@@ -17,7 +17,7 @@ def tolerances_text(found: Tolerances) -> str:
             f"{found.model.name}: {len(found.active)} tolerances, {found.points} points of the workspace, "
             f"{found.samples} base samples, seed {found.seed}; {found.seconds:.1f} s",
             "",
-            f"errors of the designed decoder without calibration, {machines} machines drawn",
+            f"errors of the nominal decoder without calibration, {machines} machines drawn",
             error_table(found),
             "",
             "what a tolerance is worth: fall of the rms error in % if it alone is exact | halved",
@@ -94,7 +94,7 @@ def size(t: Tolerance) -> str:
     """Return a range for reading: `+-50000 um`, `0.1 deg (normal)`."""
     factor, unit = reading_unit(t.unit) if t.unit == "m" else parameter_unit(t.unit, millimetres=True)
     sign = "" if t.distribution == "normal" else "+-"
-    about = f" about {t.centre * factor:.4g}" if abs(t.centre - t.designed) > 1e-12 * abs(t.designed) else ""
+    about = f" about {t.centre * factor:.4g}" if abs(t.centre - t.nominal) > 1e-12 * abs(t.nominal) else ""
     kind = {"rectangular": "", "normal": " (1 sigma)"}.get(t.distribution, f" ({t.distribution})")
     return f"{sign}{t.width * factor:.6g} {unit}".rstrip() + about + kind
 
@@ -141,12 +141,12 @@ def _calibration(found: Tolerances) -> Iterator[str]:
         f"rms before: {errors(r.before)}; after: {errors(r.after)}"
     )
     if determined:
-        yield f"  removes the error of {', '.join(determined)}: each can be determined by itself"
+        yield f"  removes the error of {', '.join(determined)}: each is identifiable"
     if r.undetermined:
         yield (
-            f"  no recording tells {', '.join(r.undetermined)} apart "
+            f"  not identifiable from any recording: {', '.join(r.undetermined)} "
             f"({r.freedom} directions change no reading): they stay wrong by up to "
             f"{r.apart:.2g} of their tolerance, and that is harmless"
         )
         if r.combinations:
-            yield f"  determined instead, and removed: {'; '.join(r.combinations)}"
+            yield f"  identifiable combinations, and removed: {'; '.join(r.combinations)}"

@@ -1,4 +1,4 @@
-"""Global sensitivity before data: Sobol indices of the designed decoder's errors to a machine's tolerances.
+"""Global sensitivity before data: Sobol indices of the nominal decoder's errors to a machine's tolerances.
 
 `ranges` says what a tolerance is, `workspace` where errors count, `sobol` estimates the indices, `calibrated`
 what a calibration takes away, `study` puts them together.

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.estimation import Coefficients
-from hallsym.estimation.identifiable import scales, structural_null
+from hallsym.estimation import Coefficients, scales, structural_null
 from hallsym.log.phase import near
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -24,7 +23,7 @@ class Remainder:
 
     `undetermined`: parameters that no recording tells apart, of which `combinations` (expressions) are
     determined instead; `freedom` directions among them change no reading. `before`, `after`: rms error
-    (n_pose,) of `machines` machines drawn, with the designed decoder and with the calibrated one.
+    (n_pose,) of `machines` machines drawn, with the nominal decoder and with the calibrated one.
     `apart`: largest distance of an undetermined parameter's calibrated value from the true one, over its
     tolerance: a calibration leaves these wrong, and the error is `after` all the same.
     """
@@ -39,7 +38,7 @@ class Remainder:
 
 
 def after_calibration(model: Model, where: Workspace, machines: np.ndarray, width: np.ndarray) -> Remainder:
-    """Calibrate the first of `machines` (m, n) without noise over the workspace, from the designed values.
+    """Calibrate the first of `machines` (m, n) without noise over the workspace, from the nominal values.
 
     `width`: (n,) tolerances, 0 for exact parameters.
     """

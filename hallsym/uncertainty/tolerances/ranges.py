@@ -1,4 +1,4 @@
-"""Tolerances: how far each parameter may be from its designed value, and with what distribution."""
+"""Tolerances: how far each parameter may be from its nominal value, and with what distribution."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -22,13 +22,13 @@ class Tolerance:
     """Range of one parameter, in its SI unit.
 
     `width`: half width (rectangular, triangular, arcsine) or 1 sigma (normal); 0 for an exact parameter.
-    `centre` is the designed value unless the range was given by its limits. `source`: "bounds" of the model,
+    `centre` is the nominal value unless the range was given by its limits. `source`: "bounds" of the model,
     or "given".
     """
 
     name: str
     unit: str
-    designed: float
+    nominal: float
     centre: float
     width: float
     distribution: str = "rectangular"
@@ -48,8 +48,8 @@ class Tolerance:
         return replace(self, width=self.width / 2)
 
     def made_exact(self) -> "Tolerance":
-        """Return the designed value without a range."""
-        return replace(self, centre=self.designed, width=0.0)
+        """Return the nominal value without a range."""
+        return replace(self, centre=self.nominal, width=0.0)
 
 
 def _triangle(u: np.ndarray) -> np.ndarray:
@@ -71,10 +71,10 @@ _QUANTILES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def default_tolerances(model: Model) -> tuple[Tolerance, ...]:
-    """Return the ranges of the model: designed value +- half the width of its bounds, rectangular.
+    """Return the ranges of the model: nominal value +- half the width of its bounds, rectangular.
 
     Table 3's intervals for H and theta lie about Table 1's values; those for eta do not (1 is outside), but
-    a tolerance is a deviation from the design: its width is Table 3's, its centre the designed value.
+    a tolerance is a deviation from the design: its width is Table 3's, its centre the nominal value.
     A fixed parameter is exact. Raises `InputError` for infinite bounds.
     """
     for p in model.parameters:
@@ -95,7 +95,7 @@ def given_tolerances(
 
     A number is a rectangular half width; `{"half_width": h, "distribution": "triangular"}` another one
     (as in a budget: rectangular, triangular, arcsine), `{"std": s}` normal; `[low, high]` are limits, "exact"
-    is no tolerance. The key ends with the unit: a unit of the parameter, `percent` of its designed value,
+    is no tolerance. The key ends with the unit: a unit of the parameter, `percent` of its nominal value,
     `per_m` for 1/m. `others`: what holds for parameters that are not named, their "bounds" or "exact".
     """
     if others not in OTHERS:

@@ -86,7 +86,7 @@ class Tolerances:
             "points": self.points,
             "tolerances": {
                 t.name: {
-                    "unit": t.unit, "designed": float(t.designed), "centre": float(t.centre),
+                    "unit": t.unit, "designed": float(t.nominal), "centre": float(t.centre),
                     "width": float(t.width), "distribution": t.distribution, "std": float(t.std),
                     "source": t.source,
                 }

@@ -1,4 +1,4 @@
-"""Which tolerance is worth money: global sensitivity of the designed decoder's errors, before any data."""
+"""Which tolerance is worth money: global sensitivity of the nominal decoder's errors, before any data."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -26,8 +26,8 @@ from hallsym.uncertainty.tolerances.sobol import (
 from hallsym.uncertainty.tolerances.workspace import (
     Errors,
     Workspace,
-    designed_errors,
     gain_ratio,
+    nominal_errors,
     workspace_of,
 )
 
@@ -45,12 +45,12 @@ def tolerances(
     samples: int = 1024,
     seed: int = 0,
 ) -> Tolerances:
-    """Return how the errors of the designed decoder follow from each tolerance of the machine.
+    """Return how the errors of the nominal decoder follow from each tolerance of the machine.
 
     Machines are drawn with every parameter independent in its tolerance; each is read by a decoder that uses
-    the designed (nominal) values, without calibration, noise or zero deviations. `where`: campaign or
+    the nominal values, without calibration, noise or zero deviations. `where`: campaign or
     workspace over which errors count (default: the paper's campaign). `ranges`: see `given_tolerances`;
-    default: designed value +- half the width of the model's bounds. `samples`: base samples of Saltelli's
+    default: nominal value +- half the width of the model's bounds. `samples`: base samples of Saltelli's
     design, a power of two; 3 n + 2 times as many machines are drawn for n tolerances. The same seed gives the
     same numbers. Needs SALib.
 
@@ -70,7 +70,7 @@ def tolerances(
     draws = design(len(active), samples, seed)
     machines = partial(_machines, all_, active)
     _check_gain(model, space, active, machines(np.concatenate([draws[:, 0], draws[:, -1]])))
-    drawn = _Sums(designed_errors(model, space), len(model.pose), space.points)
+    drawn = _Sums(nominal_errors(model, space), len(model.pose), space.points)
     found = drawn.run(draws, machines)
     worth = _worth(drawn, draws[:, 0], all_, active)
     return Tolerances(
@@ -250,7 +250,7 @@ def _worse(worth: Worth, active: tuple[Tolerance, ...]) -> Iterator[str]:
     ]
     if worse:
         yield (
-            f"the error grows where {', '.join(worse)} alone is brought to its designed value "
+            f"the error grows where {', '.join(worse)} alone is brought to its nominal value "
             "and others stay off theirs in common."
         )
 
@@ -260,18 +260,18 @@ def _notes(model: Model, all_: tuple[Tolerance, ...]) -> Iterator[str]:
     if bounds:
         yield (
             f"the ranges of {len(bounds)} parameters are half the width of the model's bounds about the "
-            "designed value: search ranges of a calibration, not drawing tolerances."
+            "nominal value: search ranges of a calibration, not drawing tolerances."
         )
     lower, upper = model.bounds
     outside = [
         t.name
         for t, low, high in zip(all_, lower, upper, strict=True)
-        if t.source == "bounds" and not low <= t.designed <= high
+        if t.source == "bounds" and not low <= t.nominal <= high
     ]
     if outside:
         yield (
-            f"the designed value of {', '.join(outside)} lies outside its bounds; the range is about the "
-            "designed value (limits [low, high] in a tolerance file give another one)."
+            f"the nominal value of {', '.join(outside)} lies outside its bounds; the range is about the "
+            "nominal value (limits [low, high] in a tolerance file give another one)."
         )
     if model.zeros:
         yield "zero deviations are new at every reset, not a tolerance of the machine: they are left out."

@@ -1,4 +1,4 @@
-"""Where errors count: poses and vertical states, and the errors of the designed decoder there."""
+"""Where errors count: poses and vertical states, and the errors of the nominal decoder there."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -52,10 +52,10 @@ def _times(campaign: Campaign, run: Run, points: int) -> np.ndarray:
 Errors = Callable[[np.ndarray], np.ndarray]
 
 
-def designed_errors(model: Model, where: Workspace) -> Errors:
+def nominal_errors(model: Model, where: Workspace) -> Errors:
     """Return `errors(machines)`: decoded minus true pose, (n_pose, m, points), for machines (m, n).
 
-    The machine reads with its own parameters, the decoder computes with the designed ones. No noise and no
+    The machine reads with its own parameters, the decoder computes with the nominal ones. No noise and no
     zero deviations.
     """
     read, decode, none = on_arrays(model.reading), on_arrays(model.decoded), np.zeros(len(model.zeros))
@@ -74,7 +74,7 @@ def designed_errors(model: Model, where: Workspace) -> Errors:
 
 
 def not_decoded(model: Model) -> InputError:
-    """Return the refusal of tolerances in which a machine is too far from the designed one to be decoded."""
+    """Return the refusal of tolerances in which a machine is too far from the nominal one to be decoded."""
     return InputError(
         f"The decoder of {model.name} finds no pose for some of the machines drawn: state narrower "
         "tolerances in --ranges."
@@ -82,13 +82,13 @@ def not_decoded(model: Model) -> InputError:
 
 
 def gain_ratio(model: Model, where: Workspace, machines: np.ndarray) -> np.ndarray:
-    """Return the gain of machines (m, n) over the designed one, its least over channels and points, (m,)."""
+    """Return the gain of machines (m, n) over the nominal one, its least over channels and points, (m,)."""
     gain = on_arrays(model.gain)
     own = [column[:, None] for column in machines.T]
-    (designed,) = gain(model.nominal, where.state)
+    (nominal,) = gain(model.nominal, where.state)
     (real,) = gain(own, where.state)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.broadcast_to(real, (len(real), len(machines), where.points)) / designed.reshape(
-            len(designed), 1, -1
+        ratio = np.broadcast_to(real, (len(real), len(machines), where.points)) / nominal.reshape(
+            len(nominal), 1, -1
         )
     return np.nan_to_num(ratio, nan=-np.inf).min(axis=(0, 2))

@@ -60,12 +60,17 @@ def height_quadratic(
     return add_terms(model, "height_quadratic", "transducer", GAIN, bends, terms, 1e6, "1/m2")
 
 
+LEAST_SLOPE = 1e-3
+"""Slope of a gain with height [1/m] far below any probe's (the paper's are about 190): with less, tilts count
+for nothing, and the model has readings at its nominal values too, where every slope is 0."""
+
+
 def _height(model: Model, s: Signals, p: P, k: int) -> ca.SX:
     """Height of probe k by the motion of a rigid stage."""
     probe = model.layout[k]
     if "vertical_coupling" in model.effects:
         a, b, c = (p[f"{q}_{probe.label}"] for q in "abc")
-        return s["z_m"] + (b * s["rx_rad"] + c * s["ry_rad"]) / a
+        return s["z_m"] + (b * s["rx_rad"] + c * s["ry_rad"]) * a / (a**2 + LEAST_SLOPE**2)
     px, py = stage.position(k, probe, p)
     return s["z_m"] + py * s["rx_rad"] - px * s["ry_rad"]
 

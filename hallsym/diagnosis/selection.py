@@ -1,0 +1,233 @@
+"""Selection: a greedy search that screens the catalogue, refits what is promising and keeps the best."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.collinearity import cancelled
+from hallsym.diagnosis.facts import facts_of
+from hallsym.diagnosis.gap import remains, slow_share, used_up
+from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.ranking import Exact, bic_of, plain_pairs_first, refitted
+from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.scores import Score, by_name, candidates, scores
+from hallsym.diagnosis.setup import Setup
+from hallsym.diagnosis.survey import survey
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """An effect of the set: its exact refit, and `rivals`, the other effects that were refitted for its
+    place.
+
+    `squares_before`: whitened squares that were left without it.
+    """
+
+    exact: Exact
+    rivals: tuple[Exact, ...]
+    squares_before: float
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.exact.score.effect.name
+
+    @property
+    def first_order(self) -> float:
+        """Whitened squares that the effect leaves to first order, by its score."""
+        return self.squares_before - self.exact.score.gain
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """The scores of the catalogue beside the model and effects of `at`, best first."""
+
+    at: Refitted
+    scores: list[Score]
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What the search selected on the fitted runs.
+
+    `start`: the fit without effects; `fit`: with all `effects`. `not_testable`: effect -> why this log cannot
+    show it. `screened`: every screening; `last`: scores of the one that found no further effect.
+    """
+
+    start: Refitted
+    fit: Refitted
+    effects: tuple[Selected, ...]
+    not_testable: dict[str, str]
+    screened: tuple[Screened, ...]
+    last: list[Score]
+    runs: list[int]
+    refits: dict[tuple[Exact, ...], Refitted] = field(default_factory=dict)
+
+    def without(self, effect: Selected) -> Refitted:
+        """Return the fit with all effects but one."""
+        others = [e.exact for e in self.effects if e is not effect]
+        return refit_with(self.start, others, self.runs, self.refits)
+
+    def scores_at(self, base: Base) -> list[Score]:
+        """Return the scores of the catalogue at a fit that was screened; nothing elsewhere."""
+        return next((s.scores for s in self.screened if s.at.base is base), [])
+
+
+def refit_with(
+    start: Refitted, exact: Sequence[Exact], runs: Sequence[int], known: dict[tuple[Exact, ...], Refitted]
+) -> Refitted:
+    """Fit the model of `start` with some effects; `known` holds the refits made so far."""
+    if not exact:
+        return start
+    key = tuple(exact)
+    if key not in known:
+        base = start.base
+        for e in exact:
+            base = _with_effect(base, e)
+        known[key] = refit(base, runs)
+    return known[key]
+
+
+def _with_effect(base: Base, exact: Exact) -> Base:
+    wide = with_model(base, exact.score.variant.make(base.model))
+    known = dict(zip(exact.fit.base.model.names, exact.fit.base.p, strict=True))
+    p = np.array([known.get(n, v) for n, v in zip(wide.model.names, wide.p, strict=True)])
+    return replace(wide, p=p)
+
+
+def select(setup: Setup) -> Selection:
+    """Add effects while they lower the gap metric by the threshold; then hold each against the catalogue.
+
+    Where an effect is replaced, the catalogue is tested again on the new residual.
+    """
+    search = _Search(setup)
+    search.grow()
+    if search.found:
+        search.prune()
+    if len(search.found) > 1 and search.reconsider():
+        search.grow()
+    return Selection(
+        start=search.start,
+        fit=search.now,
+        effects=tuple(search.found),
+        not_testable=search.not_testable,
+        screened=tuple(search.screened),
+        last=search.last,
+        runs=setup.runs,
+        refits=search.refits,
+    )
+
+
+class _Search:
+    """The state of the greedy search."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup, self.runs, self.policy = setup, setup.runs, setup.policy
+        self.start = refit(setup.base, setup.runs)
+        self.now = self.start
+        self.found: list[Selected] = []
+        self.not_testable: dict[str, str] = {}
+        self.screened: list[Screened] = []
+        self.owner: dict[str, str] = {}
+        self.refits: dict[tuple[Exact, ...], Refitted] = {}
+        self.last: list[Score] = []
+
+    def grow(self) -> None:
+        """Add effects while they lower the gap metric by the threshold."""
+        for count in range(len(self.found), self.setup.base.model.family.most_effects + 1):
+            beside = f" beside {count}" if count else ""
+            self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
+            worth = partial(self.worth, beside=count)
+            exact = self.step(self.now, worth)
+            self.last = self.screened[-1].scores
+            if not exact or not worth(exact[0].score):
+                break
+            self.found.append(Selected(exact[0], tuple(exact[1:]), self.now.cost))
+            self.now = exact[0].fit
+
+    def worth(self, score: Score, beside: int) -> bool:
+        """Return whether an effect lowers the gap enough; one `beside` others must be needed and certain.
+
+        A first effect that is certain is taken up from half the threshold on: it may be worth more on the
+        holdout runs, which decide.
+        """
+        if beside == self.setup.base.model.family.most_effects:
+            return False
+        level = self.setup.threshold
+        certain = score.corrected(self.setup.tested) < self.policy.certain
+        if not beside:
+            return score.ratio <= 1 - level or (certain and score.ratio <= 1 - self.policy.half * level)
+        floor = self.setup.floor
+        needed = not floor.stated or _gap(self.now) > floor.metric * (1 + self.policy.floor_known)
+        return needed and certain and score.ratio <= 1 - level
+
+    def step(self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True) -> list[Exact]:
+        """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
+        found = survey(at.base, frozenset(self.runs))
+        facts = facts_of(at.base, found)
+        tried, trouble = candidates(at.base, self.setup.catalogue, facts)
+        ranked, t = scores(at.base, tried, self.runs, self.policy.inflation)
+        self.screened.append(Screened(at, ranked))
+        self.not_testable |= {t.name: t.reason for t in trouble}
+        not_finite = "its readings are not finite on this log"
+        self.not_testable |= {tried[key].effect.name: not_finite for key in t.spoiled}
+        if at is self.start:
+            absorbed = "the model's own parameters absorb it on this log"
+            self.not_testable |= {s.effect.name: absorbed for s in by_name(ranked) if s.absorbed}
+        for c in tried.values():
+            self.owner |= dict.fromkeys(c.new, c.effect.name)
+        exact = refitted(at.base, ranked, self.runs, facts, worth, lambda e: self.stands(e, at), self.policy)
+        if self.setup.base.model.family.pairs:
+            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
+        return exact
+
+    def stands(self, exact: Exact, at: Refitted) -> bool:
+        """Return whether a refit keeps what its score promised, and other parameters do not undo it.
+
+        It must keep half of the threshold, and lower BIC.
+        """
+        lower = exact.gap <= _gap(at) * (1 - self.policy.half * self.setup.threshold)
+        keeps = lower and exact.bic < bic_of(at, 0, self.policy.inflation)
+        return keeps and not cancelled(exact.fit, at, self.start, self.owner, self.policy.cancelling)
+
+    def prune(self) -> None:
+        """Where a gap remains, drop effects that only resemble its cause: they leave its shape behind."""
+        rest = lack_of_fit(self.now.base, self.runs)
+        seen = survey(self.now.base, frozenset(self.runs))
+        gap, slow = _gap(self.now), slow_share(seen.variance, seen.fast)
+        if not remains(rest, slow, gap, self.setup.floor, self.setup.threshold, self.policy):
+            return
+        kept = []
+        for found in self.found:
+            without = self.refit(e for e in self.found if e is not found)
+            before = lack_of_fit(without.base, self.runs)
+            if used_up(before, _gap(without), rest, gap, self.policy) >= self.policy.used_up:
+                kept.append(found)
+        if len(kept) < len(self.found):
+            self.found = kept
+            self.now = self.refit(kept)
+            if kept:
+                self.prune()
+
+    def reconsider(self) -> bool:
+        """Hold each effect against the catalogue, the others in place; return whether any was replaced."""
+        before = [f.name for f in self.found]
+        for k, found in enumerate(self.found[:-1]):  # the last was chosen with the others in place
+            without = self.refit(e for e in self.found if e is not found)
+            exact = self.step(without)
+            if exact:
+                self.found[k] = Selected(exact[0], tuple(exact[1:]), without.cost)
+                self.now = exact[0].fit
+        return [f.name for f in self.found] != before
+
+    def refit(self, effects: Iterable[Selected]) -> Refitted:
+        """Return the fit with some of the effects."""
+        return refit_with(self.start, [e.exact for e in effects], self.runs, self.refits)
+
+
+def _gap(fit: Refitted) -> float:
+    """Gap metric on the fitted runs."""
+    return fit.gap(fit.fitted)

@@ -1,0 +1,211 @@
+"""Validation: which selected effects hold on the holdout runs, and what is left with those that do."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hallsym.diagnosis.base import Base
+from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, interval
+from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
+from hallsym.diagnosis.gap import shaped, slow_share
+from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
+from hallsym.diagnosis.p_values import beyond
+from hallsym.diagnosis.record import SmallerFinding
+from hallsym.diagnosis.refit import Refitted, refit
+from hallsym.diagnosis.selection import Selected, Selection
+from hallsym.diagnosis.setup import Floor, Setup
+from hallsym.diagnosis.survey import survey
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """An effect that holds, with the fit `without` it and the `errors` of that fit on the holdout runs."""
+
+    selected: Selected
+    without: Refitted
+    errors: BlockErrors
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """What holds on the holdout runs, and what is left with it.
+
+    `start`: the fit without effects; `end`: the model with the effects that hold; `fit`: the same, fitted
+    without the samples that are faults by themselves. `dropped`: effects that do not hold and yet lower the
+    gap. Errors on the holdout runs: `before` without effects, `after` with them, `cured` also without faulty
+    samples; `metric`: the gap without any fault of samples [m or rad]. `rest`: the structure of what `end`
+    leaves. `floor_by_output`: noise of each output; `floor_was`: an estimated floor before it was lowered,
+    over what it is now, else None. `variance`: of the fitted samples' whitened residual; `slow`: decrease of
+    the metric without what neighbouring samples have in common; `inflation`: variance of a slow average over
+    that of white noise.
+    """
+
+    start: Refitted
+    end: Base
+    fit: Refitted
+    effects: tuple[Held, ...]
+    dropped: tuple[SmallerFinding, ...]
+    before: BlockErrors
+    after: BlockErrors
+    cured: BlockErrors
+    metric: float
+    rest: LackOfFit
+    floor: Floor
+    floor_by_output: dict[str, float]
+    floor_was: float | None
+    faults: tuple[Fault, ...]
+    miswired: bool
+    variance: float
+    slow: float
+    inflation: float
+
+    @property
+    def base(self) -> Base:
+        """The model with the effects that hold, fitted without faulty samples."""
+        return self.fit.base
+
+    @property
+    def named(self) -> bool:
+        """Whether anything is named: an effect, a fault of samples, or a wrong channel assignment."""
+        return bool(self.effects or self.faults or self.miswired)
+
+    @property
+    def fault_scale(self) -> float:
+        """Gap without faults of samples over the gap with them."""
+        return self.metric / self.after.metric
+
+
+def validate(setup: Setup, selection: Selection) -> Validation:
+    """Judge on the holdout runs what was selected on the others.
+
+    A noise floor that was estimated from a log with the gap in it is lowered to what the effects leave.
+    Samples that are a fault by themselves are left out, and the model is refitted without them.
+    """
+    before = _errors(setup, setup.as_logged(selection.start.base))
+    selection, effects, after, dropped = _holding(setup, selection, before)
+    fit, runs = selection.fit, frozenset(setup.runs)
+    end = fit.base
+    whole = survey(replace(end, keep=None), runs)
+    kept = survey(end, runs) if end.keep else whole
+    found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
+    floor = _lowered_floor(setup, after, bool(effects), found)
+    rest = lack_of_fit(end, setup.runs)
+    if after.metric <= floor.metric * (1 + setup.policy.floor_known):
+        found = []
+    if shaped(rest, setup.threshold, setup.policy):
+        found = _beyond_shapes(found, rest)
+    cured = after
+    if any(f.name in TAILS for f in found):
+        fit = refit(replace(end, keep=without_tail(end)), setup.runs)
+        cured = block_errors(fit.base, setup.holdout, setup.log.rows, fit.base.keep)
+    smooth = sum(f.power for f in found if f.name not in TAILS)
+    metric = cured.metric * float(np.sqrt(max(1 - smooth, 1e-6)))
+    lowered = floor is not setup.floor
+    scale = floor.metric / setup.floor.metric if lowered else 1.0
+    return Validation(
+        start=selection.start,
+        end=end,
+        fit=fit,
+        effects=effects,
+        dropped=dropped,
+        before=before,
+        after=after,
+        cured=cured,
+        metric=max(metric, min(floor.metric, cured.metric)),
+        rest=rest,
+        floor=floor,
+        floor_by_output={c: v * scale for c, v in setup.fit.noise_floor.items()},
+        floor_was=1 / scale if lowered else None,
+        faults=tuple(found),
+        miswired=setup.miswired is not None,
+        variance=whole.variance,
+        slow=slow_share(kept.variance, kept.fast),
+        inflation=kept.inflation,
+    )
+
+
+# -- effects -------------------------------------------------------------------------------------------------
+
+
+def _holding(
+    setup: Setup, selection: Selection, before: BlockErrors
+) -> tuple[Selection, tuple[Held, ...], BlockErrors, tuple[SmallerFinding, ...]]:
+    """Return the effects that hold, the errors with them, and the effects that do not and yet lower the gap.
+
+    An effect holds if the 95 % interval of its shrinkage lies above 0. The weakest is dropped first: of two
+    that resemble each other either may be dispensable and one be needed.
+    """
+    dropped: list[SmallerFinding] = []
+    while True:
+        unchanged = not selection.effects and not setup.miswired
+        after = before if unchanged else _errors(setup, replace(selection.fit.base, keep=None))
+        held = [_held(setup, selection, e, before, after) for e in selection.effects]
+        weak = [h for h in held if interval(h.errors, after)[0] <= 0]
+        if not weak:
+            return selection, tuple(held), after, tuple(dropped)
+        worst = min(weak, key=lambda h: 1 - after.metric / h.errors.metric)
+        shrinkage = 1 - after.metric / worst.errors.metric
+        if shrinkage > 0:
+            dropped.append(SmallerFinding(worst.selected.name, shrinkage, worst.p_value))
+        others = tuple(e for e in selection.effects if e is not worst.selected)
+        selection = replace(selection, effects=others, fit=worst.without)
+
+
+def _held(
+    setup: Setup, selection: Selection, effect: Selected, before: BlockErrors, after: BlockErrors
+) -> Held:
+    """Return an effect beside the fit without it; `after`: errors with all effects.
+
+    The score of an effect whose exact refit leaves far less than its score predicts says how well its tangent
+    fits, not whether the effect is there: the decrease on the holdout runs is tested instead.
+    """
+    without = selection.without(effect)
+    alone = len(selection.effects) == 1
+    errors = before if alone else _errors(setup, replace(without.base, keep=None))
+    p = effect.exact.score.corrected(setup.tested)
+    if effect.exact.fit.cost < setup.policy.bent * effect.first_order:
+        p = min(1.0, decrease_p(errors, after) * setup.tested)
+    return Held(effect, without, errors, p)
+
+
+def decrease_p(before: BlockErrors, after: BlockErrors) -> float:
+    """Return the p-value of no decrease: the logarithms of the blocks' ratios, by Student's t.
+
+    The holdout runs took part in neither the fit nor the choice, so nothing tried there is to be corrected
+    for.
+    """
+    a, b = before.sums, after.sums
+    if len(a) != len(b):
+        return 1.0
+    seen = (a > 0) & (b > 0)
+    return beyond(np.log(a[seen] / b[seen]))
+
+
+def _errors(setup: Setup, base: Base) -> BlockErrors:
+    return block_errors(base, setup.holdout, setup.log.rows, None)
+
+
+# -- faults of samples and the noise floor -----------------------------------------------------------------
+
+
+def cures(fault: Fault) -> float:
+    """Return the decrease of the metric without a fault."""
+    return 1 - float(np.sqrt(max(1 - fault.power, 0.0)))
+
+
+def _lowered_floor(setup: Setup, after: BlockErrors, explained: bool, found: Sequence[Fault]) -> Floor:
+    """Lower an estimated floor to what effects, or few steps of CORDIC, leave: it held a part of the gap."""
+    chip = sum(f.power for f in found if f.name == "cordic_steps")  # an error of each angle, no noise
+    least = after.metric * float(np.sqrt(max(1 - chip, 1e-6)))
+    floor = setup.floor
+    if floor.stated or not (explained or chip) or least * (1 + setup.policy.unstructured) >= floor.metric:
+        return floor
+    return replace(floor, metric=least)
+
+
+def _beyond_shapes(found: Sequence[Fault], rest: LackOfFit) -> list[Fault]:
+    """Return the faults that are no part of a shape, which may look like late samples here and there."""
+    least = max([rest.lines, *(s.drop for s in rest.shapes)])
+    return [f for f in found if f.name != "clock_jitter" and cures(f) >= least]

@@ -1,0 +1,357 @@
+"""Every threshold of the policy decides something: each has a test here that fails without it.
+
+A stage is a function of records, so most tests give it small records made by hand. The others diagnose small
+simulated logs twice, with the policy and with one threshold switched off.
+"""
+
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gap_twins import listed
+from gap_twins import machine as stage
+from test_compare import diagnosis
+from test_compare import effect as effect_record
+from test_diagnosis_holding import turn
+from test_diagnosis_rotary import bearing, machine, third
+from test_diagnosis_turn import LIKE_A_TABLE, table
+
+from hallsym.diagnosis import POLICY, Diagnosis, Policy, diagnose
+from hallsym.diagnosis.compare import compare
+from hallsym.diagnosis.confusable import confusable, smaller_findings
+from hallsym.diagnosis.engine import prepare
+from hallsym.diagnosis.facts import rails_of
+from hallsym.diagnosis.features import Key
+from hallsym.diagnosis.gap import remains, used_up
+from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape
+from hallsym.diagnosis.ranking import Exact, ordered
+from hallsym.diagnosis.scores import Score
+from hallsym.diagnosis.selection import Selected
+from hallsym.diagnosis.separate import separation
+from hallsym.diagnosis.setup import Floor
+from hallsym.diagnosis.verdict import decide
+from hallsym.errors import InputError
+from hallsym.families import build
+from hallsym.log import Log
+
+LEVEL = 0.05
+FLOOR = Floor(1e-6, stated=True)
+CLEAN = LackOfFit(())
+
+
+def shaped(drop: float, p: float, kind: str = "place") -> LackOfFit:
+    return LackOfFit((Shape(Key(kind, "x"), drop, p),))
+
+
+# -- is what is left a gap? --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("found", "excess", "gate", "off"),
+    [
+        # neither large nor shaped enough: the floor itself is known to 3 % only
+        (CLEAN, 1.08, "floor_known", 0.0),
+        (CLEAN, 1.14, "unstructured", 0.0),
+        (shaped(0.2, 0.2), 0.5, "shape_certain", 1.0),
+        (shaped(0.03, 0.04), 1.1, "shape_likely", 0.1),
+        (shaped(0.02, 0.001), 1.1, "half", 0.2),
+    ],
+)
+def test_what_is_left_is_no_gap_below_a_threshold(found, excess, gate, off):
+    slow = 0.06 if gate == "floor_known" else 0.0
+    of = (found, slow, excess * FLOOR.metric, FLOOR, LEVEL)
+    assert not remains(*of, POLICY)
+    assert remains(*of, replace(POLICY, **{gate: off}))
+
+
+@pytest.mark.parametrize(
+    ("found", "excess", "gate", "off"),
+    [
+        (CLEAN, 1.2, "unstructured", 1.0),
+        (CLEAN, 1.2, "floor_known", 0.5),
+        (shaped(0.2, 0.01), 0.5, "shape_certain", 0.0),
+        (shaped(0.03, 0.01), 1.1, "shape_likely", 0.0),
+        (shaped(0.03, 0.01), 1.1, "half", 1.0),
+    ],
+)
+def test_what_is_left_is_a_gap_above_a_threshold(found, excess, gate, off):
+    of = (found, 0.0, excess * FLOOR.metric, FLOOR, LEVEL)
+    assert remains(*of, POLICY)
+    assert not remains(*of, replace(POLICY, **{gate: off}))
+
+
+def test_a_shape_that_loses_less_than_the_effect_explains_does_not_hold_it():
+    """Of a gap of 2 um the effect takes 1 um; a shape over x loses half of that and keeps the rest."""
+    before = LackOfFit((Shape(Key("place", "x"), 0.3, 1e-3),))
+    after = LackOfFit((Shape(Key("place", "x"), 0.45, 1e-3),))
+    of = (before, 2e-6, after, 1e-6)
+    assert used_up(*of, POLICY) == 1.0
+    assert used_up(*of, replace(POLICY, holds=0.1)) < 0.7
+
+
+# -- the verdict -------------------------------------------------------------------------------------------
+
+
+def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
+    """A validation that names an effect which lowers a gap of 4 um to `after`."""
+    end = object()
+    return SimpleNamespace(
+        named=True, metric=after, before=SimpleNamespace(metric=4e-6), base=end, end=end, rest=rest,
+        start=None, slow=0.0, floor=FLOOR,
+    )  # fmt: skip
+
+
+def test_a_shape_that_is_left_makes_no_explained_gap_unless_nearly_all_is_closed():
+    setup = SimpleNamespace(threshold=LEVEL, policy=POLICY, runs=[])
+    bent = shaped(0.3, 1e-6)
+    assert decide(setup, validated(2e-6, bent)) == "unexplained"
+    assert decide(setup, validated(2e-6, CLEAN)) == "unexplained"  # twice the floor, and stated
+    assert decide(setup, validated(1.1e-6, bent)) == "explained"
+    setup.policy = replace(POLICY, closes=0.5)
+    assert decide(setup, validated(2e-6, bent)) == "explained"
+    setup.policy = replace(POLICY, closes=1.01)
+    assert decide(setup, validated(1.1e-6, bent)) == "unexplained"
+
+
+# -- which of two effects ----------------------------------------------------------------------------------
+
+
+def effect(name: str, size: int, cost: float, gap: float, ratio: float = 0.5, bic: float = 0.0) -> Exact:
+    """An exact refit that leaves squares `cost` of 1000 and the gap metric `gap`."""
+    score = Score(
+        SimpleNamespace(name=name, separate=""),
+        SimpleNamespace(tried=1),
+        None,
+        1000 - cost,
+        size,
+        bic,
+        ratio,
+        1e-9,
+    )
+    tangents = SimpleNamespace(count=np.array([500.0]))
+    fit = SimpleNamespace(
+        cost=cost, gap=lambda _: gap, fitted=np.array([0]), tangents=tangents,
+        base=SimpleNamespace(model=SimpleNamespace(channels=("a", "b"))),
+    )  # fmt: skip
+    return Exact(score, fit, bic)
+
+
+def first(exact: list[Exact], policy: Policy = POLICY) -> str:
+    scored = [e.score for e in exact]
+    return ordered(exact, scored, lambda _: True, policy)[0].score.effect.name
+
+
+def test_fewer_parameters_win_if_they_explain_nearly_as_much():
+    flexible = effect("flexible", 6, 100.0, 1.0e-6, bic=-90.0)
+    plain = effect("plain", 2, 110.0, 1.005e-6, bic=-80.0)
+    assert first([flexible, plain]) == "plain"
+    assert first([flexible, plain], replace(POLICY, simpler_gain=0.999)) == "flexible"
+    assert first([flexible, plain], replace(POLICY, simpler_gap=0.001)) == "flexible"
+
+
+def test_an_effect_that_fits_alike_and_predicts_better_wins():
+    tight = effect("tight", 2, 100.0, 1.00e-6, ratio=0.60, bic=-90.0)
+    predictive = effect("predictive", 2, 109.0, 1.04e-6, ratio=0.40, bic=-80.0)
+    assert first([tight, predictive]) == "predictive"
+    assert first([tight, predictive], replace(POLICY, foreseen=0.0)) == "tight"
+    assert first([tight, predictive], replace(POLICY, fits_alike=0.01)) == "tight"
+
+
+# -- confusable effects, and what separates them -------------------------------------------------------------
+
+
+def selected(one: Exact, *rivals: Exact) -> SimpleNamespace:
+    """A validation that holds one effect, whose place others were refitted for."""
+    held = SimpleNamespace(selected=Selected(one, rivals, 2000.0))
+    return SimpleNamespace(effects=(held,), inflation=1.0)
+
+
+def test_a_rival_must_fit_as_well_and_need_its_parameters(monkeypatch):
+    """1000 squares of 1000 readings: 5 sigma of a slow average are 25."""
+    monkeypatch.setattr("hallsym.diagnosis.confusable.distance", lambda *_: 1.0)
+    monkeypatch.setattr("hallsym.diagnosis.confusable.separation", lambda names, *_: names)
+    model = SimpleNamespace(pose=("x_m",), family=SimpleNamespace(pairs=True))
+    setup = SimpleNamespace(policy=POLICY, base=SimpleNamespace(model=model))
+    one, near, far = (effect(n, 2, 1000.0 + c, 1e-6) for n, c in (("one", 0), ("near", 20), ("far", 30)))
+    wide = effect("wide", 6, 1000.0, 1e-6, bic=30.0)
+
+    def groups(policy: Policy) -> tuple[tuple[str, ...], ...]:
+        setup.policy = policy
+        return confusable(setup, selected(one, near, far, wide), (), "explained").groups
+
+    assert groups(POLICY) == (("one", "near"),)
+    assert groups(replace(POLICY, separated=3.0)) == ()
+    assert groups(replace(POLICY, separated=6.0)) == (("one", "near", "far"),)
+    assert groups(replace(POLICY, reason=np.inf)) == (("one", "near", "wide"),)
+
+
+def test_the_plainest_recording_is_proposed_if_it_separates_nearly_as_well(monkeypatch):
+    tried = [SimpleNamespace(text=t, run=SimpleNamespace(duration_s=8.0)) for t in ("plain", "best")]
+    monkeypatch.setattr("hallsym.diagnosis.separate.simulated", lambda _: (tried, np.array([16.0, 25.0])))
+    fits = [SimpleNamespace(base=SimpleNamespace(timed=True))]
+
+    def proposed(policy: Policy) -> tuple[str, int | None]:
+        s = separation(("a", "b"), fits, 0.0, 1.0, "advice", policy)
+        return s.recording, s.runs
+
+    assert proposed(POLICY) == ("plain", 2)
+    assert proposed(replace(POLICY, nearly_best=0.9)) == ("best", 1)
+    assert proposed(replace(POLICY, most_runs=1)) == ("advice", None)
+    assert proposed(replace(POLICY, separated=10.0)) == ("plain", 7)
+
+
+# -- smaller findings --------------------------------------------------------------------------------------
+
+
+def test_smaller_findings_are_certain_and_below_the_threshold():
+    def scored(name: str, shrinkage: float, p: float) -> Score:
+        variant = SimpleNamespace(tried=1)
+        return Score(SimpleNamespace(name=name), variant, None, 1.0, 1, 0.0, 1 - shrinkage, p)
+
+    last = [scored("real", 0.03, 1e-6), scored("chance", 0.03, 1e-3), scored("large", 0.08, 1e-6)]
+    last.append(scored("tiny", 0.004, 1e-6))
+    setup = SimpleNamespace(tested=20, threshold=LEVEL, policy=POLICY)
+    selection, found = SimpleNamespace(last=last), SimpleNamespace(effects=(), dropped=())
+    assert [f.name for f in smaller_findings(setup, selection, found)] == ["real"]
+    setup.policy = replace(POLICY, certain=0.1)
+    assert [f.name for f in smaller_findings(setup, selection, found)] == ["real", "chance"]
+    setup.policy = replace(POLICY, smallest=0.0)
+    assert [f.name for f in smaller_findings(setup, selection, found)] == ["real", "tiny"]
+
+
+# -- input -------------------------------------------------------------------------------------------------
+
+
+def runs_of(count: int) -> Log:
+    """So many runs of an encoder without a cause, no holdout runs named."""
+    whole = machine()
+    keep = whole.array("run") < count
+    return Log.from_arrays({c: whole.array(c)[keep] for c in whole.columns}, whole.noise)
+
+
+def test_the_threshold_and_the_holdout_runs_follow_the_policy():
+    setup = prepare(runs_of(8), "ellipse")
+    assert (setup.threshold, setup.holdout, setup.split) == (POLICY.worth_reporting, (2, 7), False)
+    other = replace(POLICY, worth_reporting=0.2, holdout_every=3)
+    setup = prepare(runs_of(8), "ellipse", policy=other)
+    assert (setup.threshold, setup.holdout) == (0.2, (1, 4, 7))
+
+
+def test_a_recording_of_fewer_runs_is_split():
+    assert not prepare(runs_of(3), "ellipse").split
+    assert prepare(turn(), "rotary").split
+    with pytest.raises(InputError, match="too few to hold any out"):
+        prepare(turn(), "rotary", policy=replace(POLICY, fewest_runs=1))
+
+
+def test_a_turning_point_on_one_step_of_the_converter_is_no_rail():
+    values = np.concatenate(
+        [np.linspace(-0.9, 0.9, 50), [1.0] * (POLICY.rail_repeats - 1), [-1.0] * POLICY.rail_repeats]
+    )
+    log = Log.from_arrays({"v_sin_v": values, "v_cos_v": np.linspace(0, 1, len(values)),
+                           "angle_ref_rad": np.linspace(0, 6, len(values))})  # fmt: skip
+    assert rails_of(log, build("ellipse"))[0] == (-1.0, np.inf)
+
+
+# -- comparison --------------------------------------------------------------------------------------------
+
+
+def test_floors_that_differ_are_noted():
+    def floor(times: float) -> dict:
+        return diagnosis(metric={"before": 3e-6, "after": 1.5e-6, "floor": times * 1e-6})
+
+    assert not compare(floor(1.0), floor(POLICY.floors_differ - 0.01)).notes
+    assert "noise floors differ" in compare(floor(1.0), floor(POLICY.floors_differ + 0.01)).notes[0]
+
+
+def test_a_change_is_significant_at_five_per_cent():
+    """Two standard uncertainties of 1: a difference of 1.96 sqrt(2) has p = .05."""
+
+    def record(value: float) -> dict:
+        return diagnosis(effect_record("e", a=(value, 1.0)))
+
+    assert POLICY.changed == 0.05
+    for times, significant in ((1.95, False), (1.97, True)):
+        (change,) = compare(record(0.0), record(times * np.sqrt(2))).effects[0].parameters
+        assert change.significant is significant
+
+
+# -- whole diagnoses, with the policy and with one threshold switched off -----------------------------------
+
+
+def both(u, w, run, t):
+    """A bearing's wave, which no catalogue lists, and a third harmonic."""
+    one, other = third(u, w, run, t), bearing(u, w, run, t)
+    return tuple(a + b for a, b in zip(one, other, strict=True))
+
+
+def clipped() -> Log:
+    log = machine()
+    columns = {c: log.array(c) for c in log.columns}
+    for c in ("v_sin_v", "v_cos_v"):
+        columns[c] = np.clip(columns[c], -0.97, 0.97)
+    return Log.from_arrays(columns, log.noise, log.meta, "a clipped encoder")
+
+
+def without(log: Log, model: str, **gates: float) -> tuple[Diagnosis, Diagnosis]:
+    """Return the diagnosis with the policy and with some thresholds replaced."""
+    return diagnose(log, model), diagnose(log, model, policy=replace(POLICY, **gates))
+
+
+def test_two_plain_effects_win_against_a_flexible_one():
+    """One harmonic, an offset and a gain mismatch: a tilt of the magnet would take all along."""
+    kept, off = without(machine(third), "rotary_ideal", plain_pairs=0)
+    assert kept.verdict == "explained"
+    assert "third_harmonic_distortion" in kept.ranked
+    assert (off.verdict, off.ranked) == ("unexplained", ("magnet_tilt",))
+
+
+def test_an_effect_that_other_parameters_undo_is_rejected():
+    kept, off = without(table(LIKE_A_TABLE), "rotary", cancelling=np.inf)
+    assert "even_nonlinearity" not in [e.name for e in kept.effects]
+    assert "even_nonlinearity" in [e.name for e in off.effects]
+
+
+def test_an_effect_that_leaves_its_shape_behind_is_no_cause():
+    for gates in ({"used_up": -np.inf}, {"holds": np.inf}):
+        kept, off = without(machine(both), "ellipse", **gates)
+        assert (kept.verdict, kept.ranked) == ("unexplained", ())
+        assert off.ranked[0] == "third_harmonic_distortion"
+
+
+def test_clipping_is_judged_by_the_holdout_runs():
+    """The score is that of a tangent, which knows nothing of a rail."""
+    kept, off = without(clipped(), "ellipse", bent=0.0)
+    assert (kept.ranked[0], off.ranked[0]) == ("saturation", "saturation")
+    assert kept.effects[0].p_value != off.effects[0].p_value
+
+
+@pytest.mark.parametrize("gate", ["most_refits", "promising"])
+def test_effects_that_explain_nearly_as_much_are_refitted_too(gate):
+    kept, off = without(machine(third), "ellipse", **{gate: 1})
+    assert set(kept.groups[0]) == {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"}
+    assert off.groups == ()
+
+
+@pytest.mark.slow
+def test_noise_is_taken_for_correlated_while_searching():
+    """Twice the variance in slow averages: half as many readings count, so fewer parameters pay."""
+    kept, off = without(table(LIKE_A_TABLE, noise_deg=0.1), "rotary_ideal", inflation=1.0)
+    assert kept.ranked != off.ranked
+
+
+@pytest.mark.slow
+def test_a_rail_is_refitted_from_several_starts():
+    log = stage("raster", (listed(np.random.default_rng(1))["saturation"],), seed=1, thin=6)
+    kept, off = without(log, "stage31", starts=1)
+    assert kept.metric.after < 1.1 * kept.metric.floor
+    assert off.metric.after > 1.5 * off.metric.floor
+
+
+def test_every_threshold_is_tested_here():
+    text = Path(__file__).read_text(encoding="utf-8")
+    untested = [f.name for f in fields(Policy) if not re.search(rf"\b{f.name}\b", text)]
+    assert untested == []
