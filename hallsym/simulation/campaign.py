@@ -40,6 +40,15 @@ class Run:
         still = np.full(len(t), self.setting.get(axis, 0.0))
         return still + self.motion[axis](t) if axis in self.motion else still
 
+    @property
+    def follows(self) -> Following | None:
+        """The curve that this run follows, None where it follows none; refuses two."""
+        signals = [s for s in self.motion.values() if isinstance(s, Signal) and s.kind == "curve"]
+        found: list[Following] = [s.values["curve"] for s in signals]
+        if any(other != found[0] for other in found):
+            raise InputError("A run follows two curves; a campaign file holds one for each run.")
+        return found[0] if found else None
+
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
@@ -242,22 +251,13 @@ def write_campaign(campaign: Campaign, path: str | Path, comment: str = "") -> N
 def _files_of(campaign: Campaign, path: Path) -> list[tuple[str, Curve]]:
     """Name the file of each curve that a campaign follows."""
     found: list[tuple[str, Curve]] = []
-    for following in filter(None, map(_following, campaign.runs)):
+    for following in filter(None, (run.follows for run in campaign.runs)):
         if not any(curve.to_dict() == following.curve.to_dict() for _, curve in found):
             names = [name for name, _ in found]
             stem = f"{path.stem}_{following.name.removeprefix(f'{path.stem}_')}"
             tried = [f"{stem}.json", *(f"{stem}_{k}.json" for k in range(2, len(found) + 3))]
             found.append((next(name for name in tried if name not in names), following.curve))
     return found
-
-
-def _following(run: Run) -> Following | None:
-    """Return the curve that a run follows; a file holds one for each run."""
-    signals = [s for s in run.motion.values() if isinstance(s, Signal) and s.kind == "curve"]
-    found: list[Following] = [s.values["curve"] for s in signals]
-    if any(other != found[0] for other in found):
-        raise InputError("A run follows two curves; a campaign file holds one for each run.")
-    return found[0] if found else None
 
 
 def _curve_text(following: Following, curves: Sequence[tuple[str, Curve]]) -> str:
@@ -277,7 +277,7 @@ def _run_lines(run: Run, k: int, curves: Sequence[tuple[str, Curve]]) -> list[st
     lines.append(f"duration_s = {float(run.duration_s)!r}")
     if run.zeros:
         lines.append(f"zero_deviations_m = {_plain(run.zeros)}")
-    following = _following(run)
+    following = run.follows
     if following is not None:
         lines.append(f"curve = {_curve_text(following, curves)}")
     for axis in axes():
