@@ -195,9 +195,10 @@ def _position(options: Namespace) -> int:
 
 def _followed(options: Namespace, fit: Fit, settings: Settings, at: Mapping[str, float]) -> int:
     """The budget of a machine that follows a curve: along its path, and where each coordinate is worst."""
-    for name in ("monte_carlo", "map", "range"):
-        if getattr(options, name) not in (None, False, []):
-            raise InputError(f"--{name.replace('_', '-')} is for one position or a map; leave --curve out.")
+    given = {"monte-carlo": options.monte_carlo is not None, "map": options.map, "range": options.range}
+    for name in given:
+        if given[name]:
+            raise InputError(f"--{name} is for one position or a map; leave --curve out.")
     curve, said = read_curve(options.curve), notes(fit, settings)
     along = along_curve(fit, curve, at, settings)
     if options.log:

@@ -102,5 +102,5 @@ def _raster(lines: int) -> np.ndarray:
 def _closed(control: np.ndarray, axes: tuple[str, ...]) -> Curve:
     """The closed uniform B-spline of degree 3 with these control points, over 0 .. 1."""
     n = len(control)
-    form = SplineForm(np.arange(n + 7, dtype=float), 3, np.vstack([control, control[:3]]))
+    form = SplineForm(np.arange(n + 7, dtype=float), 3, control[np.arange(n + 3) % n])
     return Curve(form, 0.0, 1.0, axes, "cubic", 0.0, "bounded", {"control": "closed"})

@@ -8,7 +8,7 @@ from hallsym.simulation.campaign import (
     read_campaign,
     write_campaign,
 )
-from hallsym.simulation.following import Following, follow
+from hallsym.simulation.following import Following, follow, is_closed
 from hallsym.simulation.machine import NoiseModel, scaled, simulate, simulate_blocks
 from hallsym.simulation.paper import bundled_campaign, is_the_papers, paper_campaign, table8_noise
 from hallsym.simulation.signals import AtTimes, Signal, multi_sine, ramp, sine, steps, triangle
@@ -23,6 +23,7 @@ __all__ = [
     "bundled_campaign",
     "campaign_from",
     "follow",
+    "is_closed",
     "is_the_papers",
     "multi_sine",
     "noise_table",

@@ -63,8 +63,10 @@ class Following:
         points = self.curve(np.linspace(self.curve.start, self.curve.stop, SAMPLES))
         least = 1e-9 * np.ptp(points, axis=0).max()
         ways = [step[np.abs(step) > least] > 0 for step in np.diff(points, axis=0).T]
-        turns = max(int(np.count_nonzero(np.diff(way))) + 1 for way in ways)
-        return turns * self.times * (2 if self.direction == "both" else 1) / (2 * self.duration_s)
+        if self.direction == "both":
+            ways = [np.r_[way, ~way[::-1]] for way in ways]
+        turns = max(int(np.count_nonzero(way != np.roll(way, 1))) for way in ways)
+        return turns * self.times / (2 * self.duration_s)
 
     def at(self, axis: str, t: np.ndarray) -> np.ndarray:
         """Return a coordinate (samples,) at times `t` since the reset [s]."""

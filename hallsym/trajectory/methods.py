@@ -102,10 +102,13 @@ def rational(u: Array, points: Array, control: int = 0) -> Form:
     size = np.abs(points).max(axis=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of coordinates that few points do not determine: the error says so
-        found = [
-            AAA(u, p, rtol=1e-13, max_terms=max(min(len(u) // 2, 50), 1)) if s > 0 else None
-            for p, s in zip(points.T, size, strict=True)
-        ]
+        try:
+            found = [
+                AAA(u, p, rtol=1e-13, max_terms=max(min(len(u) // 2, 50), 1)) if s > 0 else None
+                for p, s in zip(points.T, size, strict=True)
+            ]
+        except (ValueError, np.linalg.LinAlgError):
+            raise InputError("AAA finds no rational function of these points.") from None
     parts = [
         (a.support_points, a.support_values, a.weights) if a else (u[:1], np.zeros(1), np.ones(1))
         for a in found

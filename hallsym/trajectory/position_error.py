@@ -139,9 +139,9 @@ def worth_of(curve: Curve, machine_m: float, coverage: float = 2.0) -> tuple[Wor
     source, method, nodes = found
     own = curve.control_points if method.fitted else int(curve.source["points"])
     least = max(own - ROWS + 3 if own <= FEW else own // 3, method.least, 3)
-    counts = {round(n) for n in np.geomspace(least, own, ROWS - 2).tolist()} if least < own else {own}
+    counts = range(least, own) if own <= FEW else np.geomspace(least, own, ROWS - 2).round().astype(int)
     errors: dict[int, float] = {}
-    for count in sorted(counts | {own + 1, own + 2}):
+    for count in sorted({*map(int, counts), own, own + 1, own + 2}):
         points, control = (None, count) if method.fitted else (count, None)
         try:
             best = of_nominal(source, points=points, control=control, methods=[method], nodes=nodes).best
