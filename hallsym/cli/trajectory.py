@@ -25,6 +25,7 @@ examples:
 
 points.csv has columns such as x_um, y_um, rz_urad, and t if the points have a parameter (else the length of
 their chords). Functions of --curve: sin cos tan asin acos atan sinh cosh tanh exp log sqrt.
+What a saved curve adds to the uncertainty of a position: hallsym budget FILE --curve curve.json.
 """
 OUTPUTS = (".json", ".csv", ".ngc", ".nc", ".gcode", ".c")
 
@@ -59,11 +60,12 @@ def add(sub: Any) -> None:
     )
     group.add_argument(
         "--nodes",
+        metavar="NAME",
         help="equidistant, interior or chebyshev (default: what suits; of one method equidistant)",
     )
-    group.add_argument("--basis", help="only this basis: bernstein or trigonometric")
+    group.add_argument("--basis", metavar="NAME", help="only this basis: bernstein or trigonometric")
     group.add_argument("--control", type=int, metavar="N", help="control points of a least-squares fit")
-    group.add_argument("--method", help="only this method of the table, such as cubic")
+    group.add_argument("--method", metavar="NAME", help="only this method of the table, such as cubic")
     group.add_argument(
         "--rounding", metavar="LENGTH", help="what the digits of POINTS are worth, such as 1nm"
     )

@@ -97,6 +97,18 @@ class Values:
     g: Array
 
 
+def check_increasing(t: Array, name: str) -> None:
+    """Refuse parameters (points,) that repeat or are out of order; `name` says of what."""
+    steps = np.diff(t)
+    if (steps <= 0).any():
+        k = int(np.argmax(steps <= 0))
+        what = "repeats" if steps[k] == 0 else "is less than"
+        raise InputError(
+            f"Parameters of {name} must increase: number {k + 2} ({t[k + 1]:.9g}) {what} number {k + 1} "
+            f"({t[k]:.9g}); sort the points and take repeated ones out."
+        )
+
+
 def values(basis: Basis, t: Array) -> Values:
     """Return f and g at strictly increasing parameters (points,) of the basis.
 
@@ -110,14 +122,7 @@ def values(basis: Basis, t: Array) -> Values:
         raise InputError(
             f"Parameter {int(np.argmin(np.isfinite(t))) + 1} of the points is not a finite number."
         )
-    steps = np.diff(t)
-    if (steps <= 0).any():
-        k = int(np.argmax(steps <= 0))
-        what = "repeats" if steps[k] == 0 else "is less than"
-        raise InputError(
-            f"Parameters of the points must increase: number {k + 2} ({t[k + 1]:.9g}) {what} number {k + 1} "
-            f"({t[k]:.9g}); sort the points and take repeated ones out."
-        )
+    check_increasing(t, "the points")
     if t[0] < basis.start or t[-1] > basis.stop:
         outside = t[0] if t[0] < basis.start else t[-1]
         raise InputError(

@@ -168,7 +168,10 @@ def read_curve(path: str | Path) -> Curve:
     except OSError as error:
         raise InputError(f"Curve {path} cannot be read: {reason(error)}.") from None
     except ValueError as error:
-        raise InputError(f"Curve {path} cannot be read as JSON: {' '.join(str(error).split())}.") from None
+        raise InputError(
+            f"Curve {path} cannot be read as JSON ({' '.join(str(error).split())}); a curve is what 'hallsym "
+            "trajectory' saves with -o curve.json."
+        ) from None
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         found = raw.get("format") if isinstance(raw, dict) else None
         raise InputError(f"File {path} must be a curve of format {FORMAT!r}; instead it says {found!r}.")

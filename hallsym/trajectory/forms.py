@@ -232,9 +232,6 @@ def _rational(t: Interval, order: int, support: Array, values: Array, weights: A
     return jets[0] / jets[1]
 
 
-Form = SplineForm | ChebyshevForm | RationalForm
-
-
 def chebyshev_nodes(n: int) -> Array:
     """Return the n Chebyshev nodes of the first kind on [0, 1], increasing: (1 - cos(pi (2k + 1)/(2n)))/2."""
     return np.sin(np.pi * (2 * np.arange(n) + 1) / (4 * n)) ** 2

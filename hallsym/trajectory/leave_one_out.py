@@ -89,9 +89,8 @@ def _candidate(points: Points, method: Method, tolerance: float | None, control:
             errors = _left_out(points, method)
     except InputError as error:
         return Candidate(method, "given", count, None, np.inf, reason=str(error))
-    lengths = [k for k, name in enumerate(points.coordinates) if name.endswith("_m")]
-    turning = [k for k in range(len(points.coordinates)) if k not in lengths]
-    worst = float(np.sqrt(np.sum(errors[:, lengths] ** 2, axis=1)).max())
+    turning = [k for k, name in enumerate(points.coordinates) if not name.endswith("_m")]
+    worst = float(points.distances(errors).max())
     rotation = float(np.abs(errors[:, turning]).max()) if turning else None
     curve = Curve(
         form, float(points.t[0]), float(points.t[-1]), points.coordinates, method.name, worst, "estimated",
@@ -123,7 +122,6 @@ def _fitted(
     """
     basis, count = basis_named(method.name.removesuffix("-ls")), len(points.t)
     t = inside(basis, points.shares)
-    lengths = [k for k, name in enumerate(points.coordinates) if name.endswith("_m")]
 
     @cache
     def tried(size: int) -> tuple[float, Form, Array]:
@@ -131,7 +129,7 @@ def _fitted(
         form = FgForm(basis, q.solve(points.points))
         spare = np.maximum(1 - q.leverage(), 1e-12)[1:-1, None]
         errors = (form.evaluate(t) - points.points)[1:-1] / spare
-        return float(np.sqrt(np.sum(errors[:, lengths] ** 2, axis=1)).max()), form, errors
+        return float(points.distances(errors).max()), form, errors
 
     if control is not None:
         return tried(control)[1:]

@@ -12,6 +12,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.files import reason
+from hallsym.trajectory.basis import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
 from hallsym.units import si_name, split_unit
 
@@ -32,6 +33,11 @@ class Points:
     def shares(self) -> Array:
         """Parameters scaled to [0, 1]."""
         return (self.t - self.t[0]) / (self.t[-1] - self.t[0])
+
+    def distances(self, errors: Array) -> Array:
+        """Return the lengths (n,) of errors (n, d): angles do not count."""
+        lengths = [k for k, name in enumerate(self.coordinates) if name.endswith("_m")]
+        return np.linalg.norm(errors[:, lengths], axis=1)
 
 
 def points_of(
@@ -67,13 +73,7 @@ def points_of(
         raise InputError(
             f"Parameters of {name} must be one finite number for each of its {len(points)} points."
         )
-    if (np.diff(t) <= 0).any():
-        k = int(np.argmax(np.diff(t) <= 0))
-        what = "repeats" if t[k] == t[k + 1] else "is less than"
-        raise InputError(
-            f"Parameters of {name} must increase: number {k + 2} ({t[k + 1]:.9g}) {what} number {k + 1} "
-            f"({t[k]:.9g}); sort the points and take repeated ones out."
-        )
+    check_increasing(t, name)
     return Points(t, points, tuple(coordinates), rounding, name)
 
 
@@ -105,8 +105,9 @@ def read_points(path: str | Path) -> Points:
     lengths = [k for k in order if columns[k][0].endswith("_m")]
     if not lengths:
         raise InputError(f"Points file {path} must have at least one of the columns x, y, z, such as x_um.")
+    numbered = enumerate(rows[1:], 1)
     table = np.array(
-        [[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in rows_of(rows)]
+        [[_cell(row, k, number, names, path) for k in range(len(names))] for number, row in numbered]
     )
     parameter = [k for k, c in enumerate(columns) if c[0] == "t"]
     step = max(columns[k][1] * _step([row[k] for row in rows[1:]]) for k in lengths)
@@ -117,11 +118,6 @@ def read_points(path: str | Path) -> Points:
         step / 2,
         path.name,
     )
-
-
-def rows_of(rows: list[list[str]]) -> list[tuple[int, list[str]]]:
-    """Return the rows of data with their number, counted from 1."""
-    return list(enumerate(rows[1:], 1))
 
 
 def _column(name: str, path: Path) -> tuple[str, float]:

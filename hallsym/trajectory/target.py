@@ -41,18 +41,21 @@ class Target:
     def sampled(self, curve: Curve, per_piece: int = 8) -> float:
         """Largest error at the points compared: quick, and below the bound."""
         pieces = len(curve.form.breaks()) + 1
+        u, points = self.grid
         if pieces > 150:
             u = np.linspace(0, 1, pieces * per_piece + 1)
             points = self.at(u)
-        else:
-            u, points = self.grid
+        return float(self.errors(curve, u, points).max())
+
+    def errors(self, curve: Curve, u: Array, points: Array | None = None) -> Array:
+        """Return distances (len(u),) of a curve from the nominal points at shares u; of chords, across them."""
         a, b = curve.form.domain
         inner = np.clip(a + u * (b - a), a, b)
-        e = (curve.form.evaluate(inner) - points)[:, curve.lengths]
+        e = (curve.form.evaluate(inner) - (self.at(u) if points is None else points))[:, curve.lengths]
         if is_polyline(curve):
             _, way, _ = chords(curve, inner)
             e = e - way.T * np.sum(way.T * e, axis=1)[:, None]
-        return float(np.sqrt(np.sum(e * e, axis=1)).max())
+        return np.sqrt(np.sum(e * e, axis=1))
 
 
 def resolution(points: Array) -> float:

@@ -26,7 +26,6 @@ from hallsym.report.figures.style import (
     panels,
 )
 from hallsym.trajectory import Choice, Curve, Nominal, Points
-from hallsym.trajectory.bounds import chords, is_polyline
 from hallsym.trajectory.candidate import Candidate
 from hallsym.trajectory.corner_cutting import FgForm
 from hallsym.trajectory.forms import SplineForm
@@ -93,7 +92,7 @@ def error_along(choice: Choice, target: Target) -> Figure:
     ax, u, handles, everything = axes[0, 0], np.linspace(0, 1, SAMPLES), [], []
     for k, c in enumerate(shown):
         assert c.curve is not None
-        error = np.maximum(1e6 * _errors(target, c.curve, u), LEAST)
+        error = np.maximum(1e6 * target.errors(c.curve, u), LEAST)
         everything.append(error)
         t = c.curve.start + u * (c.curve.stop - c.curve.start)
         ax.plot(t, error, color=SERIES[k % len(SERIES)], ls=DASHES[k], lw=1.3 if k == 0 else 0.8)
@@ -160,15 +159,6 @@ def _error_with(target: Target, c: Candidate, count: int) -> float | None:
     except InputError:
         return None
     return found if np.isfinite(found) else None
-
-
-def _errors(target: Target, curve: Curve, u: np.ndarray) -> np.ndarray:
-    inner = curve.inner(curve.start + u * (curve.stop - curve.start))
-    e = (curve.form.evaluate(inner) - target.at(u))[:, curve.lengths]
-    if is_polyline(curve):
-        _, way, _ = chords(curve, inner)
-        e = e - way.T * np.sum(way.T * e, axis=1)[:, None]
-    return np.sqrt(np.sum(e * e, axis=1))
 
 
 def save_trajectory(choice: Choice, data: Nominal | Points, folder: Path) -> list[Path]:

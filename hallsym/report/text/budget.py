@@ -161,7 +161,10 @@ def along_text(along: AlongCurve, title: str) -> str:
 
 
 def _length(value: float) -> str:
-    factor, unit = fitting("m", value) if abs(value) >= 1e-10 else (1e9, "nm")
+    """A length in its own unit; below a picometre nothing is left of it."""
+    if 0 < abs(value) < 1e-12:
+        return "<0.001 nm"
+    factor, unit = fitting("m", value)
     return f"{_three(value * factor)} {unit}"
 
 
