@@ -307,7 +307,7 @@ def diagnose_only(log: Log, make):
     """Diagnose with one effect alone."""
     from dataclasses import replace
 
-    from hallsym.model.effect import as_effect
+    from hallsym.model import as_effect
 
     model = build("stage31")
     alone = replace(model, family=replace(model.family, effects=()))
@@ -344,7 +344,7 @@ def test_the_command_that_is_printed_runs(tmp_path, capsys) -> None:
 
 
 OWN = '''
-from hallsym.model.derived import rate
+from hallsym.model import rate
 from hallsym.model import Parameter
 
 
