@@ -26,7 +26,8 @@ class Unit:
 
 _DEGREE = math.pi / 180
 _TABLE: tuple[tuple[str, str, float], ...] = (
-    ("m", "m", 1.0), ("mm", "m", 1e-3), ("um", "m", 1e-6), ("nm", "m", 1e-9),
+    ("m", "m", 1.0), ("cm", "m", 1e-2), ("mm", "m", 1e-3), ("um", "m", 1e-6), ("nm", "m", 1e-9),
+    ("pm", "m", 1e-12),
     ("rad", "rad", 1.0), ("mrad", "rad", 1e-3), ("urad", "rad", 1e-6), ("nrad", "rad", 1e-9),
     ("deg", "rad", _DEGREE), ("mdeg", "rad", _DEGREE / 1e3), ("arcsec", "rad", _DEGREE / 3600),
     ("rev", "rad", 2 * math.pi),
@@ -41,6 +42,8 @@ _TABLE: tuple[tuple[str, str, float], ...] = (
 )  # fmt: skip
 UNITS: dict[str, Unit] = {name: Unit(name, si, factor) for name, si, factor in _TABLE}
 UNITS["k"] = Unit("k", "degc", 1.0, -273.15)
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 # What hallsym's own names measure: a name that fits a row has one of its SI units.
 _QUANTITIES: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -112,6 +115,28 @@ def from_si(column: str, values: Array) -> Array:
     """Convert SI values to the unit the column's name states (float64, same shape)."""
     unit = require_unit(column)
     return (np.asarray(values, float) - unit.offset) / unit.factor
+
+
+def with_unit(text: str) -> tuple[float, str] | None:
+    """Return the SI value and unit of `0.05um`, or of a plain number with ""; None for any other text."""
+    match = re.fullmatch(rf"({_NUMBER})\s*([a-zµ]*)", text.strip())
+    unit = UNITS.get(match[2].replace("µ", "u")) if match else None
+    if not match or (match[2] and unit is None):
+        return None
+    value = float(match[1])
+    return (value * unit.factor + unit.offset, unit.si) if unit else (value, "")
+
+
+def read_quantity(text: str, what: str, si: str, example: str) -> float:
+    """Return the SI value of a positive number with a unit of `si`; `what` names it in errors."""
+    found = with_unit(text)
+    if found is None or found[1] != si or not 0 < found[0] < math.inf:
+        known = ", ".join(unit.name for unit in UNITS.values() if unit.si == si)
+        raise InputError(
+            f"{what} must be a positive number with its unit ({known}), such as {example}; instead received "
+            f"{text!r}."
+        )
+    return found[0]
 
 
 # -- units that people read ------------------------------------------------------------------------------

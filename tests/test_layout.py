@@ -8,8 +8,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
-    "cli", "report", "diagnosis", "codegen", "experiment", "uncertainty", "trajectory", "inference",
-    "estimation", "simulation", "families", "log", "model",
+    "cli", "report", "diagnosis", "codegen", "experiment", "uncertainty", "inference", "estimation",
+    "simulation", "trajectory", "families", "log", "model",
 )  # fmt: skip
 """From the top down: a package imports those that stand after it, and what is flat (errors, units, files)."""
 LONGEST = 450

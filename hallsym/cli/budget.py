@@ -22,14 +22,24 @@ from hallsym.cli.common import (
 )
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
-from hallsym.log import Log, Noise, check_noise_keys
-from hallsym.report.text import budget_text, comparison_text, position_words, recorded_text
+from hallsym.log import Noise, check_noise_keys
+from hallsym.report.text import (
+    along_text,
+    budget_text,
+    comparison_text,
+    curve_cost_text,
+    position_words,
+    recorded_text,
+)
+from hallsym.trajectory import Curve, CurveCost, curve_cost, read_curve
 from hallsym.uncertainty import (
+    AlongCurve,
     Budget,
     Comparison,
     Recorded,
     Settings,
     UncertaintyMap,
+    along_curve,
     budget_monte_carlo,
     map_axes,
     notes,
@@ -39,6 +49,7 @@ from hallsym.uncertainty import (
     read_budget,
     read_settings,
     uncertainty_map,
+    with_curve,
 )
 
 LOG_OPTIONS = ("column", "column_file", "format", "delimiter", "drop_bad")
@@ -47,6 +58,7 @@ examples:
   hallsym budget budget.toml                          any budget: one [[source]] table for each input
   hallsym budget calib.json --at x_um=100 --at z_um=250   of the position decoded there
   hallsym budget calib.json LOG --plots pictures      over the recorded workspace, with a map of U
+  hallsym budget calib.json --curve curve.json        along a curve of 'hallsym trajectory'
 """
 
 
@@ -59,6 +71,10 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     parser.add_argument("file", metavar="FILE", help="a calibration (.json), or a budget (.toml)")
     parser.add_argument("log", metavar="LOG", nargs="?", help="log whose workspace is evaluated")
+    parser.add_argument(
+        "--curve", metavar="JSON",
+        help="a curve that the machine follows: its error joins the budget, worst part and number of points",
+    )  # fmt: skip
     _position_options(parser)
     parser.add_argument(
         "--monte-carlo", nargs="?", const=0, type=int, metavar="N",
@@ -66,7 +82,7 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--seed", type=seed, default=0, help="of the Monte Carlo trials (default 0)")
     parser.add_argument(
-        "--plots", metavar="FOLDER", help="save budget bars, and the map if there is one, as PNG"
+        "--plots", metavar="FOLDER", help="save budget bars, map and U along the curve as PNG"
     )
     log_options(parser)
 
@@ -110,14 +126,21 @@ def _stand_alone(options: Namespace) -> int:
             what = "A LOG" if name == "log" else f"--{name.replace('_', '-')}"
             raise InputError(f"{what} belongs to a calibration; {options.file} is a budget file.")
     budget, shown = read_budget(options.file)
+    cost = None
+    if options.curve:
+        curve = read_curve(options.curve)
+        cost, budget = curve_cost(curve, budget.expanded, budget.factor), with_curve(budget, curve)
     found = []
     if options.monte_carlo is not None:
         found = [budget_monte_carlo(budget, _rng(options), trials=options.monte_carlo or None)]
-    pictures = _pictures(options, {budget.quantity: budget}, None, None)
+    pictures = _pictures(options, {budget.quantity: budget}, cost=cost)
     record: dict[str, Any] = {"budget": budget.to_dict()}
+    if cost:
+        record["curve"] = {"file": options.curve, **cost.to_dict()}
     if found:
         record["monte_carlo"] = found[0].to_dict()
     text = [budget_text(budget, shown), *(["", comparison_text(found)] if found else [])]
+    text += ["", curve_cost_text(cost)] if cost else []
     say(options, record, lambda: "\n".join([*text, *pictures]))
     return OK
 
@@ -132,6 +155,8 @@ def _position(options: Namespace) -> int:
             raise InputError(f"--{name.replace('_', '-')} is about reading a LOG; give one.")
     settings = read_settings(options.settings, fit.model) if options.settings else Settings()
     at = _at(options.at, fit)
+    if options.curve:
+        return _followed(options, fit, settings, at)
     said = notes(fit, settings)
     log = open_log(options) if options.log else None
     recorded = None if log is None else over_log(fit, log, settings)
@@ -157,7 +182,7 @@ def _position(options: Namespace) -> int:
         "map": grid.to_dict() if grid else None,
         "notes": said,
     }
-    pictures = _pictures(options, worst or budgets, grid, log)
+    pictures = _pictures(options, worst or budgets, grid, worst=log is not None or grid is not None)
     shown = grid if options.map or options.range else None
     parts = _position_text(budgets, list(found.values()), recorded, shown, settings)
     parts.insert(
@@ -166,6 +191,58 @@ def _position(options: Namespace) -> int:
     parts += ["", *noted(said)] if said else []
     say(options, record, lambda: "\n".join([*parts, *pictures]))
     return NOT_DETERMINED if fit.undetermined_by_log else OK
+
+
+def _followed(options: Namespace, fit: Fit, settings: Settings, at: Mapping[str, float]) -> int:
+    """The budget of a machine that follows a curve: along its path, and where each coordinate is worst."""
+    given = {"monte-carlo": options.monte_carlo is not None, "map": options.map, "range": options.range}
+    for name in given:
+        if given[name]:
+            raise InputError(f"--{name} is for one position or a map; leave --curve out.")
+    curve, said = read_curve(options.curve), notes(fit, settings)
+    along = along_curve(fit, curve, at, settings)
+    if options.log:
+        recorded = over_log(fit, open_log(options), settings)
+        ends = [{c: span[k] for c, span in along.spans().items()} for k in (0, 1)]
+        beyond = list(dict.fromkeys(c for end in ends for c in recorded.outside(end)))
+        if beyond:
+            said.append(f"the curve leaves the recorded workspace in {', '.join(beyond)}.")
+    budgets = {}
+    for c in fit.model.pose:
+        budget = position_budget(fit, along.position(along.worst(c)), settings, split=options.split)[c]
+        budgets[c] = with_curve(budget, curve, c) if c in curve.coordinates else budget
+    cost = _cost_at_best(along, curve, budgets)
+    record = {
+        "calibration": str(options.file),
+        "log": None if options.log is None else str(options.log),
+        "model": fit.model.name,
+        "covariance": fit.covariance_method,
+        "at": {c: at.get(c, 0.0) for c in along.at if c not in curve.coordinates},
+        "budgets": {c: b.to_dict() for c, b in budgets.items()},
+        "curve": {"file": options.curve, **(cost.to_dict() if cost else {})},
+        "along_curve": along.to_dict(),
+        "notes": said,
+    }
+    pictures = _pictures(options, budgets, worst=True, along=along, cost=cost)
+    coverage = f"{100 * settings.level:g} %" if settings.level else f"k = {settings.coverage:g}"
+    parts = [
+        f"position along {options.curve}; fit covariance: {fit.covariance_method}",
+        f"\n{along_text(along, f'U ({coverage}) along the curve')}",
+        "\nwhere each coordinate is known worst:",
+        *(f"\n{budget_text(budget)}" for budget in budgets.values()),
+    ]
+    parts += [f"\n{curve_cost_text(cost, ' where the machine is known best')}"] if cost else []
+    parts += ["", *noted(said)] if said else []
+    say(options, record, lambda: "\n".join([*parts, *pictures]))
+    return NOT_DETERMINED if fit.undetermined_by_log else OK
+
+
+def _cost_at_best(along: AlongCurve, curve: Curve, budgets: Mapping[str, Budget]) -> CurveCost | None:
+    """What the curve adds where a length that it moves is known best: there it counts most."""
+    lengths = [c for c in along.pose if c in curve.coordinates and c.endswith("_m")]
+    least = {c: float(along.machine[along.pose.index(c)].min()) for c in lengths}
+    best = min(least, key=least.__getitem__, default=None)
+    return curve_cost(curve, least[best], budgets[best].factor) if best else None
 
 
 def _position_text(
@@ -241,16 +318,20 @@ def _worst(
 
 
 def _pictures(
-    options: Namespace, budgets: Mapping[str, Budget], grid: UncertaintyMap | None, log: Log | None
+    options: Namespace,
+    budgets: Mapping[str, Budget],
+    grid: UncertaintyMap | None = None,
+    *,
+    worst: bool = False,
+    along: AlongCurve | None = None,
+    cost: CurveCost | None = None,
 ) -> list[str]:
     """Save the pictures asked for; returns the lines that say so."""
     if not options.plots:
         return []
     from hallsym.report.figures import save_budget_pictures
 
-    paths = save_budget_pictures(
-        Path(options.plots), budgets, grid, worst=log is not None or grid is not None
-    )
+    paths = save_budget_pictures(Path(options.plots), budgets, grid, worst=worst, along=along, cost=cost)
     return [f"wrote {path}" for path in paths]
 
 

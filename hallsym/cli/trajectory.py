@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hallsym.cli import OK
 from hallsym.cli.common import command, progress_of, say
 from hallsym.errors import InputError
+from hallsym.units import read_quantity
 
 if TYPE_CHECKING:
     from hallsym.trajectory import Choice, Curve, Method
@@ -175,11 +176,10 @@ def _from_curve(options: Namespace) -> "tuple[Choice, Any]":
 
 def _from_points(options: Namespace) -> "tuple[Choice, Any]":
     from hallsym.trajectory import of_points, read_points
-    from hallsym.trajectory.units import quantity
 
     points = read_points(options.points_file)
     if options.rounding:
-        points = replace(points, rounding=quantity(options.rounding, "--rounding", "m"))
+        points = replace(points, rounding=_length(options.rounding, "--rounding"))
     choice = of_points(
         points, _tolerance(options), control=options.control, methods=_methods(options),
         progress=progress_of(options),
@@ -194,9 +194,11 @@ def _nodes(options: Namespace) -> str | None:
 
 
 def _tolerance(options: Namespace) -> float | None:
-    from hallsym.trajectory.units import quantity
+    return _length(options.tolerance, "--tolerance") if options.tolerance else None
 
-    return quantity(options.tolerance, "--tolerance", "m") if options.tolerance else None
+
+def _length(text: str, option: str) -> float:
+    return read_quantity(text, option, "m", "0.05um")
 
 
 def _methods(options: Namespace) -> "tuple[Method, ...]":
@@ -228,7 +230,6 @@ def _made(curve: "Curve", path: Path, options: Namespace) -> Callable[[], object
     from hallsym.files import atomic_write
     from hallsym.trajectory.c_code import c_code
     from hallsym.trajectory.export import gcode, times, write_table
-    from hallsym.trajectory.units import quantity
 
     kind = path.suffix.lower()
     if kind == ".c":
@@ -238,12 +239,12 @@ def _made(curve: "Curve", path: Path, options: Namespace) -> Callable[[], object
         return partial(curve.save, path)
     if kind == ".csv":
         clock = {
-            "duration_s": quantity(options.duration, "--duration", "s"),
-            "step_s": quantity(options.step, "--step", "s"),
+            "duration_s": read_quantity(options.duration, "--duration", "s", "10s"),
+            "step_s": read_quantity(options.step, "--step", "s", "1ms"),
         }
         times(**clock)  # refuses a clock of too many steps
         return partial(write_table, curve, path, **clock, steady=options.steady)
-    chord = quantity(options.chord, "--chord", "m") if options.chord else None
+    chord = _length(options.chord, "--chord") if options.chord else None
     text = gcode(curve, chord_m=chord, feed_m_s=1e-3 * options.feed)
     return partial(atomic_write, path, text)
 

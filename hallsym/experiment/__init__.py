@@ -1,13 +1,14 @@
 """What to record next: choose runs from ranges so that parameters or positions become most certain.
 
-`ranges` says what may be recorded, `candidates` lists the runs, `information` says what each would tell,
-`criteria` what counts, `relaxed` bounds what any choice can reach, `exchange` chooses, `study` and `design`
-put it together, `comparison` sets a plan beside another campaign.
+`ranges` says what may be recorded, `candidates` and `curves` list the runs, `information` says what each
+would tell, `criteria` what counts, `relaxed` bounds what any choice can reach, `exchange` chooses, `study`
+and `design` put it together, `comparison` sets a plan beside another campaign.
 """
 
 from hallsym.experiment.candidates import Candidate, candidates
 from hallsym.experiment.comparison import Comparison
 from hallsym.experiment.criteria import CRITERIA, Criterion, criterion
+from hallsym.experiment.curves import closed_curves
 from hallsym.experiment.design import Plan, plan
 from hallsym.experiment.exchange import choose, exchange, greedy
 from hallsym.experiment.information import Worst, planned_cost
@@ -26,6 +27,7 @@ __all__ = [
     "Worst",
     "candidates",
     "choose",
+    "closed_curves",
     "criterion",
     "exchange",
     "greedy",

@@ -32,7 +32,7 @@ class Plan:
     runs (None where nothing was recorded before). `std`: (q,) standard uncertainty of each of `names`
     afterwards, SI. `position`: (n_pose,) worst standard uncertainty that the parameters leave in the decoded
     position over the ranges, SI. `comparison`: with another campaign. `recorded`: runs of the log that the
-    plan adds to.
+    plan adds to. `sines`: with the best plan of as many runs without curves, None where no curve was tried.
     """
 
     study: Study
@@ -45,6 +45,7 @@ class Plan:
     comparison: Comparison | None
     recorded: int
     seconds: float
+    sines: Comparison | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -63,6 +64,11 @@ class Plan:
         order = _order(self.study, self.choice)
         return [(int(counts[k]), found[k].setting, found[k].trajectory) for k in order]
 
+    @property
+    def curves(self) -> int:
+        """How many of the runs follow a curve."""
+        return sum(run.follows is not None for run in self.campaign.runs)
+
     def curve(self, points: int = 9) -> tuple[np.ndarray, np.ndarray]:
         """Return numbers of runs, from the least that determine the model, and the criterion of plans."""
         most = max(len(self.campaign.runs), self.comparison.runs if self.comparison else 1)
@@ -74,7 +80,7 @@ class Plan:
     def to_dict(self) -> dict[str, Any]:
         """Return the readable record that `hallsym plan --json` prints."""
         model, ranges = self.study.model, self.study.ranges
-        return {
+        record = {
             "format": FORMAT,
             "model": model.name,
             "criterion": self.study.criterion.name,
@@ -97,6 +103,10 @@ class Plan:
             "seed": self.study.seed,
             "seconds": self.seconds,
         }
+        if self.sines is not None:
+            sines = self.sines.to_dict(self.names, model.pose)
+            record["curves"] = {"runs_with_curves": self.curves, "sines_only": sines}
+        return record
 
 
 def plan(
@@ -136,7 +146,8 @@ def plan(
     found = study(ranges, model, dict(values or {}), sigma, criterion, recorded, seed)
     found.check(allowed)
     choice = found.choose(allowed)
-    total = choice.information
+    total, plain = choice.information, found.without_curves()
+    sines = None if plain is None else _campaign(plain, plain.choose(allowed))
     return Plan(
         study=found,
         choice=choice,
@@ -148,6 +159,7 @@ def plan(
         comparison=None if against is None else compare(found, against, against_name),
         recorded=n_recorded,
         seconds=perf_counter() - began,
+        sines=None if sines is None else compare(found, sines, "sines only"),
     )
 
 

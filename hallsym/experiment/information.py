@@ -35,16 +35,8 @@ def planned_cost(
 
 def _fastest(run: Run) -> float:
     """Highest frequency in a run [Hz]; infinite where a motion is a plain function."""
-    fastest = 0.0
-    for signal in run.motion.values():
-        if not isinstance(signal, Signal):
-            return float("inf")
-        v = signal.values
-        dwell = v.get("dwell_s")
-        fastest = max(
-            fastest, v.get("frequency_hz", 0), *v.get("frequencies_hz", ()), 1 / dwell if dwell else 0
-        )
-    return float(fastest)
+    motions = run.motion.values()
+    return max((s.fastest_hz if isinstance(s, Signal) else float("inf") for s in motions), default=0.0)
 
 
 @dataclass(frozen=True, eq=False)

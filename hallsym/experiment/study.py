@@ -81,6 +81,14 @@ class Study:
     seed: int
     _choices: dict[int, Choice] = field(default_factory=dict)
 
+    def without_curves(self) -> "Study | None":
+        """Return the same study without the candidates that follow a curve; None where none or all do."""
+        kept = [k for k, candidate in enumerate(self.candidates) if candidate.run.follows is None]
+        if len(kept) in (0, len(self.candidates)):
+            return None
+        some = tuple(self.candidates[k] for k in kept)
+        return replace(self, candidates=some, infos=self.infos[kept], _choices={})
+
     @cached_property
     def base(self) -> np.ndarray:
         """What is known before, with the ridge that makes it invertible."""

@@ -1,31 +1,29 @@
 """Logs of machines that are known: campaigns, trajectories, noise, and the simulated machine."""
 
 from hallsym.simulation.campaign import (
-    AtTimes,
     Campaign,
     Run,
-    Signal,
     campaign_from,
-    multi_sine,
     noise_table,
-    ramp,
     read_campaign,
-    sine,
-    steps,
-    triangle,
     write_campaign,
 )
+from hallsym.simulation.following import Following, follow, is_closed
 from hallsym.simulation.machine import NoiseModel, scaled, simulate, simulate_blocks
 from hallsym.simulation.paper import bundled_campaign, is_the_papers, paper_campaign, table8_noise
+from hallsym.simulation.signals import AtTimes, Signal, multi_sine, ramp, sine, steps, triangle
 
 __all__ = [
     "AtTimes",
     "Campaign",
+    "Following",
     "NoiseModel",
     "Run",
     "Signal",
     "bundled_campaign",
     "campaign_from",
+    "follow",
+    "is_closed",
     "is_the_papers",
     "multi_sine",
     "noise_table",

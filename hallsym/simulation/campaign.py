@@ -5,9 +5,8 @@ function of time that knows how a campaign file describes it, so a campaign that
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from math import pi
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +15,10 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import axes
 from hallsym.files import atomic_write
+from hallsym.simulation.following import DIRECTIONS, SPEEDS, Following
+from hallsym.simulation.signals import SIGNALS, AtTimes, Signal, triangle
 from hallsym.toml import Table, number, positive
-
-AtTimes = Callable[[np.ndarray], np.ndarray]
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A position over time, `signal(t)` with t in s, and how a campaign file describes it.
-
-    `kind` and `values` are what the file holds; two signals are equal when these are.
-    """
-
-    kind: str
-    values: Mapping[str, Any]
-    at: AtTimes = field(compare=False, repr=False)
-
-    def __call__(self, t: np.ndarray) -> np.ndarray:
-        """Return the position at times `t` [s]."""
-        return self.at(t)
+from hallsym.trajectory import Curve, read_curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +40,15 @@ class Run:
         still = np.full(len(t), self.setting.get(axis, 0.0))
         return still + self.motion[axis](t) if axis in self.motion else still
 
+    @property
+    def follows(self) -> Following | None:
+        """The curve that this run follows, None where it follows none; refuses two."""
+        signals = [s for s in self.motion.values() if isinstance(s, Signal) and s.kind == "curve"]
+        found: list[Following] = [s.values["curve"] for s in signals]
+        if any(other != found[0] for other in found):
+            raise InputError("A run follows two curves; a campaign file holds one for each run.")
+        return found[0] if found else None
+
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
@@ -76,64 +69,8 @@ class Campaign:
         return max(1, round(run.duration_s / self.step_s))
 
 
-# -- signals ---------------------------------------------------------------------------------------------
-
-
-def sine(amplitude: float, frequency_hz: float, phase_rad: float = 0.0) -> Signal:
-    """Return amplitude * sin(2 pi f t + phase)."""
-    values = {"amplitude": amplitude, "frequency_hz": frequency_hz}
-    if phase_rad:
-        values["phase_rad"] = phase_rad
-    return Signal("sine", values, lambda t: amplitude * np.sin(2 * pi * frequency_hz * t + phase_rad))
-
-
-def multi_sine(amplitude: float, frequencies_hz: list[float]) -> Signal:
-    """Return a sum of equal sines with Schroeder phases, its peak at most `amplitude`."""
-    n = len(frequencies_hz)
-    if n == 0:
-        raise InputError("'frequencies_hz' of a multi-sine must hold at least one frequency; it is empty.")
-    phases = [-pi * k * (k + 1) / n for k in range(n)]
-    start = sum(np.sin(phase) for phase in phases)
-
-    def at(t: np.ndarray) -> np.ndarray:
-        waves = (np.sin(2 * pi * f * t + p) for f, p in zip(frequencies_hz, phases, strict=True))
-        return amplitude / (2 * n) * (sum(waves, np.zeros(len(t))) - start)
-
-    return Signal("multi-sine", {"amplitude": amplitude, "frequencies_hz": list(frequencies_hz)}, at)
-
-
-def triangle(amplitude: float, frequency_hz: float) -> Signal:
-    """Return a triangle of the given amplitude that starts at 0 and rises: the lines of a raster."""
-    values = {"amplitude": amplitude, "frequency_hz": frequency_hz}
-    return Signal(
-        "triangle", values, lambda t: amplitude * (1 - 4 * np.abs(np.mod(frequency_hz * t + 0.25, 1.0) - 0.5))
-    )
-
-
-def steps(levels: list[float], dwell_s: float) -> Signal:
-    """Return `levels` in turn, each held for `dwell_s`, from the beginning again after the last."""
-    if not levels:
-        raise InputError("'levels' of steps must hold at least one level; it is empty.")
-    held = np.asarray(levels, dtype=float)
-    values = {"levels": held.tolist(), "dwell_s": dwell_s}
-    return Signal("steps", values, lambda t: held[np.floor(t / dwell_s + 1e-9).astype(int) % len(held)])
-
-
-def ramp(rate: float, acceleration: float = 0.0) -> Signal:
-    """Return rate * t + acceleration * t^2 / 2: turning at a constant or a growing speed."""
-    values = {"rate": rate} | ({"acceleration": acceleration} if acceleration else {})
-    return Signal("ramp", values, lambda t: rate * t + 0.5 * acceleration * t**2)
-
-
 KEYS = ("step_s", "zero_spread_m", "setting", "trajectory", "run", "noise")
 """Keys of a campaign file."""
-SIGNALS: Mapping[str, tuple[Callable[..., Signal], tuple[str, ...], tuple[str, ...]]] = {
-    "sine": (sine, ("amplitude", "frequency_hz"), ("phase_rad",)),
-    "multi-sine": (multi_sine, ("amplitude", "frequencies_hz"), ()),
-    "triangle": (triangle, ("amplitude", "frequency_hz"), ()),
-    "steps": (steps, ("levels", "dwell_s"), ()),
-    "ramp": (ramp, ("rate",), ("acceleration",)),
-}
 
 
 # -- campaign files --------------------------------------------------------------------------------------
@@ -144,27 +81,27 @@ def read_campaign(path: str | Path) -> Campaign:
 
     Raises `InputError` for a missing file, an unknown key or signal, or a value that cannot be.
     """
-    return _campaign(Table.read(path, "Campaign file", KEYS))
+    return _campaign(Table.read(path, "Campaign file", KEYS), Path(path).parent)
 
 
 def campaign_from(raw: Mapping[str, Any], where: str) -> Campaign:
     """Return the campaign that the tables of a campaign file describe; `where` is what messages call it."""
-    return _campaign(Table(raw, where, KEYS))
+    return _campaign(Table(raw, where, KEYS), Path())
 
 
-def _campaign(file: Table) -> Campaign:
+def _campaign(file: Table, folder: Path) -> Campaign:
     settings = [{axis: at.number(axis) for axis in at.raw} for at in file.tables("setting", axes())]
-    trajectories = file.tables("trajectory", ("duration_s", "raster", *axes()))
-    single = file.tables("run", ("name", "duration_s", "zero_deviations_m", "raster", *axes()))
+    trajectories = file.tables("trajectory", ("duration_s", "raster", "curve", *axes()))
+    single = file.tables("run", ("name", "duration_s", "zero_deviations_m", "raster", "curve", *axes()))
     if not trajectories and ("setting" in file or not single):
         instead = "" if "setting" in file else " or [[run]]"
         raise InputError(f"In {file.where} at least one [[trajectory]]{instead} is needed; there is none.")
     if "setting" not in file:
         settings = [{}]
-    product = (_run(setting, entry) for setting in settings for entry in trajectories)
+    product = (_run(setting, entry, folder) for setting in settings for entry in trajectories)
     return Campaign(
         file.positive("step_s", 2e-3),
-        (*product, *map(_single, single)),
+        (*product, *(_single(entry, folder) for entry in single)),
         file.number("zero_spread_m", 1e-6, least=0.0),
         noise_table(file),
     )
@@ -176,12 +113,12 @@ def noise_table(file: Table) -> dict[str, float]:
     return {column: noise.positive(column) for column in noise.raw}
 
 
-def _run(setting: Mapping[str, float], entry: Table) -> Run:
+def _run(setting: Mapping[str, float], entry: Table, folder: Path) -> Run:
     motion = {axis: _signal(entry, axis) for axis in axes() if axis in entry}
-    return Run(entry.positive("duration_s"), setting, motion | _raster(entry, motion))
+    return Run(entry.positive("duration_s"), setting, motion | _together(entry, motion, folder))
 
 
-def _single(entry: Table) -> Run:
+def _single(entry: Table, folder: Path) -> Run:
     """A [[run]]: each axis held at a number or moved by a signal, about a place of its own."""
     setting: dict[str, float] = {}
     motion: dict[str, Signal] = {}
@@ -194,11 +131,55 @@ def _single(entry: Table) -> Run:
         else:
             setting[axis] = entry.number(axis)
     zeros = tuple(entry.numbers("zero_deviations_m")) if "zero_deviations_m" in entry else None
-    motion |= _raster(entry, motion)
+    motion |= _together(entry, motion, folder)
     return Run(entry.positive("duration_s"), setting, motion, zeros, name)
 
 
-def _raster(entry: Table, motion: Mapping[str, Signal]) -> dict[str, Signal]:
+def _together(entry: Table, motion: Mapping[str, Signal], folder: Path) -> dict[str, Signal]:
+    """Signals of a raster and of a curve, which move several axes; each axis is moved once."""
+    found: dict[str, Signal] = {}
+    for what, signals in (("raster", _raster(entry)), ("curve", _curve(entry, folder))):
+        twice = [axis for axis in signals if axis in motion or axis in found]
+        if twice:
+            other = "its own signal" if twice[0] in motion else "the raster"
+            raise InputError(
+                f"Axis {twice[0]} of {entry.where} is moved by {other} and by the {what}; keep one."
+            )
+        found |= signals
+    return found
+
+
+def _curve(entry: Table, folder: Path) -> Mapping[str, Signal]:
+    """`"spiral.json"` or `{file="spiral.json", direction=, speed=, times=}`; {} without one.
+
+    The file is looked for in the folder of the campaign file.
+    """
+    if "curve" not in entry:
+        return {}
+    given = entry.raw["curve"]
+    given = {"file": given} if isinstance(given, str) else given
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"'curve' of {entry.where} must be a file such as \"spiral.json\", or a table with its file; "
+            f"instead received {given!r}."
+        )
+    raw = Table(given, f"curve in {entry.where}", ("file", "direction", "speed", "times"))
+    path = folder / raw.text("file")
+    curve = read_curve(path)
+    beyond = [name for name in curve.coordinates if name not in axes()]
+    if beyond:
+        raise InputError(f"Curve {path} moves {beyond[0]}, which no run does; known are {', '.join(axes())}.")
+    return Following(
+        curve,
+        entry.positive("duration_s"),
+        raw.choice("direction", DIRECTIONS, DIRECTIONS[0]),
+        raw.choice("speed", SPEEDS, SPEEDS[0]),
+        raw.whole("times", 1),
+        path.stem,
+    ).signals()
+
+
+def _raster(entry: Table) -> dict[str, Signal]:
     """`{fast="x_m", slow="y_m", fast_amplitude=, slow_amplitude=, line_hz=, lines=}`; {} without one."""
     if "raster" not in entry:
         return {}
@@ -214,16 +195,10 @@ def _raster(entry: Table, motion: Mapping[str, Signal]) -> dict[str, Signal]:
             f"{fast!r}, {slow!r}."
         )
     line_hz, lines = raster.positive("line_hz"), raster.positive("lines")
-    found = {
+    return {
         fast: triangle(raster.number("fast_amplitude"), line_hz),
         slow: triangle(raster.number("slow_amplitude"), line_hz / lines),
     }
-    twice = [axis for axis in found if axis in motion]
-    if twice:
-        raise InputError(
-            f"Axis {twice[0]} of {entry.where} is moved by its own signal and by the raster; keep one."
-        )
-    return found
 
 
 def _signal(entry: Table, axis: str, setting: dict[str, float] | None = None) -> Signal:
@@ -258,25 +233,56 @@ def _value(signal: Table, key: str) -> float | list[float]:
 def write_campaign(campaign: Campaign, path: str | Path, comment: str = "") -> None:
     """Write a campaign as TOML, one [[run]] each; `read_campaign` gives the same runs back.
 
-    `comment`: text for the head of the file. Raises `InputError` for a motion that is not a `Signal`.
+    `comment`: text for the head of the file. Curves are saved beside it, as `NAME_CURVE.json`. Raises
+    `InputError` for a motion that is not a `Signal`.
     """
+    path, curves = Path(path), _files_of(campaign, Path(path))
     head = [f"# {line}".rstrip() for line in comment.splitlines()]
     head += [f"step_s = {float(campaign.step_s)!r}", f"zero_spread_m = {float(campaign.zero_spread_m)!r}"]
     if campaign.noise:
         head += ["", "[noise]", *(f"{_key(k)} = {float(v)!r}" for k, v in campaign.noise.items())]
     for k, run in enumerate(campaign.runs):
-        head += ["", "[[run]]", *_run_lines(run, k)]
+        head += ["", "[[run]]", *_run_lines(run, k, curves)]
+    for name, curve in curves:
+        curve.save(path.with_name(name))
     atomic_write(path, "\n".join(head) + "\n")
 
 
-def _run_lines(run: Run, k: int) -> list[str]:
+def _files_of(campaign: Campaign, path: Path) -> list[tuple[str, Curve]]:
+    """Name the file of each curve that a campaign follows."""
+    found: list[tuple[str, Curve]] = []
+    for following in filter(None, (run.follows for run in campaign.runs)):
+        if not any(curve.to_dict() == following.curve.to_dict() for _, curve in found):
+            names = [name for name, _ in found]
+            stem = f"{path.stem}_{following.name.removeprefix(f'{path.stem}_')}"
+            tried = [f"{stem}.json", *(f"{stem}_{k}.json" for k in range(2, len(found) + 3))]
+            found.append((next(name for name in tried if name not in names), following.curve))
+    return found
+
+
+def _curve_text(following: Following, curves: Sequence[tuple[str, Curve]]) -> str:
+    name = next(name for name, curve in curves if curve.to_dict() == following.curve.to_dict())
+    entries = [f"file = {_text(name)}"]
+    if following.direction != DIRECTIONS[0]:
+        entries.append(f"direction = {_text(following.direction)}")
+    if following.speed != SPEEDS[0]:
+        entries.append(f"speed = {_text(following.speed)}")
+    if following.times != 1:
+        entries.append(f"times = {following.times}")
+    return _text(name) if len(entries) == 1 else f"{{ {', '.join(entries)} }}"
+
+
+def _run_lines(run: Run, k: int, curves: Sequence[tuple[str, Curve]]) -> list[str]:
     lines = [f"name = {_text(run.name)}"] if run.name else []
     lines.append(f"duration_s = {float(run.duration_s)!r}")
     if run.zeros:
         lines.append(f"zero_deviations_m = {_plain(run.zeros)}")
+    following = run.follows
+    if following is not None:
+        lines.append(f"curve = {_curve_text(following, curves)}")
     for axis in axes():
         place = run.setting.get(axis)
-        if axis in run.motion:
+        if axis in run.motion and not (following and axis in following.curve.coordinates):
             lines.append(f"{axis} = {_signal_text(run.motion[axis], place, f'{axis} in run {k}')}")
         elif place is not None:
             lines.append(f"{axis} = {float(place)!r}")

@@ -7,8 +7,9 @@ import numpy as np
 from hallsym.families import build, published
 from hallsym.log import Log, read_log
 from hallsym.model import Model
-from hallsym.simulation.campaign import Campaign, Run, sine
+from hallsym.simulation.campaign import Campaign, Run
 from hallsym.simulation.machine import NoiseModel
+from hallsym.simulation.signals import sine
 
 DESIGNED = "stage15"
 """The paper's first model, with its layout."""

@@ -21,6 +21,7 @@ from hallsym.trajectory.methods import METHODS, NODES, Method
 from hallsym.trajectory.nominal import Nominal, nominal
 from hallsym.trajectory.orthogonal import Orthogonal, orthogonalise
 from hallsym.trajectory.points import Points, points_of, read_points
+from hallsym.trajectory.position_error import CurveCost, curve_cost
 from hallsym.trajectory.verb import choose_curve
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "Candidate",
     "Choice",
     "Curve",
+    "CurveCost",
     "Factors",
     "Method",
     "Nominal",
@@ -39,6 +41,7 @@ __all__ = [
     "Points",
     "bound",
     "choose_curve",
+    "curve_cost",
     "factorise",
     "nominal",
     "of_nominal",

@@ -123,8 +123,10 @@ def _bounded(target: Target, method: Method, nodes: str, count: int, control: in
     found: Bound = bound(curve, target.nominal)
     known = Curve(
         curve.form, curve.start, curve.stop, curve.coordinates, method.name, found.at_most, "bounded",
-        {"curve": target.nominal.text, "values": dict(target.nominal.values), "nodes": nodes, "points":
-        count}, )  # fmt: skip
+        {"curve": target.nominal.text, "parameter": target.nominal.parameter,
+         "values": dict(target.nominal.values), "nodes": nodes, "points": count,
+         **({} if found.rotation_rad is None else {"max_error_rad": found.rotation_rad})},
+    )  # fmt: skip
     between = None
     if nodes == "interior":
         u = nodes_named(nodes, count)[[0, -1]] * (curve.stop - curve.start) + curve.start

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from math import factorial
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from hallsym.errors import InputError
 from hallsym.trajectory.corner_cutting import BLOCK, UNIT
@@ -47,6 +46,8 @@ class SplineForm:
         """Return points (len(t), d) of the curve."""
         if self.degree == 0:  # scipy takes the piece after a knot; so do we
             return self.control[np.searchsorted(self.knots[1:-1], t, side="right")]
+        from scipy.interpolate import BSpline  # slow to load
+
         return BSpline(self.knots, self.control, self.degree)(t)
 
     def derivative(self) -> SplineForm:

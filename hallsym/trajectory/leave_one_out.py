@@ -92,11 +92,11 @@ def _candidate(points: Points, method: Method, tolerance: float | None, control:
     lengths = [k for k, name in enumerate(points.coordinates) if name.endswith("_m")]
     turning = [k for k in range(len(points.coordinates)) if k not in lengths]
     worst = float(np.sqrt(np.sum(errors[:, lengths] ** 2, axis=1)).max())
+    rotation = float(np.abs(errors[:, turning]).max()) if turning else None
     curve = Curve(
         form, float(points.t[0]), float(points.t[-1]), points.coordinates, method.name, worst, "estimated",
-        {"points": count, "file": points.name},
+        {"points": count, "file": points.name, **({} if rotation is None else {"max_error_rad": rotation})},
     )  # fmt: skip
-    rotation = float(np.abs(errors[:, turning]).max()) if turning else None
     return Candidate(method, "given", count, curve, worst, rotation_rad=rotation)
 
 

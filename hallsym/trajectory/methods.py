@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.interpolate import AAA, make_interp_spline
 
 from hallsym.errors import InputError, nearest
 from hallsym.trajectory.basis import Basis, basis_named
@@ -83,6 +82,8 @@ def by_elimination(u: Array, points: Array, control: int = 0) -> Form:
 def spline(degree: int, natural: bool, u: Array, points: Array, control: int = 0) -> Form:
     """Put a spline through points; not-a-knot ends, or second derivatives of 0 (`natural`)."""
     ends = "natural" if natural else None
+    from scipy.interpolate import make_interp_spline  # slow to load
+
     found = make_interp_spline(u, points, k=degree, bc_type=ends)
     return SplineForm(np.asarray(found.t, float), degree, np.asarray(found.c, float))
 
@@ -96,13 +97,18 @@ def polynomial(u: Array, points: Array, control: int = 0) -> Form:
 
 def rational(u: Array, points: Array, control: int = 0) -> Form:
     """Fit one rational function per coordinate (AAA), until it meets the points to 1e-13 of their size."""
+    from scipy.interpolate import AAA  # slow to load
+
     size = np.abs(points).max(axis=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of coordinates that few points do not determine: the error says so
-        found = [
-            AAA(u, p, rtol=1e-13, max_terms=max(min(len(u) // 2, 50), 1)) if s > 0 else None
-            for p, s in zip(points.T, size, strict=True)
-        ]
+        try:
+            found = [
+                AAA(u, p, rtol=1e-13, max_terms=max(min(len(u) // 2, 50), 1)) if s > 0 else None
+                for p, s in zip(points.T, size, strict=True)
+            ]
+        except (ValueError, np.linalg.LinAlgError):
+            raise InputError("AAA finds no rational function of these points.") from None
     parts = [
         (a.support_points, a.support_values, a.weights) if a else (u[:1], np.zeros(1), np.ones(1))
         for a in found

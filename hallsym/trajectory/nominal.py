@@ -19,7 +19,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.trajectory import jets
 from hallsym.trajectory.intervals import Interval
 from hallsym.trajectory.jets import Jet
-from hallsym.trajectory.units import scaled
+from hallsym.units import with_unit
 
 Array = np.ndarray
 COORDINATES = {"x": "x_m", "y": "y_m", "z": "z_m", "rx": "rx_rad", "ry": "ry_rad", "rz": "rz_rad"}
@@ -111,8 +111,7 @@ def read_value(text: str) -> tuple[str, float]:
         raise InputError(f"--value must be NAME=NUMBER with a unit or none, such as r=1mm; got {text!r}.")
     if name in CONSTANTS or name in FUNCTIONS or name in COORDINATES:
         raise InputError(f"A value cannot be called {name!r}: the name is taken.")
-    with_unit = scaled(value)
-    return name, _number(value, CONSTANTS) if with_unit is None else with_unit
+    return name, _number(value, CONSTANTS)
 
 
 def read_span(text: str) -> tuple[str, str, str]:
@@ -130,9 +129,9 @@ def shortened(text: str) -> str:
 
 
 def _number(text: str, known: Mapping[str, float]) -> float:
-    value = scaled(text)
+    value = with_unit(text)
     if value is not None:
-        return value
+        return value[0]
     return float(_expression(text, {key: ca.SX(v) for key, v in known.items()}, set()))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.files import reason
 from hallsym.trajectory.nominal import COORDINATES
-from hallsym.trajectory.units import column
+from hallsym.units import si_name, split_unit
 
 Array = np.ndarray
 
@@ -127,13 +127,13 @@ def rows_of(rows: list[list[str]]) -> list[tuple[int, list[str]]]:
 def _column(name: str, path: Path) -> tuple[str, float]:
     if name == "t" or name.startswith("t_"):
         return "t", 1.0
-    found = column(name)
-    if found is None or found[0] not in COORDINATES.values():
+    found, unit = si_name(name), split_unit(name)[1]
+    if unit is None or found not in COORDINATES.values():
         known = ", ".join(COORDINATES)
         raise InputError(
             f"Column {name!r} of {path} must be t, or one of {known} with its unit, such as x_um or rz_urad."
         )
-    return found
+    return found, unit.factor
 
 
 def _cell(row: list[str], k: int, number: int, names: list[str], path: Path) -> float:

@@ -1,10 +1,11 @@
 """Uncertainty budgets: stand-alone by the GUM, and of a decoded position, confirmed by Monte Carlo.
 
 `gum` is the arithmetic, `files` and `settings` read TOML, `inputs` lists what a position is computed from,
-`position` propagates it linearly, `monte_carlo` as distributions.
+`position` propagates it linearly, `following` does so along a curve, `monte_carlo` as distributions.
 """
 
 from hallsym.uncertainty.files import read_budget
+from hallsym.uncertainty.following import AlongCurve, along_curve, curve_error, with_curve
 from hallsym.uncertainty.gum import DIVISORS, Budget, Source
 from hallsym.uncertainty.inputs import Input, Slopes, independent_inputs, slopes
 from hallsym.uncertainty.monte_carlo import (
@@ -29,6 +30,7 @@ from hallsym.uncertainty.settings import Settings, read_settings
 
 __all__ = [
     "DIVISORS",
+    "AlongCurve",
     "Budget",
     "Comparison",
     "Input",
@@ -38,7 +40,9 @@ __all__ = [
     "Slopes",
     "Source",
     "UncertaintyMap",
+    "along_curve",
     "budget_monte_carlo",
+    "curve_error",
     "decoded_at_random",
     "independent_inputs",
     "map_axes",
@@ -52,4 +56,5 @@ __all__ = [
     "slopes",
     "tolerance",
     "uncertainty_map",
+    "with_curve",
 ]

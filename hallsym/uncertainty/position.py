@@ -176,6 +176,18 @@ def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -
     return _Spread(total, from_fit)
 
 
+def expanded_at(
+    fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings, added: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Return U (s, n_pose) at poses (n_pose, s) and states (n_state, s).
+
+    `added`: (n_pose,) standard uncertainty that joins each coordinate, independent of the others.
+    """
+    spread = _spread(fit, pose, state, settings)
+    whole = _Spread(spread.total + np.square(added), spread.fit)
+    return whole.expanded(settings, fit_degrees_of_freedom(fit))
+
+
 @dataclass(frozen=True, eq=False)
 class UncertaintyMap:
     """U of every pose coordinate on a grid.
@@ -251,7 +263,7 @@ def uncertainty_map(
         np.array([at.get(c, np.zeros(size)) for c in names]).reshape(len(names), size)
         for names in (model.pose, model.state)
     )
-    flat = _spread(fit, pose, state, settings).expanded(settings, fit_degrees_of_freedom(fit))
+    flat = expanded_at(fit, pose, state, settings)
     others = {c: float((fixed or {}).get(c, 0.0)) for c in (*model.pose, *model.state) if c not in lines}
     U = flat.T.reshape(-1, *mesh[0].shape)
     return UncertaintyMap(model.pose, lines, others, U, settings, model.period)

@@ -268,3 +268,62 @@ def test_a_map_over_one_axis_is_a_line(here):
     assert [ax.get_ylabel() for ax in figure.axes] == ["U x [µm]", "U y [µm]", "U Rz [µrad]"]
     (line,) = figure.axes[0].lines
     assert line.get_ydata() == pytest.approx(1e6 * grid.expanded[0])
+
+
+# -- a curve ---------------------------------------------------------------------------------------------
+
+CYCLOID = ["--curve", "x = r*(t - sin(t)); y = r*(1 - cos(t))", "--range", "t=0:2*pi"]
+
+
+@pytest.fixture
+def curve(here: Fit) -> str:
+    """A cycloid of 0.05 mm through 8 points."""
+    if not Path("curve.json").exists():
+        words = ["trajectory", *CYCLOID, "--value", "r=50um", "--points", "8", "--basis", "bernstein"]
+        assert main([*words, "-o", "curve.json"]) == 0
+    return "curve.json"
+
+
+def test_a_budget_file_takes_a_curve(capsys, curve, tmp_path):
+    capsys.readouterr()
+    said = ran(capsys, PUBLISHED, "--curve", curve, "--plots", str(tmp_path))
+    assert "control points are enough: the curve adds at most 2 %" in said
+    assert "instead of 500.9 nm" in said
+    assert (tmp_path / "curve_worth.png").exists()
+    record = json.loads(ran(capsys, PUBLISHED, "--curve", curve, "--json"))
+    assert record["curve"]["expanded_without_curve_m"] == pytest.approx(500.94e-9, abs=5e-12)
+    whole = record["budget"]["expanded_uncertainty"]
+    assert whole == pytest.approx(record["curve"]["expanded_with_curve_m"], rel=1e-12)
+    assert ran(capsys, PUBLISHED, "--curve", curve, "--monte-carlo", "20000", *ZERO).count("curve") > 1
+
+
+def test_a_calibration_takes_a_curve(capsys, curve, tmp_path):
+    capsys.readouterr()
+    words = ("calib.json", "log.csv", "--curve", curve, "--at", "z_um=100", "--settings", "settings.toml")
+    said = ran(capsys, *words, "--plots", str(tmp_path))
+    assert "worst part of the path [mm]" in said
+    assert "where each coordinate is known worst" in said
+    assert {p.name for p in tmp_path.iterdir()} == {"budget.png", "uncertainty_along.png", "curve_worth.png"}
+    record = json.loads(ran(capsys, *words, "--json"))
+    worst = record["along_curve"]["worst"]["x_m"]
+    assert worst["expanded_uncertainty"] == pytest.approx(record["budgets"]["x_m"]["expanded_uncertainty"])
+    assert worst["at"]["z_m"] == pytest.approx(1e-4)
+    assert record["curve"]["file"] == curve
+
+
+def test_a_curve_beyond_the_recorded_workspace_is_noted(capsys, here):
+    words = ["trajectory", *CYCLOID, "--value", "r=1mm", "--points", "9", "--basis", "bernstein"]
+    assert main([*words, "-o", "large.json"]) == 0
+    capsys.readouterr()
+    assert "the curve leaves the recorded workspace in" in ran(
+        capsys, "calib.json", "log.csv", "--curve", "large.json"
+    )
+
+
+def test_bad_curves_of_a_budget_are_one_sentence(capsys, curve):
+    capsys.readouterr()
+    assert "does not exist" in refused(capsys, PUBLISHED, "--curve", "none.json")
+    assert "must be a curve of format" in refused(capsys, "calib.json", "--curve", "calib.json")
+    assert "the curve moves it" in refused(capsys, "calib.json", "--curve", curve, "--at", "x_um=1")
+    assert "leave --curve out" in refused(capsys, "calib.json", "--curve", curve, "--monte-carlo")
+    assert "leave --curve out" in refused(capsys, "calib.json", "log.csv", "--curve", curve, "--map")

@@ -78,6 +78,11 @@ def test_points(capsys, tmp_path):
     )
 
 
+def test_five_points_of_which_a_method_makes_nothing(capsys, tmp_path):
+    (tmp_path / "p.csv").write_text("x_um,y_um\n0,0\n100,100\n0,200\n-100,100\n0,0\n", encoding="utf-8")
+    assert "AAA finds no rational function" in run(capsys, tmp_path / "p.csv")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -12,7 +12,7 @@ from hallsym.trajectory import METHODS, bound, of_nominal, points_of
 from hallsym.trajectory.candidate import best_of
 from hallsym.trajectory.leave_one_out import of_points
 from hallsym.trajectory.methods import method_named
-from hallsym.trajectory.position_error import allowed, along, enough, expanded, position_error, worth
+from hallsym.trajectory.position_error import allowed, enough, expanded, position_error, worth
 from hallsym.uncertainty import read_budget
 
 ROOT = Path(__file__).parents[2]
@@ -145,13 +145,6 @@ def test_more_control_points_are_soon_worth_nothing():
     assert chosen is not None
     assert chosen.control_points == 12
     assert enough(rows[:3], stage) is None
-
-
-def test_the_worst_part_of_a_path_is_where_the_stage_is_worst():
-    path = through("bernstein", 12)(np.linspace(0, WHOLE, 101))
-    total, worst = along(path, 50e-9, lambda p: 400e-9 + 1e-4 * np.abs(p[:, 0] - 3e-3))
-    assert worst == 100
-    assert total[worst] == pytest.approx(np.hypot(400e-9 + 1e-4 * (WHOLE * 1e-3 - 3e-3), 100e-9))
 
 
 def test_the_tool_says_which_method_is_best():

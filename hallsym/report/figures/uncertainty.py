@@ -9,7 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.report.figures.saving import save_figures
-from hallsym.report.figures.style import AFTER, FAINT, LINE, WIDTH, label_x, label_y, panels, text_width
+from hallsym.report.figures.style import (
+    AFTER,
+    BEFORE,
+    DASHED,
+    FAINT,
+    LINE,
+    WIDTH,
+    label_x,
+    label_y,
+    legend,
+    log_axis,
+    panels,
+    text_width,
+)
 from hallsym.report.words import MINUS, largest, name, scale, setting, short, three
 from hallsym.units import fitting, typeset
 
@@ -17,7 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hallsym.uncertainty import Budget, UncertaintyMap
+    from hallsym.trajectory import CurveCost
+    from hallsym.uncertainty import AlongCurve, Budget, UncertaintyMap
 
 MOST_BARS = 12
 """Sources shown one by one; the others are one bar."""
@@ -31,15 +45,72 @@ def save_budget_pictures(
     grid: UncertaintyMap | None = None,
     *,
     worst: bool = False,
+    along: AlongCurve | None = None,
+    cost: CurveCost | None = None,
 ) -> list[Path]:
     """Draw `budget.png`, and `uncertainty_map.png` if there is a map; returns the files written.
 
     `worst`: the budgets are those of the worst position of each coordinate, which the picture then says.
+    `along`, `cost`: of a curve, drawn as `uncertainty_along.png` and `curve_worth.png`.
     """
     draw: dict[str, Callable[[], Figure]] = {"budget": lambda: budget_bars(budgets, worst=worst)}
     if grid is not None:
         draw["uncertainty_map"] = lambda: uncertainty_picture(grid)
+    if along is not None:
+        draw["uncertainty_along"] = lambda: along_picture(along)
+    if cost is not None and len(cost.rows) > 1:
+        draw["curve_worth"] = lambda: worth_picture(cost)
     return save_figures(draw, folder)
+
+
+def along_picture(along: AlongCurve) -> Figure:
+    """Draw U of each pose coordinate along a curve, with its error and without, and the worst part of it."""
+    from matplotlib.lines import Line2D
+
+    figure, axes = panels(len(along.pose), 1, 1.3, top=2.1 * LINE, bottom=0.44, right=0.14, sharex=True)
+    across, shown = scale("path_m", float(along.travelled_m[-1]))
+    for k, (ax, column) in enumerate(zip(axes[:, 0], along.pose, strict=True)):
+        factor, unit = scale(column, largest(along.total[k]), along.turning)
+        part = along.worst_part(column)
+        if part is not None:
+            ax.axvspan(across * part[0], across * part[1], color=FAINT, lw=0)
+        ax.plot(across * along.travelled_m, factor * along.machine[k], color=BEFORE, ls=DASHED)
+        ax.plot(across * along.travelled_m, factor * along.total[k], color=AFTER)
+        ax.set_ylim(0.0, 1.15 * factor * along.total[k].max())
+        ax.set_xlim(0.0, across * along.travelled_m[-1])
+        label_y(ax, f"U {name(column)} [{unit}]")
+    label_x(axes[-1, 0], f"length of path [{shown}]", 0.3)
+    handles = [
+        Line2D([], [], color=AFTER, label="with the curve"),
+        Line2D([], [], color=BEFORE, ls=DASHED, label="machine alone"),
+        Line2D([], [], color=FAINT, lw=6, label="worst part"),
+    ]
+    legend(figure, handles, "upper left", ncols=3)
+    return figure
+
+
+def worth_picture(cost: CurveCost) -> Figure:
+    """Draw U against the number of control points, and that of the machine alone."""
+    from matplotlib.lines import Line2D
+
+    figure, axes = panels(1, 1, 2.2, top=2.1 * LINE, bottom=0.44, right=0.14)
+    ax, (factor, unit) = axes[0, 0], fitting("m", cost.total_m)
+    many: dict[str, Any] = {"color": AFTER, "marker": "o", "ms": 3}
+    this: dict[str, Any] = {"color": AFTER, "marker": "s", "ms": 6, "mfc": "none", "ls": ""}
+    expanded = [factor * row.expanded_m for row in cost.rows]
+    ax.plot([row.control_points for row in cost.rows], expanded, **many)
+    ax.plot([cost.curve.control_points], [factor * cost.total_m], **this)
+    ax.axhline(factor * cost.machine_m, color=BEFORE, ls=DASHED)
+    log_axis(ax, "y", np.array([factor * cost.machine_m, *expanded]))
+    label_x(ax, "control points", 0.3)
+    label_y(ax, f"U [{typeset(unit)}]")
+    handles = [
+        Line2D([], [], label="with the curve", **many),
+        Line2D([], [], label="this curve", **this),
+        Line2D([], [], color=BEFORE, ls=DASHED, label="machine alone"),
+    ]
+    legend(figure, handles, "upper left", ncols=3)
+    return figure
 
 
 def budget_bars(budgets: Mapping[str, Budget], *, worst: bool = False) -> Figure:
