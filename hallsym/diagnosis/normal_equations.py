@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.derivatives import Slopes
+from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended

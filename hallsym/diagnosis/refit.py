@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
+from hallsym.diagnosis.residuals import Base
 from hallsym.model import Model
 
 STEPS = 8

@@ -6,15 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.effect import Effect, Facts, Variant
 from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.refit import inverse, solve
+from hallsym.diagnosis.residuals import Base
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import columns_of
-from hallsym.model import Model
+from hallsym.model import Effect, Facts, Model, Variant
 
 FOLDS = 11
 """A prime, so that folds do not fall in step with settings that recur every few runs."""

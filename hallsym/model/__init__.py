@@ -1,7 +1,7 @@
 """What a sensor is: the chain of links from pose to reading, its parameters, and what follows from them."""
 
 from hallsym.model.arguments import Facts
-from hallsym.model.effect import Effect, Variant, effect
+from hallsym.model.effect import Effect, Variant, Way, effect, ways_text
 from hallsym.model.family import Example, Family, PoseMetric
 from hallsym.model.model import (
     LINKS,
@@ -29,5 +29,7 @@ __all__ = [
     "Step",
     "Symbols",
     "Variant",
+    "Way",
     "effect",
+    "ways_text",
 ]

@@ -11,13 +11,12 @@ from twins import record, with_noise
 
 import hallsym
 from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.change_points import instants
-from hallsym.diagnosis.facts import rails_of
+from hallsym.diagnosis.facts import instants, rails_of
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.refit import inside_bounds, refit, with_model
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY

@@ -8,13 +8,13 @@ from gap_twins import listed, machine
 from test_diagnosis_where import NOISES, base_on, stated
 from twins import record
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.decoded_errors import block_errors
 from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.gap_size import sizes
-from hallsym.diagnosis.link_products import smoothed
+from hallsym.diagnosis.links import smoothed
 from hallsym.diagnosis.localisation import Located, both, located
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, candidates, scores
+from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.survey import survey
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY

@@ -12,7 +12,8 @@ from gap_twins import listed, machine
 
 import hallsym
 from hallsym.codegen import cost_of
-from hallsym.diagnosis.firmware_cost import firmware_cost, operations
+from hallsym.diagnosis.confusable import recorded, separation, with_readings
+from hallsym.diagnosis.findings import firmware_cost, operations
 from hallsym.diagnosis.ranking import distance
 from hallsym.diagnosis.record import (
     Diagnosis,
@@ -28,7 +29,6 @@ from hallsym.diagnosis.record import (
 )
 from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, refit, with_model
-from hallsym.diagnosis.separate import recorded, separation, with_readings
 from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.mechanisms import Functions, following, port

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from twins import SIGMAS, record
 
 import hallsym
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.curve_data import shape, unexplained
+from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
 from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.p_values import of_signs
-from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.report import unexplained
+from hallsym.diagnosis.residual_table import ResidualTable, Spectrum
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.setup import base_of
-from hallsym.diagnosis.spectrum import Spectrum
 from hallsym.log import Log, Noise, Sigma
 
 HELD = tuple(range(2, 57, 5))

@@ -21,7 +21,7 @@ from test_diagnosis_turn import LIKE_A_TABLE, table
 
 from hallsym.diagnosis import POLICY, Diagnosis, Policy, diagnose
 from hallsym.diagnosis.compare import compare
-from hallsym.diagnosis.confusable import confusable, smaller_findings
+from hallsym.diagnosis.confusable import confusable, separation, smaller_findings
 from hallsym.diagnosis.engine import prepare
 from hallsym.diagnosis.facts import rails_of
 from hallsym.diagnosis.features import Key
@@ -30,7 +30,6 @@ from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape
 from hallsym.diagnosis.ranking import Exact, ordered
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Selected
-from hallsym.diagnosis.separate import separation
 from hallsym.diagnosis.setup import Floor
 from hallsym.diagnosis.verdict import decide
 from hallsym.errors import InputError
@@ -122,7 +121,7 @@ def test_a_shape_that_is_left_makes_no_explained_gap_unless_nearly_all_is_closed
 def effect(name: str, size: int, cost: float, gap: float, ratio: float = 0.5, bic: float = 0.0) -> Exact:
     """An exact refit that leaves squares `cost` of 1000 and the gap metric `gap`."""
     score = Score(
-        SimpleNamespace(name=name, separate=""),
+        SimpleNamespace(name=name, separate=()),
         SimpleNamespace(tried=1),
         None,
         1000 - cost,
@@ -190,7 +189,7 @@ def test_a_rival_must_fit_as_well_and_need_its_parameters(monkeypatch):
 
 def test_the_plainest_recording_is_proposed_if_it_separates_nearly_as_well(monkeypatch):
     tried = [SimpleNamespace(text=t, run=SimpleNamespace(duration_s=8.0)) for t in ("plain", "best")]
-    monkeypatch.setattr("hallsym.diagnosis.separate.simulated", lambda _: (tried, np.array([16.0, 25.0])))
+    monkeypatch.setattr("hallsym.diagnosis.confusable.simulated", lambda _: (tried, np.array([16.0, 25.0])))
     fits = [SimpleNamespace(base=SimpleNamespace(timed=True))]
 
     def proposed(policy: Policy) -> tuple[str, int | None]:
