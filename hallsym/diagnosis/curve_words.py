@@ -1,11 +1,10 @@
-"""A curve in words: what follows the coordinate, with which period, where it is largest, who sees it."""
-
-from typing import Any
+"""A curve in words and as data: what follows the coordinate, where it is largest, which sensor sees it."""
 
 import numpy as np
 
+from hallsym.diagnosis.coordinates import unit_of
 from hallsym.diagnosis.curves import MEMORIES, Curve
-from hallsym.diagnosis.record import Statement
+from hallsym.diagnosis.record import Band, CurveShape, Statement
 from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.units import readable
@@ -160,49 +159,35 @@ NAMES = {"sensed": "reading_m", "rate": "reading_rate_m_s"}
 """What JSON calls the columns that every sensor has for itself."""
 
 
-def shape(c: Curve, r: ResidualTable) -> dict[str, Any]:
-    """Return a curve as data: how the residual of each reading follows a coordinate.
-
-    `coordinate`, `column`, `unit`: of the `grid` (m,), `line`: whether that is a place on a line. `kind`:
-    "offset" (`value` in m of reading) or "gain" (`value` is a relative change of the gain). By reading:
-    `value`, `low`, `high`, each (m,), the band at 95 % from runs left out in turn. Several coordinates
-    together, a direction of motion and an acceleration are no place on a line: `grid` counts features then,
-    which `labels` names (else None).
-    """
+def shape(c: Curve, r: ResidualTable) -> CurveShape:
+    """Return a curve as data; the bands at 95 % come from runs left out in turn."""
     value, spread, scale, gain = c.offset, c.spread, 1.0, False
     if c.gain is not None and c.gain_spread is not None and _size(c.gain) > _size(c.offset):
         value, spread, scale, gain = c.gain, c.gain_spread, c.scale, True
     periodic = {phase(x): x for x in r.references}
     column = periodic.get(c.coordinate.column, c.coordinate.column)
-    of = {
-        channel: {
-            "value": (v / scale).tolist(),
-            "low": ((v - BAND * e) / scale).tolist(),
-            "high": ((v + BAND * e) / scale).tolist(),
-        }
-        for channel, v, e in zip(r.channels, value, spread, strict=True)
-    }
-    return {
-        "coordinate": c.coordinate.name,
-        "line": c.coordinate.ordered,
-        "column": NAMES.get(column, column),
-        "unit": c.coordinate.unit,
-        "kind": "gain" if gain else "offset",
-        "value_unit": "1" if gain else "m",
-        "grid": c.at.tolist(),
-        "labels": _labels(c, r),
-        "readings": of,
-    }
+    bands = (np.stack([value, value - BAND * spread, value + BAND * spread], axis=1) / scale).tolist()
+    return CurveShape(
+        coordinate=c.coordinate.name,
+        line=c.coordinate.ordered,
+        column=NAMES.get(column, column),
+        unit=c.coordinate.unit,
+        kind="gain" if gain else "offset",
+        value_unit="1" if gain else unit_of(r.channels[0]),
+        grid=tuple(c.at.tolist()),
+        labels=_labels(c, r),
+        readings={channel: Band(*map(tuple, each)) for channel, each in zip(r.channels, bands, strict=True)},
+    )
 
 
-def _labels(c: Curve, r: ResidualTable) -> list[str] | None:
+def _labels(c: Curve, r: ResidualTable) -> tuple[str, ...] | None:
     """Names of the features of a coordinate that is no place on a line."""
     if c.coordinate.memory:
-        return [f"play {w:g} rms" for w in MEMORIES]
+        return tuple(f"play {w:g} rms" for w in MEMORIES)
     names = [readable(n)[2] for n in c.coordinate.of]
     if c.coordinate.gain and names:
-        return [f"{what}, {n.capitalize()}" for what in ("offset", "gain") for n in names]
-    return [readable(n)[2].removesuffix("_ref") for n in r.references] if names else None
+        return tuple(f"{what}, {n.capitalize()}" for what in ("offset", "gain") for n in names)
+    return tuple(readable(n)[2].removesuffix("_ref") for n in r.references) if names else None
 
 
 def _size(curve: np.ndarray) -> float:

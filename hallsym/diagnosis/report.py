@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
 
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
 from hallsym.diagnosis.curve_words import shape
@@ -15,9 +14,12 @@ from hallsym.diagnosis.record import (
     Diagnosis,
     FoundEffect,
     Gap,
+    LogRecord,
     Metric,
     NoiseFloor,
     Shrinkage,
+    Sizes,
+    Unexplained,
 )
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
@@ -63,14 +65,14 @@ def report(
         shares=where.shares,
         size=_size(setup, found, where),
         remaining=rest.statements if rest else (),
-        unexplained=unexplained(rest, 1 - share) if rest else {},
+        unexplained=unexplained(rest, 1 - share) if rest else None,
         separate_by=alike.separate,
         validation_runs=setup.holdout,
         not_testable=selection.not_testable,
         smaller_findings=smaller_findings(setup, selection, found, effects if quiet else ()),
         threshold=setup.threshold,
         model=setup.fit.model.name,
-        log={**setup.fit.log, "runs_fitted": len(setup.runs)},
+        log=_log(setup),
         notes=_notes(setup, found, quiet),
         seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),
@@ -79,23 +81,31 @@ def report(
     )
 
 
-def unexplained(found: Located, share: float) -> dict[str, Any]:
-    """Return `{"share", "by", "at", "of_it", "curve"}` for what is left, as `located` found it.
-
-    `share`: part of the gap above the noise floor that is left (squares). `by`: the first statement's
-    coordinate, None where the rest goes with nothing; `of_it`: the share of the rest that goes with it.
-    `curve`: `shape` over the coordinate that most of it goes with, None where there is none.
-    """
+def unexplained(found: Located, share: float) -> Unexplained:
+    """Return what is left, as `located` found it; `share`: part of the gap above the noise floor."""
     first = found.statements[0] if found.statements else None
     curve = found.curves[0] if found.curves else None
-    return {
-        "share": share,
-        "by": first.by if first else None,
-        "at": first.at if first else None,
-        "of_it": first.share if first else None,
-        "text": first.text if first else "it goes with no sensor, coordinate, frequency or run above chance",
-        "curve": shape(curve, found.fitted) if curve and found.fitted else None,
-    }
+    return Unexplained(
+        share=share,
+        by=first.by if first else None,
+        at=first.at if first else None,
+        of_it=first.share if first else None,
+        text=first.text if first else "it goes with no sensor, coordinate, frequency or run above chance",
+        curve=shape(curve, found.fitted) if curve and found.fitted else None,
+    )
+
+
+def _log(setup: Setup) -> LogRecord:
+    log = setup.fit.log
+    return LogRecord(
+        path=log["path"],
+        sha256=log["sha256"],
+        rows=log["rows"],
+        runs=log["runs"],
+        holdout=tuple(log["holdout"]),
+        span={column: (low, high) for column, (low, high) in log["span"].items()},
+        runs_fitted=len(setup.runs),
+    )
 
 
 def _gap_after(found: Validation) -> Gap:
@@ -124,7 +134,7 @@ def _located(
     return gap, located(found.base, runs, selection.scores_at(found.base))
 
 
-def _size(setup: Setup, found: Validation, where: Located) -> dict[str, Any]:
+def _size(setup: Setup, found: Validation, where: Located) -> Sizes:
     """Return how large the gap is, channels as they were logged."""
     start = setup.as_logged(found.start.base)
     fitted, held = both(start, setup.base.log.runs) if setup.miswired else (where.fitted, where.held)

@@ -10,21 +10,27 @@ from gap_twins import Inject, Motion, U, gains, machine
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose
-from hallsym.diagnosis.engine import prepare
-from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.injection import Injection, generator, injections, sized
-from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.selftest import RATIOS, SelfTest, selftest
-from hallsym.diagnosis.simulated_machine import (
+from hallsym.diagnosis import (
+    NO_EFFECT,
+    RATIOS,
+    Base,
+    Bench,
+    Injection,
+    SelfTest,
     SimulatedMachine,
     decimated,
+    diagnose,
+    facts_of,
+    generator,
+    injections,
     machine_of,
+    prepare,
     readings_of,
     residual_noise,
+    selftest,
+    sized,
+    survey,
 )
-from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.trials import NO_EFFECT, Bench
 from hallsym.families import effects
 from hallsym.families.faults import ages
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
