@@ -17,7 +17,7 @@ from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, count_of, distance
 from hallsym.diagnosis.record import FoundEffect, Separation, SmallerFinding
 from hallsym.diagnosis.recordings import BETWEEN, Range, Recording, range_of, recordings
-from hallsym.diagnosis.refit import Refitted, inverse
+from hallsym.diagnosis.refit import Refitted
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import by_name
 from hallsym.diagnosis.selection import Selected, Selection
@@ -25,6 +25,7 @@ from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import Verdict
 from hallsym.errors import InputError
+from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
 from hallsym.log.derived import extended
@@ -104,7 +105,7 @@ def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> 
     M = normal_equations(there, {}).likelihood[1:]
     out = []
     for run in M:
-        both = inverse(known + run[:n, :n])
+        both = pseudo_inverse(known + run[:n, :n])
         out.append(max(float(run[n, n] - run[:n, n] @ both @ run[:n, n]), 0.0))
     return np.array(out)
 

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import Accumulator, Stretch, eliminated, following
+from hallsym.diagnosis.normal_equations import Accumulator, Stretch
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.refit import inverse
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey
+from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.log import Log
 from hallsym.log.batches import batches
 from hallsym.model import Facts, Model
@@ -62,14 +62,11 @@ def _gains(
     """Every instant with what a step lowers the squares of the `counted` runs by."""
     stacks = [np.array([s.products for s in run]) for run in stretches]
     wholes = [M.sum(axis=0) for M in stacks]
-    follows = [following(M, z) for M in wholes]
-    reduced = [
-        eliminated(M, follow) * (run[0].run in counted)
-        for run, M, follow in zip(stretches, wholes, follows, strict=True)
-    ]
+    lefts, follows = zip(*(eliminate(M, z) for M in wholes), strict=True)
+    reduced = [left * (run[0].run in counted) for run, left in zip(stretches, lefts, strict=True)]
     total = np.sum(reduced, axis=0)
     n = len(total) - 1
-    JJ = inverse(total[:n, :n])
+    JJ = pseudo_inverse(total[:n, :n])
     after, out = np.zeros_like(total), []
     for run, stack, whole, follow, own in reversed(
         list(zip(stretches, stacks, wholes, follows, reduced, strict=True))

@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hallsym.diagnosis.faults import Fault
-from hallsym.diagnosis.normal_equations import Accumulator, eliminated, following
+from hallsym.diagnosis.normal_equations import Accumulator, coefficients, eliminated
 from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.record import Share, Statement
-from hallsym.diagnosis.refit import inverse, solve
 from hallsym.diagnosis.residual_table import BLOCKS, FEWEST, FOLDS, SHORTEST, ResidualTable, at_rest
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import NIL, Score, by_name
 from hallsym.diagnosis.shares import LEAST, LEVEL, Found
 from hallsym.diagnosis.words import percent
+from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
 from hallsym.model import LINKS, Model
@@ -79,7 +79,7 @@ class Blocks:
             for train, test in self.folds:
                 seen = np.flatnonzero(np.diag(train)[at] > NIL * self.raw[at])
                 theta = np.zeros(len(at))
-                theta[seen] = solve(train[np.ix_(pick, pick)], seen)
+                theta[seen] = coefficients(train[np.ix_(pick, pick)], seen)
                 theta = np.clip(theta, self.bounds[0][at], self.bounds[1][at])
                 total += float(2 * theta @ test[at, -1] - theta @ test[np.ix_(at, at)] @ theta)
             self.known[key] = total
@@ -89,13 +89,13 @@ class Blocks:
         """Return the p-value of one effect: signs of its scores, block by block."""
         at = self.at([name])
         scores = self.scores[:, at]
-        q = scores @ inverse(self.all[np.ix_(at, at)]) @ scores.T
+        q = scores @ pseudo_inverse(self.all[np.ix_(at, at)]) @ scores.T
         return of_signs(q, self.run)
 
 
 def _without(total: np.ndarray, own: int, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return products with the first `own` columns taken out as `total` says: of `total` and of `parts`."""
-    follow = -inverse(total[:own, :own]) @ total[:own, own:]
+    follow = -pseudo_inverse(total[:own, :own]) @ total[:own, own:]
     return eliminated(total, follow), eliminated(parts, follow)
 
 
@@ -114,7 +114,7 @@ def blocks_of(base: Base, tried: Mapping[str, Score]) -> Blocks:
     sums: dict[tuple[int, int], np.ndarray] = {}
     count: dict[tuple[int, int], float] = {}
     for run in work.stretches(length):
-        follow = following(np.sum([s.products for s in run], axis=0), work.z)
+        _, follow = eliminate(np.sum([s.products for s in run], axis=0), work.z)
         for part, s in enumerate(run):
             key = group[s.run], part
             sums[key] = sums.get(key, 0) + eliminated(s.products, follow)

@@ -12,10 +12,10 @@ from itertools import islice, pairwise
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
-from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
-from hallsym.diagnosis.refit import solve
+from hallsym.diagnosis.normal_equations import Accumulator, coefficients, normal_equations
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import candidates
+from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log, Noise, Sigma
 from hallsym.log.batches import batches
@@ -57,7 +57,7 @@ class SimulatedMachine:
         t = normal_equations(replace(self.base, log=self.log(readings)), {})
         n = len(self.base.free)
         known, judged = t.units(self.runs), t.units(tuple(self.base.apart))
-        theta = solve(t.likelihood[known].sum(axis=0), np.arange(n))
+        theta = coefficients(t.likelihood[known].sum(axis=0), np.arange(n))
         v = np.concatenate([-theta, [1.0]])
         out = t.output[judged].sum(axis=0) / max(t.count[judged].sum(), 1.0)
         return float(np.sqrt(max(v @ out @ v, 0.0))), float(np.sqrt(max(out[-1, -1], 0.0)))
@@ -178,7 +178,8 @@ def _autocorrelation(base: Base, catalogue: Sequence[Effect], facts: Facts) -> t
     for W in whitened():
         flat = W.reshape(len(W), -1)
         M += flat @ flat.T
-    v = np.concatenate([-_explained(M), [1.0]])
+    # what is nearly alike is taken together
+    v = np.append(-pseudo_inverse(M[:-1, :-1], ALIKE) @ M[:-1, -1], 1.0)
     sums, squares, count = np.zeros(ORDERS + 1), 0.0, 0
     for W in whitened():
         r = np.einsum("cks,c->ks", W, v)
@@ -188,16 +189,6 @@ def _autocorrelation(base: Base, catalogue: Sequence[Effect], facts: Facts) -> t
         for lag in range(min(ORDERS + 1, r.shape[1])):
             sums[lag] += float((r[:, lag:] * r[:, : r.shape[1] - lag]).sum())
     return sums / max(sums[0], 1e-300), squares / max(count - len(M), 1), count
-
-
-def _explained(M: np.ndarray) -> np.ndarray:
-    """Coefficients of all columns that explain the last; what is nearly alike is taken together."""
-    A, b = M[:-1, :-1], M[:-1, -1]
-    d = np.sqrt(np.maximum(np.diag(A), 0.0))
-    d = np.where(d > 0, d, 1.0)
-    size, basis = np.linalg.eigh(A / np.outer(d, d))
-    keep = size > ALIKE * size[-1]
-    return basis[:, keep] @ ((basis[:, keep].T @ (b / d)) / size[keep]) / d
 
 
 def _autoregression(correlation: np.ndarray, count: int) -> tuple[np.ndarray, float]:
