@@ -3,7 +3,7 @@
 from hallsym.model.arguments import Facts, example_facts, found, from_log, one_of, searched
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import Computed, rate
-from hallsym.model.effect import Effect, Variant, as_effect, effect
+from hallsym.model.effect import Effect, Variant, Way, as_effect, effect, ways_text
 from hallsym.model.family import Example, Family, PoseMetric
 from hallsym.model.features import find_features
 from hallsym.model.influence import influence
@@ -37,6 +37,7 @@ __all__ = [
     "Step",
     "Symbols",
     "Variant",
+    "Way",
     "as_effect",
     "combination",
     "effect",
@@ -53,4 +54,5 @@ __all__ = [
     "parameter",
     "rate",
     "searched",
+    "ways_text",
 ]

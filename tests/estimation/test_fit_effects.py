@@ -14,8 +14,7 @@ from twins import record
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose, load_effects
-from hallsym.diagnosis.choose import model_on
+from hallsym.diagnosis import diagnose, load_effects, model_on
 from hallsym.errors import InputError
 from hallsym.estimation import cost_near, cost_of, error_tables, exact, judge, summarise_at, zeros_of
 from hallsym.families import adapted, build, effects
