@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from hallsym.codegen import decouple as decouple
     from hallsym.codegen import generate as generate
     from hallsym.diagnosis import Diagnosis as Diagnosis
+    from hallsym.diagnosis import SelfTest as SelfTest
     from hallsym.diagnosis import diagnose as diagnose
-    from hallsym.diagnosis.selftest import SelfTest as SelfTest
-    from hallsym.diagnosis.selftest import selftest as selftest
+    from hallsym.diagnosis import selftest as selftest
     from hallsym.errors import InputError as InputError
     from hallsym.estimation import ErrorTable as ErrorTable
     from hallsym.estimation import Fit as Fit
@@ -65,8 +65,7 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
-    "hallsym.diagnosis": ("Diagnosis", "diagnose"),
-    "hallsym.diagnosis.selftest": ("SelfTest", "selftest"),
+    "hallsym.diagnosis": ("Diagnosis", "SelfTest", "diagnose", "selftest"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": ("ErrorTable", "Fit", "fit", "judge", "load_fit", "refit"),
     "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),

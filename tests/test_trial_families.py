@@ -16,7 +16,7 @@ from trial_families import ARRAY, PLANE, TRIALS, second_harmonic, second_harmoni
 import hallsym
 from hallsym import InputError, Log, Noise, NoiseModel
 from hallsym.families import FAMILIES
-from hallsym.log.phase import continuous, near, wrapped
+from hallsym.log import continuous, near, wrapped
 from hallsym.model import Parameter
 from hallsym.report.page import diagnosis_page, fit_page
 from hallsym.report.text.diagnosis import diagnosis_text

@@ -10,9 +10,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import Box, Decoupler, Entry, Margin, Step, limits
-from hallsym.model import Example, Family, Model, Parameter, PoseMetric, effect
-from hallsym.model.arrays import on_arrays
-from hallsym.model.derived import rate
+from hallsym.model import Example, Family, Model, Parameter, PoseMetric, effect, on_arrays, rate
 
 LENGTH = 0.03
 LC = LENGTH / (2 * pi)

@@ -17,11 +17,7 @@ from hallsym.cli.common import (
     run_numbers,
     say,
 )
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.choose import model_on
-from hallsym.diagnosis.compare import compare
-from hallsym.diagnosis.decoded_errors import errors_of
-from hallsym.diagnosis.engine import Examined, examine, prepare
+from hallsym.diagnosis import Base, Examined, compare, errors_of, examine, model_on, prepare
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.decoding import columns_of

@@ -18,7 +18,7 @@ from hallsym.cli.common import (
     say,
     seed,
 )
-from hallsym.diagnosis.choose import model_on
+from hallsym.diagnosis import model_on
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.families.machine_file import read_machine

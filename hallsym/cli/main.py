@@ -4,8 +4,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.metadata import version
 
+import hallsym
 from hallsym.cli import BAD_INPUT, COMMANDS, NOT_CONVERGED, OK
 from hallsym.errors import InputError
 
@@ -29,6 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     parser = _parser(next((word for word in words if not word.startswith("-")), None))
     options = parser.parse_args(arguments)
+    if options.version:
+        print(f"hallsym {hallsym.__version__}")
+        return OK
     if options.command is None:
         parser.print_help()
         return OK
@@ -53,7 +56,7 @@ def _parser(called: str | None) -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"hallsym {version('hallsym')}")
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
     sub = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for name, what in COMMANDS.items():
         if name == called:

@@ -15,8 +15,7 @@ from hallsym.cli.common import (
     say,
     seed,
 )
-from hallsym.diagnosis import load_effects
-from hallsym.diagnosis.selftest import RATIOS, ROWS, selftest
+from hallsym.diagnosis import RATIOS, ROWS, load_effects, selftest
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, default_model
 from hallsym.families.machine_file import read_machine

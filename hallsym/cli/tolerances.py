@@ -9,6 +9,7 @@ from hallsym.cli.common import campaign_of, command, model_options, say, seed
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.log import Meta
+from hallsym.simulation.paper import DESIGNED
 
 
 def add(sub: Any) -> None:
@@ -46,7 +47,7 @@ def add(sub: Any) -> None:
     parser.add_argument("--seed", type=seed, default=0, help="of the machines drawn (default 0)")
     parser.add_argument("--plots", metavar="FOLDER", help="save a picture of the indices")
     parser.set_defaults(step=None, duration=None)
-    model_options(parser, "stage15")
+    model_options(parser, DESIGNED)
 
 
 def run(options: Namespace) -> int:
@@ -56,7 +57,7 @@ def run(options: Namespace) -> int:
 
     machine = read_machine(options.machine)
     model = build(
-        options.model or "stage15",
+        options.model or DESIGNED,
         meta=machine.applied(Meta()),
         added=tuple(options.effect),
         parameters=machine.parameters,

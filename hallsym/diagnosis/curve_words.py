@@ -1,9 +1,10 @@
-"""A curve in words: what follows the coordinate, with which period, where it is largest, who sees it."""
+"""A curve in words and as data: what follows the coordinate, where it is largest, which sensor sees it."""
 
 import numpy as np
 
-from hallsym.diagnosis.curves import Curve
-from hallsym.diagnosis.record import Statement
+from hallsym.diagnosis.coordinates import unit_of
+from hallsym.diagnosis.curves import MEMORIES, Curve
+from hallsym.diagnosis.record import Band, CurveShape, Statement
 from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.units import readable
@@ -148,3 +149,47 @@ def _mostly(r: ResidualTable, c: Curve) -> str | None:
     seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
     k = int(np.argmax(seen))
     return r.channels[k] if seen[k] > ABOVE_ALL * seen.sum() else None
+
+
+# -- a curve as data ---------------------------------------------------------------------------------------
+
+BAND = 1.96
+"""Standard errors of a band, which come from runs left out in turn: 95 %."""
+NAMES = {"sensed": "reading_m", "rate": "reading_rate_m_s"}
+"""What JSON calls the columns that every sensor has for itself."""
+
+
+def shape(c: Curve, r: ResidualTable) -> CurveShape:
+    """Return a curve as data; the bands at 95 % come from runs left out in turn."""
+    value, spread, scale, gain = c.offset, c.spread, 1.0, False
+    if c.gain is not None and c.gain_spread is not None and _size(c.gain) > _size(c.offset):
+        value, spread, scale, gain = c.gain, c.gain_spread, c.scale, True
+    periodic = {phase(x): x for x in r.references}
+    column = periodic.get(c.coordinate.column, c.coordinate.column)
+    bands = (np.stack([value, value - BAND * spread, value + BAND * spread], axis=1) / scale).tolist()
+    return CurveShape(
+        coordinate=c.coordinate.name,
+        line=c.coordinate.ordered,
+        column=NAMES.get(column, column),
+        unit=c.coordinate.unit,
+        kind="gain" if gain else "offset",
+        value_unit="1" if gain else unit_of(r.channels[0]),
+        grid=tuple(c.at.tolist()),
+        labels=_labels(c, r),
+        readings={channel: Band(*map(tuple, each)) for channel, each in zip(r.channels, bands, strict=True)},
+    )
+
+
+def _labels(c: Curve, r: ResidualTable) -> tuple[str, ...] | None:
+    """Names of the features of a coordinate that is no place on a line."""
+    if c.coordinate.memory:
+        return tuple(f"play {w:g} rms" for w in MEMORIES)
+    names = [readable(n)[2] for n in c.coordinate.of]
+    if c.coordinate.gain and names:
+        return tuple(f"{what}, {n.capitalize()}" for what in ("offset", "gain") for n in names)
+    return tuple(readable(n)[2].removesuffix("_ref") for n in r.references) if names else None
+
+
+def _size(curve: np.ndarray) -> float:
+    """Mean square of a curve about its mean: a constant is the model's own."""
+    return float(((curve - curve.mean(axis=1, keepdims=True)) ** 2).mean())

@@ -9,12 +9,11 @@ from math import factorial
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.p_values import beyond, statistic_at
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Estimate
-from hallsym.diagnosis.residuals import pieces
+from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.survey import Survey
 from hallsym.estimation.outliers import residuals
 from hallsym.families.faults import FAULTS

@@ -6,10 +6,9 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.coordinates import hats
 from hallsym.diagnosis.residual_table import at_rest
-from hallsym.diagnosis.residuals import Piece, pieces
+from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.model.arrays import on_arrays
 from hallsym.units import readable
 

@@ -2,18 +2,20 @@
 
 from collections.abc import Sequence
 
+import casadi as ca
 import numpy as np
 
+from hallsym.codegen import cost_of
 from hallsym.diagnosis.decoded_errors import interval
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
-from hallsym.diagnosis.firmware_cost import firmware_cost
 from hallsym.diagnosis.ranking import count_of
 from hallsym.diagnosis.record import Estimate, FoundEffect
-from hallsym.diagnosis.sentences import at_bound_text, unseen_text
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
 from hallsym.diagnosis.verdict import closed
+from hallsym.errors import InputError, counted
 from hallsym.families.faults import FAULTS
+from hallsym.model import Model
 
 EITHER = ("sign_inversion", "channel_swap")
 """Faults of the channel assignment that an angle from two channels cannot tell apart."""
@@ -69,6 +71,21 @@ def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
     return " ".join([*([at_bound_text(ended)] if ended else []), *([unseen_text(blind)] if blind else [])])
 
 
+def at_bound_text(names: Sequence[str]) -> str:
+    """Return what to say of parameters that ended at a bound."""
+    bound = "its bound" if len(names) == 1 else "their bounds"
+    return (
+        f"{', '.join(names)} ended at {bound}, so there is no interval; the intervals of other parameters "
+        "hold only if the bound is right. Either the bound is wrong for this machine, or another effect does "
+        "part of the work."
+    )
+
+
+def unseen_text(names: Sequence[str]) -> str:
+    """Return what to say of parameters on which no sample depends."""
+    return f"No sample of this log depends on {', '.join(names)}: fixed at the nominal value."
+
+
 def _fault(setup: Setup, found: Validation, fault: Fault) -> FoundEffect:
     scale = found.fault_scale
     return FoundEffect(
@@ -115,3 +132,48 @@ def _assignment(setup: Setup, found: Validation) -> FoundEffect:
 
 def _repair(name: str) -> str:
     return f"{name} {FAULTS[name].refusal}"
+
+
+NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN)
+SHOWN = 3
+"""Computed signals that are named; of more the text says '...'."""
+
+
+def operations(model: Model) -> int:
+    """Return the count of arithmetic operations of one decoded pose, common subexpressions counted once.
+
+    Each sine or division of the model's own expression is one operation: for models that have no C.
+    """
+    f = model.decoded
+    inputs = f.sx_in()
+    (pose,) = f.call(inputs)
+    lean = ca.Function("lean", inputs, [ca.cse(pose)])
+    return sum(lean.instruction_id(k) not in NO_WORK for k in range(lean.n_instructions()))
+
+
+def firmware_cost(before: Model, after: Model, p: np.ndarray | None = None) -> str:
+    """Return in words what the step from one model to another adds: parameters, instructions, signals.
+
+    `p`: parameters of `after`, which decide how often a non-linear model is iterated; nominal by default.
+    """
+    added = counted(len(after.parameters) - len(before.parameters), "parameter")
+    signals = [c.name for c in after.computed if c.name not in before.state]
+    text = f"{added}; {_work(before, after, p)}"
+    if signals:
+        some = ", ".join(signals[:SHOWN]) + (", ..." if len(signals) > SHOWN else "")
+        text += f" and {counted(len(signals), 'signal')} to compute ({some})"
+    return text
+
+
+def _work(before: Model, after: Model, p: np.ndarray | None) -> str:
+    shared = None
+    if p is not None:
+        shared = before.vector({n: v for n, v in after.named(p).items() if n in before.names})
+    try:
+        old, new = cost_of(before, shared), cost_of(after, p)
+    except InputError:
+        return f"decoding {operations(before)} -> {operations(after)} operations, no C"
+    return (
+        f"C about {old.instructions} -> {new.instructions} instructions, "
+        f"parameter table {old.table} -> {new.table} B"
+    )

@@ -34,7 +34,7 @@ def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, .
     """
     n, timed = log.rows, TIME in log.columns
     at, count = np.arange(n), _pieces(n, timed)
-    piece = at * count // n if timed else _group(at, count)
+    piece = at * count // n if timed else knot_group(at, count)
     held = tuple(range(1, count, 2))
     order = np.argsort(piece, kind="stable")
     notes = []
@@ -56,11 +56,12 @@ def _pieces(n: int, timed: bool) -> int:
     """How many pieces of `n` samples: as many as leave each the samples that a run must have."""
     at = np.arange(n)
     for count in range(PIECES if timed else GROUPS, LEAST, -4):  # half of it stays even, or odd
-        smallest = n // count if timed else int(np.bincount(_group(at, count), minlength=count).min())
+        smallest = n // count if timed else int(np.bincount(knot_group(at, count), minlength=count).min())
         if smallest >= FEWEST_SAMPLES:
             return count
     return LEAST
 
 
-def _group(at: np.ndarray, count: int) -> np.ndarray:
+def knot_group(at: np.ndarray, count: int) -> np.ndarray:
+    """Return the group of `count` that each knot belongs to; odd groups are held out."""
     return 2 * (at // 2 % (count // 2)) + (at + at // BLOCK) % 2

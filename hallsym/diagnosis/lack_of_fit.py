@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.coordinates import hats
 from hallsym.diagnosis.features import LAGS, PAST, Features, Key
 from hallsym.diagnosis.normal_equations import eliminated
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.regression import regression, ridge
-from hallsym.diagnosis.residuals import Piece, pieces
+from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.estimation.decoding import decoding_gain
 
 FOLDS = 13

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.coordinates import coordinates
 from hallsym.diagnosis.curve_words import described
 from hallsym.diagnosis.curves import Curve, FineMap, Smooth, predicted, run_gains
@@ -19,6 +18,7 @@ from hallsym.diagnosis.links import of_links
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.residual_table import ResidualTable, residual_table
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.shares import (
     CERTAIN,

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.derivatives import Slopes
+from hallsym.diagnosis.residuals import Base
+from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
@@ -80,9 +81,9 @@ def normal_equations(
     return work.result()
 
 
-def following(M: np.ndarray, z: int) -> np.ndarray:
-    """Return how the first z columns follow the others in least squares, (z, c - z), from products (c, c)."""
-    return -np.asarray(np.linalg.lstsq(M[:z, :z], M[:z, z:], rcond=1e-12)[0])
+def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return the coefficients of `columns` that explain the last column in least squares, from products."""
+    return pseudo_inverse(M[np.ix_(columns, columns)]) @ M[columns, -1]
 
 
 def eliminated(M: np.ndarray, follow: np.ndarray) -> np.ndarray:
@@ -281,13 +282,9 @@ class Accumulator:
         """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
         run, white, out, count = entry
         z = self.z
-        if z == 0:
-            self.follow.append(np.zeros((0, self.size)))
-            return entry
-        follow = following(white, z)
+        own, follow = eliminate(white, z)
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
         self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        own = white[z:, z:] + white[z:, :z] @ follow  # what `eliminated` is where the same products say so
         return run, own, eliminated(out, follow), count
 
     def result(self) -> NormalEquations:

@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.effect import Effect, Facts
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.refit import Refitted, refit, with_model
-from hallsym.diagnosis.residuals import pieces
+from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import Score, bic, by_name, candidates, scores
+from hallsym.model import Effect, Facts
 
 
 @dataclass(frozen=True, eq=False)

@@ -188,16 +188,106 @@ class Waves:
 
 
 @dataclass(frozen=True)
+class Size:
+    """How large the gap of one output or sensor is, in SI.
+
+    `noise`: its floor; `above`: root of the difference of the squares of `rms` and `noise`. `share`: of the
+    excess of all outputs, as the gap metric weighs them, or of all sensors; None where the excess as a whole
+    is no more than chance. `p_value`: of no excess; noise larger than stated is an excess too.
+    """
+
+    rms: float
+    noise: float
+    above: float
+    share: float | None
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Size of the gap by output and by sensor, of the sides "fitted" and "held_out" where there are samples.
+
+    Outputs are errors of the decoded pose, sensors are residuals of the readings.
+    """
+
+    outputs: dict[str, dict[str, Size]] = field(default_factory=dict)
+    sensors: dict[str, dict[str, Size]] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> dict[str, dict[str, Size]]:
+        """Outputs, then sensors, by column; a decoded angle is both and counts once."""
+        return self.outputs | {c: s for c, s in self.sensors.items() if c not in self.outputs}
+
+
+@dataclass(frozen=True)
+class Band:
+    """A curve with its 95 % band, one number per place of the grid; `low == high`: no samples there."""
+
+    value: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class CurveShape:
+    """How the residual of each reading follows a coordinate.
+
+    `column`, `unit`: of the `grid`. `line`: whether that is a place on a line; several coordinates together,
+    a direction of motion and an acceleration are none, `grid` then counts features, which `labels` names.
+    `kind`: "offset" (in `value_unit`, the unit of the reading) or "gain" (relative change of the gain).
+    """
+
+    coordinate: str
+    line: bool
+    column: str
+    unit: str
+    kind: str
+    value_unit: str
+    grid: tuple[float, ...]
+    labels: tuple[str, ...] | None
+    readings: dict[str, Band]
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What no effect explains: `share` of the gap above the noise floor that is left (squares).
+
+    `by`, `at`: of the first statement on it, None where it goes with nothing; `of_it`: the share of the rest
+    that goes with that. `curve`: over the coordinate that most of it goes with, None where there is none.
+    """
+
+    share: float
+    by: str | None
+    at: str | None
+    of_it: float | None
+    text: str
+    curve: CurveShape | None
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """The log that was diagnosed. `span`: least and greatest value by column of reference and state."""
+
+    path: str | None = None
+    sha256: str | None = None
+    rows: int = 0
+    runs: int = 0
+    holdout: tuple[int, ...] = ()
+    span: dict[str, tuple[float, float]] = field(default_factory=dict)
+    runs_fitted: int = 0
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
-    "unexplained". `unexplained`: share and shape of that rest, see `curve_data.unexplained`. `size`: the gap
-    per output and sensor, on fitted and on holdout runs, see `gap_size.sizes`. `shares`: what each
-    coordinate, link, output, sensor, frequency and run takes of the excess alone; empty where noise explains
-    it. `waves`: the harmonics of the error over each periodic coordinate. `next_step`: the arguments of
-    `hallsym fit LOG` that fit the model with the effects found; empty without any.
+    "unexplained". `unexplained`: share and shape of that rest. `size`: the gap per output and sensor, on
+    fitted and on holdout runs. `shares`: what each coordinate, link, output, sensor, frequency and run takes
+    of the excess alone; empty where noise explains it. `waves`: the harmonics of the error over each periodic
+    coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found;
+    empty without any.
     """
 
     verdict: str
@@ -218,12 +308,12 @@ class Diagnosis:
     smaller_findings: tuple[SmallerFinding, ...]
     threshold: float
     model: str
-    log: dict[str, Any]
+    log: LogRecord
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
-    unexplained: dict[str, Any] = field(default_factory=dict)
-    size: dict[str, Any] = field(default_factory=dict)
+    unexplained: Unexplained | None = None
+    size: Sizes = field(default_factory=Sizes)
     shares: tuple[Share, ...] = ()
     next_step: tuple[str, ...] = ()
     waves: tuple[Waves, ...] = ()
@@ -231,7 +321,8 @@ class Diagnosis:
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""
         floor = {**self.noise_floor.outputs, "source": self.noise_floor.source}
-        plain: dict[str, Any] = _plain(asdict(self) | {"noise_floor": floor})
+        rest = asdict(self.unexplained) if self.unexplained else {}
+        plain: dict[str, Any] = _plain(asdict(self) | {"noise_floor": floor, "unexplained": rest})
         for wave in plain["waves"]:
             if not wave["coordinate"]:
                 del wave["coordinate"]
@@ -248,7 +339,8 @@ class Diagnosis:
         """
         floor = dict(data["noise_floor"])
         source = floor.pop("source")
-        typed: Diagnosis = _typed(cls, {**data, "noise_floor": {"outputs": floor, "source": source}})
+        made = {"noise_floor": {"outputs": floor, "source": source}}
+        typed: Diagnosis = _typed(cls, {**data, **made, "unexplained": data.get("unexplained") or None})
         return typed
 
 
@@ -267,8 +359,10 @@ def _plain(value: Any) -> Any:
 def _typed(kind: Any, value: Any) -> Any:
     """Return plain JSON data as the annotated type `kind`: a record, a tuple, a dictionary, or a value."""
     origin, args = get_origin(kind), get_args(kind)
-    if value is None or origin in (Union, UnionType):
+    if value is None:
         return value
+    if origin in (Union, UnionType):
+        return _typed(args[0], value)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
         return kind(**{f.name: _typed(hints[f.name], value[f.name]) for f in fields(kind) if f.name in value})

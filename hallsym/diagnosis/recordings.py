@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.residuals import pieces
+from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.simulation import AtTimes, Run, multi_sine, sine
 
 LONGEST = 2000

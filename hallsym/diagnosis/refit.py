@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
+from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
+from hallsym.diagnosis.residuals import Base
+from hallsym.estimation import pseudo_inverse
 from hallsym.model import Model
+from solvers import gauss_newton
 
-STEPS = 8
-"""Gauss-Newton steps at most; two or three are usual."""
+MOST = 16
+"""Linearisations at most; three or four are usual."""
 AT_BOUND = 1e-6
 """Part of the width of its bounds within which a parameter counts as at one of them."""
 CLOSE = 1e-5
@@ -55,6 +57,20 @@ class Refitted:
         """Products of free parameters and residual over the fitted runs."""
         return self.tangents.likelihood[self.fitted].sum(axis=0)
 
+    def moved(self, share: float) -> Base:
+        """Return the base at `share` of the way to the minimum inside the bounds; the zeros follow."""
+        base, p = self.base, self.base.p.copy()
+        free = list(base.free)
+        lower, upper = base.model.bounds
+        step = share * inside_bounds(base, self.products)
+        p[free] = np.clip(p[free] + step, np.minimum(lower, base.p)[free], np.maximum(upper, base.p)[free])
+        if not len(base.model.zeros):
+            return replace(base, p=p)
+        v = np.concatenate([-(p[free] - base.p[free]), [1.0]])
+        # the residual is r = v-combination of the columns: zeros take -follow of it
+        follow = zip(self.tangents.order, self.tangents.follow, strict=True)
+        return replace(base, p=p, zeros={run: base.zeros.get(run, 0.0) - f @ v for run, f in follow})
+
     def unseen(self) -> tuple[int, ...]:
         """Index of the free parameters on which no fitted sample depends, see `seen`."""
         return tuple(np.array(self.base.free, dtype=int)[~seen(self.base, self.products)].tolist())
@@ -65,28 +81,8 @@ class Refitted:
         free = np.array(self.base.free, dtype=int)[moving]
         M = self.products[np.ix_(moving, moving)]
         full = np.zeros((len(self.base.p),) * 2)
-        full[np.ix_(free, free)] = inverse(M)
+        full[np.ix_(free, free)] = pseudo_inverse(M)
         return full
-
-
-def solve(M: np.ndarray, columns: np.ndarray, target: int = -1) -> np.ndarray:
-    """Least squares from products: coefficients of `columns` that explain column `target`."""
-    A, b = M[np.ix_(columns, columns)], M[columns, target]
-    d = _sizes(A)
-    x, *_ = np.linalg.lstsq(A / np.outer(d, d), b / d, rcond=1e-11)
-    return x / d
-
-
-def inverse(M: np.ndarray) -> np.ndarray:
-    """Pseudo-inverse of a matrix of products whose columns differ in size."""
-    d = _sizes(M)
-    return np.linalg.pinv(M / np.outer(d, d), rcond=1e-11, hermitian=True) / np.outer(d, d)
-
-
-def _sizes(M: np.ndarray) -> np.ndarray:
-    """Lengths of columns from their products; a column that is nil against the longest counts as 1."""
-    size = np.sqrt(np.maximum(np.diag(M), 0.0))
-    return np.where(size > 0, size, 1.0)
 
 
 def with_model(base: Base, model: Model) -> Base:
@@ -97,27 +93,15 @@ def with_model(base: Base, model: Model) -> Base:
     return replace(base, model=model, p=p, free=free)
 
 
-def refit(base: Base, runs: Sequence[int], steps: int = STEPS) -> Refitted:
+def refit(base: Base, runs: Sequence[int]) -> Refitted:
     """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples."""
-    now, at = normal_equations(base, {}), base
-    units = now.units(runs)
-    cost = _cost(now, units)
-    for _ in range(steps):
-        step = inside_bounds(at, now.likelihood[units].sum(axis=0))
-        share = 1.0
-        for _ in range(6):
-            trial = _moved(at, now, step * share)
-            there = normal_equations(trial, {})
-            lower = _cost(there, units)
-            if lower <= cost:
-                break
-            share *= 0.3
-        else:
-            break
-        gained, at, now, cost = cost - lower, trial, there, lower
-        if gained <= CLOSE * cost:
-            break
-    return Refitted(at, now, units, cost)
+
+    def linearised(at: Base) -> Refitted:
+        t = normal_equations(at, {})
+        units = t.units(runs)
+        return Refitted(at, t, units, float(t.likelihood[units, -1, -1].sum()))
+
+    return gauss_newton(linearised, base, lambda now, gained: gained <= CLOSE * now.cost, MOST)[0]
 
 
 def seen(base: Base, M: np.ndarray) -> np.ndarray:
@@ -142,7 +126,7 @@ def inside_bounds(base: Base, M: np.ndarray) -> np.ndarray:
         stopped = np.setdiff1d(np.arange(len(free)), moving)
         left = M.copy()
         left[:, -1] -= M[:, stopped] @ step[stopped]
-        step[moving] = solve(left, moving)
+        step[moving] = coefficients(left, moving)
         beyond = (step[moving] < lower[moving]) | (step[moving] > upper[moving])
         step = np.clip(step, lower, upper)
         if not beyond.any():
@@ -151,23 +135,3 @@ def inside_bounds(base: Base, M: np.ndarray) -> np.ndarray:
         if not len(moving):
             break
     return step
-
-
-def _cost(t: NormalEquations, units: np.ndarray) -> float:
-    return float(t.likelihood[units, -1, -1].sum())
-
-
-def _moved(base: Base, t: NormalEquations, step: np.ndarray) -> Base:
-    """Take a step inside the bounds and let the zeros follow."""
-    p = base.p.copy()
-    free = list(base.free)
-    lower, upper = base.model.bounds
-    p[free] = np.clip(p[free] + step, np.minimum(lower, base.p)[free], np.maximum(upper, base.p)[free])
-    v = np.concatenate([-(p[free] - base.p[free]), [1.0]])
-    if not len(base.model.zeros):
-        return replace(base, p=p)
-    # the residual is r = v-combination of the columns: zeros take -follow of it
-    zeros = {
-        run: base.zeros.get(run, 0.0) - follow @ v for run, follow in zip(t.order, t.follow, strict=True)
-    }
-    return replace(base, p=p, zeros=zeros)

@@ -3,30 +3,31 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
 
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
-from hallsym.diagnosis.curve_data import unexplained
-from hallsym.diagnosis.decoded_errors import block_errors, interval
+from hallsym.diagnosis.curve_words import shape
+from hallsym.diagnosis.decoded_errors import block_errors, interval, waves
 from hallsym.diagnosis.gap import worth_reporting
-from hallsym.diagnosis.gap_size import sizes
 from hallsym.diagnosis.localisation import Located, both, located
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import (
     Diagnosis,
     FoundEffect,
     Gap,
+    LogRecord,
     Metric,
     NoiseFloor,
     Shrinkage,
+    Sizes,
+    Unexplained,
 )
 from hallsym.diagnosis.selection import Selection
-from hallsym.diagnosis.sentences import floor_lowered_text, next_step, sentence, shapeless_text
 from hallsym.diagnosis.setup import Setup
+from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import Verdict, closed
-from hallsym.diagnosis.waves import waves
-from hallsym.diagnosis.words import gap_unit
-from hallsym.estimation.calibration import Fit
+from hallsym.diagnosis.words import gap_text, gap_unit
+from hallsym.estimation.calibration import Fit, added_effects
 
 
 def report(
@@ -64,19 +65,46 @@ def report(
         shares=where.shares,
         size=_size(setup, found, where),
         remaining=rest.statements if rest else (),
-        unexplained=unexplained(rest, 1 - share) if rest else {},
+        unexplained=unexplained(rest, 1 - share) if rest else None,
         separate_by=alike.separate,
         validation_runs=setup.holdout,
         not_testable=selection.not_testable,
         smaller_findings=smaller_findings(setup, selection, found, effects if quiet else ()),
         threshold=setup.threshold,
         model=setup.fit.model.name,
-        log={**setup.fit.log, "runs_fitted": len(setup.runs)},
+        log=_log(setup),
         notes=_notes(setup, found, quiet),
         seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),
         waves=waves(found.start.base, found.base if named else None),
         next_step=() if quiet else next_step(setup, found),
+    )
+
+
+def unexplained(found: Located, share: float) -> Unexplained:
+    """Return what is left, as `located` found it; `share`: part of the gap above the noise floor."""
+    first = found.statements[0] if found.statements else None
+    curve = found.curves[0] if found.curves else None
+    return Unexplained(
+        share=share,
+        by=first.by if first else None,
+        at=first.at if first else None,
+        of_it=first.share if first else None,
+        text=first.text if first else "it goes with no sensor, coordinate, frequency or run above chance",
+        curve=shape(curve, found.fitted) if curve and found.fitted else None,
+    )
+
+
+def _log(setup: Setup) -> LogRecord:
+    log = setup.fit.log
+    return LogRecord(
+        path=log["path"],
+        sha256=log["sha256"],
+        rows=log["rows"],
+        runs=log["runs"],
+        holdout=tuple(log["holdout"]),
+        span={column: (low, high) for column, (low, high) in log["span"].items()},
+        runs_fitted=len(setup.runs),
     )
 
 
@@ -106,7 +134,7 @@ def _located(
     return gap, located(found.base, runs, selection.scores_at(found.base))
 
 
-def _size(setup: Setup, found: Validation, where: Located) -> dict[str, Any]:
+def _size(setup: Setup, found: Validation, where: Located) -> Sizes:
     """Return how large the gap is, channels as they were logged."""
     start = setup.as_logged(found.start.base)
     fitted, held = both(start, setup.base.log.runs) if setup.miswired else (where.fitted, where.held)
@@ -127,3 +155,72 @@ def _notes(setup: Setup, found: Validation, quiet: bool) -> tuple[str, ...]:
 def _source(fit: Fit) -> str:
     given = {s.source == "given" for s in fit.noise.sigmas.values()}
     return "stated and estimated" if len(given) == 2 else "stated" if given == {True} else "estimated"
+
+
+# -- sentences, and the next command -----------------------------------------------------------------------
+
+
+def sentence(
+    verdict: str,
+    effects: Sequence[FoundEffect],
+    groups: Sequence[tuple[str, ...]],
+    gap: Metric,
+    unit: tuple[float, str],
+) -> str:
+    """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads."""
+    before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
+    if verdict == "no gap":
+        small = gap.before <= gap.floor * (1 + POLICY.floor_known)
+        alone = f"noise alone gives {floor}"
+        return f"No gap. The error on the holdout runs is {before}; {alone}" + (
+            "." if small else ", and the difference is not worth reporting."
+        )
+    times = gap.before / max(gap.floor, 1e-300)
+    said = f"The error on the holdout runs is {before}, {times:.3g} x the noise floor"
+    if not effects:
+        return f"{said}; no known effect explains it."
+    named = " and ".join(_with_group(e.name, groups) for e in effects)
+    rest = "" if verdict == "explained" else "; the rest has no known cause"
+    return f"{said}. With {named} it falls to {after}{rest}."
+
+
+def _with_group(name: str, groups: Sequence[tuple[str, ...]]) -> str:
+    """Return an effect with the others that the log cannot tell from it: `time_skew (or first_order_lag)`."""
+    group = next((g for g in groups if name in g), (name,))
+    others = [other for other in group if other != name]
+    return f"{name} (or {' or '.join(others)})" if others else name
+
+
+def floor_lowered_text(times: float) -> str:
+    """Return what to say of a noise floor that was estimated too high."""
+    return (
+        f"The estimated noise was {times:.3g} x the error with the effects found: a pattern from sample to "
+        "sample was taken for noise. That error serves as the noise floor; state the noise (--noise) if you "
+        "know it."
+    )
+
+
+def shapeless_text(times: float, stated: bool) -> str:
+    """Return what to say of noise that is larger than stated or estimated."""
+    return (
+        f"The error is {times:.3g} x the {'stated' if stated else 'estimated'} noise and depends on nothing "
+        "that the log holds: the noise is larger than that, or more correlated in time."
+    )
+
+
+def next_step(setup: Setup, found: Validation) -> tuple[str, ...]:
+    """Return the arguments of `hallsym fit LOG` that fit the model with the effects found, in their order.
+
+    The pieces of a split recording are no runs of the log on disk, so they are not held out.
+    """
+    variants = [e.selected.exact.score.variant for e in found.effects]
+    texts = [v.text for v in variants if v.text]
+    if not texts:
+        return ()
+    model = setup.fit.model
+    words = ["--model", model.name]
+    for text in (*added_effects(model), *texts):
+        words += ["--effect", text]
+    if not setup.split:
+        words += ["--holdout", ",".join(map(str, setup.holdout))]
+    return (*words, *(["--resolve-wiring"] if setup.miswired else []))

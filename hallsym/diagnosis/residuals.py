@@ -1,19 +1,65 @@
-"""The residual of a fitted model, run by run: computed once for each model and log that fits in memory."""
+"""A fitted model on a log, and its residual, run by run: computed once for each log that fits in memory."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.estimation.decoding import columns_of
-from hallsym.log.batches import Batch, batches, is_held
+from hallsym.log import Log
+from hallsym.log.batches import Batch, Weigh, batches, is_held
 from hallsym.log.derived import extended
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import Computed, campaign_time, rate, run_time
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """A fitted model on a log, as the fit left it or with effects added.
+
+    `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
+    parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `apart`: held-out runs;
+    `timed`: whether the log holds time, and not a counter in its place.
+    """
+
+    log: Log
+    model: Model
+    p: np.ndarray
+    zeros: Mapping[int, np.ndarray]
+    covariance: np.ndarray
+    free: tuple[int, ...]
+    pose_weights: np.ndarray
+    apart: frozenset[int]
+    sigma: Mapping[str, float]
+    keep: Weigh | None = None
+    timed: bool = True
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return self.model.named(self.p)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """1 / variance of each channel's reading, for decoding with more probes than coordinates."""
+        return 1.0 / np.diag(self.covariance)
+
+    @property
+    def whiten(self) -> np.ndarray:
+        """Matrix (K, K) that turns a residual into one of unit covariance."""
+        return np.linalg.cholesky(np.linalg.inv(self.covariance)).T
+
+    def zeros_in(self, run: int) -> np.ndarray:
+        """Return the zero deviations of a run, (zeros,); nil of one that was not fitted."""
+        return self.zeros.get(run, np.zeros(len(self.model.zeros)))
+
+    def zeros_of(self, batch: Batch) -> np.ndarray:
+        """Return the zero deviations of every sample of a batch, (zeros, samples)."""
+        own = np.array([self.zeros_in(block.run) for block in batch.blocks])
+        return np.repeat(own, np.diff(batch.edges), axis=0).T
 
 
 @dataclass(frozen=True, eq=False)

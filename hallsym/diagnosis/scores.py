@@ -6,15 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.effect import Effect, Facts, Variant
-from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
+from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.refit import inverse, solve
+from hallsym.diagnosis.residuals import Base
 from hallsym.errors import InputError
+from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
-from hallsym.model import Model
+from hallsym.model import Effect, Facts, Model, Variant
 
 FOLDS = 11
 """A prime, so that folds do not fall in step with settings that recur every few runs."""
@@ -173,7 +172,7 @@ class _Split:
     def __init__(self, products: np.ndarray, parameters: int) -> None:
         self.M = products
         self.own = parameters
-        self.through = inverse(self.M[:parameters, :parameters]) @ self.M[:parameters]
+        self.through = pseudo_inverse(self.M[:parameters, :parameters]) @ self.M[:parameters]
 
     @property
     def square(self) -> float:
@@ -191,7 +190,7 @@ class _Split:
         seen = np.flatnonzero(np.diag(own)[:-1] > NIL * np.maximum(raw, 1e-300))
         pick = np.append(seen, len(at))
         out = np.zeros(len(at))
-        out[seen] = solve(own[pick[:, None], pick], np.arange(len(seen)))
+        out[seen] = coefficients(own[pick[:, None], pick], np.arange(len(seen)))
         return out
 
     def tested(self, M: np.ndarray, at: np.ndarray) -> np.ndarray:

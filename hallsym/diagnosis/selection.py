@@ -1,21 +1,58 @@
 """Selection: a greedy search that screens the catalogue, refits what is promising and keeps the best."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.collinearity import cancelled
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap import remains, slow_share, used_up
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.ranking import Exact, bic_of, plain_pairs_first, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, by_name, candidates, scores
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.survey import survey
+from hallsym.log.phase import designed
+
+
+def cancelled(
+    fit: Refitted, beside: Refitted, start: Refitted, owner: Mapping[str, str], over: float
+) -> bool:
+    """Return whether what `fit` has beyond the fit `beside` is undone by other parameters, or undoes others.
+
+    `start`: the fit without any effect, whose parameters say what the machine deviates from its design by.
+    `owner`: parameter -> the effect that it belongs to. `over`: times that deviation by which an effect alone
+    may move the pose, and times its former size and the gap that goes by which it may grow beside another.
+    """
+    own, known = start.base.model.names, beside.base.model.names
+    new = [n for n in fit.base.model.names if n not in known]
+    whole = moved(start, start.base.p - designed(start.base.model, start.base.p))
+    if _alone(fit, new) > over * np.hypot(whole, start.gap(start.fitted)):
+        return True
+    lower = np.sqrt(max(beside.gap(beside.fitted) ** 2 - fit.gap(fit.fitted) ** 2, 0.0))
+    groups: dict[str, list[str]] = {}
+    for n in known:
+        if n not in own:
+            groups.setdefault(owner.get(n, n), []).append(n)
+    return any(_alone(fit, g) > over * np.hypot(_alone(beside, g), lower) for g in groups.values())
+
+
+def _alone(fit: Refitted, names: Sequence[str]) -> float:
+    """What some parameters of a fit make by themselves."""
+    base = fit.base
+    these = np.isin(base.model.names, names)
+    return moved(fit, np.where(these, base.p - base.model.nominal, 0.0))
+
+
+def moved(fit: Refitted, by: np.ndarray) -> float:
+    """Return the gap metric, to first order, of moving the parameters (n,) of `fit` by this much."""
+    units = fit.fitted
+    step = by[list(fit.base.free)]
+    O = fit.tangents.output[units].sum(axis=0)[: len(step), : len(step)]
+    return float(np.sqrt(max(step @ O @ step, 0.0) / max(fit.tangents.count[units].sum(), 1.0)))
 
 
 @dataclass(frozen=True, eq=False)

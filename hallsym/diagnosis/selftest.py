@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import prepare
 from hallsym.diagnosis.trials import NO_EFFECT, Bench, Trial, run_trials
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
 from hallsym.families.faults import FAULTS
 from hallsym.log import Log
-from hallsym.model import Model
+from hallsym.model import Effect, Model
 
 RATIOS = (1.07, 1.3, 2.0)
 """Gap over noise floor of the sizes that are tried: at the threshold, clear, dominant."""

@@ -1,18 +1,18 @@
-"""What each output, sensor, frequency and run takes of the excess by itself, beside its part of the noise.
+"""How large the gap is: what each output, sensor, frequency and run takes of the excess by itself.
 
 An output or a sensor is named when it has more than its part: noise that is larger than it was stated is
 larger everywhere, and is no place where a gap lies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from hallsym.diagnosis.decoded_errors import BlockErrors
 from hallsym.diagnosis.p_values import beyond, beyond_one
-from hallsym.diagnosis.record import Share, Statement
-from hallsym.diagnosis.residual_table import ResidualTable
-from hallsym.diagnosis.spectrum import MOTION, Band
+from hallsym.diagnosis.record import Share, Size, Sizes, Statement
+from hallsym.diagnosis.residual_table import MOTION, Band, ResidualTable
 from hallsym.diagnosis.words import percent, plain
 
 LEVEL = 0.01
@@ -156,3 +156,44 @@ def _frequencies(worth: Sequence[tuple[float, Band, float]], motion_hz: Sequence
                 text += f" (strongest near {float(np.median(motion_hz)):.3g} Hz)"
             said.append(Statement("frequency", band.name, share, p, text, kind=band.kind))
     return said
+
+
+def sizes(
+    residues: Mapping[str, ResidualTable | None],
+    errors: Mapping[str, BlockErrors],
+    floor: Mapping[str, float],
+) -> Sizes:
+    """Return how large the gap is on each side, "fitted" and "held_out".
+
+    Outputs come from `errors`, the decoded pose; sensors from `residues`. `floor`: noise by output. P-values
+    come from blocks of samples.
+    """
+    out = Sizes()
+    for side, r in residues.items():
+        if r is None:
+            continue
+        clear = beyond(means(r.squares - len(r.residual), r.block)) < CERTAIN
+        rms = np.sqrt(errors[side].squares.sum(axis=0) / max(errors[side].count.sum(), 1.0))
+        noise = np.array([floor.get(c, 0.0) for c in r.pose])
+        seen = sensors(r)
+        of = [(out.outputs, outputs(r), rms, noise), (out.sensors, seen, seen.rms, np.sqrt(seen.noise))]
+        for store, powers, size, least in of:
+            for name, row in _sizes(powers, r.block, size, least, clear).items():
+                store.setdefault(name, {})[side] = row
+    return out
+
+
+def _sizes(p: Powers, block: np.ndarray, rms: np.ndarray, noise: np.ndarray, clear: bool) -> dict[str, Size]:
+    above = np.maximum(rms**2 - noise**2, 0.0)
+    weighed = above * p.weight
+    total = float(weighed.sum())
+    return {
+        name: Size(
+            rms=float(rms[k]),
+            noise=float(noise[k]),
+            above=float(np.sqrt(above[k])),
+            share=float(weighed[k] / total) if clear and total > 0 else None,
+            p_value=beyond(means(p.squares[k] / p.noise[k] - 1.0, block)),
+        )
+        for k, name in enumerate(p.names)
+    }

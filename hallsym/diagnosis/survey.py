@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import median_filter
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.p_values import as_many, as_often, exceeds, statistic_at, student
-from hallsym.diagnosis.residuals import Piece, pieces
+from hallsym.diagnosis.residuals import Base, Piece, pieces
 
 MAINS = ((46.0, 54.0), (56.0, 64.0))
 """Bands [Hz] in which mains lines are looked for."""

@@ -4,18 +4,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
-from hallsym.diagnosis.decimation import decimated
-from hallsym.diagnosis.effect import Effect
 from hallsym.diagnosis.engine import diagnose
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.injection import Injection, Sized, generator, injections, sized
-from hallsym.diagnosis.noise_model import ResidualNoise, residual_noise
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.setup import Setup
-from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of
+from hallsym.diagnosis.simulated_machine import (
+    ResidualNoise,
+    SimulatedMachine,
+    decimated,
+    machine_of,
+    residual_noise,
+)
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
 from hallsym.log import Log
+from hallsym.model import Effect
 
 NO_EFFECT = "no effect"
 """Name of a trial without an injection."""

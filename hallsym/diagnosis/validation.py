@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.base import Base
 from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, interval
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
 from hallsym.diagnosis.gap import shaped, slow_share
@@ -13,6 +12,7 @@ from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.record import SmallerFinding
 from hallsym.diagnosis.refit import Refitted, refit
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Selected, Selection
 from hallsym.diagnosis.setup import Floor, Setup
 from hallsym.diagnosis.survey import survey

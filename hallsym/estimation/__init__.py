@@ -8,7 +8,7 @@ The path of a fit, file by file:
   offsets.
 - `start`, `channel_assignment`: a closed-form start, and checks that reference and channels belong together.
 - `identifiable`: which parameters the data determine, and which are therefore held.
-- `optimum`: global stage, IPOPT, Newton; `gauss_newton`: by passes over the log.
+- `optimum`: global search, IPOPT, Newton; `gauss_newton`: by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
 - `covariance`: standard uncertainties; `result`, `calibration`: the record that is printed and saved.
 

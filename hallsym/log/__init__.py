@@ -9,6 +9,7 @@ from hallsym.log.drop import Drop, without
 from hallsym.log.estimate import estimate_noise
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, Sigma, check_noise_keys
+from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.read import read_log
 from hallsym.log.scan import Span, Spans
 from hallsym.log.write import LogWriter, write_log
@@ -30,13 +31,17 @@ __all__ = [
     "check_log",
     "check_noise_keys",
     "clean_log",
+    "continuous",
     "estimate_noise",
     "extended",
+    "near",
     "parse_column_option",
     "read_column_file",
     "read_log",
     "remembered",
     "spans",
+    "unwrapped",
     "without",
+    "wrapped",
     "write_log",
 ]

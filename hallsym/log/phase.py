@@ -13,8 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from hallsym.log import Log
 from hallsym.log.columns import RUN
+from hallsym.log.core import Log
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.units import readable
@@ -220,7 +220,7 @@ class _Continuous:
         for start, stop in pairwise(edges):
             if stop == start:
                 continue
-            part = _unwrapped(out[start:stop], period)
+            part = unwrapped(out[start:stop], period)
             if last.get(column, (None, 0.0))[0] == run[start]:
                 before = last[column][1]
                 part = part + (before + wrapped(out[start] - before, period)[()] - out[start])
@@ -230,7 +230,7 @@ class _Continuous:
         return out + _of_runs(self.apart[column], run) if column in self.apart else out
 
 
-def _unwrapped(x: np.ndarray, period: float) -> np.ndarray:
+def unwrapped(x: np.ndarray, period: float) -> np.ndarray:
     """Return x (n,) less whole periods, so that no step is longer than half of one; `np.unwrap`, but lean."""
     whole = np.round(np.diff(x) / period)
     return np.concatenate([x[:1], x[1:] - period * np.cumsum(whole)]) if whole.any() else x

@@ -1,7 +1,7 @@
 """An effect: one function `Model -> Model` whose signature tells the rest of the program all about it.
 
     @effect(link="field", meaning="memory of the direction of motion",
-            separate="the same stroke at several speeds: a loop keeps its width, a delay does not")
+            separate=Way("the same stroke at several speeds", "a loop keeps its width, a delay does not"))
     def hysteresis(model: Model, half_width_m: float = searched((2e-6, 2e-5, 2e-4), "half-width of the
     loop")): ...
 
@@ -12,7 +12,7 @@ default of a number says where its value comes from: `one_of` several choices, `
 """
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
@@ -44,11 +44,31 @@ class Variant:
 # -- effects -----------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Way:
+    """A way to record an effect so that it shows by itself: `what` to record, and the `reason`, if stated."""
+
+    what: str
+    reason: str = ""
+
+
+def ways_text(ways: Iterable[Way]) -> str:
+    """Return ways to record in words, each once with all of its reasons.
+
+    >>> ways_text([Way("another air gap"), Way("long runs"), Way("another air gap", "it follows the field")])
+    'another air gap: it follows the field; or long runs'
+    """
+    reasons: dict[str, dict[str, None]] = {}
+    for way in ways:
+        reasons.setdefault(way.what, {}).update({way.reason: None} if way.reason else {})
+    return "; or ".join(f"{what}: {', '.join(why)}" if why else what for what, why in reasons.items())
+
+
 @dataclass(frozen=True, eq=False)
 class Effect:
     """A named cause of a model error; `effect(model, **numbers)` returns the model with it.
 
-    `link`: of the chain from pose to reading. `separate`: what to record so that it shows by itself.
+    `link`: of the chain from pose to reading. `separate`: ways to record it so that it shows by itself.
     `needs`: logged columns without which it cannot be tested. `label`: of a variant without numbers of
     its own. `unless`: effects that already contain it. `waves`: waves of error per turn that it makes, of
     a pose that turns. `possible(values)`: whether fitted parameters can belong to this cause. `inject`:
@@ -61,7 +81,7 @@ class Effect:
     meaning: str
     function: Callable[..., Model]
     numbers: Mapping[str, Number]
-    separate: str = "a recording that moves what it depends on"
+    separate: tuple[Way, ...] = (Way("a recording that moves what it depends on"),)
     needs: tuple[str, ...] = ()
     label: str = "as given"
     unless: tuple[str, ...] = ()
@@ -190,13 +210,25 @@ class Effect:
 Decorated = Callable[[Callable[..., Model]], Effect]
 
 
-def effect(*, link: str, name: str = "", meaning: str = "", **about: Any) -> Decorated:
+def effect(
+    *,
+    link: str,
+    name: str = "",
+    meaning: str = "",
+    separate: str | Way | Sequence[str | Way] = (),
+    **about: Any,
+) -> Decorated:
     """Make a function `Model -> Model` an `Effect`; `about`: the fields of the record that are not usual.
 
     Name and meaning are those of the function and of the first line of its docstring if they are not stated.
+    `separate`: one way to record it so that it shows by itself, or several.
     """
     if link not in (*LINKS, "user"):
         raise InputError(f"Link of an effect must be one of {', '.join(LINKS)}; instead received {link!r}.")
+
+    each = (separate,) if isinstance(separate, str | Way) else separate
+    if each:
+        about["separate"] = tuple(Way(way) if isinstance(way, str) else way for way in each)
 
     def decorate(function: Callable[..., Model]) -> Effect:
         called = name or function.__name__

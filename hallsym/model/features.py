@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
+from hallsym.model.model import Model
 
 MAX_FEATURES = 120
 MAX_DEGREE = 6

@@ -12,8 +12,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
+from hallsym.model.model import Model
 
 Columns = Sequence | np.ndarray
 

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.model import Combination, Model
+from hallsym.model.model import Combination, Model
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from time import process_time
 import numpy as np
 
 import hallsym
-from hallsym.diagnosis.engine import examine, prepare
+from hallsym.diagnosis import examine, prepare
 from hallsym.families import build
 from hallsym.log import Log, Noise
 

@@ -22,7 +22,7 @@ from hallsym.estimation import Cost, determine, fit, uncertainty
 from hallsym.families import build, published
 from hallsym.inference import Profile, bootstrap, identify, profile, skewness, tangent
 from hallsym.log import Log, Noise
-from hallsym.model.quantities import Quantity, combination, parameter
+from hallsym.model import Quantity, combination, parameter
 from hallsym.simulation import NoiseModel, paper_campaign, simulate, table8_noise
 
 MODEL = "stage31"

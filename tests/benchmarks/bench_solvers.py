@@ -40,8 +40,7 @@ from hallsym.estimation import (
 )
 from hallsym.families.published import values
 from hallsym.log import Log, Noise, Sigma
-from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
+from hallsym.model import Model, on_arrays
 from hallsym.simulation import NoiseModel, paper_campaign, table8_noise
 
 BUDGET, SIZE, KEEP, SAME = 20_100, 100, 3, 1e-6

@@ -34,7 +34,7 @@ from hallsym.codegen import (
 )
 from hallsym.errors import InputError
 from hallsym.families import adapted, effects
-from hallsym.model.arrays import on_arrays
+from hallsym.model import on_arrays
 
 
 def inputs_of(d, count=2000, seed=0, dtype=float):

@@ -23,7 +23,7 @@ from hallsym.codegen import Enclosure, enclose, generate
 from hallsym.codegen.lowering import SIZES, Curve, Grid, Series, grid, proved, shortest_correction
 from hallsym.errors import InputError
 from hallsym.families.rotary import models as rotary
-from hallsym.model.arrays import on_arrays
+from hallsym.model import on_arrays
 
 
 def clipped(level=0.8):

@@ -20,7 +20,7 @@ from hallsym.cli.main import main
 from hallsym.codegen import binary_angle as turns
 from hallsym.codegen import generate
 from hallsym.errors import InputError
-from hallsym.model.arrays import on_arrays
+from hallsym.model import on_arrays
 
 CASES = [("meng angle", None), ("meng volts", None), ("ellipse volts", None), ("clipped", 5e-3)]
 MOST = {"meng angle": 40, "meng volts": 500, "ellipse volts": 480, "clipped": 400}

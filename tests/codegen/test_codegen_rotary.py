@@ -25,7 +25,7 @@ from hallsym.families.rotary import FAMILY
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.families.rotary import models as rotary
 from hallsym.log import Noise, Sigma
-from hallsym.model.arrays import on_arrays
+from hallsym.model import on_arrays
 
 ROTARY = effects(ROTARY_FAMILY)
 ELLIPSE = {"Vx": 0.02, "Vy": -0.03, "Ax": 1.02, "Ay": 0.99, "beta": 0.02, "zero": 2.9}

@@ -10,7 +10,7 @@ from twins import record, with_noise
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis.compare import compare
+from hallsym.diagnosis import compare
 from hallsym.report.text.comparison import comparison_text
 
 FLOOR = {"x_m": 1e-6, "y_m": 1e-6, "rz_rad": 1e-6, "source": "stated"}

@@ -10,15 +10,22 @@ from scipy.optimize import lsq_linear
 from twins import record, with_noise
 
 import hallsym
-from hallsym.diagnosis import Diagnosis, Variant, diagnose, load_effects
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.change_points import instants
-from hallsym.diagnosis.facts import rails_of
-from hallsym.diagnosis.lack_of_fit import lack_of_fit
-from hallsym.diagnosis.normal_equations import normal_equations
-from hallsym.diagnosis.p_values import beyond
-from hallsym.diagnosis.refit import inside_bounds, refit, with_model
-from hallsym.diagnosis.setup import base_of
+from hallsym.diagnosis import (
+    Base,
+    Diagnosis,
+    Variant,
+    base_of,
+    beyond,
+    diagnose,
+    inside_bounds,
+    instants,
+    lack_of_fit,
+    load_effects,
+    normal_equations,
+    rails_of,
+    refit,
+    with_model,
+)
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Meta, Noise, Sigma, extended

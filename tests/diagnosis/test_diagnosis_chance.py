@@ -15,13 +15,21 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import hallsym
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.faults import faults, wiring_p, wirings
-from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
-from hallsym.diagnosis.p_values import as_many, as_often, exceeds, student
-from hallsym.diagnosis.scores import candidates
-from hallsym.diagnosis.setup import base_of
-from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis import (
+    Accumulator,
+    Base,
+    as_many,
+    as_often,
+    base_of,
+    candidates,
+    exceeds,
+    faults,
+    normal_equations,
+    student,
+    survey,
+    wiring_p,
+    wirings,
+)
 from hallsym.estimation import columns_of, rewired
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY

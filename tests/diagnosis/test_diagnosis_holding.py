@@ -5,13 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hallsym.diagnosis import diagnose
-from hallsym.diagnosis.coordinates import coordinates
-from hallsym.diagnosis.decoded_errors import BlockErrors, interval
-from hallsym.diagnosis.engine import examine, prepare
-from hallsym.diagnosis.refit import refit, with_model
-from hallsym.diagnosis.residual_table import residual_table
-from hallsym.diagnosis.validation import decrease_p
+from hallsym.diagnosis import (
+    BlockErrors,
+    coordinates,
+    decrease_p,
+    diagnose,
+    examine,
+    interval,
+    prepare,
+    refit,
+    residual_table,
+    with_model,
+)
 from hallsym.families import effects
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
 from hallsym.log import Log

@@ -4,18 +4,25 @@ from functools import cache
 
 import numpy as np
 import pytest
-from gap_twins import listed, machine
+from gap_twins import listed, machine, unlisted
 from test_diagnosis_where import NOISES, base_on, stated
 from twins import record
 
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.decoded_errors import block_errors
-from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.gap_size import sizes
-from hallsym.diagnosis.link_products import smoothed
-from hallsym.diagnosis.localisation import Located, both, located
-from hallsym.diagnosis.scores import Score, candidates, scores
-from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis import (
+    Base,
+    Located,
+    Score,
+    block_errors,
+    both,
+    candidates,
+    diagnose,
+    facts_of,
+    located,
+    scores,
+    sizes,
+    smoothed,
+    survey,
+)
 from hallsym.families import effects
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
@@ -150,13 +157,13 @@ def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
     fitted, held = both(base, base.log.runs)
     size = sizes({"fitted": fitted, "held_out": held}, errors, floor)
     for side in sides:
-        rows = {c: sides_[side] for c, sides_ in size["outputs"].items()}
-        assert {c: r["rms"] for c, r in rows.items()} == pytest.approx(errors[side].gap()["rmse"])
-        assert {c: r["noise"] for c, r in rows.items()} == floor
-        for r in (*rows.values(), *(s[side] for s in size["sensors"].values())):
-            assert r["above"] ** 2 == pytest.approx(max(r["rms"] ** 2 - r["noise"] ** 2, 0.0))
-        for kind in ("outputs", "sensors"):
-            assert sum(s[side]["share"] for s in size[kind].values()) == pytest.approx(1.0)
+        rows = {c: sides_[side] for c, sides_ in size.outputs.items()}
+        assert {c: r.rms for c, r in rows.items()} == pytest.approx(errors[side].gap()["rmse"])
+        assert {c: r.noise for c, r in rows.items()} == floor
+        for r in (*rows.values(), *(s[side] for s in size.sensors.values())):
+            assert r.above**2 == pytest.approx(max(r.rms**2 - r.noise**2, 0.0))
+        for kind in (size.outputs, size.sensors):
+            assert sum(s[side].share for s in kind.values()) == pytest.approx(1.0)
     read = on_arrays(base.model.reading)
     total, count = np.zeros(3), 0
     for block in base.log.blocks():
@@ -165,5 +172,15 @@ def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
             (expected,) = read(base.p, base.zeros[block.run], pose, state)
             left = np.array([block.data[c] for c in base.model.channels]) - expected
             total, count = total + (left**2).sum(axis=1), count + left.shape[1]
-    seen = [size["sensors"][c]["held_out"]["rms"] for c in base.model.channels]
+    seen = [size.sensors[c]["held_out"].rms for c in base.model.channels]
     np.testing.assert_allclose(seen, np.sqrt(total / count), rtol=1e-9)
+
+
+def test_links_are_told_of_what_is_left_beside_an_effect_that_computes_columns() -> None:
+    """The log that links are judged on has no column that a model computes, whichever model holds it."""
+    listing, others = (make(np.random.default_rng(1)) for make in (listed, unlisted))
+    found = diagnose(machine("raster", (listing["time_skew"], others["ringing"]), seed=1, thin=3))
+    assert found.verdict == "unexplained"
+    assert found.effects[0].name == "first_order_lag"
+    assert "clock" in {s.name for s in found.shares if s.kind == "link"}
+    assert found.remaining

@@ -4,9 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.lack_of_fit import lack_of_fit
-from hallsym.diagnosis.localisation import located
+from hallsym.diagnosis import Base, lack_of_fit, located
 from hallsym.log import Log
 from hallsym.model import Family, Model, Parameter
 

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 import hallsym
-from hallsym.diagnosis import diagnose
-from hallsym.diagnosis.holdout_pieces import split
-from hallsym.diagnosis.record import Estimate, NoiseFloor
-from hallsym.diagnosis.words import shown
+from hallsym.diagnosis import Band, CurveShape, Estimate, Gap, NoiseFloor, Unexplained, diagnose, shown, split
 from hallsym.errors import InputError
 from hallsym.families import effects
 from hallsym.families.rotary import FAMILY as ROTARY_FAMILY
@@ -22,7 +19,6 @@ from hallsym.families.rotary import models as rotary
 from hallsym.log import Log, Meta, Noise
 from hallsym.model import Facts
 from hallsym.model.derived import Stretch
-from hallsym.report.text import diagnosis as text
 from hallsym.report.text.diagnosis import diagnosis_text
 
 CATALOGUE = tuple(e for e in effects(ROTARY_FAMILY).values() if e.diagnosed)
@@ -162,11 +158,15 @@ def test_angles_of_an_encoder_are_read_in_degrees():
     estimate = Estimate(np.radians(0.7), 1e-5, "rad")
     found = diagnose(machine(third))
     effect = replace(found.effects[0], parameters={"skewed": estimate})
-    shape = {"unit": "rad", "grid": [np.pi], "column": "angle_ref_rad"}
-    assert "skewed 0.70000(57) deg" in text._parameters(effect, text.units_of(found))
-    assert text._at(shape, 0) == "180 deg"
-    stage = text.units_of(replace(found, noise_floor=NoiseFloor({"rz_rad": 1e-7}, "stated")))
-    assert "skewed 12217(10) urad" in text._parameters(effect, stage)
+    band = {"v_sin_v": Band((1.0,), (0.9,), (1.1,))}
+    shape = CurveShape("place", True, "angle_ref_rad", "rad", "offset", "v", (np.pi,), None, band)
+    rest = Unexplained(0.5, "place", "", 0.5, "", shape)
+    said = diagnosis_text(replace(found, effects=(effect,), unexplained=rest))
+    assert "skewed 0.70000(57) deg" in said
+    assert "at 180 deg" in said
+    gap, floor = Gap({"rz_rad": 1e-6}, {"rz_rad": 1e-6}), NoiseFloor({"rz_rad": 1e-7}, "stated")
+    stage = replace(found, effects=(effect,), noise_floor=floor, gap_before=gap, gap_after=gap, waves=())
+    assert "skewed 12217(10) urad" in diagnosis_text(stage)
     assert shown(2 * np.pi, "rad/s") == "60 rpm"
 
 

@@ -12,24 +12,32 @@ from gap_twins import listed, machine
 
 import hallsym
 from hallsym.codegen import cost_of
-from hallsym.diagnosis.firmware_cost import firmware_cost, operations
-from hallsym.diagnosis.ranking import distance
-from hallsym.diagnosis.record import (
+from hallsym.diagnosis import (
     Diagnosis,
     Estimate,
     FoundEffect,
     Gap,
+    LogRecord,
     Metric,
     NoiseFloor,
+    Range,
+    Refitted,
     Separation,
     Shrinkage,
     SmallerFinding,
     Statement,
+    base_of,
+    distance,
+    firmware_cost,
+    operations,
+    range_of,
+    recorded,
+    recordings,
+    refit,
+    separation,
+    with_model,
+    with_readings,
 )
-from hallsym.diagnosis.recordings import Range, range_of, recordings
-from hallsym.diagnosis.refit import Refitted, refit, with_model
-from hallsym.diagnosis.separate import recorded, separation, with_readings
-from hallsym.diagnosis.setup import base_of
 from hallsym.families import effects
 from hallsym.families.mechanisms import Functions, following, port
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -225,7 +233,8 @@ def a_diagnosis(**changes) -> Diagnosis:
         where=(Statement("height Z", "", 0.5, 1e-300, "50 % of the excess goes with height Z", 0.48),),
         remaining=(), separate_by=(delay_or_lag(),), validation_runs=(1, 2),
         not_testable={"a": "no temperature logged", "b": "no temperature logged"},
-        smaller_findings=(SmallerFinding("time_skew", 0.01, 1e-4),), threshold=0.05, model="stage31", log={},
+        smaller_findings=(SmallerFinding("time_skew", 0.01, 1e-4),), threshold=0.05, model="stage31",
+        log=LogRecord(),
     )  # fmt: skip
     return replace(d, **changes)
 

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from hallsym.diagnosis import diagnose
-from hallsym.diagnosis import holdout_pieces as pieces
-from hallsym.diagnosis.curve_words import waves_per_period
-from hallsym.diagnosis.regression import others
+from hallsym.diagnosis import diagnose, knot_group, others, split, waves_per_period
 from hallsym.log import Log
 from hallsym.report.text.diagnosis import diagnosis_text
 
@@ -40,7 +37,7 @@ LIKE_A_TABLE = {1: (1.1, 200.0), 2: (0.51, 80.0), 4: (0.35, 30.0), 50: (0.082, 6
 def test_waves_of_half_a_table_are_not_their_images(phase):
     """Every second pair of knots: a wave of 50 per turn has images at 24, 26, 74, 76 as large as itself."""
     knots = np.arange(200)
-    a = 2 * np.pi * knots[pieces._group(knots, 22) % 2 == 0] / 200
+    a = 2 * np.pi * knots[knot_group(knots, 22) % 2 == 0] / 200
     error = 0.21 * np.sin(a + phase) + 0.16 * np.cos(2 * a - phase) + 0.13 * np.sin(50 * a + phase)
     assert waves_per_period(a, error) == (1, 2, 50)
 
@@ -140,7 +137,7 @@ def test_the_same_delay_is_called_by_its_usual_name():
 @pytest.mark.parametrize("knots", [200, 400])
 def test_groups_of_knots_go_round_the_turn_and_see_every_phase_of_a_stepper(knots):
     a = np.arange(knots) * 2 * np.pi / knots
-    log, held = pieces.split(Log.from_arrays({"angle_ref_rad": a, "angle_rad": a}))
+    log, held = split(Log.from_arrays({"angle_ref_rad": a, "angle_rad": a}))
     assert sum(log.array("run")[k] in held for k in range(knots)) == knots // 2
     for run in set(log.runs) - set(held):
         at = log.array("t_s")[log.array("run") == run].astype(int)
@@ -153,7 +150,7 @@ def test_groups_of_knots_go_round_the_turn_and_see_every_phase_of_a_stepper(knot
 def test_a_short_recording_is_taken_to_fewer_pieces_that_each_can_be_a_run(knots, timed):
     a = np.arange(knots) * 2 * np.pi / knots
     time = {"t_s": 1e-3 * np.arange(knots)} if timed else {}
-    log, held = pieces.split(Log.from_arrays({**time, "angle_ref_rad": a, "angle_rad": a}))
+    log, held = split(Log.from_arrays({**time, "angle_ref_rad": a, "angle_rad": a}))
     sizes = np.bincount(log.array("run").astype(int))
     assert sizes.min() >= 8
     assert len(sizes) == 2 * len(held) >= 6

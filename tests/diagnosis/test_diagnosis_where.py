@@ -1,6 +1,7 @@
 """Where a gap lies: named where it is put, shares add up, silent on noise of any colour and tails."""
 
 import json
+from dataclasses import asdict, replace
 from functools import cache
 
 import numpy as np
@@ -11,15 +12,23 @@ from hypothesis import strategies as st
 from twins import SIGMAS, record
 
 import hallsym
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.curve_data import shape, unexplained
-from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
-from hallsym.diagnosis.localisation import Located, located
-from hallsym.diagnosis.p_values import of_signs
-from hallsym.diagnosis.residual_table import ResidualTable
-from hallsym.diagnosis.setup import base_of
-from hallsym.diagnosis.spectrum import Spectrum
+from hallsym.diagnosis import (
+    Base,
+    Coordinate,
+    FineMap,
+    Located,
+    ResidualTable,
+    Smooth,
+    Spectrum,
+    base_of,
+    hats,
+    knots,
+    located,
+    of_signs,
+    run_gains,
+    shape,
+    unexplained,
+)
 from hallsym.log import Log, Noise, Sigma
 
 HELD = tuple(range(2, 57, 5))
@@ -175,9 +184,12 @@ def test_a_smooth_curve_is_found_with_a_band_that_holds_it() -> None:
     assert curve.p_value < 1e-6
     assert curve.explained == pytest.approx((truth**2).sum(), rel=0.05)
     data = shape(curve, r)
-    inside = np.abs(np.array(data["grid"])) < 0.95
-    value, low, high = (np.array(data["readings"]["m_m"][k])[inside] for k in ("value", "low", "high"))
-    expected = np.cos(2 * np.array(data["grid"]))[inside]
+    band = data.readings["m_m"]
+    assert data.value_unit == "m"
+    assert shape(curve, replace(r, channels=("v_sin_v",))).value_unit == "v"
+    inside = np.abs(np.array(data.grid)) < 0.95
+    value, low, high = (np.array(v)[inside] for v in (band.value, band.low, band.high))
+    expected = np.cos(2 * np.array(data.grid))[inside]
     assert np.abs(value - expected).max() < 0.15
     assert (low < value).all()
     assert (value < high).all()
@@ -185,7 +197,7 @@ def test_a_smooth_curve_is_found_with_a_band_that_holds_it() -> None:
 
 def test_the_shape_of_what_is_left_is_plain_data() -> None:
     here = found("bump", "raster", unlisted)
-    data = json.loads(json.dumps(unexplained(here, 0.6), allow_nan=False))
+    data = json.loads(json.dumps(asdict(unexplained(here, 0.6)), allow_nan=False))
     assert data["share"] == 0.6
     assert data["by"] == "the reading itself"
     assert data["curve"]["column"] == "reading_m"
@@ -196,7 +208,7 @@ def test_the_shape_of_what_is_left_is_plain_data() -> None:
     place = rng.uniform(-1e-4, 1e-4)
     peak = data["curve"]["grid"][int(np.argmax(data["curve"]["readings"]["hall_c_m"]["value"]))]
     assert abs(peak - place) < 5e-5  # the bump is 20 to 50 um wide
-    assert unexplained(Located((), (), None), 0.3)["curve"] is None
+    assert unexplained(Located((), (), None), 0.3).curve is None
 
 
 def test_a_gain_of_every_run_is_told_from_noise() -> None:

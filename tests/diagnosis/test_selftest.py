@@ -10,17 +10,27 @@ from gap_twins import Inject, Motion, U, gains, machine
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose
-from hallsym.diagnosis.base import Base
-from hallsym.diagnosis.decimation import decimated
-from hallsym.diagnosis.engine import prepare
-from hallsym.diagnosis.facts import facts_of
-from hallsym.diagnosis.injection import Injection, generator, injections, sized
-from hallsym.diagnosis.noise_model import residual_noise
-from hallsym.diagnosis.selftest import RATIOS, SelfTest, selftest
-from hallsym.diagnosis.simulated_machine import SimulatedMachine, machine_of, readings_of
-from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.trials import NO_EFFECT, Bench
+from hallsym.diagnosis import (
+    NO_EFFECT,
+    RATIOS,
+    Base,
+    Bench,
+    Injection,
+    SelfTest,
+    SimulatedMachine,
+    decimated,
+    diagnose,
+    facts_of,
+    generator,
+    injections,
+    machine_of,
+    prepare,
+    readings_of,
+    residual_noise,
+    selftest,
+    sized,
+    survey,
+)
 from hallsym.families import effects
 from hallsym.families.faults import ages
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
@@ -155,7 +165,7 @@ def test_a_log_is_thinned_as_far_as_mains_and_motion_stay_resolved() -> None:
 
 
 def test_long_runs_are_cut_and_left_out_samples_stay_out(monkeypatch) -> None:
-    monkeypatch.setattr("hallsym.diagnosis.decimation.MOST", 2000)
+    monkeypatch.setattr("hallsym.diagnosis.simulated_machine.MOST", 2000)
     base = replace(base_on(quiet()), keep=lambda block: (np.arange(len(block.data["t_s"])) != 5) * 1.0)
     runs, rows = quiet().runs, quiet().rows
     short = decimated(base, 2000)

@@ -26,7 +26,7 @@ from hallsym.estimation import (
     structural_rank,
 )
 from hallsym.families import build
-from hallsym.model.features import find_features
+from hallsym.model import find_features
 from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, simulate
 
 H = {"H1x", "H1y", "H2x", "H2y", "H3x", "H3y"}
@@ -70,7 +70,7 @@ def test_the_tied_form_and_finite_rotation_make_h_observable():
 @pytest.mark.parametrize(("name", "effects"), combinations_of_effects())
 def test_null_directions_leave_readings_alone_and_no_other_does(name, effects):
     """Rank of d reading / d p over random poses, states and zeros, by plain differences of the model."""
-    from hallsym.model.arrays import on_arrays
+    from hallsym.model import on_arrays
 
     model = build(name, added=effects)
     rng, width = np.random.default_rng(1), scales(model)

@@ -14,8 +14,7 @@ from twins import record
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose, load_effects
-from hallsym.diagnosis.choose import model_on
+from hallsym.diagnosis import diagnose, load_effects, model_on
 from hallsym.errors import InputError
 from hallsym.estimation import cost_near, cost_of, error_tables, exact, judge, summarise_at, zeros_of
 from hallsym.families import adapted, build, effects
@@ -307,7 +306,7 @@ def diagnose_only(log: Log, make):
     """Diagnose with one effect alone."""
     from dataclasses import replace
 
-    from hallsym.model.effect import as_effect
+    from hallsym.model import as_effect
 
     model = build("stage31")
     alone = replace(model, family=replace(model.family, effects=()))
@@ -344,7 +343,7 @@ def test_the_command_that_is_printed_runs(tmp_path, capsys) -> None:
 
 
 OWN = '''
-from hallsym.model.derived import rate
+from hallsym.model import rate
 from hallsym.model import Parameter
 
 

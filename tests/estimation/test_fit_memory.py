@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hallsym import Log, Noise, build, fit, published, table8_noise
-from hallsym.model.arrays import on_arrays
+from hallsym.model import on_arrays
 
 RUNS, SAMPLES = 10_000, 20
 MOST_MB = 400.0

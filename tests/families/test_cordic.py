@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose
-from hallsym.diagnosis.cordic import cordic
-from hallsym.diagnosis.selftest import selftest
+from hallsym.diagnosis import cordic, diagnose, selftest
 from hallsym.families.cordic import cordic_angle, levels, worst_of
 from hallsym.log import Log, Noise
 

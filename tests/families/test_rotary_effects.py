@@ -10,8 +10,7 @@ import pytest
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.diagnosis import diagnose
-from hallsym.diagnosis.choose import model_on
+from hallsym.diagnosis import diagnose, model_on
 from hallsym.errors import InputError
 from hallsym.families import adapted, build, effects
 from hallsym.families.faults import FAULTS

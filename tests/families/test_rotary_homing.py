@@ -9,8 +9,7 @@ import pytest
 import hallsym
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.log import Log, Noise
-from hallsym.log.phase import wrapped
+from hallsym.log import Log, Noise, wrapped
 
 TURN = 2 * np.pi
 TRUTH = {"Vx": 0.0189, "Vy": 0.0105, "Ax": 1.0286, "Ay": 0.9945, "beta": 0.00368}

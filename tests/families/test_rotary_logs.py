@@ -13,8 +13,7 @@ from hallsym.diagnosis import diagnose
 from hallsym.errors import InputError
 from hallsym.families import build, default_model
 from hallsym.families.rotary import seen as rotary_seen
-from hallsym.log import Log, Meta, Noise, check_log
-from hallsym.log.phase import continuous, wrapped
+from hallsym.log import Log, Meta, Noise, check_log, continuous, wrapped
 from hallsym.report.text.fit import circumstances
 
 V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}

@@ -13,7 +13,7 @@ from hallsym.families.rotary import effects as rotary_effects
 from hallsym.families.rotary.models import angle_only, rotary, rotary_ideal
 from hallsym.families.rotary.waveforms import FEW, Waveform, waveform
 from hallsym.families.rotary.waves import Wave
-from hallsym.log.phase import _unwrapped
+from hallsym.log import unwrapped
 
 ANGLES = np.linspace(-3, 9, 25)
 NUMBERS = st.floats(-2, 2)
@@ -123,4 +123,4 @@ def test_a_column_is_unwrapped_as_numpy_does(x: list[float]) -> None:
     steps = np.diff(np.array(x)) / 2.5
     if np.any(np.abs(np.abs(steps - np.round(steps)) - 0.5) < 1e-9):
         return  # half a period either way
-    assert np.allclose(_unwrapped(np.array(x), 2.5), np.unwrap(x, period=2.5), rtol=0, atol=1e-12)
+    assert np.allclose(unwrapped(np.array(x), 2.5), np.unwrap(x, period=2.5), rtol=0, atol=1e-12)

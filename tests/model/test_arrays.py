@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hallsym.families import build
-from hallsym.model import arrays
-from hallsym.model.arrays import on_arrays
+from hallsym.model import arrays, on_arrays
 
 EPS = float(np.finfo(float).eps)
 ULPS = 4 * EPS

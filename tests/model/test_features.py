@@ -12,7 +12,7 @@ from twins import EPS, combinations_of_effects, inside
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.stage.models import stage15, stage31
-from hallsym.model.features import find_features
+from hallsym.model import find_features
 
 seeds = st.integers(0, 2**32 - 1)
 CASES = combinations_of_effects()

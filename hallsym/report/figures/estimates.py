@@ -107,7 +107,7 @@ def _number_words(fit: Fit, row: int) -> str:
         return "at its bound"
     if fit.determined[row]:
         return plus_minus(float(fit.values[row]), COVERAGE * float(fit.std[row]), p.unit)
-    return "not identifiable, fixed" if p.name in fit.held else "not determined"
+    return "not identifiable, fixed" if p.name in fit.held else "not identifiable"
 
 
 def beside(ax: Axes, row: float, text: str) -> None:

@@ -82,17 +82,14 @@ def _waves_of(d: Diagnosis, coordinate: str) -> Markup:
 def _sizes(d: Diagnosis) -> Markup:
     """Return how large the gap is per output and sensor, on fitted and on holdout runs."""
     rows: list[list[object]] = []
-    for kind in ("outputs", "sensors"):
-        for column, sides in d.size.get(kind, {}).items():
-            if kind == "sensors" and column in d.size["outputs"]:
-                continue  # a decoded angle is both
-            factor, unit = scale(column, max(side["rms"] for side in sides.values()))
-            row: list[object] = [named_column(column), unit]
-            for when in ("fitted", "held_out"):
-                side = sides.get(when)
-                row += [three(factor * side[k]) for k in ("rms", "noise", "above")] if side else [""] * 3
-                row.append(percent(side["share"], 0) if side and side["share"] is not None else "")
-            rows.append(row)
+    for column, sides in d.size.rows.items():
+        factor, unit = scale(column, max(side.rms for side in sides.values()))
+        row: list[object] = [named_column(column), unit]
+        for when in ("fitted", "held_out"):
+            side = sides.get(when)
+            row += [three(factor * v) for v in (side.rms, side.noise, side.above)] if side else [""] * 3
+            row.append(percent(side.share, 0) if side and side.share is not None else "")
+        rows.append(row)
     if not rows:
         return Markup("")
     head = ["of the model", "unit"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from hallsym.diagnosis import Diagnosis
 from hallsym.estimation import Fit
@@ -46,9 +47,9 @@ def diagnosis_page(
         Section("series", "Decoded minus reference over time", all_series(series)),
         Section("parameters", "Parameters", _parameters(d, fit)),
         Section("notes", "Other checks", _notes(d)),
-        Section("origin", "Origin", parts.provenance(d.log, d.versions, command)),
+        Section("origin", "Origin", parts.provenance(asdict(d.log), d.versions, command)),
     ]
-    title = f"Diagnosis of {d.model}: {parts.called(d.log.get('path'))}"
+    title = f"Diagnosis of {d.model}: {parts.called(d.log.path)}"
     verdict = [tag("strong", f"{d.verdict.capitalize()}."), " ", _sentence(d)]
     return document(title, verdict, sections, f"hallsym {d.versions.get('hallsym', '')}")
 
@@ -62,10 +63,10 @@ def _input(d: Diagnosis) -> Markup:
     judging = "which took part in neither the fit nor the choice of effects"
     return facts(
         [
-            ("log", tag("code", d.log.get("path") or "a log in memory")),
+            ("log", tag("code", d.log.path or "a log in memory")),
             (
                 "samples",
-                f"{d.log['rows']} in {d.log['runs']} runs" if {"rows", "runs"} <= set(d.log) else None,
+                f"{d.log.rows} in {d.log.runs} runs" if d.log.rows else None,
             ),
             ("model", d.model),
             ("holdout runs", f"{len(d.validation_runs)} ({parts.numbers(d.validation_runs)}), {judging}"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hallsym.diagnosis.record import Diagnosis, Share, Statement
+from hallsym.diagnosis import Diagnosis, Share, Statement
 from hallsym.report.page import curves, figures
 from hallsym.report.page.diagnosis_words import p_cell, percent, typeset
 from hallsym.report.page.html import Markup, join, table, tag
@@ -17,7 +17,7 @@ MOST = 12
 def where_section(d: Diagnosis) -> Markup:
     """Return the statements on where the gap lies, then the share of each place alone."""
     said = _statements(d.where, "share of the excess above the noise floor [%]")
-    if not said and d.size:
+    if not said and d.size.rows:
         said = tag("p", "The excess above the noise goes with nothing that the log holds.")
     return join([said, _alone(d.shares)])
 
@@ -49,16 +49,16 @@ def rest_section(d: Diagnosis) -> Markup:
         return Markup("")
     said = []
     if rest:
-        share = percent(rest["share"], 0)
+        share = percent(rest.share, 0)
         said.append(tag("p", f"{share} of the excess above the noise floor has no known cause."))
     if d.remaining and d.remaining != d.where:
         said.append(_statements(d.remaining, "share of the unexplained excess [%]"))
     elif d.remaining:
         said.append(tag("p", "It goes with what the gap goes with, see above."))
     elif rest:
-        said.append(tag("p", f"{typeset(rest['text']).capitalize()}."))
-    if rest.get("curve"):
-        said.append(curves.curve(rest["curve"]))
+        said.append(tag("p", f"{typeset(rest.text).capitalize()}."))
+    if rest and rest.curve:
+        said.append(curves.curve(rest.curve))
     return join(said)
 
 

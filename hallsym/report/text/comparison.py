@@ -1,8 +1,6 @@
 """A comparison as a person reads it in a terminal."""
 
-from hallsym.diagnosis.compare import Comparison, EffectChange, ParameterChange, PlaceChange
-from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.words import gap_unit
+from hallsym.diagnosis import POLICY, Comparison, EffectChange, ParameterChange, PlaceChange, gap_unit
 from hallsym.report.tables import concise, grid
 from hallsym.units import readable
 

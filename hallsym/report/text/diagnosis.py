@@ -4,10 +4,17 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from textwrap import fill
-from typing import Any
 
-from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Separation, Statement
-from hallsym.diagnosis.words import degrees_of
+from hallsym.diagnosis import (
+    CurveShape,
+    Diagnosis,
+    Estimate,
+    FoundEffect,
+    Separation,
+    Statement,
+    Unexplained,
+    degrees_of,
+)
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
 from hallsym.units import readable
@@ -26,7 +33,7 @@ UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, 
 
 def next_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     """Return the command that fits the model with the effects found; `reading`: how the log is read."""
-    log = d.log.get("path") or "LOG"
+    log = d.log.path or "LOG"
     return f"next: {shlex.join(['hallsym', 'fit', log, *d.next_step, *reading])}"
 
 
@@ -90,18 +97,14 @@ def _sizes(d: Diagnosis) -> list[str]:
     """Return the size of the gap per output and sensor, on fitted and on holdout runs."""
     head = ["rms error", "fitted", "holdout", "noise", "above it: fitted", "holdout", "share", "holdout"]
     rows = []
-    for kind in ("outputs", "sensors"):
-        for column, sides in d.size.get(kind, {}).items():
-            if kind == "sensors" and column in d.size["outputs"]:
-                continue  # a decoded angle is both
-            factor, unit, name = readable(column)
-            both = [sides.get(side) for side in ("fitted", "held_out")]
-            noise = next((f"{factor * s['noise']:.3g}" for s in both if s), "")
-            rms, above = (
-                ["" if s is None else f"{factor * s[k]:.3g}" for s in both] for k in ("rms", "above")
-            )
-            share = ["" if s is None or s["share"] is None else f"{100 * s['share']:.0f} %" for s in both]
-            rows.append([f"{name} [{unit}]", *rms, noise, *above, *share])
+    for column, sides in d.size.rows.items():
+        factor, unit, name = readable(column)
+        both = [sides.get(side) for side in ("fitted", "held_out")]
+        noise = next((f"{factor * s.noise:.3g}" for s in both if s), "")
+        rms = [f"{factor * s.rms:.3g}" if s else "" for s in both]
+        above = [f"{factor * s.above:.3g}" if s else "" for s in both]
+        share = ["" if s is None or s.share is None else f"{100 * s.share:.0f} %" for s in both]
+        rows.append([f"{name} [{unit}]", *rms, noise, *above, *share])
     return ["", grid([head, *rows])] if rows else []
 
 
@@ -195,30 +198,30 @@ def _statement(s: Statement) -> str:
     return f"{s.text} (p {p if s.p_value < LEAST_P else f'= {p}'}{held})"
 
 
-def _curve(rest: Mapping[str, Any]) -> list[str]:
+def _curve(rest: Unexplained | None) -> list[str]:
     """Return one line on the shape of the rest: its largest value over its coordinate, for each reading."""
-    curve = rest.get("curve")
-    if not curve or not curve["line"]:
+    curve = rest.curve if rest else None
+    if not curve or not curve.line:
         return []
     said = []
-    for channel, c in curve["readings"].items():
-        half_of = [(high - low) / 2 for low, high in zip(c["low"], c["high"], strict=True)]
-        k = max(range(len(half_of)), key=lambda j: abs(c["value"][j]) - half_of[j])
-        value, half = c["value"][k], half_of[k]
+    for channel, c in curve.readings.items():
+        half_of = [(high - low) / 2 for low, high in zip(c.low, c.high, strict=True)]
+        k = max(range(len(half_of)), key=lambda j: abs(c.value[j]) - half_of[j])
+        value, half = c.value[k], half_of[k]
         factor, unit, name = readable(channel)
-        if curve["kind"] == "gain":
+        if curve.kind == "gain":
             shown = f"{100 * value:+.2g} +- {100 * half:.1g} %"
         else:
             shown = f"{factor * value:+.2g} +- {factor * half:.1g} {unit}"
         said.append(f"{name} {shown} at {_at(curve, k)}")
-    what = "change of gain" if curve["kind"] == "gain" else "error"
-    return [_wrapped(f"  shape over {curve['coordinate']}, largest {what}: {'; '.join(said)}", "    ")]
+    what = "change of gain" if curve.kind == "gain" else "error"
+    return [_wrapped(f"  shape over {curve.coordinate}, largest {what}: {'; '.join(said)}", "    ")]
 
 
-def _at(curve: Mapping[str, Any], k: int) -> str:
-    factor, unit = UNITS.get(curve["unit"], (1.0, curve["unit"])) if curve["unit"] != "s" else (1.0, "s")
-    factor, unit = degrees_of(curve["unit"], curve["column"]) or (factor, unit)
-    return f"{curve['grid'][k] * factor:.3g} {unit}".strip()
+def _at(curve: CurveShape, k: int) -> str:
+    factor, unit = UNITS.get(curve.unit, (1.0, curve.unit)) if curve.unit != "s" else (1.0, "s")
+    factor, unit = degrees_of(curve.unit, curve.column) or (factor, unit)
+    return f"{curve.grid[k] * factor:.3g} {unit}".strip()
 
 
 def _smaller(d: Diagnosis) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, effects
 from hallsym.families.faults import FAULTS
-from hallsym.model import Effect, Family, Model, Parameter, Variant
+from hallsym.model import Effect, Family, Model, Parameter, Variant, ways_text
 from hallsym.model.arguments import REQUIRED, example_facts
 from hallsym.report.tables import grid
 
@@ -43,7 +43,7 @@ def _of_family(family: Family, effect: Effect) -> dict[str, Any]:
         "parameters": {p.name: _parameter(p) for p in new.values()},
         "parameters_of": model.name,
         "needs": list(effect.needs),
-        "separate": effect.separate if effect.diagnosed else None,
+        "separate": ways_text(effect.separate) if effect.diagnosed else None,
         "diagnosed": effect.diagnosed,
         "examples": list(dict.fromkeys([texts[0], texts[-1]])),
     }

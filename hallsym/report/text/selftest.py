@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from hallsym.diagnosis.selftest import Findable, SelfTest, Trial
-from hallsym.diagnosis.words import gap_text, gap_unit
+from hallsym.diagnosis import Findable, SelfTest, Trial, gap_text, gap_unit
 from hallsym.report.tables import grid
 
 SHORT = {"found": "yes", "group": "group", "listed": "second", "other": "wrong", "refused": "refused"}

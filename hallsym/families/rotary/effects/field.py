@@ -7,7 +7,7 @@ import casadi as ca
 from hallsym.families.mechanisms import P, column, following, free, in_runs
 from hallsym.families.rotary.effects.parts import MAGNET, REFERENCE, VOLTAGES, harmonic
 from hallsym.families.rotary.effects.transducer import offset
-from hallsym.model import Facts, Model, Signals, effect
+from hallsym.model import Facts, Model, Signals, Way, effect
 from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
 
@@ -29,7 +29,7 @@ def field_harmonics(model: Model, effect: str, link: str, orders: Sequence[int],
     return model.with_step(link, step, effect=effect, parameters=free(meanings, 0.5, "1"))
 
 
-@effect(link="field", waves=(4,), separate=f"another air gap; or {MAGNET}")
+@effect(link="field", waves=(4,), separate=("another air gap", MAGNET))
 def third_harmonic_distortion(
     model: Model,
     phase: str = one_of(
@@ -40,7 +40,9 @@ def third_harmonic_distortion(
     return field_harmonics(model, "third_harmonic_distortion", "field", (-3,), phase == "free")
 
 
-@effect(link="field", label="cubic", waves=(4,), separate="another air gap: compression follows the field")
+@effect(
+    link="field", label="cubic", waves=(4,), separate=Way("another air gap", "compression follows the field")
+)
 def field_saturation(model: Model) -> Model:
     """Both plates compress softly at a high field.
 

@@ -20,7 +20,7 @@ from hallsym.families.rotary.effects.parts import (
     free_ellipse,
     harmonic,
 )
-from hallsym.model import Facts, Model, Parameter, Signals, effect
+from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import ANY, one_of, searched
 from hallsym.model.derived import Computed, Stretch, rate
 
@@ -45,7 +45,7 @@ DIRECTION = searched(
 )
 
 
-@effect(link="mechanics", separate=f"{MAGNET}; or {TURNED}", waves=(1, 2))
+@effect(link="mechanics", separate=(MAGNET, TURNED), waves=(1, 2))
 def eccentricity(
     model: Model,
     form: str = one_of(
@@ -71,7 +71,7 @@ def eccentricity(
     return field_harmonics(model, "eccentricity", "mechanics", orders)
 
 
-@effect(link="mechanics", separate=f"{MAGNET}; or {TURNED}", waves=(1, 2))
+@effect(link="mechanics", separate=(MAGNET, TURNED), waves=(1, 2))
 def magnet_tilt(
     model: Model,
     form: str = one_of(
@@ -154,7 +154,7 @@ def time_skew(
 @effect(
     link="mechanics",
     needs=("t_s",),
-    separate="both directions at several speeds: play does not grow with the speed, a delay does",
+    separate=Way("both directions at several speeds", "play does not grow with the speed, a delay does"),
 )
 def hysteresis(
     model: Model,

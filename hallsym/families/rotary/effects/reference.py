@@ -48,7 +48,7 @@ def reference_scale_error(model: Model) -> Model:
 
 @effect(
     link="reference",
-    separate=f"micro-steps or another reference; or {TURNED}",
+    separate=("micro-steps or another reference", TURNED),
     waves=(FULL_STEPS, 2 * FULL_STEPS),
 )
 def reference_pole_pairs(

@@ -24,7 +24,7 @@ from hallsym.families.rotary.effects.parts import (
     amplitude,
     decodes,
 )
-from hallsym.model import Model, Parameter, Signals, effect
+from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.derived import rate
 
 WARM = "warm up and cool down, so that temperature is not a function of time"
@@ -77,7 +77,7 @@ def _bent(model: Model, effect: str, order: int) -> Model:
 @effect(
     link="transducer",
     waves=(4,),
-    separate="another air gap: the field's own harmonics do not follow the amplitude",
+    separate=Way("another air gap", "the field's own harmonics do not follow the amplitude"),
 )
 def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
     """Cubic deviation of each voltage from a line."""

@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.families.mechanisms import EVEN, ODD, P, add_terms, free, nonlinearity, powers_to
 from hallsym.families.play import stop_state
 from hallsym.families.stage.effects.parts import AXES, SENSED, UNIT, across, labels
-from hallsym.model import Model, Parameter, Signals, effect
+from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import one_of, searched
 from hallsym.model.derived import Computed, Stretch
 
@@ -66,7 +66,10 @@ WIDTH = "half_width"
 """Name of the parameter of a play."""
 
 
-@effect(link="field", separate="the same stroke at several speeds: a loop keeps its width, a delay does not")
+@effect(
+    link="field",
+    separate=Way("the same stroke at several speeds", "a loop keeps its width, a delay does not"),
+)
 def hysteresis(
     model: Model,
     half_width_m: float = searched(

@@ -8,7 +8,7 @@ from hallsym.errors import InputError
 from hallsym.families.mechanisms import DELAY, P, add_terms, free, late
 from hallsym.families.stage import models as stage
 from hallsym.families.stage.effects.parts import AXES, SENSED, along, labels
-from hallsym.model import Facts, Model, Parameter, Signals, effect
+from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import Try, beside, found, one_of
 from hallsym.model.derived import Computed
 
@@ -17,7 +17,9 @@ PER = one_of({"log": "one delay", "probe": "a delay per probe"}, "one value for 
 
 @effect(
     link="clock",
-    separate="the same motion at several frequencies: a lag turns into phase that bends, a delay does not",
+    separate=Way(
+        "the same motion at several frequencies", "a lag turns into phase that bends, a delay does not"
+    ),
 )
 def time_skew(model: Model, per: str = PER) -> Model:
     """Constant delay between readings and reference."""

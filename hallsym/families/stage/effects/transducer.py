@@ -17,7 +17,7 @@ from hallsym.families.mechanisms import (
 from hallsym.families.stage import models as stage
 from hallsym.families.stage.effects.mechanics import rates_along
 from hallsym.families.stage.effects.parts import GAIN, READING, SENSED
-from hallsym.model import Model, Signals, effect
+from hallsym.model import Model, Signals, Way, effect
 from hallsym.model.arguments import one_of
 
 
@@ -77,7 +77,7 @@ def _height(model: Model, s: Signals, p: P, k: int) -> ca.SX:
 
 @effect(
     link="transducer",
-    separate="the same motion at higher frequencies: a lag lowers the amplitude, a delay does not",
+    separate=Way("the same motion at higher frequencies", "a lag lowers the amplitude, a delay does not"),
 )
 def first_order_lag(
     model: Model,
