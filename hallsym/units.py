@@ -26,7 +26,7 @@ class Unit:
 
 _DEGREE = math.pi / 180
 _TABLE: tuple[tuple[str, str, float], ...] = (
-    ("m", "m", 1.0), ("cm", "m", 1e-2), ("mm", "m", 1e-3), ("um", "m", 1e-6), ("nm", "m", 1e-9),
+    ("m", "m", 1.0), ("mm", "m", 1e-3), ("um", "m", 1e-6), ("nm", "m", 1e-9), ("cm", "m", 1e-2),
     ("pm", "m", 1e-12),
     ("rad", "rad", 1.0), ("mrad", "rad", 1e-3), ("urad", "rad", 1e-6), ("nrad", "rad", 1e-9),
     ("deg", "rad", _DEGREE), ("mdeg", "rad", _DEGREE / 1e3), ("arcsec", "rad", _DEGREE / 3600),

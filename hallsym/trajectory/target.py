@@ -48,7 +48,7 @@ class Target:
         return float(self.errors(curve, u, points).max())
 
     def errors(self, curve: Curve, u: Array, points: Array | None = None) -> Array:
-        """Return distances (len(u),) of a curve from the nominal points at shares u; across chords of a polyline."""
+        """Return distances (len(u),) of a curve from the nominal points at shares u, across chords."""
         a, b = curve.form.domain
         inner = np.clip(a + u * (b - a), a, b)
         e = (curve.form.evaluate(inner) - (self.at(u) if points is None else points))[:, curve.lengths]
