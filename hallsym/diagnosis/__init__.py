@@ -54,7 +54,7 @@ from hallsym.diagnosis.residual_table import ResidualTable, Spectrum, residual_t
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, candidates, scores
 from hallsym.diagnosis.selection import Selected
-from hallsym.diagnosis.selftest import RATIOS, ROWS, Findable, SelfTest, Trial, selftest
+from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable, SelfTest, Trial, selftest
 from hallsym.diagnosis.setup import Floor, base_of
 from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.simulated_machine import (
@@ -65,7 +65,6 @@ from hallsym.diagnosis.simulated_machine import (
     residual_noise,
 )
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.trials import NO_EFFECT, Bench
 from hallsym.diagnosis.validation import decrease_p
 from hallsym.diagnosis.verdict import decide
 from hallsym.diagnosis.words import degrees_of, gap_text, gap_unit, shown

@@ -102,7 +102,7 @@ def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> 
     known = b.tangents.likelihood[b.fitted].sum(axis=0)[:n, :n]
     zeros = np.zeros(len(b.base.model.zeros))
     there = replace(b.base, log=log, zeros=dict.fromkeys(log.runs, zeros), keep=None, apart=frozenset())
-    M = normal_equations(there, {}).likelihood[1:]
+    M = normal_equations(there).likelihood[1:]
     out = []
     for run in M:
         both = pseudo_inverse(known + run[:n, :n])

@@ -29,13 +29,10 @@ TURN = 2 * pi
 
 @dataclass(frozen=True, eq=False)
 class Cordic:
-    """Steps of CORDIC that the values of a reading tell.
-
-    `seen`: how many of its angles occur. `p_value`: of as many values being levels, over all tried.
-    """
+    """Steps of CORDIC that the values of a reading tell; `p_value`: of as many values being levels, over all
+    tried."""
 
     levels: Levels
-    seen: int
     p_value: float
 
     @property
@@ -65,7 +62,7 @@ def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | Non
         near, off, bins = _hits(v, k)
         p = min(1.0, as_often(near, len(v), _covered(k)) * bins * len(tried))
         if near >= MOSTLY * len(v) and p < 1.0 and off < _off_even(v, _distance(k), bins):
-            return Cordic(k, len(v), p)
+            return Cordic(k, p)
     return None
 
 

@@ -30,32 +30,27 @@ ABOVE_ALL = 0.7
 
 def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool) -> Statement:
     """Return the statement that `share` of the excess follows a curve, a `further` one beside others."""
-    coordinate = c.coordinate
-    at, form, more = "", "", "a further " if further else ""
-    period: float | None = None
-    waves: tuple[int, ...] = ()
-    if coordinate.period is not None:  # which has no ends
-        period, waves = coordinate.period, waves_of(r, c)
-        per = "turn" if coordinate.unit == "rad" else "period"
-        form = f", {' and '.join(map(str, waves))} waves per {per}" if waves else ""
-    elif c.fine:
-        period = _period(c)
-        power = _power(c)
-        rough = power[COARSE:].sum() > ROUGH * power.sum()
-        ripples = f", in ripples of {shown(period, coordinate.unit)}" if period else ""
-        form = ripples or (", in fine structure" if rough else "")
-    else:
-        form = _part(r, c)
-    if coordinate.ordered and coordinate.period is None:
-        at = _most(c)
-    text = f"{more}{percent(share)} of the excess goes with {coordinate.name}{form}"
+    coordinate, more = c.coordinate, "a further " if further else ""
+    at = _most(c) if coordinate.ordered and coordinate.period is None else ""
+    text = f"{more}{percent(share)} of the excess goes with {coordinate.name}{_form(r, c)}"
     text += f", {at}" if at else ""
     sensor = _mostly(r, c)
     text += f"; seen by {plain(sensor)} above all" if sensor else ""
-    return Statement(
-        coordinate.name, at, share, p, text, kind="coordinate", unit=coordinate.unit, period=period,
-        waves=waves, sensor=sensor,
-    )  # fmt: skip
+    return Statement(coordinate.name, at, share, p, text)
+
+
+def _form(r: ResidualTable, c: Curve) -> str:
+    """Waves per period, ripples or fine structure, or whether the gain follows the coordinate."""
+    unit = c.coordinate.unit
+    if c.coordinate.period is not None:  # which has no ends
+        waves = " and ".join(map(str, waves_of(r, c)))
+        return f", {waves} waves per {'turn' if unit == 'rad' else 'period'}" if waves else ""
+    if not c.fine:
+        return _part(r, c)
+    period, power = _period(c), _power(c)
+    if period:
+        return f", in ripples of {shown(period, unit)}"
+    return ", in fine structure" if power[COARSE:].sum() > ROUGH * power.sum() else ""
 
 
 def _part(r: ResidualTable, c: Curve) -> str:

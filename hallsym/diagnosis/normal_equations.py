@@ -67,16 +67,14 @@ def _reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
 
 
 def normal_equations(
-    base: Base,
-    candidates: Mapping[str, tuple[Model, Sequence[str]]],
-    on_rows: Callable[[int], None] | None = None,
+    base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
 ) -> NormalEquations:
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
     New parameters are taken at their nominal value, where they have no effect.
     """
     work = Accumulator(base, candidates)
-    for batch in work.batches(on_rows=on_rows):
+    for batch in work.batches():
         work.add(batch, batch.weights(base.keep))
     return work.result()
 
@@ -129,13 +127,13 @@ class Accumulator:
         self.begun = 0
         self.follow: list[np.ndarray] = []
 
-    def batches(self, *further: str, on_rows: Callable[[int], None] | None = None) -> Iterator[Batch]:
+    def batches(self, *further: str) -> Iterator[Batch]:
         """Yield the log with the columns that the model and its candidates read, and `further` ones."""
         base, wide = self.base, self.base.model
         for model in self.models:
             wide = wide.with_columns(*model.computed)
         columns = dict.fromkeys((*(c for m in self.models for c in columns_of(m)), *further))
-        yield from batches(extended(base.log, wide, base.sigma, base.values), tuple(columns), on_rows)
+        yield from batches(extended(base.log, wide, base.sigma, base.values), tuple(columns))
 
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""

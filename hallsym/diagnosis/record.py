@@ -1,10 +1,10 @@
 """The results of a diagnosis: typed, frozen records, and their JSON as documented in docs/diagnose.md."""
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
-from types import UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from hallsym.diagnosis.plain_data import plain, typed
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,7 @@ class Statement:
     `share`: 0 to 1, on fitted runs; a statement on a coordinate counts only what those before it leave, so
     the shares of coordinates add up to at most 1. `held_out`: the same on the holdout runs, with the curve
     fitted on the others; None where it does not apply. `kind`: as of `Share`; of a frequency "mains",
-    "motion" or "band". Of a coordinate, `unit` is its unit, `period` that of ripples or of a place within a
-    period, `waves` the waves per period, `sensor` the channel that sees it above all. JSON holds the first
-    six fields; `text` tells the others in words.
+    "motion" or "band"; not in JSON.
     """
 
     by: str
@@ -112,14 +110,6 @@ class Statement:
     text: str
     held_out: float | None = None
     kind: str = "coordinate"
-    unit: str | None = None
-    period: float | None = None
-    waves: tuple[int, ...] = ()
-    sensor: str | None = None
-
-
-IN_WORDS = ("kind", "unit", "period", "waves", "sensor")
-"""Fields of a statement that its JSON tells in `text` only."""
 
 
 @dataclass(frozen=True)
@@ -322,14 +312,13 @@ class Diagnosis:
         """Return the diagnosis as plain JSON data."""
         floor = {**self.noise_floor.outputs, "source": self.noise_floor.source}
         rest = asdict(self.unexplained) if self.unexplained else {}
-        plain: dict[str, Any] = _plain(asdict(self) | {"noise_floor": floor, "unexplained": rest})
-        for wave in plain["waves"]:
+        data: dict[str, Any] = plain(asdict(self) | {"noise_floor": floor, "unexplained": rest})
+        for wave in data["waves"]:
             if not wave["coordinate"]:
                 del wave["coordinate"]
-        for statement in (*plain["where"], *plain["remaining"]):
-            for name in IN_WORDS:
-                del statement[name]
-        return plain
+        for statement in (*data["where"], *data["remaining"]):
+            del statement["kind"]
+        return data
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Diagnosis":
@@ -340,34 +329,5 @@ class Diagnosis:
         floor = dict(data["noise_floor"])
         source = floor.pop("source")
         made = {"noise_floor": {"outputs": floor, "source": source}}
-        typed: Diagnosis = _typed(cls, {**data, **made, "unexplained": data.get("unexplained") or None})
-        return typed
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if hasattr(value, "item"):
-        return _plain(value.item())
-    return value
-
-
-def _typed(kind: Any, value: Any) -> Any:
-    """Return plain JSON data as the annotated type `kind`: a record, a tuple, a dictionary, or a value."""
-    origin, args = get_origin(kind), get_args(kind)
-    if value is None:
-        return value
-    if origin in (Union, UnionType):
-        return _typed(args[0], value)
-    if isinstance(kind, type) and is_dataclass(kind):
-        hints = get_type_hints(kind)
-        return kind(**{f.name: _typed(hints[f.name], value[f.name]) for f in fields(kind) if f.name in value})
-    if origin is tuple:
-        return tuple(_typed(args[0], v) for v in value)
-    if origin is dict:
-        return {k: _typed(args[1], v) for k, v in value.items()}
-    return value
+        diagnosis: Diagnosis = typed(cls, {**data, **made, "unexplained": data.get("unexplained") or None})
+        return diagnosis

@@ -11,8 +11,8 @@ from hallsym.estimation import pseudo_inverse
 from hallsym.model import Model
 from solvers import gauss_newton
 
-MOST = 16
-"""Linearisations at most; three or four are usual."""
+MOST = 48
+"""Linearisations at most, shortened steps included; three or four are usual."""
 AT_BOUND = 1e-6
 """Part of the width of its bounds within which a parameter counts as at one of them."""
 CLOSE = 1e-5
@@ -97,7 +97,7 @@ def refit(base: Base, runs: Sequence[int]) -> Refitted:
     """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples."""
 
     def linearised(at: Base) -> Refitted:
-        t = normal_equations(at, {})
+        t = normal_equations(at)
         units = t.units(runs)
         return Refitted(at, t, units, float(t.likelihood[units, -1, -1].sum()))
 

@@ -54,7 +54,7 @@ class SimulatedMachine:
 
     def gap(self, readings: np.ndarray) -> tuple[float, float]:
         """Gap metric [m] of noise-free readings on the held-out runs: with the model fitted, and before."""
-        t = normal_equations(replace(self.base, log=self.log(readings)), {})
+        t = normal_equations(replace(self.base, log=self.log(readings)))
         n = len(self.base.free)
         known, judged = t.units(self.runs), t.units(tuple(self.base.apart))
         theta = coefficients(t.likelihood[known].sum(axis=0), np.arange(n))
@@ -216,18 +216,10 @@ MOST = 30_000
 """Samples beyond which long runs are cut."""
 
 
-@dataclass(frozen=True, eq=False)
-class Decimated:
-    """The log in memory, and in words what was left out ("" for nothing)."""
-
-    log: Log
-    every: int
-    text: str
-
-
-def decimated(base: Base, rows: int) -> Decimated:
+def decimated(base: Base, rows: int) -> tuple[Log, str]:
     """Return about `rows` samples of `base.log`, as far as motion and mains stay resolved.
 
+    The text says what was left out, "" for nothing.
     Samples that the fit left out are left out here too.
     """
     log = base.log
@@ -247,7 +239,7 @@ def decimated(base: Base, rows: int) -> Decimated:
     said = [f"every {every}. sample"] if every > 1 else []
     said += [f"the first {100 * share:.3g} % of each run"] if share < 1 else []
     short = Log.from_arrays(columns, log.noise, replace(log.meta), log.name)
-    return Decimated(short, every, " of ".join(said))
+    return short, " of ".join(said)
 
 
 def _kept(

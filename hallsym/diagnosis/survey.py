@@ -66,23 +66,18 @@ class Survey:
 
     `inflation`: variance of a slow average of the residual over that of white noise of the same size.
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
-    `jitter_s`: rms sampling-instant error that explains residual growing with speed, with `jitter_z` its
-    significance. `stale_share`, `spike_share`: share of samples, `one_sided` the mean sign of the stale ones'
-    delay, `smooth` the correlation of neighbouring time shifts (0 for jitter), `bursts` the share of spikes
-    and stale samples that are within one of many, `quiet` the whitened variance of all others. `adc_step`:
-    (K,) step seen, 0 for none, among `values`, different readings of each channel (20 000 or little more).
-    `lines_hz`: mains lines.
+    `jitter_s`: rms sampling-instant error that explains residual growing with speed. `stale_share`,
+    `spike_share`: share of samples, `one_sided` the mean sign of the stale ones' delay, `smooth` the
+    correlation of neighbouring time shifts (0 for jitter), `bursts` the share of spikes and stale samples
+    that are within one of many. `adc_step`: (K,) step seen, 0 for none, among `values`, different readings of
+    each channel (20 000 or little more). `lines_hz`: mains lines.
     """
 
-    step_s: float = 0.0
-    origin_s: float = 0.0
     duration_s: float = 0.0
-    count: int = 0
     variance: float = 1.0
     fast: float = 1.0
     inflation: float = 1.0
     jitter_s: float = 0.0
-    jitter_z: float = 0.0
     jitter_power: float = 0.0
     stale_share: float = 0.0
     stale_power: float = 0.0
@@ -91,7 +86,6 @@ class Survey:
     one_sided: float = 0.0
     smooth: float = 0.0
     bursts: float = 0.0
-    quiet: float = 1.0
     adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
     values: tuple[np.ndarray, ...] = ()
     lines_hz: tuple[float, ...] = ()
@@ -119,7 +113,7 @@ class _Work:
         self.spectra: list[tuple[float, float, np.ndarray]] = []
         self.values: list[set[float]] = [set() for _ in range(channels)]
         self.largest: list[np.ndarray] = []
-        self.seen = self.skipped = 0
+        self.count = self.seen = self.skipped = 0
         self.wave: list[tuple[np.ndarray, np.ndarray]] = []
         self.neighbours, self.crowd = np.zeros(2), np.zeros(2)
         self.first: float | None = None
@@ -130,11 +124,8 @@ class _Work:
         n = len(piece.t)
         if self.first is None:
             self.first = float(piece.t[0])
-            f.origin_s = self.first
         f.duration_s = float(piece.t[-1]) - self.first
-        if n > 1 and f.step_s == 0.0:
-            f.step_s = float(np.median(np.diff(piece.t)))
-        f.count += n
+        self.count += n
         self.squares += float((r**2).sum())
         if n > 8:
             second = r[:, 2:] - 2 * r[:, 1:-1] + r[:, :-2]
@@ -191,7 +182,7 @@ class _Work:
 
     def finish(self) -> Survey:
         f = self.found
-        total = max(f.count * self.K, 1)
+        total = max(self.count * self.K, 1)
         f.variance, f.fast = self.squares / total, self.differences / total
         rho = self.correlation / max(self.correlation[0], 1e-300)
         stop = next((k for k in range(1, LAGS) if rho[k] < UNCORRELATED), LAGS)
@@ -216,9 +207,8 @@ class _Work:
         if len(z) < FEWEST:
             return
         body, slope, error = _growth(z, size)
-        f.jitter_z = slope / max(error, 1e-300)
-        f.jitter_p = student(f.jitter_z, BINS - 2)
-        slope = max(slope, 0.0) if f.jitter_z > 0 else 0.0
+        f.jitter_p = student(slope / max(error, 1e-300), BINS - 2)
+        slope = max(slope, 0.0)
         f.jitter_s = float(np.sqrt(slope))
         f.jitter_power = float(slope * np.mean(size**2)) / self.K
         expected = FILTERED * (body + slope * size**2)
@@ -229,12 +219,10 @@ class _Work:
         f.smooth = float(self.neighbours[0] / max(self.neighbours[1], 1e-300))
         f.bursts = float(self.crowd[0] / max(self.crowd[1], 1.0))
         f.spike_share, f.stale_share = float(spikes.mean()), float(late.mean())
-        normal = ~spikes & ~late
         tail_z = max(0.0, float(np.mean(np.where(spikes, 0.0, z**2 - expected))))
         f.spike_power = float((rest[spikes] + z[spikes] ** 2).sum()) / (len(z) * self.K)
         f.stale_power = tail_z / self.K if late.any() else 0.0
         f.one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
-        f.quiet = float((rest + z**2)[normal].mean()) / self.K
         far = exceeds(rest, max(self.K - 1, 1), quiet * beyond)
         f.spike_p = as_many(_events(spikes), far * len(rest))
         relative = z**2 / expected

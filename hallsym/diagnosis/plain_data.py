@@ -1,0 +1,37 @@
+"""Records as plain JSON data, and back."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+
+def plain(value: Any) -> Any:
+    """Return records' data as plain JSON data; what is not finite becomes None."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "item"):
+        return plain(value.item())
+    return value
+
+
+def typed(kind: Any, value: Any) -> Any:
+    """Return plain JSON data as the annotated type `kind`: a record, a tuple, a dictionary, or a value."""
+    origin, args = get_origin(kind), get_args(kind)
+    if value is None:
+        return value
+    if origin in (Union, UnionType):
+        return typed(args[0], value)
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return kind(**{f.name: typed(hints[f.name], value[f.name]) for f in fields(kind) if f.name in value})
+    if origin is tuple:
+        return tuple(typed(args[0], v) for v in value)
+    if origin is dict:
+        return {k: typed(args[1], v) for k, v in value.items()}
+    return value
