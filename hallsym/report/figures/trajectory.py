@@ -140,12 +140,9 @@ def error_by_points(target: Target, candidates: tuple[Candidate, ...], tolerance
 
 
 def _name(c: Candidate) -> str:
-    spacing = (
-        ""
-        if c.nodes in ("equidistant", "given") or not c.method.anywhere
-        else f", {c.nodes.capitalize() if c.nodes == 'chebyshev' else c.nodes} nodes"
-    )
-    return f"{c.method.words}{spacing}"
+    spacing = "Chebyshev" if c.nodes == "chebyshev" else c.nodes
+    usual = c.nodes in ("equidistant", "given") or not c.method.anywhere
+    return c.method.words if usual else f"{c.method.words}, {spacing} nodes"
 
 
 def _above(entries: int) -> float:
