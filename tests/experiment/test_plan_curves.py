@@ -103,3 +103,21 @@ def test_the_command_tries_curves(capsys, tmp_path):
     record = json.loads(capsys.readouterr().out)
     assert record["curves"]["runs_with_curves"] > 0
     assert any(run.follows for run in read_campaign(tmp_path / "n.toml").runs)
+
+
+@pytest.mark.slow
+def test_refits_scatter_less_with_curves_by_what_the_plan_says():
+    kinds = (*paper_ranges().trajectories, "curves")
+    found = plan(replace(COARSE, levels=5, seconds_per_run=4.0, trajectories=kinds), MODEL, TRUTH, runs=12)
+    sines = plan(replace(found.study.ranges, trajectories=kinds[:-1]), MODEL, TRUTH, runs=12)
+
+    def scatter(campaign):
+        values = []
+        for seed in range(100):
+            columns = simulate(MODEL, TRUTH, campaign, NoiseModel(SIGMAS), seed=seed)
+            fitted = fit(Log.from_arrays(columns), "stage31", solver="direct", loss="none")
+            values.append([fitted.value(name) for name in found.names if name in MODEL.names])
+        return np.std(values, axis=0, ddof=1)
+
+    measured = np.median(scatter(sines.campaign) / scatter(found.campaign))
+    assert measured == pytest.approx(np.median(sines.std / found.std), rel=0.05)
