@@ -7,6 +7,7 @@ from typing import Any
 
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, noted, open_log, say
+from hallsym.cli.trajectory import about_curve
 from hallsym.estimation import LOSSES, SOLVERS, noise_of
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, models
@@ -16,6 +17,7 @@ from hallsym.report.text.effect import effect_record, effect_text, is_explained
 from hallsym.report.text.fit import fit_text
 from hallsym.report.text.model import model_record, model_text
 from hallsym.simulation import Campaign, read_campaign
+from hallsym.trajectory import is_curve, read_curve
 from hallsym.units import readable
 
 
@@ -23,17 +25,17 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "info", run,
-        "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration or a\n"
-        "campaign file. A model by name: its chain of links, parameters, zeros, effects it can take. An\n"
-        "effect by name: what it means, its numbers, the parameters it adds, what recording separates it\n"
-        "from others. Without an argument: the models, effects and solvers there are.\n\n"
+        "Describe a log (columns, runs, motion, noise, what is wrong with it), a saved calibration, a\n"
+        "saved curve or a campaign file. A model by name: its chain of links, parameters, zeros, effects it\n"
+        "can take. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
+        "separates it from others. Without an argument: the models, effects and solvers there are.\n\n"
         "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis",
     )  # fmt: skip
     parser.add_argument(
         "file",
         metavar="FILE",
         nargs="?",
-        help="log, calibration (.json), campaign (.toml), or the name of a model or an effect",
+        help="log, calibration or curve (.json), campaign (.toml), or the name of a model or an effect",
     )
     log_options(parser)
 
@@ -54,6 +56,9 @@ def run(options: Namespace) -> int:
     elif is_explained(options.file):
         record = effect_record(options.file)
         say(options, record, lambda: effect_text(record))
+    elif options.file.endswith(".json") and is_curve(options.file):
+        record, text = about_curve(read_curve(options.file))
+        say(options, record, lambda: text)
     elif options.file.endswith(".json"):
         known = load_fit(options.file)
         say(options, known.to_dict(), lambda: fit_text(known))

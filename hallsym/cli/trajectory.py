@@ -144,21 +144,28 @@ def _saved(options: Namespace) -> int:
             raise InputError(f"--{name} is for making a curve; {options.points_file} is made already.")
     curve = read_curve(options.points_file)
     written = _write(curve, options)
+    record, text = about_curve(curve)
+    say(
+        options,
+        record | {"written": [str(path) for path in written]},
+        lambda: "\n".join([text, *(f"wrote {path}" for path in written)]),
+    )
+    return OK
+
+
+def about_curve(curve: "Curve") -> tuple[dict[str, Any], str]:
+    """Return what a saved curve is, as a record and in words."""
     record = {
         "method": curve.method,
         "control_points": curve.control_points,
         "max_error_m": curve.max_error_m,
         "error_kind": curve.error_kind,
         **_shape(curve),
-        "written": [str(path) for path in written],
     }
-    said = f"{curve.method}, {curve.control_points} control points"
-    say(
-        options,
-        record,
-        lambda: "\n".join([said, _shape_text(record), *(f"wrote {path}" for path in written)]),
-    )
-    return OK
+    error = curve.max_error_m
+    known = "error not known" if error is None else f"error {1e6 * error:.4g} um ({curve.error_kind})"
+    said = f"{curve.method}, {curve.control_points} control points, {known}"
+    return record, f"{said}\n{_shape_text(record)}"
 
 
 def _from_curve(options: Namespace) -> "tuple[Choice, Any]":

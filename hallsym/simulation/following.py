@@ -1,7 +1,8 @@
 """A curve as the motion of a run: in which direction, how often, at which speed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,8 @@ class Following:
     speed: str = "parameter"
     times: int = 1
     name: str = "curve"
+    _last: dict[str, Any] = field(default_factory=dict, repr=False)
+    """Times and points of the last call: each axis of a run asks for the same times."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be followed."""
@@ -70,13 +73,18 @@ class Following:
 
     def at(self, axis: str, t: np.ndarray) -> np.ndarray:
         """Return a coordinate (samples,) at times `t` since the reset [s]."""
+        if self._last.get("t") is not t:
+            self._last.update(t=t, points=self._points(t))
+        return self._last["points"][axis]
+
+    def _points(self, t: np.ndarray) -> Mapping[str, np.ndarray]:
         rounds = np.clip(np.asarray(t, float) / self.duration_s, 0.0, 1.0) * self.times
         share = rounds - np.minimum(np.floor(rounds), self.times - 1)
         if self.direction == "both":
             share = 1 - np.abs(2 * share - 1)
         elif self.direction == "backward":
             share = 1 - share
-        return at_times(self.curve, share, 1.0, steady=self.speed == "constant")[axis]
+        return at_times(self.curve, share, 1.0, steady=self.speed == "constant")
 
     def signals(self) -> Mapping[str, Signal]:
         """Return the motion of each axis that the curve moves."""

@@ -14,7 +14,7 @@ from hallsym.trajectory.basis import BERNSTEIN, Basis, trigonometric
 from hallsym.trajectory.bounds import Bound, bound
 from hallsym.trajectory.candidate import Candidate, Choice
 from hallsym.trajectory.choose import of_nominal
-from hallsym.trajectory.curve import Curve, read_curve
+from hallsym.trajectory.curve import Curve, is_curve, read_curve
 from hallsym.trajectory.factorisation import Factors, factorise
 from hallsym.trajectory.leave_one_out import of_points
 from hallsym.trajectory.methods import METHODS, NODES, Method
@@ -43,6 +43,7 @@ __all__ = [
     "choose_curve",
     "curve_cost",
     "factorise",
+    "is_curve",
     "nominal",
     "of_nominal",
     "of_points",

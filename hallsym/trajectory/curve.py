@@ -158,6 +158,14 @@ class Curve:
         atomic_write(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
 
 
+def is_curve(path: str | Path) -> bool:
+    """Return whether a file is a curve that `Curve.save` wrote."""
+    try:
+        return str(json.loads(Path(path).read_text(encoding="utf-8"))["format"]).startswith("hallsym-curve")
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
 def read_curve(path: str | Path) -> Curve:
     """Read a curve that `Curve.save` wrote. Raises `InputError` for a missing or foreign file."""
     path = Path(path)

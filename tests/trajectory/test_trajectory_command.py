@@ -63,6 +63,8 @@ def test_everything_is_written(capsys, tmp_path):
     assert read_curve(files[0]).max_error_m <= 0.05e-6
     record = json.loads(run(capsys, files[0], "--json", "-o", tmp_path / "again.c"))
     assert record["control_points"] == 10
+    assert main(["info", str(files[0])]) == 0
+    assert "bernstein, 10 control points, error 0.04178 um (bounded)" in capsys.readouterr().out
     assert record["length_m"] == pytest.approx(8e-3, rel=1e-3)
 
 

@@ -102,7 +102,7 @@ def error_along(choice: Choice, target: Target) -> Figure:
     handles.append(Line2D([], [], color=BLACK, lw=0.6, label=f"bound of {choice.best.method.words}"))
     log_axis(ax, "y", np.maximum(np.concatenate(everything), np.concatenate(everything).max() * 1e-6))
     label_x(ax, target.nominal.parameter)
-    label_y(ax, "distance from the nominal curve [um]")
+    label_y(ax, "distance from the nominal curve [µm]")
     legend(figure, handles, "upper left", ncols=2)
     return figure
 
@@ -134,13 +134,17 @@ def error_by_points(target: Target, candidates: tuple[Candidate, ...], tolerance
     log_axis(ax, "y", np.minimum(np.concatenate(values), MOST))
     log_axis(ax, "x", np.array([COUNTS[0], COUNTS[-1]], float))
     label_x(ax, "points (control points of least squares)")
-    label_y(ax, "largest distance [um]")
+    label_y(ax, "largest distance [µm]")
     legend(figure, handles, "upper left", ncols=2)
     return figure
 
 
 def _name(c: Candidate) -> str:
-    spacing = "" if c.nodes in ("equidistant", "given") or not c.method.anywhere else f", {c.nodes} nodes"
+    spacing = (
+        ""
+        if c.nodes in ("equidistant", "given") or not c.method.anywhere
+        else f", {c.nodes.capitalize() if c.nodes == 'chebyshev' else c.nodes} nodes"
+    )
     return f"{c.method.words}{spacing}"
 
 
