@@ -31,25 +31,28 @@ ABOVE_ALL = 0.7
 def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool) -> Statement:
     """Return the statement that `share` of the excess follows a curve, a `further` one beside others."""
     coordinate, more = c.coordinate, "a further " if further else ""
-    at = _most(c) if coordinate.ordered and coordinate.period is None else ""
-    text = f"{more}{percent(share)} of the excess goes with {coordinate.name}{_form(r, c)}"
+    cyclic = coordinate.period is not None  # it has no ends
+    period = coordinate.period if cyclic else _period(c) if c.fine else None
+    waves = waves_of(r, c) if cyclic else ()
+    at = _most(c) if coordinate.ordered and not cyclic else ""
+    text = f"{more}{percent(share)} of the excess goes with {coordinate.name}{_form(r, c, period, waves)}"
     text += f", {at}" if at else ""
     sensor = _mostly(r, c)
     text += f"; seen by {plain(sensor)} above all" if sensor else ""
-    return Statement(coordinate.name, at, share, p, text)
+    return Statement(coordinate.name, at, share, p, text, unit=coordinate.unit, period=period, waves=waves)
 
 
-def _form(r: ResidualTable, c: Curve) -> str:
+def _form(r: ResidualTable, c: Curve, period: float | None, waves: tuple[int, ...]) -> str:
     """Waves per period, ripples or fine structure, or whether the gain follows the coordinate."""
     unit = c.coordinate.unit
-    if c.coordinate.period is not None:  # which has no ends
-        waves = " and ".join(map(str, waves_of(r, c)))
-        return f", {waves} waves per {'turn' if unit == 'rad' else 'period'}" if waves else ""
+    if c.coordinate.period is not None:
+        per = "turn" if unit == "rad" else "period"
+        return f", {' and '.join(map(str, waves))} waves per {per}" if waves else ""
     if not c.fine:
         return _part(r, c)
-    period, power = _period(c), _power(c)
     if period:
         return f", in ripples of {shown(period, unit)}"
+    power = _power(c)
     return ", in fine structure" if power[COARSE:].sum() > ROUGH * power.sum() else ""
 
 

@@ -69,9 +69,7 @@ class Smooth:
         flat = self.phi.reshape(K * nf, n)
         P = np.kron(r.precision, np.ones((nf, nf)))
         self.gram = np.array([flat[:, s] @ flat[:, s].T * P for s in _slices(r.fold)])
-        total = self.gram.sum(axis=0)
-        size = np.diag(total).reshape(K, nf)
-        self.penalty = _penalty(size, len(self.at), nf // len(self.at))
+        self.penalty = _penalty(np.diag(self.gram.sum(axis=0)), len(self.at))
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
@@ -261,18 +259,11 @@ def _slices(group: np.ndarray) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def _penalty(size: np.ndarray, m: int, curves: int) -> np.ndarray:
-    """Penalty on the second differences of each sensor's curves, and a trace of one on their size."""
+def _penalty(size: np.ndarray, m: int) -> np.ndarray:
+    """Penalty on the second differences of each curve over m knots, and a trace of one on their size.
+
+    `size`: (curves * m,) squares of the features.
+    """
     D = np.diff(np.eye(m), 2, axis=0)
-    bend = D.T @ D if m > 2 else np.zeros((m, m))
-    out = []
-    for row in size:
-        for part in row.reshape(curves, m):
-            weight = max(float(part.mean()), 1e-300)
-            out.append(BEND * weight * bend + TINY * weight * np.eye(m))
-    n = sum(len(p) for p in out)
-    penalty, at = np.zeros((n, n)), 0
-    for p in out:
-        penalty[at : at + m, at : at + m] = p
-        at += m
-    return penalty
+    weight = np.maximum(size.reshape(-1, m).mean(axis=1), 1e-300)
+    return np.kron(np.diag(weight), BEND * D.T @ D + TINY * np.eye(m))

@@ -108,9 +108,7 @@ def _gain(total: np.ndarray, JJ: np.ndarray, cross: np.ndarray, own: np.ndarray)
     A = own - cross[:, :n].swapaxes(1, 2) @ through
     b = cross[:, n] - through.swapaxes(1, 2) @ total[:n, n]
     left, raw = (np.diagonal(M, axis1=1, axis2=2) for M in (A, own))
-    d = np.sqrt(np.maximum(left, 1e-300))
-    x = np.linalg.pinv(A / (d[:, :, None] * d[:, None]), rcond=1e-9, hermitian=True) @ (b / d)[:, :, None]
-    gain = np.einsum("ij,ij->i", b / d, x[:, :, 0])
+    gain = np.einsum("ij,ijk,ik->i", b, pseudo_inverse(A, 1e-9), b)
     return np.where((left <= 1e-9 * np.maximum(raw, 1e-300)).any(axis=1), 0.0, gain)
 
 

@@ -35,11 +35,6 @@ class Key:
     kind: str
     name: str = ""
 
-    @property
-    def text(self) -> str:
-        """Both, as a person reads it."""
-        return f"{self.kind} {self.name}".strip()
-
 
 PAST = Key("the past of the motion")
 

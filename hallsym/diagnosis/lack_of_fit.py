@@ -52,11 +52,6 @@ class Shape:
     drop: float
     p_value: float
 
-    @property
-    def by(self) -> str:
-        """What it is, as a person reads it."""
-        return self.key.text
-
 
 @dataclass(frozen=True, eq=False)
 class LackOfFit:

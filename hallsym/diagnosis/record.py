@@ -100,7 +100,8 @@ class Statement:
     `share`: 0 to 1, on fitted runs; a statement on a coordinate counts only what those before it leave, so
     the shares of coordinates add up to at most 1. `held_out`: the same on the holdout runs, with the curve
     fitted on the others; None where it does not apply. `kind`: as of `Share`; of a frequency "mains",
-    "motion" or "band"; not in JSON.
+    "motion" or "band". Of a coordinate, `unit` is its unit, `period` that of ripples or of a place within a
+    period, `waves` the waves per period. JSON holds the first six fields; `text` tells the others in words.
     """
 
     by: str
@@ -110,6 +111,13 @@ class Statement:
     text: str
     held_out: float | None = None
     kind: str = "coordinate"
+    unit: str | None = None
+    period: float | None = None
+    waves: tuple[int, ...] = ()
+
+
+IN_WORDS = ("kind", "unit", "period", "waves")
+"""Fields of a statement that its JSON tells in `text` only."""
 
 
 @dataclass(frozen=True)
@@ -317,7 +325,8 @@ class Diagnosis:
             if not wave["coordinate"]:
                 del wave["coordinate"]
         for statement in (*data["where"], *data["remaining"]):
-            del statement["kind"]
+            for name in IN_WORDS:
+                del statement[name]
         return data
 
     @classmethod

@@ -11,6 +11,7 @@ from scipy.ndimage import median_filter
 
 from hallsym.diagnosis.p_values import as_many, as_often, exceeds, statistic_at, student
 from hallsym.diagnosis.residuals import Base, Piece, pieces
+from hallsym.estimation import pseudo_inverse
 
 MAINS = ((46.0, 54.0), (56.0, 64.0))
 """Bands [Hz] in which mains lines are looked for."""
@@ -289,8 +290,7 @@ def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
     y = np.array([np.quantile(z[b] ** 2, 0.75) for b in bins]) / (CHI_SQUARE_QUARTILE * FILTERED_QUARTILE)
     error = np.maximum(y, 0.3) * QUARTILE_ERROR / np.sqrt([len(b) for b in bins])
     A = np.column_stack([np.ones(len(x)), x]) / error[:, None]
-    scale = np.linalg.norm(A, axis=0)
-    covariance = np.linalg.pinv((A / scale).T @ (A / scale)) / np.outer(scale, scale)
+    covariance = pseudo_inverse(A.T @ A)
     body, slope = covariance @ A.T @ (y / error)
     scatter = float(((y / error - A @ [body, slope]) ** 2).sum()) / (BINS - 2)
     spread = float(np.sqrt(covariance[1, 1] * max(scatter, 1.0)))

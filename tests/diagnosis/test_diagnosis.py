@@ -314,7 +314,7 @@ def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: t
     assert best is not None
     assert best.key.kind in ("reading", "displacement")
     own = lack_of_fit(fitted(machine("grid", (unlisted(rng)["run_gain"],), seed=7)), range(57))
-    assert own.shapes[0].by == "a gain or trend of each run"
+    assert own.shapes[0].key.kind == "a gain or trend of each run"
 
 
 def test_significance_is_honest_for_what_happens_within_a_run() -> None:
