@@ -61,8 +61,8 @@ def _known(model: Model, parameters: Mapping[str, Mapping[str, Any]] | None) -> 
 def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     """The model of a fit with one effect, in the form that its residual shows best."""
     base = base_of(log, known)
-    apart = set(known.log["holdout"])
-    runs = [r for r in base.log.runs if r not in apart]
+    holdout = set(known.log["holdout"])
+    runs = [r for r in base.log.runs if r not in holdout]
     facts = facts_of(base, survey(base, frozenset(runs)))
     tried, trouble = candidates(base, [effect], facts)
     ranked = scores(base, tried, runs)[0] if tried else []

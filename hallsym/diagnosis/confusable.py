@@ -101,7 +101,7 @@ def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> 
     n = len(b.base.free)
     known = b.tangents.likelihood[b.fitted].sum(axis=0)[:n, :n]
     zeros = np.zeros(len(b.base.model.zeros))
-    there = replace(b.base, log=log, zeros=dict.fromkeys(log.runs, zeros), keep=None, apart=frozenset())
+    there = replace(b.base, log=log, zeros=dict.fromkeys(log.runs, zeros), keep=None, holdout=frozenset())
     M = normal_equations(there).likelihood[1:]
     out = []
     for run in M:

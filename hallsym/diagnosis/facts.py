@@ -35,12 +35,12 @@ def instants(base: Base, runs: Sequence[int], rows: int) -> tuple[tuple[int, flo
     length = max(SEGMENT, -(-rows // MAX_SEGMENTS))
     stretches = [run for run in Accumulator(base).stretches(length) if run[0].run in set(runs)]
     return tuple(
-        _best(stretches, k, column, len(base.model.zeros), base.apart) for k, column in enumerate(places)
+        _best(stretches, k, column, len(base.model.zeros), base.holdout) for k, column in enumerate(places)
     )
 
 
 def _best(
-    stretches: Sequence[Sequence[Stretch]], k: int, column: int, z: int, apart: frozenset[int]
+    stretches: Sequence[Sequence[Stretch]], k: int, column: int, z: int, holdout: frozenset[int]
 ) -> tuple[int, float]:
     """Instant at which a step of probe k's gain and offset lowers the squares of the fitted runs most.
 
@@ -48,7 +48,7 @@ def _best(
     deviation. Within a held-out run there is no instant: nothing that is fitted would know its offset.
     """
     runs = {run[0].run for run in stretches}
-    gains = _gains(stretches, k, column, z, runs - apart)
+    gains = _gains(stretches, k, column, z, runs - holdout)
     most = max((gain for _, gain in gains), default=0.0)
     equal = {t for t, gain in gains if gain >= most * (1 - SAME)}
     if len(equal) > 1:

@@ -138,7 +138,7 @@ def smoothed(base: Base, models: Sequence[Model]) -> Log:
         c for m in (base.model, *models) for c in (*columns_of(m), *(n for k in m.computed for n in k.needs))
     ]
     kept = tuple(dict.fromkeys(c for c in (*needs, "t_s") if c not in made and c in base.log.columns))
-    fitted = [run for run in base.log.runs if run not in base.apart]
+    fitted = [run for run in base.log.runs if run not in base.holdout]
     most = max(FEW, round(ROOM / base.log.rows * len(base.log.runs)))
     chosen = fitted[:: max(1, -(-len(fitted) // most))]
     read, back = on_arrays(model.reading), np.linalg.inv(base.whiten)

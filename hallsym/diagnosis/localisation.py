@@ -62,7 +62,7 @@ class Located:
 def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, ResidualTable | None]:
     """Return the residual on those of `runs` that are fitted and on those that are held out."""
     apart = (False, True)
-    fitted, held = (residual_table(base, [r for r in runs if (r in base.apart) == held]) for held in apart)
+    fitted, held = (residual_table(base, [r for r in runs if (r in base.holdout) == held]) for held in apart)
     return fitted, held
 
 

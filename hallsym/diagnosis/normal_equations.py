@@ -265,7 +265,7 @@ class Accumulator:
         """Pool neighbouring units of the same side, all but the last, which is still being read."""
         sides: dict[bool, list[Unit]] = {True: [], False: []}
         for unit in self.done[:-1]:
-            sides[unit[0][0] in self.base.apart].append(unit)
+            sides[unit[0][0] in self.base.holdout].append(unit)
         pooled = []
         for units in sides.values():
             for k in range(0, len(units), 2):

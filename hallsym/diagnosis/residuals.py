@@ -21,7 +21,7 @@ class Base:
     """A fitted model on a log, as the fit left it or with effects added.
 
     `p`: (n,) values; `zeros`: displacement by run; `covariance`: (K, K) of one residual; `free`: index of
-    parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `apart`: held-out runs;
+    parameters that the fit moves; `pose_weights`: (n_pose,) of the pose metric; `holdout`: holdout runs;
     `timed`: whether the log holds time, and not a counter in its place.
     """
 
@@ -32,7 +32,7 @@ class Base:
     covariance: np.ndarray
     free: tuple[int, ...]
     pose_weights: np.ndarray
-    apart: frozenset[int]
+    holdout: frozenset[int]
     sigma: Mapping[str, float]
     keep: Weigh | None = None
     timed: bool = True

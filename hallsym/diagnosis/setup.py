@@ -89,7 +89,7 @@ def base_of(log: Log, result: Fit) -> Base:
         covariance=point.covariance.mean(axis=0),
         free=tuple(k for k, n in enumerate(result.model.names) if n not in result.held),
         pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
-        apart=frozenset(result.log["holdout"]),
+        holdout=frozenset(result.log["holdout"]),
         sigma=sigma,
         keep=remembered(result.keep, wired.rows),
     )

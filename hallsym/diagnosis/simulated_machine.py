@@ -42,21 +42,21 @@ class SimulatedMachine:
     @property
     def runs(self) -> list[int]:
         """Runs that are fitted."""
-        return [r for r in self.base.log.runs if r not in self.base.apart]
+        return [r for r in self.base.log.runs if r not in self.base.holdout]
 
     def log(self, readings: np.ndarray) -> Log:
         """Return the log with other readings, (K, rows); its noise is stated."""
         base = self.base
         rows = dict(zip(base.model.channels, readings, strict=True))
         noise = Noise({c: Sigma(s, "given") for c, s in base.sigma.items()})
-        meta = replace(base.log.meta, holdout=tuple(sorted(base.apart)))
+        meta = replace(base.log.meta, holdout=tuple(sorted(base.holdout)))
         return Log.from_arrays({**self.columns, **rows}, noise, meta, "a simulated log")
 
     def gap(self, readings: np.ndarray) -> tuple[float, float]:
         """Gap metric [m] of noise-free readings on the held-out runs: with the model fitted, and before."""
         t = normal_equations(replace(self.base, log=self.log(readings)))
         n = len(self.base.free)
-        known, judged = t.units(self.runs), t.units(tuple(self.base.apart))
+        known, judged = t.units(self.runs), t.units(tuple(self.base.holdout))
         theta = coefficients(t.likelihood[known].sum(axis=0), np.arange(n))
         v = np.concatenate([-theta, [1.0]])
         out = t.output[judged].sum(axis=0) / max(t.count[judged].sum(), 1.0)

@@ -306,7 +306,7 @@ def fitted(log: Log) -> Base:
 
 def test_structure_sees_a_curve_and_the_runs_gains_and_nothing_in_noise(quiet: tuple[Log, Diagnosis]) -> None:
     base = fitted(quiet[0])
-    runs = [r for r in base.log.runs if r not in base.apart]
+    runs = [r for r in base.log.runs if r not in base.holdout]
     assert max(s.drop for s in lack_of_fit(base, runs).shapes) < 0.02
     rng = np.random.default_rng(7)
     bump = fitted(machine("raster", (unlisted(rng)["bump"],), seed=7, thin=6))
@@ -344,13 +344,13 @@ def test_a_step_inside_bounds_is_the_least_squares_solution_there() -> None:
 def test_the_instant_of_a_slip_is_found_without_held_out_runs() -> None:
     log = hidden("mount_slip", "grid", thin=8)
     base = fitted(log)
-    column = log.array("hall_a_m") + 5e-6 * np.isin(log.array("run"), list(base.apart)) * np.sin(
+    column = log.array("hall_a_m") + 5e-6 * np.isin(log.array("run"), list(base.holdout)) * np.sin(
         log.array("t_s")
     )
     spoiled = Log.from_arrays(
         {c: column if c == "hall_a_m" else log.array(c) for c in log.columns}, log.noise, log.meta
     )
-    runs = sorted(set(log.runs) - base.apart)
+    runs = sorted(set(log.runs) - base.holdout)
     starts = {r: log.run(r, ("t_s",))["t_s"][0] - log.array("t_s")[0] for r in log.runs}
 
     def first_run_after(instant: float) -> int:

@@ -65,7 +65,7 @@ def test_a_wave_that_is_nil_at_every_knot_stays_at_its_nominal_value():
     examined = examine(prepare(turn(pattern=1.5e-3), "rotary_ideal"))
     base = examined.before
     wide = effects(ROTARY_FAMILY)["reference_pole_pairs"](base.model, periods=(50, 100))
-    fit = refit(with_model(base, wide), [r for r in base.log.runs if r not in base.apart])
+    fit = refit(with_model(base, wide), [r for r in base.log.runs if r not in base.holdout])
     k = fit.base.model.names.index("reference_pole_pairs_100_sin")
     assert fit.base.p[k] == 0.0
     assert fit.unseen() == (k,)

@@ -37,7 +37,7 @@ FEWER = ("odd_nonlinearity", "time_skew", "hysteresis", "reference_drift", "vert
 
 
 def fitted_runs(base: Base) -> list[int]:
-    return [run for run in base.log.runs if run not in base.apart]
+    return [run for run in base.log.runs if run not in base.holdout]
 
 
 def scored(base: Base, effects: tuple[Effect, ...]) -> list[Score]:
@@ -151,7 +151,7 @@ def test_statements_of_links_on_correlated_noise_are_as_rare_as_they_claim() -> 
 
 def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
     base, _ = found("odd_nonlinearity")
-    sides = {"fitted": fitted_runs(base), "held_out": sorted(base.apart)}
+    sides = {"fitted": fitted_runs(base), "held_out": sorted(base.holdout)}
     errors = {k: block_errors(base, runs, base.log.rows, None) for k, runs in sides.items()}
     floor = {"x_m": 1e-6, "y_m": 0.5e-6, "rz_rad": 2e-6}
     fitted, held = both(base, base.log.runs)
@@ -167,7 +167,7 @@ def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
     read = on_arrays(base.model.reading)
     total, count = np.zeros(3), 0
     for block in base.log.blocks():
-        if block.run in base.apart:
+        if block.run in base.holdout:
             pose, state = ([block.data[c] for c in n] for n in (base.model.references, base.model.state))
             (expected,) = read(base.p, base.zeros[block.run], pose, state)
             left = np.array([block.data[c] for c in base.model.channels]) - expected

@@ -137,7 +137,7 @@ def test_a_recording_made_with_one_member_leaves_the_other_as_much_as_was_said()
     both["run"][-int(new.sum()) :] = 1000
     whole = with_readings({c: v for c, v in both.items() if c not in one.base.model.channels}, one.base)
     zeros = dict.fromkeys(whole.runs, np.zeros(3))
-    again = replace(other.base, log=whole, zeros=zeros, keep=None, apart=frozenset())
+    again = replace(other.base, log=whole, zeros=zeros, keep=None, holdout=frozenset())
     left = refit(again, list(whole.runs)).cost
     assert left == pytest.approx(delay_or_lag().tried[pick.text] ** 2 * 1.5, rel=0.15)
 
