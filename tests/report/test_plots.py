@@ -80,10 +80,10 @@ def test_errors_by_setting_shows_every_series(fitted: Fit, survey: data.Survey) 
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata()[0], 1e6 * level["rmse"]["x_m"], rtol=1e-9)
 
 
-def test_parameters_say_what_is_not_determined(fitted: Fit) -> None:
+def test_parameters_say_what_is_not_identifiable(fitted: Fit) -> None:
     figure = plots.parameters(fitted)
     words = [text.get_text() for place in (*figure.axes, figure) for text in place.texts]
-    told = words.count("not determined") + words.count("not identifiable, fixed")
+    told = words.count("not identifiable") + words.count("not identifiable, fixed")
     assert told == np.sum(~fitted.determined) - len(fitted.at_bound)
     assert sum("±" in word for word in words) == fitted.determined.sum() + len(fitted.combinations) + 1
     half = 100 * plots.COVERAGE * np.nanmax(fitted.std / (fitted.model.bounds[1] - fitted.model.bounds[0]))
