@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +20,7 @@ Piece = dict[str, Array]
 RowFilter = Callable[[Piece], Array | None]
 
 
-class Source:
+class Source(ABC):
     """A file's columns under their own names; each format has one.
 
     `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
@@ -40,9 +41,9 @@ class Source:
         """Return whole columns, each of shape (rows,)."""
         return joined(list(self.chunks(names, CHUNK_ROWS)), names)
 
+    @abstractmethod
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
-        raise NotImplementedError
 
 
 def joined(parts: Sequence[Mapping[str, Array]], names: Sequence[str]) -> Piece:
