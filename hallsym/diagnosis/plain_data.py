@@ -21,10 +21,15 @@ def plain(value: Any) -> Any:
 
 
 def typed(kind: Any, value: Any) -> Any:
-    """Return plain JSON data as the annotated type `kind`: a record, a tuple, a dictionary, or a value."""
+    """Return plain JSON data as the annotated type `kind`: a record, a tuple, a dictionary, or a value.
+
+    A number that `plain` wrote as None is nan again.
+    """
     origin, args = get_origin(kind), get_args(kind)
     if value is None:
-        return value
+        if origin is tuple and ... not in args:
+            return tuple(typed(arg, None) for arg in args)
+        return math.nan if kind is float else None
     if origin in (Union, UnionType):
         return typed(args[0], value)
     if isinstance(kind, type) and is_dataclass(kind):

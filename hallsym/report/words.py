@@ -65,7 +65,9 @@ def short(value: float) -> str:
 
 
 def three(value: float) -> str:
-    """Return three significant digits, trailing zeros kept."""
+    """Return three significant digits, trailing zeros kept; nothing for a number that does not exist."""
+    if np.isnan(value):
+        return ""
     if 100 <= abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 100 else f"{value:.3g}"

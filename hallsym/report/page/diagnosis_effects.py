@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from hallsym.diagnosis import Diagnosis, Separation
 from hallsym.errors import counted
 from hallsym.report.page import figures
@@ -18,9 +20,13 @@ def effects_section(d: Diagnosis) -> Markup:
 
 
 def _ranking(d: Diagnosis) -> Markup:
-    if not d.effects:
+    rows = [
+        (e.name, e.shrinkage, e.interval if all(map(math.isfinite, e.interval)) else None)
+        for e in d.effects
+        if math.isfinite(e.shrinkage)
+    ]
+    if not rows:
         return Markup("")
-    rows = [(e.name, e.shrinkage, e.interval) for e in d.effects]
     return tag(
         "figure", figures.intervals(rows, "decrease of the gap by the effect [%], with its 95 % interval")
     )
@@ -67,6 +73,8 @@ def _separation(s: Separation | None) -> list[object]:
     now = "" if s.sigma_now is None else f" ({three(s.sigma_now)} sigma)"
     said = f": this log cannot tell them apart{now}. Record {s.recording}"
     if not s.simulated or s.sigma is None or s.run_s is None or not s.runs:
+        if s.factor is None or not math.isfinite(s.factor):
+            return [f"{said}."]
         return [f"{said}: the difference must be {s.factor:.3g} times larger than here."]
     total = f" ({s.seconds:.3g} s in all)" if s.runs > 1 and s.seconds else ""
     each = f": simulated, one run of {s.run_s:.3g} s tells them apart by {three(s.sigma)} sigma"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
 from hallsym.diagnosis import Diagnosis
@@ -20,7 +21,7 @@ def errors_title(d: Diagnosis) -> str:
 
 def errors_section(d: Diagnosis) -> Markup:
     """Return errors on the holdout runs beside the noise floor, as picture and tables."""
-    gaps = {"before": asdict(d.gap_before), "after": asdict(d.gap_after)}
+    gaps = _finite({"before": asdict(d.gap_before), "after": asdict(d.gap_after)})
     drawn = {when: (when, gap) for when, gap in gaps.items()}
     if not changed(d):
         gaps = {"holdout": gaps["before"]}
@@ -37,6 +38,15 @@ def errors_section(d: Diagnosis) -> Markup:
             _waves(d),
         ]
     )
+
+
+def _finite(gaps: dict[str, dict[str, dict[str, float]]]) -> dict[str, dict[str, dict[str, float]]]:
+    """Return gaps without the outputs of which a number does not exist."""
+    parts = [part for gap in gaps.values() for part in gap.values()]
+    known = [c for c in parts[0] if all(math.isfinite(part.get(c, math.nan)) for part in parts)]
+    return {
+        when: {what: {c: part[c] for c in known} for what, part in gap.items()} for when, gap in gaps.items()
+    }
 
 
 def _shrinks(d: Diagnosis) -> str:

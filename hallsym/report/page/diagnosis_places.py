@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from hallsym.diagnosis import Diagnosis, Share, Statement
@@ -65,6 +66,7 @@ def rest_section(d: Diagnosis) -> Markup:
 def _statements(statements: Sequence[Statement], title: str) -> Markup:
     if not statements:
         return Markup("")
+    drawn = [s for s in statements if math.isfinite(s.share)]
     rows = [
         [
             typeset(s.text),
@@ -73,7 +75,9 @@ def _statements(statements: Sequence[Statement], title: str) -> Markup:
         ]
         for s in statements
     ]
-    picture = tag("figure", figures.shares([(_place(s), s.share) for s in statements[:MOST]], title))
+    picture = None
+    if drawn:
+        picture = tag("figure", figures.shares([(_place(s), s.share) for s in drawn[:MOST]], title))
     return join([picture, table(["statement (fitted runs)", "on holdout runs", "p"], rows)])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 from hallsym.diagnosis import Diagnosis
@@ -15,18 +16,20 @@ def changed(d: Diagnosis) -> bool:
 
 
 def percent(value: float, digits: int = 1) -> str:
-    """Return a share in per cent."""
-    return f"{100 * value:.{digits}f} %".replace("-", MINUS)
+    """Return a share in per cent; nothing where it does not exist."""
+    return "" if not math.isfinite(value) else f"{100 * value:.{digits}f} %".replace("-", MINUS)
 
 
 def with_interval(value: float, interval: tuple[float, float]) -> str:
-    """Return a share and its interval in per cent: `61.0 % (57.0 to 64.0)`."""
+    """Return a share and its interval in per cent: `61.0 % (57.0 to 64.0)`; of each what exists."""
+    if not all(map(math.isfinite, (value, *interval))):
+        return percent(value)
     return f"{100 * value:.1f} % ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})".replace("-", MINUS)
 
 
 def p_cell(value: float | None) -> str:
     """Return a p-value as a cell of a table, empty where there is none."""
-    return p_text(value).replace("-", MINUS)
+    return "" if value is None or math.isnan(value) else p_text(value).replace("-", MINUS)
 
 
 def typeset(text: str) -> str:
