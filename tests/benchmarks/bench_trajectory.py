@@ -54,8 +54,8 @@ def solving() -> None:
         t = np.arange(1, n + 1) / (n + 1)
         c = np.random.default_rng(0).uniform(size=n)
         matrix, factors = FgForm(BERNSTEIN, np.eye(n)).evaluate(t), factorise(BERNSTEIN, t)
-        one, two = least(lambda t=t: factorise(BERNSTEIN, t)), least(lambda f=factors, c=c: f.solve(c))  # type: ignore[misc]
-        lu = least(lambda a=matrix, c=c: lu_solve(lu_factor(a, check_finite=False), c, check_finite=False))  # type: ignore[misc]
+        one, two = least(lambda t=t: factorise(BERNSTEIN, t)), least(lambda f=factors, c=c: f.solve(c))
+        lu = least(lambda a=matrix, c=c: lu_solve(lu_factor(a, check_finite=False), c, check_finite=False))
         ours = one + two
         parts = f"{1e6 * one:11.0f}{1e6 * two:9.0f}"
         print(f"n = {n:<4d}{1e6 * ours:28.0f}{parts}{1e6 * lu:11.0f}{ours / lu:8.1f}{asked:8.0f}")
@@ -68,8 +68,8 @@ def fitting() -> None:
         t = np.arange(1, points + 1) / (points + 1)
         p = np.random.default_rng(0).normal(size=(points, 2))
         matrix = FgForm(BERNSTEIN, np.eye(control)).evaluate(t)
-        ours = least(lambda t=t, p=p, k=control: orthogonalise(factorise(BERNSTEIN, t, k)).solve(p), 5)  # type: ignore[misc]
-        lapack = least(lambda a=matrix, p=p: np.linalg.lstsq(a, p, rcond=None), 5)  # type: ignore[misc]
+        ours = least(lambda t=t, p=p, k=control: orthogonalise(factorise(BERNSTEIN, t, k)).solve(p), 5)
+        lapack = least(lambda a=matrix, p=p: np.linalg.lstsq(a, p, rcond=None), 5)
         print(f"{points:5d} points, {control:3d} control{1e3 * ours:14.2f}{1e3 * lapack:13.2f}")
 
 
@@ -82,7 +82,7 @@ def evaluating() -> None:
     for order in (3, 11, 20):
         form = FgForm(BERNSTEIN, np.random.default_rng(0).normal(size=(order + 1, 2)))
         spline = BSpline(np.repeat([0.0, 1.0], order + 1), form.control, order)
-        ours, theirs = least(lambda f=form: f.evaluate(t), 5), least(lambda s=spline: s(t), 3)  # type: ignore[misc]
+        ours, theirs = least(lambda f=form: f.evaluate(t), 5), least(lambda s=spline: s(t), 3)
         print(f"order {order:<3d}{1e3 * ours:31.0f}{1e3 * theirs:15.0f}{ours / theirs:8.2f}{EVALUATION:8.0f}")
         if order == 11:
             ratio = ours / against_cubic
