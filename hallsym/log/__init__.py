@@ -1,7 +1,6 @@
 """Sensor logs: read, check and write them; SI units, split into runs, with what is known of their noise."""
 
 from hallsym.log.batches import Batch, Weigh, batches, remembered
-from hallsym.log.check import check_log, clean_log, spans
 from hallsym.log.columns import Foreign, parse_column_option, read_column_file
 from hallsym.log.core import Block, Log
 from hallsym.log.derived import extended
@@ -10,8 +9,9 @@ from hallsym.log.estimate import estimate_noise
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, Sigma, check_noise_keys
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
+from hallsym.log.quality.check import check_log, clean_log, spans
+from hallsym.log.quality.scan import Span, Spans
 from hallsym.log.read import read_log
-from hallsym.log.scan import Span, Spans
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from hallsym.errors import InputError
 from hallsym.files import reason
-from hallsym.log.check import clean_log
 from hallsym.log.columns import (
     RUN,
     ColumnFile,
@@ -23,6 +22,7 @@ from hallsym.log.format_csv import CsvSource
 from hallsym.log.formats import FORMATS, format_of
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, check_noise_keys
+from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 
 

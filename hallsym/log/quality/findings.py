@@ -10,8 +10,8 @@ from hallsym.errors import counted
 from hallsym.log.core import Log
 from hallsym.log.drop import Drop
 from hallsym.log.limits import is_moving, is_reading, is_reference, likely_unit, limit_of
-from hallsym.log.scan import Scan, Span, Spans
-from hallsym.log.suspects import held, piled_up, repeats_each
+from hallsym.log.quality.scan import Scan, Span, Spans
+from hallsym.log.quality.suspects import held, piled_up, repeats_each
 from hallsym.units import split_unit
 
 FEWEST_SAMPLES = 8

@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.log.core import Log
 from hallsym.log.limits import is_reference
-from hallsym.log.scan import HELD_SAMPLES
+from hallsym.log.quality.scan import HELD_SAMPLES
 from hallsym.units import Array
 
 _SAMPLE_ROWS = 2_000_000

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from hallsym.errors import InputError
-from hallsym.log import findings
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.drop import Drop, without
-from hallsym.log.findings import Finding
-from hallsym.log.scan import Scan, Spans, scan
+from hallsym.log.quality import findings
+from hallsym.log.quality.findings import Finding
+from hallsym.log.quality.scan import Scan, Spans, scan
 
 _PASSES = 4
 
