@@ -4,7 +4,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,7 +12,8 @@ from typing import Any
 from hallsym.codegen.backend import BINARY
 from hallsym.codegen.templates import MARK
 from hallsym.errors import InputError
-from hallsym.files import reason, replacing
+from hallsym.files import beside, clean, reason, replacing
+from hallsym.guard import check_output
 
 
 def write_folder(folder: Path, files: Mapping[str, str | bytes], *, force: bool = False) -> None:
@@ -112,18 +112,17 @@ def _drop(folder: Path, stale: Iterable[Path]) -> None:
 
 def _write_new(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Fill a temporary folder beside the target and move it there."""
+    check_output(folder)
     target = Path(os.path.realpath(folder))
+    temporary = beside(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".hallsym-", dir=target.parent))
-    except OSError as error:
-        raise InputError(f"Cannot write {folder}: {reason(error)}.") from error
-    try:
+        clean(target.parent)
+        temporary.mkdir()
         for name, content in files.items():
             path = temporary / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content.encode() if isinstance(content, str) else content)
-        temporary.chmod(0o777 & ~_umask())
         if target.is_dir():
             shutil.rmtree(target)
         os.replace(temporary, target)
@@ -131,9 +130,3 @@ def _write_new(folder: Path, files: Mapping[str, str | bytes]) -> None:
         raise InputError(f"Cannot write {folder}: {reason(error)}.") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
