@@ -237,7 +237,9 @@ class Backend(Arithmetic):
         raised = sum(flag_bit(k) for k in range(len(d.flags)))
         return {
             "in": inputs,
-            "limited": [i for i in inputs if i["column"] in self.limited],
+            "limited": [
+                i for i, port in zip(inputs, self.inputs, strict=True) if port.column in self.limited
+            ],
             "out": outputs,
             "bounded": [o for o in outputs if "outer_low" in o],
             "flag": flags,

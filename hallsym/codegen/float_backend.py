@@ -365,9 +365,9 @@ class FloatBackend(FloatArithmetic):
             every += lines_of(f"{FRAGMENTS}every.c", {**common, **fields})
         tests = [
             f"bad += all_within({i['greatest']});"
-            if self.by_size(i["column"])
+            if self.by_size(port.column)
             else f"bad += all_limited({i['least']}, {i['greatest']});"
-            for i in common["in"]
+            for i, port in zip(common["in"], self.inputs, strict=True)
         ]
         return {"every": every, "range_tests": tests}
 
