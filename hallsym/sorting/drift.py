@@ -9,6 +9,7 @@ greatest (restricted) likelihood, so that no drift and a noiseless reference are
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,11 @@ from hallsym.units import Array
 FALSE_REFUSALS = 0.01
 """Good values that a check of a whole record may refuse, on average: 1 in 100 records."""
 LEAST = 1e-12
-"""Least weight ratio and time step, over the usual one."""
+"""What stands for zero, over what is usual."""
+ANEW = 1e6
+"""Time of a step at which the walk starts anew, over the usual time; its inverse is the shortest one."""
+SIDE, LEVEL = 3, 8
+"""Values on each side that a single one must differ from, and that show a new level."""
 RATIOS = -14.0, 23.0
 """Natural logarithms of noise over step variance that are tried: from a noiseless reference to no drift."""
 ROUNDS = 10
@@ -60,18 +65,56 @@ def robust_std(values: Array) -> float:
 
 
 def smooth(values: Array, time: Array) -> Smooth:
-    """Return the random walk behind `values` (n,) at `time` (n,), rising; outliers take no part."""
+    """Return the random walk behind `values` (n,) at `time` (n,), rising.
+
+    Single values far from both sides take no part; where the level changes for good, as between two sessions,
+    the walk starts anew.
+    """
     finite = np.isfinite(values)
-    good = finite & ~_spikes(values)
-    found = _fitted(values, time, good)
+    good, jumps = finite & ~_spikes(values), np.zeros(max(len(values) - 1, 0), bool)
+    found = _fitted(values, time, good, jumps)
     for _ in range(ROUNDS):
         away = np.abs(found.off) / np.where(found.expected > 0, found.expected, np.inf)
         usual = np.median(away[good]) / norm.ppf(0.75) if good.any() else 0.0
-        now = finite & (away <= limit(int(finite.sum())) * max(float(usual), LEAST))
-        if not found.noise or (now == good).all() or now.sum() < 3:
+        far = away > limit(int(finite.sum())) * max(float(usual), LEAST)
+        now = finite & ~(far & _alone(values, found))
+        new = jumps | _jumps(values, now, found)
+        if not found.noise or ((now == good).all() and (new == jumps).all()) or now.sum() < 3:
             break
-        good, found = now, _fitted(values, time, now)
+        good, jumps = now, new
+        found = _fitted(values, time, good, jumps)
     return found
+
+
+def _sides(values: Array, good: Array, size: int, reduce: Callable[..., Array]) -> tuple[Array, Array]:
+    """Mean or median of the `size` good values before and from each one on, (n,) each; nan at the ends."""
+    at = np.flatnonzero(good)
+    windows = (
+        np.lib.stride_tricks.sliding_window_view(values[at], size) if len(at) >= size else np.zeros((0, size))
+    )
+    level = np.r_[np.full(size, np.nan), reduce(windows, axis=1), np.full(size, np.nan)]
+    place = np.searchsorted(at, np.arange(len(values)))  # good values before each
+    return level[place], level[place + size]
+
+
+def _alone(values: Array, found: Smooth) -> Array:
+    """Values that neither side agrees with."""
+    before, _ = _sides(values, ~found.bad, SIDE, np.median)
+    after = _sides(values[::-1], ~found.bad[::-1], SIDE, np.median)[0][::-1]
+    near = np.fmin(np.abs(values - before), np.abs(values - after))
+    return np.asarray(~(near <= limit(len(values)) * found.noise))
+
+
+def _jumps(values: Array, good: Array, found: Smooth) -> Array:
+    """Steps (n - 1,) at which the level changes by more than noise and walk can; of near ones the largest."""
+    before, after = _sides(values, good, LEVEL, np.mean)
+    spread = np.sqrt(2 * found.noise**2 / LEVEL + found.step**2 * (2 * LEVEL / 3))
+    size = np.nan_to_num(np.abs(after - before))[1:]
+    if not len(size) or not spread:
+        return np.zeros(len(size), bool)
+    padded = np.pad(size, LEVEL)
+    largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * LEVEL + 1).max(axis=1)
+    return (size == largest) & (size > limit(len(values)) * spread) & good[1:]
 
 
 def _spikes(values: Array, half: int = 3) -> Array:
@@ -83,10 +126,10 @@ def _spikes(values: Array, half: int = 3) -> Array:
     return np.abs(away) > limit(len(values)) * max(robust_std(away), LEAST)
 
 
-def _fitted(values: Array, time: Array, good: Array) -> Smooth:
+def _fitted(values: Array, time: Array, good: Array, jumps: Array) -> Smooth:
     step = np.diff(time)
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0
-    step = np.maximum(step / usual, 1e-6)
+    step = np.where(jumps, ANEW, np.maximum(step / usual, 1 / ANEW))
     y, w = np.where(good, values, 0.0), good.astype(float)
     centre = float(y.sum() / max(w.sum(), 1.0))
     y = np.where(good, values - centre, 0.0)

@@ -73,21 +73,21 @@ def drift(found: Sorting) -> Figure:
 
 
 def sets(found: Matching) -> Figure:
-    """Draw the share of sets with less error than x, for each way of choosing them."""
+    """Draw the share of sets with less error than x, the uncertainty of their gains included, by way."""
     figure, axes = panels(1, 1, HEIGHT, top=0.3, bottom=0.42)
     ax = axes[0, 0]
     ways = [way for way in found.ways if len(way.sets)]
     factor, unit = fitting(found.unit, max(way.overall for way in ways))
     for way, color, dash in zip(ways, (AFTER, GREEN, BEFORE), DASHES, strict=False):
-        rms = np.sort(way.rms) * factor
+        rms = np.sort(np.hypot(way.rms, found.floor)) * factor
         ax.plot(rms, 100 * (np.arange(len(rms)) + 1) / len(rms), color=color, ls=dash, zorder=3)
-    shown = np.concatenate([way.rms for way in ways]) * factor
+    shown = np.concatenate([np.hypot(way.rms, found.floor) for way in ways]) * factor
     floor = found.floor * factor
     log_axis(ax, "x", np.r_[shown[shown > 1e-3 * shown.max()], floor if floor > 0 else []])
     if floor > 0:
         ax.axvline(floor, color=BLACK, lw=0.6, ls=":")
     label_y(ax, "sets below [%]")
-    label_x(ax, f"rms error of a set [{typeset(unit)}]")
+    label_x(ax, f"expected rms error of a set [{typeset(unit)}]")
     entries = [
         key(way.name, color=c, ls=d) for way, c, d in zip(ways, (AFTER, GREEN, BEFORE), DASHES, strict=False)
     ]
