@@ -1,8 +1,9 @@
 """What an error of each channel's gain does to the decoded pose, from the model's own expressions.
 
-A channel's gain is what `Model.symbols.gain` says, its parameters those of no other channel. If it grows by
-the part d, the reading grows by d times the sum of p d reading / d p over them, and the decoder, which does
-not know, moves the pose by the weighted inverse of the model times that.
+If the gain of a channel grows by the part d, its reading grows by d times what the sensor makes of the field:
+the sum of p d reading / d p over the parameters that only its gain has (`Model.symbols.gain`), or its whole
+reading where a model has none. The decoder, which does not know, moves the pose by the weighted
+inverse of the model times that.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.log import near
 from hallsym.model import Model, on_arrays
 from hallsym.simulation import Campaign, campaign_from, paper_campaign
 from hallsym.uncertainty.tolerances.workspace import Workspace, workspace_of
@@ -25,19 +27,20 @@ SAME = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """Error of the pose by gain errors d (k,) of the channels, over points of a workspace.
+    """Error of the pose by relative gain errors d (k,) of the channels, over points of a workspace.
 
-    `error` (n_pose, points, k): error of each coordinate [SI] per relative gain error; `weights` (n_pose,)
-    turn coordinates into the one length or angle of the model's metric; `parameters`: the gains of each
-    channel.
+    `error` (n_pose, points, k): of each coordinate [SI] per gain error; `reading` and `part` (k, points):
+    what each channel reads, and what its gain multiplies; `weights` (n_pose,) turn coordinates into the one
+    length or angle of the model's metric; `values` are the parameters.
     """
 
     model: Model
     values: Array
     where: Workspace
     error: Array
+    reading: Array
+    part: Array
     weights: Array
-    parameters: tuple[tuple[str, ...], ...]
 
     @property
     def square(self) -> Array:
@@ -45,74 +48,85 @@ class Influence:
         weighted = self.error * self.weights[:, None, None]
         return np.asarray(np.einsum("cpi,cpj->ij", weighted, weighted) / self.error.shape[1])
 
+    def decoded_errors(self, gains: Array) -> Array:
+        """Return decoded minus true pose (n_pose, m, points) of sets whose channels have `gains` (m, k).
+
+        Relative to those that the decoder knows; by the decoder itself, without noise.
+        """
+        model, none = self.model, np.zeros(len(self.model.zeros))
+        read = self.reading[:, None, :] + self.part[:, None, :] * (gains.T[:, :, None] - 1.0)
+        with np.errstate(all="ignore"):
+            decode = on_arrays(model.decoded)
+            (pose,) = decode(self.values, none, read, self.where.state, np.ones(len(model.channels)))
+        if not np.isfinite(pose).all():
+            raise InputError(
+                f"The decoder of {model.name} finds no pose for some of the sets: their gains differ"
+                " too much; sort them first, or ask for fewer --sets."
+            )
+        true = self.where.pose[:, None, :]
+        return np.asarray(near(model, pose, true) - true)
+
 
 def influence_of_gains(
-    model: Model, values: Mapping[str, float] | None = None, where: Campaign | Workspace | None = None
+    model: Model,
+    values: Mapping[str, float] | None = None,
+    where: Campaign | Workspace | None = None,
 ) -> Influence:
     """Return what gain errors of a model's channels do to its pose.
 
     `values` over the nominal ones; `where`: campaign or workspace over which errors count (default: the
-    model's typical poses, a period of a periodic coordinate; else its family's example, else the paper's
-    campaign). Raises `InputError` for a model without a gain of its own for each channel.
+    model's typical poses, a period of a periodic coordinate; else its family's example, else the paper's campaign).
+    Raises `InputError` where the model cannot be decoded, or gains do not count.
     """
-    groups = _gains(model)
-    p = model.vector(dict(values or {}))
-    space = _workspace(model, where)
-    s = model.symbols
+    p, space, s = model.vector(dict(values or {})), _workspace(model, where), model.symbols
     reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(len(model.zeros)))
-    columns = []
-    for names in groups:
-        along = ca.vertcat(
-            *(
-                q if name in names else 0
-                for name, q in zip(model.names, ca.vertsplit(s.parameters), strict=True)
-            )
-        )
-        columns.append(ca.jtimes(reading, s.parameters, along))
+    part = ca.vertcat(*(_part(model, reading, k) for k in range(len(model.channels))))
     weight = np.ones(len(model.channels))
-    slope = model.noise_gain_at(s.parameters, s.pose, s.state, weight) @ ca.horzcat(*columns)
-    function = on_arrays(ca.Function("influence", [s.parameters, s.pose, s.state], [ca.densify(slope)]))
-    (flat,) = function(p, space.pose, space.state)
+    slope = model.noise_gain_at(s.parameters, s.pose, s.state, weight) @ ca.diag(part)
+    found = on_arrays(
+        ca.Function(
+            "influence", [s.parameters, s.pose, s.state], [ca.densify(x) for x in (slope, reading, part)]
+        )
+    )(p, space.pose, space.state)
+    flat, read, parts = (np.broadcast_to(x, (len(x), space.points)) for x in found)
     error = flat.reshape(len(model.channels), len(model.pose), space.points).transpose(1, 2, 0)
     if not np.isfinite(error).all():
         raise InputError(
-            f"Model {model.name} cannot be decoded everywhere in the workspace; give another one with"
-            " --campaign."
+            f"Model {model.name} cannot be decoded everywhere in the workspace;"
+            " give another one with --campaign."
         )
     if not error.any():
         raise InputError(
-            f"The gains of model {model.name} do not move its pose in this workspace; there is nothing to"
-            " match."
+            f"The gains of model {model.name} do not move its pose in this workspace; there is nothing"
+            " to match."
         )
-    return Influence(model, p, space, error, model.family.pose_metric.weights(model.pose), groups)
+    return Influence(model, p, space, error, read, parts, model.family.pose_metric.weights(model.pose))
 
 
-def _gains(model: Model) -> tuple[tuple[str, ...], ...]:
+def _part(model: Model, reading: ca.SX, channel: int) -> ca.SX:
+    """What the gain of a channel multiplies of its reading."""
+    s = model.symbols
+    own = _gains(model)[channel]
+    if not own:
+        return reading[channel]
+    symbols = zip(model.names, ca.vertsplit(s.parameters), strict=True)
+    along = ca.vertcat(*(symbol if name in own else ca.SX(0) for name, symbol in symbols))
+    return ca.jtimes(reading[channel], s.parameters, along)
+
+
+def _gains(model: Model) -> list[set[str]]:
     """Names of the gain parameters of each channel: those on which no other channel's gain depends."""
     gain, p = model.symbols.gain, model.symbols.parameters
+    if gain.numel() != len(model.channels):
+        return [set()] * len(model.channels)
     depends = [
-        (
-            {n for n, d in zip(model.names, ca.which_depends(gain[k], p, 1, False), strict=True) if d}
-            if gain.numel() == len(model.channels)
-            else set()
-        )
+        {n for n, d in zip(model.names, ca.which_depends(gain[k], p, 1, False), strict=True) if d}
         for k in range(len(model.channels))
     ]
-    own = [
-        tuple(
-            n
-            for n in model.names
-            if n in mine and not any(n in other for j, other in enumerate(depends) if j != k)
-        )
+    return [
+        mine - set().union(*(other for j, other in enumerate(depends) if j != k))
         for k, mine in enumerate(depends)
     ]
-    lacking = [c for c, names in zip(model.channels, own, strict=True) if not names]
-    if lacking:
-        raise InputError(
-            f"Model {model.name} must have a gain of its own for each channel to match sensors;"
-            f" {', '.join(lacking[:4])} {'has' if len(lacking) == 1 else 'have'} none."
-        )
-    return tuple(own)
 
 
 def _workspace(model: Model, where: Campaign | Workspace | None) -> Workspace:

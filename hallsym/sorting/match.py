@@ -18,7 +18,7 @@ from hallsym.sorting.exchange import cost, exchanged, neighbours
 from hallsym.sorting.influence import Influence, alike, influence_of_gains, places, summed, without_common
 from hallsym.sorting.result import Sorting
 from hallsym.sorting.sort import WIDTH
-from hallsym.uncertainty.tolerances.workspace import Workspace, nominal_errors
+from hallsym.uncertainty.tolerances.workspace import Workspace
 from hallsym.units import Array
 
 NOT_FELT = 0.1
@@ -124,9 +124,6 @@ class Matching:
             "rms_from_uncertainty": self.floor,
             "optimal": self.optimal,
             "gain_over_bins": self.gain_over_bins if np.isfinite(self.gain_over_bins) else None,
-            "gain_parameters": dict(
-                zip(self.model.channels, map(list, self.influence.parameters), strict=True)
-            ),
             "ways": [
                 {
                     "way": w.name,
@@ -164,7 +161,7 @@ def match_sensors(
     `influence_of_gains`. A set's common gain is set in its decoder, so that only differences within a set
     count. `seed`: of the exchanges and of the sets drawn for comparison.
 
-    Raises `InputError` for too few sensors, and for a model without a gain of its own for each channel.
+    Raises `InputError` for too few sensors.
     """
     started = time.perf_counter()
     if seed < 0:
@@ -267,15 +264,6 @@ class _Decoder:
         channels = (1 + d).reshape(len(d), len(model.channels), self.members).mean(axis=2) / (
             1 + common[:, None]
         )
-        machines = np.tile(self.influence.values, (len(d), 1))
-        for k, names in enumerate(self.influence.parameters):
-            for parameter in names:
-                machines[:, model.names.index(parameter)] *= channels[:, k]
-        nominal = {n: {"nominal": float(v)} for n, v in named(model.names, self.influence.values).items()}
-        changed = not np.array_equal(model.nominal, self.influence.values)
-        errors = nominal_errors(
-            model.with_parameters(_unbounded(nominal)) if changed else model, self.influence.where
-        )
         rows = max(1, BLOCK // self.influence.where.points)
         rms, pose_rms, peak = (
             np.zeros(len(d)),
@@ -283,15 +271,11 @@ class _Decoder:
             np.zeros((len(d), len(model.pose))),
         )
         for at in (slice(k, k + rows) for k in range(0, len(d), rows)):
-            e = errors(machines[at])
+            e = self.influence.decoded_errors(channels[at])
             square = (e * e).mean(axis=2).T
             rms[at], pose_rms[at] = np.sqrt(square @ self.influence.weights**2), np.sqrt(square)
             peak[at] = np.abs(e).max(axis=2).T
         return Way(name, index, 1 + common, rms, pose_rms, peak)
-
-
-def _unbounded(nominal: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    return {n: {**entry, "lower": -np.inf, "upper": np.inf} for n, entry in nominal.items()}
 
 
 def _notes(ways: Sequence[Way], floor: float, count: int, symmetric: bool) -> list[str]:
