@@ -75,7 +75,8 @@ def influence_of_gains(
     """Return what gain errors of a model's channels do to its pose.
 
     `values` over the nominal ones; `where`: campaign or workspace over which errors count (default: the
-    model's typical poses, a period of a periodic coordinate; else its family's example, else the paper's campaign).
+    model's typical poses, a period of a periodic coordinate; else its family's example, else the paper's
+    campaign).
     Raises `InputError` where the model cannot be decoded, or gains do not count.
     """
     p, space, s = model.vector(dict(values or {})), _workspace(model, where), model.symbols

@@ -95,7 +95,7 @@ class Matching:
 
     @property
     def gain_over_bins(self) -> float:
-        """Error to expect of sets from bins over that of matched sets."""
+        """Error to expect of sets from bins over that of matched sets; nan where no bin fills a set."""
         least = self.expected(self.matched)
         return self.expected(self.bins) / least if least > 0 else float("inf")
 

@@ -127,10 +127,8 @@ def matching_text(found: Matching) -> str:
                 f" {found.seconds:.2f} s"
             ),
             way_table(found),
-            (
-                f"the uncertainty of the gains alone makes {_amount(found, found.floor)} rms; matched sets"
-                f" are {found.gain_over_bins:.3g} times better than bins alone"
-            ),
+            f"the uncertainty of the gains alone makes {_amount(found, found.floor)} rms; "
+            f"{_beside_bins(found)}",
             "",
             set_table(found),
         ]
@@ -207,6 +205,12 @@ def save_table(path: str, found: Sorting, matching: Matching | None = None) -> N
 
 def _percent(value: float) -> str:
     return f"{100 * value:.2g} %"
+
+
+def _beside_bins(found: Matching) -> str:
+    if not len(found.bins.sets):
+        return "no bin holds enough sensors for a set"
+    return f"matched sets are {found.gain_over_bins:.3g} times better than bins alone"
 
 
 def _amount(found: Matching, value: float) -> str:
