@@ -16,7 +16,7 @@ class Measured:
     """Measurements (m,) in the order of time: one insertion of one sensor each.
 
     `gain` [unit / T] and `offset` [unit] of the line through its readings, `off_line` the largest residual
-    from it [unit] where there are more than two fields (else 0), `levels` the number of different fields,
+    from it [unit] where there are more than two readings (else 0), `levels` the number of different fields,
     `relative` the reference sensor's gain over its median (nan: not read; None: there is no reference).
     """
 
@@ -90,7 +90,7 @@ def _lines(readings: Readings, values: Array) -> _Lines:
         gain = np.where(levels > 1, total(db * dv) / total(db * db), np.nan)
     off = np.zeros(count)
     np.maximum.at(off, at, np.nan_to_num(np.abs(dv - gain[at] * db)))
-    return _Lines(gain, mean_v - gain * mean_b, np.where(levels > 2, off, 0.0), levels, span)
+    return _Lines(gain, mean_v - gain * mean_b, np.where(n > 2, off, 0.0), levels, span)
 
 
 def _levels(at: Array, field: Array, count: int) -> Array:

@@ -95,6 +95,19 @@ def _refuse_bent(m: Measured, reasons: Reasons) -> None:
     )
 
 
+def refuse_conflicting(m: Measured, scatter: float, reasons: Reasons) -> None:
+    """Refuse measurements with readings in one field that differ more than those of the others.
+
+    Where hardly any field was read twice: more than a new seat brings, `scatter`.
+    """
+    at = np.flatnonzero(reasons.good(len(m.gain)) & (m.levels == 2) & (m.off_line > 0))
+    share = m.off_line[at] / np.abs(m.gain[at] * m.span[at])
+    level = float(np.median(share)) if len(at) >= FEWEST else scatter
+    far = share > limit(len(at)) * level
+    text = "its readings in one field differ, by {:.2g} % of the change between the fields"
+    reasons.refuse(at[far], [text.format(200 * s) for s in share[far]])
+
+
 def refuse_by_reference(m: Measured, drift: Smooth, reasons: Reasons) -> None:
     """Refuse measurements in which the reference sensor reads other than shortly before and after."""
     assert m.relative is not None

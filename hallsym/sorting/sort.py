@@ -15,10 +15,12 @@ from hallsym.sorting.drift import Smooth, smooth
 from hallsym.sorting.readings import Readings, read_readings, readings_from
 from hallsym.sorting.result import METHODS, Drift, Repeats, Sorting
 from hallsym.sorting.seating import (
+    FACTOR,
     Reasons,
     Refusal,
     Scatter,
     refuse_by_reference,
+    refuse_conflicting,
     refuse_readings,
     refuse_strangers,
     repeatability,
@@ -68,7 +70,7 @@ def sort_sensors(
     good = reasons.good(len(gain))
     with np.errstate(divide="ignore", invalid="ignore"):
         refuse_strangers(gain / np.median(gain[good]), m.offset / np.median(gain[good]), reasons)
-    scatter = _repeatability(m, gain, reasons, repeatability)
+    scatter = _repeatability(m, gain, reasons, repeatability, found.noise)
     return _result(readings, m, gain, reasons, found, scatter, width, nominal, started)
 
 
@@ -201,9 +203,14 @@ def _per_kelvin(m: Measured, line: Smooth) -> tuple[float, float] | None:
 # -- sensors -----------------------------------------------------------------------------------------------
 
 
-def _repeatability(m: Measured, gain: Array, reasons: Reasons, stated: float | None) -> Scatter | None:
+def _repeatability(
+    m: Measured, gain: Array, reasons: Reasons, stated: float | None, noise: float
+) -> Scatter | None:
     with np.errstate(invalid="ignore"):
-        return repeatability(m.sensor, gain, reasons, stated)
+        found = repeatability(m.sensor, gain, reasons, stated)
+    if usual := found.std if found else noise:
+        refuse_conflicting(m, usual, reasons)
+    return found
 
 
 def _result(
@@ -230,6 +237,11 @@ def _result(
     middle = float(np.median(gains)) if nominal is None else nominal
     one = scatter or Scatter(drift.noise, np.inf, 0)
     std = one.std / np.sqrt(count[kept]) * gains
+    if not 1 / FACTOR < middle / float(np.median(gains)) < FACTOR:
+        raise InputError(
+            f"The nominal gain must be near those of the sensors; instead received {middle:g} where their "
+            f"median is {np.median(gains):.4g} {readings.gain_unit}."
+        )
     _check_width(width, float(np.median(std)) / middle)
     return Sorting(
         tuple(readings.ids[k] for k in kept),

@@ -77,7 +77,7 @@ def test_three_sums_a_third_of_a_period_apart_count_alike():
 def test_the_thesis_error_of_ten_percent_is_decoded():
     """Figure 2-6: gains 1/1.1, 1/1.1, 1/.9 of three sums a third of a period apart.
 
-    +-.3295 mm along x and .4551 mm in z, where only the first two read. Over the third (its .2243 mm) the thesis
+    +-.3295 mm along x and .4551 mm in z, where only the first two read. Over the third (its .2243 mm) it
     takes z from the sum of squares, least squares give lc ln((2 (1/1.1)/4 + 1/.9) 2/3).
     """
     x = np.linspace(-0.5, 0.5, 2001) * 2 * np.pi * LC

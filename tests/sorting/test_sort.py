@@ -183,6 +183,32 @@ def test_a_sensor_that_was_not_seated_is_refused_by_name():
     assert len(why) <= 1
 
 
+def test_rows_that_contradict_each_other_refuse_the_sensor():
+    table = long_form(bench(repeats=0)[0])
+    for column, values in table.items():
+        table[column] = np.insert(values, 42, values[41])
+    table["reading_mv"][42] *= 1.05
+    (refusal,) = sort_sensors(table, repeatability=1e-3).refused
+    assert refusal.sensor == table["sensor"][41]
+    assert "in one field differ" in refusal.reason
+
+
+def test_one_in_ten_not_seated_leaves_the_others_as_they_are():
+    table, gains, _ = bench(n=800, repeats=200)
+    rng = np.random.default_rng(11)
+    bad = rng.choice(1000, 100, replace=False)
+    slip = 1 - rng.uniform(0.01, 0.2, 100)
+    table["reading_1_v"][bad] *= slip
+    table["reference_1_v"][bad] *= slip
+    found = sort_sensors(table)
+    refused = {r.sensor for r in found.refused}
+    assert set(table["sensor"][bad].tolist()) <= refused
+    assert len(refused) <= 102
+    away = (found.gain - truth(found, gains)) / found.std
+    assert np.abs(away).max() < 5
+    assert np.std(away) == pytest.approx(1.0, abs=0.15)
+
+
 def test_of_three_measurements_the_odd_one_is_left_out():
     table, gains, _ = bench()
     rows = [0, 0, 0]
@@ -246,7 +272,9 @@ def test_readings_that_repeat_in_a_field_are_averaged_and_a_field_that_comes_bac
     assert found.measurements.tolist() == [2, 2]
     assert found.gain == pytest.approx([0.9 / 0.4] * 2)
     assert found.offset == pytest.approx([0.2] * 2)
-    labelled = sort_sensors(table | {"repeat": np.array(["x"] * 14)}, drift="none", repeatability=1e-3)
+    labelled = sort_sensors(
+        table | {"repeat": np.array(["x"] * 14)}, drift="none", repeatability=0.1, width=0.2
+    )
     assert labelled.measurements.tolist() == [1, 1]
 
 
@@ -280,6 +308,7 @@ def without(table, *columns):
         (lambda t: t, {"width": 5e-4}, "no wider than"),
         (lambda t: t, {"width": 0.0}, "width of a bin"),
         (lambda t: t, {"nominal": -1.0}, "nominal gain"),
+        (lambda t: t, {"nominal": 100.0}, "nominal gain"),
         (lambda t: t, {"repeatability": 0.0}, "repeatability"),
         (lambda t: t, {"drift": "smoth"}, "did you mean 'smooth'"),
         (lambda t: t, {"fields": (0.0, 0.4, 0.5)}, "2 readings a row"),
