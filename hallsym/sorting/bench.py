@@ -40,6 +40,12 @@ def measured(readings: Readings) -> Measured:
             f"The fields of {readings.where} must differ, for a gain is the change of a reading between two"
             f" known fields; {known}."
         )
+    if not np.isfinite(readings.time).all():
+        row = int(np.flatnonzero(~np.isfinite(readings.time))[0]) + 1
+        raise InputError(
+            f"Column t_s of {readings.where} must hold the time of every reading; reading {row} has none. "
+            "Without the column the order of the rows stands for it."
+        )
     line = _lines(readings, readings.value)
     count = len(line.gain)
     sensor, time = np.zeros(count, int), np.zeros(count)

@@ -16,6 +16,10 @@ from hallsym.errors import InputError
 from hallsym.units import Array
 
 
+LOT = 30
+"""Fewest sensors whose own spread says what gains there are."""
+
+
 def bins_of(relative: Array, width: float) -> Array:
     """Return the bin (n,) of each relative gain (1 is nominal): 0 is the nominal one.
 
@@ -28,15 +32,15 @@ def bins_of(relative: Array, width: float) -> Array:
 def wrong_probability(relative: Array, std: Array, dof: float, width: float) -> Array:
     """Return the probability (n,) that the true gain lies outside the bin that the measured one chose.
 
-    `std` (n,) relative, of `dof` degrees of freedom. Before the measurement gains are taken as normal with
-    the robust mean and spread of all; where the spread is far above `std`, as in an unsorted lot, that
-    changes nothing, where a sorted bin is measured again it does.
+    `std` (n,) relative, of `dof` degrees of freedom. Before the measurement gains are taken as normal with the
+    robust mean and spread of all; where that spread is far above `std`, as in an unsorted lot, this changes
+    nothing; where a sorted bin is measured again, it does. Fewer than `LOT` sensors tell no spread.
     """
     k = bins_of(relative, width)
     middle = float(np.median(relative))
     spread = float(1.4826 * np.median(np.abs(relative - middle)))
-    before = np.maximum(spread**2 - np.median(std) ** 2, 0.0) if len(std) else 0.0
-    weight = before / (before + std**2) if before > 0 else np.where(std > 0, 0.0, 1.0)
+    before = max(spread**2 - float(np.median(std)) ** 2, 0.0) if len(std) >= LOT else np.inf
+    weight = 1 / (1 + std**2 / before) if before > 0 else np.where(std > 0, 0.0, 1.0)
     centre, scale = middle + weight * (relative - middle), std * np.sqrt(weight)
     low = 1.0 + (k - 0.5) * width
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -23,11 +23,11 @@ FALSE_REFUSALS = 0.01
 """Good values that a check of a whole record may refuse, on average: 1 in 100 records."""
 LEAST = 1e-12
 """What stands for zero, over what is usual."""
-ANEW = 1e6
-"""Time of a step at which the walk starts anew, over the usual time; its inverse is the shortest one."""
+ANEW, SHORTEST = 1e6, 1e-3
+"""Time of a step at which the walk starts anew, and of one between equal times, over the usual time."""
 SIDE, LEVEL = 3, 8
 """Values on each side that a single one must differ from, and that show a new level."""
-RATIOS = -14.0, 23.0
+RATIOS = -14.0, 18.0
 """Natural logarithms of noise over step variance that are tried: from a noiseless reference to no drift."""
 ROUNDS = 10
 """Most passes of smoothing and refusing; three are usual."""
@@ -129,7 +129,7 @@ def _spikes(values: Array, half: int = 3) -> Array:
 def _fitted(values: Array, time: Array, good: Array, jumps: Array) -> Smooth:
     step = np.diff(time)
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0
-    step = np.where(jumps, ANEW, np.maximum(step / usual, 1 / ANEW))
+    step = np.where(jumps, ANEW, np.maximum(step / usual, SHORTEST))
     y, w = np.where(good, values, 0.0), good.astype(float)
     centre = float(y.sum() / max(w.sum(), 1.0))
     y = np.where(good, values - centre, 0.0)

@@ -8,13 +8,12 @@ import numpy as np
 from scipy.stats import t as student
 
 from hallsym.sorting.bench import Measured
+from hallsym.sorting.bins import LOT
 from hallsym.sorting.drift import FALSE_REFUSALS, Smooth, limit, robust_std
 from hallsym.units import Array
 
 FACTOR = 2.0
 """A gain beyond this factor of the median is no sensor in its seat: their tolerances are 15 to 30 %."""
-LOT = 30
-"""Fewest sensors whose own spread says which of them does not belong to the lot."""
 FEWEST = 5
 """Fewest degrees of freedom of a repeatability that may refuse a sensor."""
 MAD_EFFICIENCY = 0.37

@@ -11,6 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError, counted, nearest
 from hallsym.sorting.bench import Measured, measured
+from hallsym.sorting.bins import LOT
 from hallsym.sorting.drift import Smooth, smooth
 from hallsym.sorting.readings import Readings, read_readings, readings_from
 from hallsym.sorting.result import METHODS, Drift, Repeats, Sorting
@@ -94,8 +95,8 @@ def _check_sign(m: Measured, reasons: Reasons, readings: Readings) -> None:
     good = reasons.good(len(m.gain))
     if not good.any():
         raise InputError(
-            f"No sensor of {readings.where} was read in two fields that differ:"
-            f" {_first(m, reasons, readings)}; a gain needs two readings."
+            f"No sensor of {readings.where} can be sorted: {_first(m, reasons, readings)}; a gain needs two "
+            "readings in fields that differ."
         )
     if np.median(m.gain[good]) < 0:
         raise InputError(
@@ -235,7 +236,7 @@ def _result(
 
     gains = mean(gain)
     middle = float(np.median(gains)) if nominal is None else nominal
-    one = scatter or Scatter(drift.noise, np.inf, 0)
+    one = scatter or Scatter(_instead(drift), np.inf, 0)
     std = one.std / np.sqrt(count[kept]) * gains
     if not 1 / FACTOR < middle / float(np.median(gains)) < FACTOR:
         raise InputError(
@@ -261,6 +262,14 @@ def _result(
         readings.where,
         time.perf_counter() - started,
     )
+
+
+def _instead(drift: Drift) -> float:
+    """What stands for the repeatability: the noise of the reference, of a few readings all that it moves."""
+    read = drift.read[np.isfinite(drift.read)] if drift.read is not None else np.zeros(0)
+    if not 2 <= len(read) < LOT:
+        return drift.noise
+    return max(drift.noise, float(np.sqrt(np.mean(np.diff(read) ** 2) / 2)))
 
 
 def _check_width(width: float, std: float) -> None:
@@ -296,8 +305,8 @@ def _refusals(readings: Readings, m: Measured, reasons: Reasons, count: Array) -
 def _notes(readings: Readings, scatter: Scatter | None, drift: Drift, relative: Array) -> Iterator[str]:
     if scatter is None:
         told = (
-            f"the noise of the reference sensor, {100 * drift.noise:.2g} %, stands for it"
-            if drift.noise
+            f"the noise of the reference sensor, {100 * _instead(drift):.2g} %, stands for it"
+            if _instead(drift)
             else "gains have no uncertainty and no sensor is called wrong"
         )
         yield (

@@ -66,7 +66,7 @@ def test_the_smoothed_reference_is_at_least_as_good_as_its_readings_and_as_nothi
     rms = {way: np.std(e) for way, e in errors.items()}
     # a noise far below the walk's own step is not told from none
     assert rms["smooth"] <= 1.05 * min(rms["ratio"], rms["none"]) + (
-        0.04 * walk if walk > 10 * noise else 1e-9
+        0.04 * walk if walk > 10 * noise else 1e-4 * noise
     )
     if walk:
         assert np.std(errors["smooth"] / found.std) < 1.2
@@ -304,6 +304,7 @@ def without(table, *columns):
         (lambda t: t | {"reference_1_v": t["reference_0_v"]}, {}, "do not change"),
         (lambda t: t | {"reading_1_v": -t["reading_1_v"]}, {}, "other sign"),
         (lambda t: t | {"reading_1_v": np.full(750, np.nan)}, {}, "two readings"),
+        (lambda t: t | {"t_s": np.r_[np.nan, t["t_s"][1:]]}, {}, "Column t_s"),
         (lambda t: without(t, "reading_1_v"), {}, "must differ"),
         (lambda t: t, {"width": 5e-4}, "no wider than"),
         (lambda t: t, {"width": 0.0}, "width of a bin"),
@@ -324,6 +325,16 @@ def test_bad_input_is_one_sentence(change, options, words):
     assert words in text
     assert len(text) <= 300
     assert "\n" not in text
+
+
+def test_few_sensors_and_equal_times_are_sorted():
+    table, *_ = bench(n=10, repeats=0)
+    found = sort_sensors(table)
+    assert np.median(found.std / found.gain) == pytest.approx(1e-3, rel=0.5)
+    assert any("stands for it" in note for note in found.notes)
+    together = sort_sensors(bench()[0] | {"t_s": np.repeat(np.arange(75.0), 10)})
+    assert np.std(together.gain / sort_sensors(bench()[0]).gain) < 3e-4
+    assert len(sort_sensors(bench()[0] | {"t_s": np.zeros(750)}).sensors) == 600
 
 
 def test_no_reference_can_be_accepted():
