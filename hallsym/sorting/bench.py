@@ -17,6 +17,8 @@ class Measured:
 
     `gain` [unit / T] and `offset` [unit] of the line through its readings, `off_line` the largest residual
     from it [unit] where there are more than two readings (else 0), `levels` the number of different fields,
+    `square` [unit^2] the sum of squared residuals and `spare` their degrees of freedom, `gain_root` [1 / T]
+    and `offset_root` what the scatter of a reading is multiplied by to give that of gain and offset,
     `relative` the reference sensor's gain over its median (nan: not read; None: there is no reference).
     """
 
@@ -26,6 +28,10 @@ class Measured:
     off_line: Array
     levels: Array
     span: Array
+    square: Array
+    spare: Array
+    gain_root: Array
+    offset_root: Array
     relative: Array | None
     time: Array
     temperature: Array | None
@@ -60,6 +66,10 @@ def measured(readings: Readings) -> Measured:
         line.off[order],
         line.levels[order],
         line.span[order],
+        line.square[order],
+        line.spare[order],
+        line.gain_root[order],
+        line.offset_root[order],
         None if relative is None else relative[order],
         time[order],
         None if warm is None else warm[order],
@@ -73,6 +83,10 @@ class _Lines:
     off: Array
     levels: Array
     span: Array
+    square: Array
+    spare: Array
+    gain_root: Array
+    offset_root: Array
 
 
 def _lines(readings: Readings, values: Array) -> _Lines:
@@ -94,9 +108,13 @@ def _lines(readings: Readings, values: Array) -> _Lines:
     levels = _levels(at, b, count)
     with np.errstate(invalid="ignore", divide="ignore"):
         gain = np.where(levels > 1, total(db * dv) / total(db * db), np.nan)
+        roots = 1 / np.sqrt(total(db * db)), np.sqrt(1 / n + mean_b**2 / total(db * db))
+    rest = np.nan_to_num(dv - gain[at] * db)
     off = np.zeros(count)
-    np.maximum.at(off, at, np.nan_to_num(np.abs(dv - gain[at] * db)))
-    return _Lines(gain, mean_v - gain * mean_b, np.where(n > 2, off, 0.0), levels, span)
+    np.maximum.at(off, at, np.abs(rest))
+    some = n > 2
+    square, spare = np.where(some, total(rest * rest), 0.0), np.where(some, n - 2, 0.0)
+    return _Lines(gain, mean_v - gain * mean_b, np.where(some, off, 0.0), levels, span, square, spare, *roots)
 
 
 def _levels(at: Array, field: Array, count: int) -> Array:

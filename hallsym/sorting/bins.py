@@ -15,7 +15,6 @@ from scipy.stats import norm
 from hallsym.errors import InputError
 from hallsym.units import Array
 
-
 LOT = 30
 """Fewest sensors whose own spread says what gains there are."""
 
@@ -32,9 +31,9 @@ def bins_of(relative: Array, width: float) -> Array:
 def wrong_probability(relative: Array, std: Array, dof: float, width: float) -> Array:
     """Return the probability (n,) that the true gain lies outside the bin that the measured one chose.
 
-    `std` (n,) relative, of `dof` degrees of freedom. Before the measurement gains are taken as normal with the
-    robust mean and spread of all; where that spread is far above `std`, as in an unsorted lot, this changes
-    nothing; where a sorted bin is measured again, it does. Fewer than `LOT` sensors tell no spread.
+    `std` (n,) relative, of `dof` degrees of freedom. Before the measurement gains are taken as normal with
+    the robust mean and spread of all; where that spread is far above `std`, as in an unsorted lot, this
+    changes nothing; where a sorted bin is measured again, it does. Fewer than `LOT` sensors tell no spread.
     """
     k = bins_of(relative, width)
     middle = float(np.median(relative))

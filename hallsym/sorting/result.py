@@ -79,14 +79,15 @@ class Sorting:
     """Sensors that were sorted, all of shape (n,), and what the record says of the bench.
 
     `gain` [`unit`] and `offset` [`reading_unit`], `std` of the gain [`unit`] of `dof` degrees of freedom
-    without the common scale of the known field, `relative` gain over `nominal`, `measurements` of each that
-    count.
+    without the common scale of the known field, `offset_std` [`reading_unit`] (nan: nothing tells it),
+    `relative` gain over `nominal`, `measurements` of each that count.
     """
 
     sensors: tuple[str, ...]
     gain: Array
     offset: Array
     std: Array
+    offset_std: Array
     dof: float
     nominal: float
     unit: str
@@ -138,6 +139,7 @@ class Sorting:
             self.gain,
             self.std,
             self.offset,
+            tuple(_number(x) for x in self.offset_std.tolist()),
             self.relative,
             self.bin,
             self.wrong,
@@ -148,6 +150,7 @@ class Sorting:
             "gain",
             "gain_std",
             "offset",
+            "offset_std",
             "relative",
             "bin",
             "wrong_bin_probability",

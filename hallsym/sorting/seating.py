@@ -156,7 +156,7 @@ def repeatability(
     stands in place of the scatter that is found.
     """
     at = np.flatnonzero(reasons.good(len(gain)))
-    groups = [g for g in _grouped(sensor[at], at) if len(g) > 1]
+    groups = [g for g in grouped(sensor[at], at) if len(g) > 1]
     if not groups:
         return None if stated is None else Scatter(stated, np.inf, 0)
     away = np.concatenate([_deviations(gain[g]) for g in groups])
@@ -175,7 +175,8 @@ def repeatability(
     return Scatter(float(np.sqrt(total / free)), free, len(kept))
 
 
-def _grouped(sensor: Array, at: Array) -> list[Array]:
+def grouped(sensor: Array, at: Array) -> list[Array]:
+    """Return the measurements `at` of each `sensor` (both (g,)), one array a sensor."""
     order = np.argsort(sensor, kind="stable")
     edges = np.flatnonzero(np.diff(sensor[order])) + 1
     return np.split(at[order], edges)

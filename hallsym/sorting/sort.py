@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError, counted, nearest
 from hallsym.sorting.bench import Measured, measured
-from hallsym.sorting.bins import LOT
+from hallsym.sorting.certainty import Certainty, certainty
 from hallsym.sorting.drift import Smooth, smooth
 from hallsym.sorting.readings import Readings, read_readings, readings_from
 from hallsym.sorting.result import METHODS, Drift, Repeats, Sorting
@@ -236,40 +236,32 @@ def _result(
 
     gains = mean(gain)
     middle = float(np.median(gains)) if nominal is None else nominal
-    one = scatter or Scatter(_instead(drift), np.inf, 0)
-    std = one.std / np.sqrt(count[kept]) * gains
+    known = certainty(m, gains, at, count[kept], scatter, drift)
     if not 1 / FACTOR < middle / float(np.median(gains)) < FACTOR:
         raise InputError(
             f"The nominal gain must be near those of the sensors; instead received {middle:g} where their "
             f"median is {np.median(gains):.4g} {readings.gain_unit}."
         )
-    _check_width(width, float(np.median(std)) / middle)
+    _check_width(width, float(np.median(known.gain)) / middle)
     return Sorting(
         tuple(readings.ids[k] for k in kept),
         gains,
         mean(m.offset),
-        std,
-        one.dof,
+        known.gain,
+        known.offset,
+        known.dof,
         middle,
         readings.gain_unit,
         readings.unit,
         count[kept],
         width,
         drift,
-        _repeats(m, gain / middle, at, one),
+        _repeats(m, gain / middle, at, scatter),
         _refusals(readings, m, reasons, count),
-        tuple(_notes(readings, scatter, drift, gains / middle)),
+        tuple(_notes(readings, scatter, known, drift, gains / middle)),
         readings.where,
         time.perf_counter() - started,
     )
-
-
-def _instead(drift: Drift) -> float:
-    """What stands for the repeatability: the noise of the reference, of a few readings all that it moves."""
-    read = drift.read[np.isfinite(drift.read)] if drift.read is not None else np.zeros(0)
-    if not 2 <= len(read) < LOT:
-        return drift.noise
-    return max(drift.noise, float(np.sqrt(np.mean(np.diff(read) ** 2) / 2)))
 
 
 def _check_width(width: float, std: float) -> None:
@@ -281,11 +273,13 @@ def _check_width(width: float, std: float) -> None:
         )
 
 
-def _repeats(m: Measured, relative: Array, at: Array, scatter: Scatter) -> Repeats | None:
+def _repeats(m: Measured, relative: Array, at: Array, scatter: Scatter | None) -> Repeats | None:
     good = np.zeros(len(relative), bool)
     good[at] = True
     pairs = _pairs(m.sensor, good)
-    return Repeats(scatter, relative[pairs[:, 0]], relative[pairs[:, 1]]) if len(pairs) else None
+    if scatter is None or not len(pairs):
+        return None
+    return Repeats(scatter, relative[pairs[:, 0]], relative[pairs[:, 1]])
 
 
 def _refusals(readings: Readings, m: Measured, reasons: Reasons, count: Array) -> tuple[Refusal, ...]:
@@ -302,11 +296,13 @@ def _refusals(readings: Readings, m: Measured, reasons: Reasons, count: Array) -
     return tuple(found.values())
 
 
-def _notes(readings: Readings, scatter: Scatter | None, drift: Drift, relative: Array) -> Iterator[str]:
+def _notes(
+    readings: Readings, scatter: Scatter | None, known: Certainty, drift: Drift, relative: Array
+) -> Iterator[str]:
     if scatter is None:
         told = (
-            f"the noise of the reference sensor, {100 * _instead(drift):.2g} %, stands for it"
-            if _instead(drift)
+            f"{known.instead}, stands for it"
+            if known.instead
             else "gains have no uncertainty and no sensor is called wrong"
         )
         yield (

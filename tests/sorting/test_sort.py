@@ -125,6 +125,29 @@ def test_gains_and_wrong_bins_are_as_stated():
     assert abs(wrong - expected) < 3 * spread
 
 
+def test_offsets_are_as_stated():
+    table, _, offsets = bench(repeats=300)
+    table["reading_0_v"] = table["reading_0_v"] + np.random.default_rng(8).normal(0, 2e-4, 900)
+    found = sort_sensors(table)
+    away = (found.offset - np.array([offsets[name] for name in found.sensors])) / found.offset_std
+    assert np.std(away) == pytest.approx(1.0, abs=0.1)
+
+
+def test_readings_about_their_lines_tell_the_uncertainty_where_nothing_was_measured_twice():
+    rng = np.random.default_rng(6)
+    gain, offset = 2 * (1 + rng.normal(0, 0.02, 200)), rng.normal(0, 5e-3, 200)
+    field = np.tile([0.0, 0.2, 0.4, 0.6], (200, 1))
+    table = {
+        "sensor": np.repeat(np.arange(200), 4),
+        "field_t": field.ravel(),
+        "reading_v": (offset[:, None] + gain[:, None] * field + rng.normal(0, 5e-4, (200, 4))).ravel(),
+    }
+    found = sort_sensors(table, drift="none")
+    assert np.std((found.gain - gain) / found.std) == pytest.approx(1.0, abs=0.15)
+    assert np.std((found.offset - offset) / found.offset_std) == pytest.approx(1.0, abs=0.15)
+    assert any("about their lines" in note for note in found.notes)
+
+
 @pytest.mark.slow
 def test_gains_and_wrong_bins_are_as_stated_over_many_benches():
     share, _, wrong, expected, spread = coverage(range(200))

@@ -185,20 +185,14 @@ def save_table(path: str, found: Sorting, matching: Matching | None = None) -> N
             place |= {i: (j + 1, where) for i, where in zip(row, matching.places, strict=True)}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        [
-            "sensor",
-            "gain",
-            "gain_std",
-            "offset",
-            "bin",
-            "wrong_bin_probability",
-            *(["set", "place"] if matching else []),
-        ]
-    )
-    columns = zip(found.sensors, found.gain, found.std, found.offset, found.bin, found.wrong, strict=True)
-    for i, (sensor, gain, std, offset, k, wrong) in enumerate(columns):
-        cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", int(k), f"{wrong:.4f}"]
+    head = ("sensor", "gain", "gain_std", "offset", "offset_std", "bin", "wrong_bin_probability")
+    writer.writerow([*head, *(("set", "place") if matching else ())])
+    numbers = np.column_stack([found.gain, found.std, found.offset, found.offset_std]).tolist()
+    for i, (sensor, (gain, std, offset, offset_std), k, wrong) in enumerate(
+        zip(found.sensors, numbers, found.bin.tolist(), found.wrong.tolist(), strict=True)
+    ):
+        known = f"{offset_std:.3g}" if np.isfinite(offset_std) else ""
+        cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", known, k, f"{wrong:.4f}"]
         writer.writerow([*cells, *(place.get(i, ("", "")) if matching else ())])
     atomic_write(path, text.getvalue())
 
