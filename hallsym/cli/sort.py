@@ -123,11 +123,14 @@ def run(options: Namespace) -> int:
 
 
 def _check(options: Namespace) -> None:
-    given = [
-        name for name in ("sets", "campaign", "values", "machine", "effect") if getattr(options, name)
-    ] + (["per-channel"] if options.per_channel != 1 else [])
+    names = ("sets", "campaign", "values", "machine", "effect", "seed")
+    given = [name for name in names if getattr(options, name)]
+    given += ["per-channel"] if options.per_channel != 1 else []
     if given and not options.model:
         raise InputError(f"--{given[0]} says how sets are chosen; give the array's --model too.")
+    own = [name for name in ("machine", "effect") if getattr(options, name)]
+    if options.values and own:
+        raise InputError(f"--values holds a calibrated model with all that it has; leave --{own[0]} out.")
     if options.output and Path(options.output).suffix not in (".csv", ".json"):
         raise InputError(
             f"--output must end with .csv (a row a sensor) or .json (everything); it is {options.output}."

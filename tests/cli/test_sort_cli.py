@@ -2,11 +2,14 @@
 
 import csv
 import json
+from pathlib import Path
 
 import pytest
 
 from hallsym.cli.main import main
 from tests.sorting.benches import bench, written
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +88,8 @@ def test_columns_are_mapped_and_fields_stated(capsys, table, tmp_path):
         (["--per-channel", "2"], "--model"),
         (["--model", "stage31", "--sets", "400"], "89 were sorted"),
         (["--model", "stage3"], "did you mean"),
+        (["--seed", "3"], "--model"),
+        (["--model", "stage31", "--values", "a.json", "--effect", "quantisation"], "--effect"),
         (["-o", "a.txt"], ".csv"),
         (["--field", "0,475"], "unit"),
         (["--field", "0mT,1mT,2mT"], "2 readings a row"),
@@ -97,3 +102,15 @@ def test_bad_input_is_one_sentence(capsys, table, arguments, words):
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
+
+
+def test_sets_for_a_calibration(capsys, table, tmp_path):
+    calibration = tmp_path / "calibration.json"
+    arguments = ("--model", "rotary", "--solver", "direct", "-o", calibration)
+    assert run(capsys, "fit", ROOT / "data" / "encoder", *arguments)[0] in (0, 3)
+    code, out, err = run(capsys, "sort", table, "--model", "rotary", "--values", calibration, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["matching"]["gain_over_bins"] > 1
+    code, _, err = run(capsys, "sort", table, "--model", "stage31", "--values", calibration)
+    assert code == 2
+    assert "--model rotary" in err

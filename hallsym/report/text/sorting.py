@@ -119,11 +119,11 @@ def _refused(found: Sorting) -> Iterator[str]:
 def matching_text(found: Matching) -> str:
     """Return the ways of choosing sets beside each other, and the first of the chosen sets."""
     size = len(found.places)
-    best = "optimal" if found.optimal else "improved until exchanges changed nothing"
+    best = "optimal" if found.optimal else "improved by exchanges"
     return "\n".join(
         [
             (
-                f"sets of {size} for {found.model.name}, common gain of a set set in its decoder; {best};"
+                f"sets of {size} for {found.model.name}, whose decoder knows the common gain; {best};"
                 f" {found.seconds:.2f} s"
             ),
             way_table(found),
