@@ -1,0 +1,38 @@
+"""Each mistake of the table is named in every log it is made in; the same logs without it pass silently."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from mistakes import ENCODER, MISTAKES, STAGE, Mistake, base, made
+
+from hallsym.errors import InputError
+from hallsym.estimation import fit
+from hallsym.log import Log, check_log
+
+CASES = [pytest.param(m, name, id=f"{m.name}, {name}") for m in MISTAKES for name in m.on]
+LONGEST = 300
+
+
+def sentences(mistake: Mistake, log: Log) -> tuple[str, list[str]]:
+    """How it ends, and everything that is said."""
+    try:
+        notes = check_log(log) if mistake.found == "log" else list(fit(log, solver="direct").notes)
+    except InputError as error:
+        return "refusal", [str(error)]
+    return "note", notes
+
+
+@pytest.mark.parametrize(("mistake", "name"), CASES)
+def test_each_mistake_is_named(mistake: Mistake, name: str) -> None:
+    ends, said = sentences(mistake, made(mistake, name))
+    assert any(re.search(mistake.says, text) for text in said), said
+    assert ends == mistake.ends
+    assert all(len(text) <= LONGEST and "\n" not in text for text in said), said
+
+
+@pytest.mark.parametrize("name", [*STAGE, *ENCODER])
+def test_the_logs_without_a_mistake_pass_silently(name: str) -> None:
+    arrays, noise = base(name)
+    assert check_log(Log.from_arrays(arrays, noise)) == []
