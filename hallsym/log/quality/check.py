@@ -141,4 +141,4 @@ def _values(log: Log, seen: Scan) -> Iterator[Finding]:
         rails |= finding.drop or Drop()
     yield from held(log, seen, spans, rails)
     yield from few_levels(log, seen, spans)
-    yield from stale(log, seen, spans)
+    yield from stale(log, seen, spans, rails)

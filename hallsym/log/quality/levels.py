@@ -10,7 +10,7 @@ from hallsym.log.core import Log
 from hallsym.log.drop import Drop
 from hallsym.log.limits import is_moving, is_reading, is_reference
 from hallsym.log.quality.findings import Finding, others, the
-from hallsym.log.quality.motion import follows, is_noisy
+from hallsym.log.quality.motion import follows, is_noisy, stretches
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.log.quality.sample import WHOLE_ROWS
 from hallsym.log.quality.scan import Scan, Span, Spans
@@ -26,6 +26,15 @@ prediction leaves, from which a reading that does not change there is dead: one 
 _LINEAR = 0.5
 """Share of a reading's variation that a linear function of the references must explain to be believed."""
 _FEWEST_CHANGES = 16
+_REST = 64
+"""Equal samples in a row that are a rest and no slow channel."""
+_BY_CHANCE = 2.0
+"""Equal neighbours over those one code apart from which the logger repeated them: by chance it is a half."""
+_CODE_AT = 0.005
+"""Quantile of the changes that is one code of a converter if there is one: outliers make smaller ones."""
+_SLOW_SHARE = 0.5
+_OFTEN = 0.02
+"""Share of samples that are equal to the one before from which the logger, and not chance, repeated them."""
 _SLOW = 4.0
 """Usual change over the least one from which values that repeat are those of a slow channel: those of a
 coarse converter change by one code most of the time."""
@@ -89,18 +98,30 @@ def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
             )
 
 
-def stale(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
-    """Samples that the logger repeated; in a run where a column rests there is nothing to repeat."""
+def stale(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
+    """Samples that the logger repeated; in a run where a column rests there is nothing to repeat.
+
+    Nor is there on a rail: columns of `rails` are not judged.
+    """
+    ends = {name for name, _, _ in rails.between}
     for name, trace in seen.traces.items():
-        if not is_moving(name) or name not in spans.overall:
+        if not is_moving(name) or name not in spans.overall or name in ends:
             continue
         resting = [n for run, n in spans.samples.items() if _rests(spans.runs[run][name])]
         repeats, rows = trace.repeats - sum(resting) + len(resting), seen.rows - sum(resting)
-        if repeats > rows / 2 and (times := _repeats_each(log, name)):
+        if repeats <= _OFTEN * rows or not (share := _repeats(log, name)):
+            continue
+        if share > _SLOW_SHARE:
             yield Finding(
-                f"{the(log, name)} repeats each value about {times:.0f} times: it was recorded at a lower"
-                " rate than the others, which looks like a delay",
+                f"{the(log, name)} repeats each value about {1 / (1 - share):.0f} times: it was recorded at a"
+                " lower rate than the others, which looks like a delay",
                 remedy="record all columns at one rate",
+            )
+        else:
+            yield Finding(
+                f"{the(log, name)} repeats the value before it in {share:.1%} of its samples: the logger read"
+                " an old one there",
+                remedy="read the channel once a sample",
             )
 
 
@@ -108,14 +129,24 @@ def _rests(span: Span) -> bool:
     return span.min == span.max
 
 
-def _repeats_each(log: Log, column: str) -> float | None:
-    """Return how often each value is repeated, if the channel was recorded at a lower rate than others.
+def _repeats(log: Log, column: str) -> float:
+    """Return the share of samples that repeat the one before because of the logger; 0 where they need not.
 
-    A slow channel on a coarse ADC repeats too, but then its steps are mostly one ADC step.
+    A coarse converter repeats by itself where the motion is slow: then its steps are mostly one code, and
+    half as many are none as are one code up or down. Long rests do not count.
     """
-    steps = [np.abs(np.diff(block.data[column])) for block in log.blocks((column,), size=WHOLE_ROWS)]
-    step = np.concatenate(steps) if steps else np.empty(0)
+    parts = []
+    for block in log.blocks((column,), size=WHOLE_ROWS):
+        step = np.abs(np.diff(block.data[column]))
+        free = np.ones(len(step), bool)
+        for a, b in stretches(step == 0, shortest=_REST):
+            free[a:b] = False
+        parts.append(step[free])
+    step = np.concatenate(parts) if parts else np.empty(0)
     changes = step[step > 0]
-    if len(changes) < _FEWEST_CHANGES or len(changes) > len(step) / 2:
-        return None
-    return len(step) / len(changes) if np.median(changes) >= _SLOW * changes.min() else None
+    code = float(np.quantile(changes, _CODE_AT)) if len(changes) else 0.0
+    if len(changes) < _FEWEST_CHANGES or np.median(changes) < _SLOW * code:
+        return 0.0
+    equal = len(step) - len(changes)
+    by_a_code = int(np.count_nonzero(changes < 1.5 * code))
+    return equal / len(step) if equal > max(_OFTEN * len(step), _BY_CHANCE * by_a_code) else 0.0
