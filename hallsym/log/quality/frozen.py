@@ -11,7 +11,7 @@ from hallsym.log.core import Block, Log
 from hallsym.log.drop import Drop
 from hallsym.log.limits import is_moving, is_reading, is_reference
 from hallsym.log.quality.findings import Finding, the
-from hallsym.log.quality.motion import Follows, follows, is_noisy, stretches
+from hallsym.log.quality.motion import Follows, follows, noise_in_codes, stretches
 from hallsym.log.quality.scan import HELD_SAMPLES, Scan, Spans
 from hallsym.units import Array, si_unit
 
@@ -21,6 +21,10 @@ _JUMP = 3.0
 """Usual steps of a column that it goes on with after a stretch of old samples."""
 _RARE = 0.2
 """Share of equal neighbours outside the stretches up to which they are rare: a coarse converter has more."""
+_CHANCE = 1e-6
+"""Probability that noise repeats a code for so long somewhere in a block from which it is no chance."""
+_AT_A_TURN = 4.0
+"""Equal neighbours at a turning point over those elsewhere, at most."""
 _LONGER = 2.0
 """Usual length of the equal values of a coarse converter beyond which a stretch is looked at."""
 _LINEAR = 0.5
@@ -103,8 +107,8 @@ def _frozen(block: Block, name: str, beside: tuple[str, ...]) -> list[tuple[int,
     between = free[1:] | free[:-1]
     moving = step[between & (step > 0)]
     rare = len(moving) > 0 and np.mean(step[between] == 0) <= _RARE
-    if rare and _never_rests(x, long):
-        return long
+    if rare and (sure := _beyond_chance(x, long)):
+        return sure
     if not rare:  # the codes of a coarse converter: only what is far longer than they usually last
         usual_length = float(np.median([b - a for a, b in long]))
         long = [(a, b) for a, b in long if b - a > _LONGER * usual_length]
@@ -113,21 +117,34 @@ def _frozen(block: Block, name: str, beside: tuple[str, ...]) -> list[tuple[int,
             free[a:b] = False
     others = [block.data[c] for c in beside]
     usual = float(np.median(moving)) if rare else np.inf
+    again = min(0.5, _AT_A_TURN * float(np.mean(step[between] == 0))) if rare else 0.5
     leaps = [_leaps(other, free) for other in others]
     told = follows(x, others, free) if long else None
     return [
         (a, b)
         for a, b in long
-        if _jumps(step, a, b, usual, leaps)
+        if (_jumps(step, a, b, usual, leaps) and _no_chance(len(x), again, b - a))
         or (told is not None and told.share > _LINEAR and _misses(told, a, b))
     ]
 
 
-def _never_rests(x: Array, long: list[tuple[int, int]]) -> bool:
-    """Say whether the longest part of a column between its stretches is noisy, which noise never stops."""
+def _beyond_chance(x: Array, long: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the stretches that the noise in the longest part of a column between them would have ended.
+
+    Noise of s codes repeats a code with probability 1 / (2 sqrt(pi) s).
+    """
     edges = [0, *(edge for pair in long for edge in pair), len(x)]
     parts = [x[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return is_noisy(max(parts, key=len))
+    codes = noise_in_codes(max(parts, key=len))
+    if codes == 0.0:
+        return []
+    again = min(0.5, 1.0 / (2.0 * np.sqrt(np.pi) * codes))
+    return [(a, b) for a, b in long if _no_chance(len(x), again, b - a)]
+
+
+def _no_chance(samples: int, again: float, length: int) -> bool:
+    """Say whether a value does not repeat so often by chance, where it does once with probability `again`."""
+    return samples * again ** (length - 1) < _CHANCE
 
 
 def _leaps(other: Array, free: Array) -> Array:

@@ -15,6 +15,11 @@ _ROUGH = 0.5
 for white noise, 0.75 for noise that is correlated over many samples, below 0.05 for motion."""
 _OF_A_CODE = 0.6
 """Standard deviation of noise, in codes of the converter, from which it is more than rounding (0.29)."""
+_ARITHMETIC = 1e-13
+"""Differences over the largest value that are due to rounding of floating-point numbers alone."""
+_EQUAL, _SMALLEST = 0.01, 0.005
+"""Share of equal neighbours from which the steps themselves show the codes, and the quantile of the others
+that is one code: the codes of a converter may lie unevenly."""
 _FEWEST = 16
 _COARSE = 0.8
 """Share of distinct values below which a column shows the codes of its converter."""
@@ -37,19 +42,30 @@ def code(ordered: Array) -> float:
 
 def is_noisy(x: Array) -> bool:
     """Say whether samples (n,) carry noise beyond their rounding, so that no two recordings are alike."""
+    return noise_in_codes(x) > 0.0
+
+
+def noise_in_codes(x: Array) -> float:
+    """Return the noise of samples (n,), one sigma, in codes of their converter; 0 if it is only rounding."""
     if len(x) < _FEWEST:
-        return False
-    fourth, sixth = _spread(x, 4), _spread(x, 6)
-    smallest = np.diff(np.sort(x))
-    smallest = smallest[smallest > 0]
-    rounding = max(float(smallest.min(initial=np.inf)) if len(smallest) else 0.0, 1e-14 * np.abs(x).max())
-    return bool(sixth > _ROUGH * fourth and fourth > _OF_A_CODE * rounding and len(smallest) > len(x) / 8)
+        return 0.0
+    fourth = np.diff(x, 4)
+    spread = _spread(fourth, 4)
+    if not _spread(np.diff(fourth, 2), 6) > _ROUGH * spread:
+        return 0.0
+    steps = np.abs(np.diff(x))
+    if np.mean(steps == 0) > _EQUAL:
+        step = float(np.quantile(steps[steps > 0], _SMALLEST)) if steps.any() else np.inf
+    else:  # differences of codes are whole numbers of codes too, whatever the motion; less is arithmetic
+        whole = np.abs(fourth)
+        step = float(np.min(whole[whole > _ARITHMETIC * np.abs(x).max()], initial=np.inf))
+    codes = spread / step
+    return codes if codes > _OF_A_CODE else 0.0
 
 
-def _spread(x: Array, order: int) -> float:
-    """Standard deviation that white noise of such differences would have; a few outliers do not count."""
-    size = np.abs(np.diff(x, order)) / np.sqrt(comb(2 * order, order))
-    return float(np.median(size)) / 0.67449
+def _spread(difference: Array, order: int) -> float:
+    """Standard deviation of white noise with such differences; a few outliers do not count."""
+    return float(np.median(np.abs(difference))) / (0.67449 * np.sqrt(comb(2 * order, order)))
 
 
 @dataclass(frozen=True)
