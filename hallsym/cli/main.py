@@ -11,8 +11,8 @@ from hallsym.errors import InputError
 
 EPILOG = """\
 exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done, but this log leaves parameters of
-the model undetermined (they are named); 4 the solver did not converge or was interrupted (the best so far is
-written).
+the model undetermined, or its recording is at fault (both are named); 4 the solver did not converge or was
+interrupted (the best so far is written).
 
 examples:
   hallsym demo                                    the paper's calibration on the bundled campaign
