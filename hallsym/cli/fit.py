@@ -110,6 +110,9 @@ def run(options: Namespace) -> int:
 
 def exit_code(result: Fit) -> int:
     """0, or 3 and 4 with one sentence on stderr that says what is missing, or wrong with the recording."""
+    faults = [note for note in result.notes if isinstance(note, Fault)]
+    for fault in faults:
+        print(f"hallsym: {fault}", file=sys.stderr)
     if result.status != "converged":
         print(f"hallsym: the solver did not finish ({result.status}): {result.message}", file=sys.stderr)
         return NOT_CONVERGED
@@ -121,7 +124,4 @@ def exit_code(result: Fit) -> int:
             file=sys.stderr,
         )
         return NOT_DETERMINED
-    faults = [note for note in result.notes if isinstance(note, Fault)]
-    for fault in faults:
-        print(f"hallsym: {fault}", file=sys.stderr)
     return NOT_DETERMINED if faults else OK

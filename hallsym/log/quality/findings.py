@@ -9,7 +9,7 @@ from hallsym.errors import counted
 from hallsym.log.core import Log
 from hallsym.log.drop import Drop
 
-_LONGEST_NAME = 70
+_LONGEST_NAME = 60
 """Characters of a log's name that a sentence has room for: with them it stays below 300."""
 
 
