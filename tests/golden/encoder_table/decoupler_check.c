@@ -8,13 +8,15 @@
 #pragma STDC FP_CONTRACT OFF /* gcc: -std=c99 or -ffp-contract=off */
 #endif
 
-#define FIRST offsetof(decoupler_params_t, center_v_sin)
-#define COVERED offsetof(decoupler_params_t, zero_angle)
+#define LENGTH ((uint32_t)sizeof(decoupler_params_t))
+#define COVERED ((uint32_t)offsetof(decoupler_params_t, version))
+#define ZEROS_CRC ((uint32_t)offsetof(decoupler_params_t, zeros_crc))
+#define ZEROS ((uint32_t)offsetof(decoupler_params_t, zero_angle))
 
-static uint32_t crc32(const uint8_t *bytes, size_t count) /* IEEE 802.3, bit by bit */
+uint32_t decoupler_crc(const uint8_t *bytes, uint32_t count) /* IEEE 802.3, bit by bit */
 {
     uint32_t crc = 0xFFFFFFFFUL;
-    for (size_t k = 0U; k < count; k++)
+    for (uint32_t k = 0U; k < count; k++)
     {
         crc ^= (uint32_t)bytes[k];
         for (uint32_t n = 0U; n < 8U; n++)
@@ -35,12 +37,23 @@ static float greater(float a, float b)
     return (a > b) ? a : b;
 }
 
+static uint32_t negative(float value) /* -0 is: its bits are no limit */
+{
+    union
+    {
+        float value;
+        uint32_t bits;
+    } number;
+    number.value = value;
+    return ((number.bits & 0x80000000UL) != 0U) ? 1U : 0U;
+}
+
 static uint32_t ranges(const decoupler_params_t *p)
 {
     uint32_t found = 0U;
     const float spread_v_sin = 0.0f;
-    if (!((p->limit_v_sin >= 0.0f)
-        && (p->limit_v_cos >= 0.0f)))
+    if (!((negative(p->limit_v_sin) == 0U)
+        && (negative(p->limit_v_cos) == 0U)))
     {
         found |= DECOUPLER_BAD_LIMITS;
     }
@@ -72,13 +85,18 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_VERSION;
     }
-    if (p->layout != DECOUPLER_LAYOUT)
+    if ((p->layout != DECOUPLER_LAYOUT) || (p->length != LENGTH))
     {
         found |= DECOUPLER_BAD_LAYOUT;
     }
-    if (crc32(&bytes[FIRST], COVERED - FIRST) != p->crc)
+    if (decoupler_crc(&bytes[COVERED], ZEROS_CRC - COVERED) != p->crc)
     {
         found |= DECOUPLER_BAD_CRC;
+    }
+    if ((decoupler_crc(&bytes[ZEROS], LENGTH - ZEROS) != p->zeros_crc)
+        || !((p->zero_angle >= -6.28318548f) && (p->zero_angle <= 6.28318548f)))
+    {
+        found |= DECOUPLER_BAD_ZEROS;
     }
     if (bad != 0U)
     {

@@ -8,13 +8,15 @@
 #pragma STDC FP_CONTRACT OFF /* gcc: -std=c99 or -ffp-contract=off */
 #endif
 
-#define FIRST offsetof(decoupler_params_t, gain_hall_a_ry)
-#define COVERED offsetof(decoupler_params_t, zero_x)
+#define LENGTH ((uint32_t)sizeof(decoupler_params_t))
+#define COVERED ((uint32_t)offsetof(decoupler_params_t, version))
+#define ZEROS_CRC ((uint32_t)offsetof(decoupler_params_t, zeros_crc))
+#define ZEROS ((uint32_t)offsetof(decoupler_params_t, zero_x))
 
-static uint32_t crc32(const uint8_t *bytes, size_t count) /* IEEE 802.3, bit by bit */
+uint32_t decoupler_crc(const uint8_t *bytes, uint32_t count) /* IEEE 802.3, bit by bit */
 {
     uint32_t crc = 0xFFFFFFFFUL;
-    for (size_t k = 0U; k < count; k++)
+    for (uint32_t k = 0U; k < count; k++)
     {
         crc ^= (uint32_t)bytes[k];
         for (uint32_t n = 0U; n < 8U; n++)
@@ -35,18 +37,29 @@ static float greater(float a, float b)
     return (a > b) ? a : b;
 }
 
+static uint32_t negative(float value) /* -0 is: its bits are no limit */
+{
+    union
+    {
+        float value;
+        uint32_t bits;
+    } number;
+    number.value = value;
+    return ((number.bits & 0x80000000UL) != 0U) ? 1U : 0U;
+}
+
 static uint32_t ranges(const decoupler_params_t *p)
 {
     uint32_t found = 0U;
     const float spread_hall_a = ((greater(p->gain_hall_a_ry, -p->gain_hall_a_ry) * p->limit_ry) + (greater(p->gain_hall_a_rx, -p->gain_hall_a_rx) * p->limit_rx)) + (greater(p->gain_hall_a_z, -p->gain_hall_a_z) * p->limit_z);
     const float spread_hall_b = ((greater(p->gain_hall_b_ry, -p->gain_hall_b_ry) * p->limit_ry) + (greater(p->gain_hall_b_rx, -p->gain_hall_b_rx) * p->limit_rx)) + (greater(p->gain_hall_b_z, -p->gain_hall_b_z) * p->limit_z);
     const float spread_hall_c = ((greater(p->gain_hall_c_ry, -p->gain_hall_c_ry) * p->limit_ry) + (greater(p->gain_hall_c_rx, -p->gain_hall_c_rx) * p->limit_rx)) + (greater(p->gain_hall_c_z, -p->gain_hall_c_z) * p->limit_z);
-    if (!((p->limit_hall_a >= 0.0f)
-        && (p->limit_hall_b >= 0.0f)
-        && (p->limit_hall_c >= 0.0f)
-        && (p->limit_z >= 0.0f)
-        && (p->limit_rx >= 0.0f)
-        && (p->limit_ry >= 0.0f)))
+    if (!((negative(p->limit_hall_a) == 0U)
+        && (negative(p->limit_hall_b) == 0U)
+        && (negative(p->limit_hall_c) == 0U)
+        && (negative(p->limit_z) == 0U)
+        && (negative(p->limit_rx) == 0U)
+        && (negative(p->limit_ry) == 0U)))
     {
         found |= DECOUPLER_BAD_LIMITS;
     }
@@ -95,13 +108,20 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_VERSION;
     }
-    if (p->layout != DECOUPLER_LAYOUT)
+    if ((p->layout != DECOUPLER_LAYOUT) || (p->length != LENGTH))
     {
         found |= DECOUPLER_BAD_LAYOUT;
     }
-    if (crc32(&bytes[FIRST], COVERED - FIRST) != p->crc)
+    if (decoupler_crc(&bytes[COVERED], ZEROS_CRC - COVERED) != p->crc)
     {
         found |= DECOUPLER_BAD_CRC;
+    }
+    if ((decoupler_crc(&bytes[ZEROS], LENGTH - ZEROS) != p->zeros_crc)
+        || !((p->zero_x >= -2.0f) && (p->zero_x <= 2.0f))
+        || !((p->zero_y >= -2.0f) && (p->zero_y <= 2.0f))
+        || !((p->zero_rz >= -2.0f) && (p->zero_rz <= 2.0f)))
+    {
+        found |= DECOUPLER_BAD_ZEROS;
     }
     if (bad != 0U)
     {
