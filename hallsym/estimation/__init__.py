@@ -23,13 +23,15 @@ from hallsym.estimation.decoding import (
     ErrorTable,
     columns_of,
     decoder,
+    decoder_near,
     decoding_gain,
     error_tables,
     logged_columns,
+    nominal_variance,
     pose_errors,
 )
 from hallsym.estimation.fit import LOSSES, fit
-from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
+from hallsym.estimation.gauss_newton import cost_near, judge, judged, zeros_of
 from hallsym.estimation.identifiable import (
     Determination,
     determine,
@@ -75,6 +77,7 @@ __all__ = [
     "cost_near",
     "cost_of",
     "decoder",
+    "decoder_near",
     "decoding_gain",
     "determine",
     "eliminate",
@@ -85,6 +88,7 @@ __all__ = [
     "fit",
     "inverse",
     "judge",
+    "judged",
     "least_information",
     "linear_combinations",
     "linear_fit",
@@ -92,6 +96,7 @@ __all__ = [
     "logged_columns",
     "noise_floor",
     "noise_of",
+    "nominal_variance",
     "pose_errors",
     "pseudo_inverse",
     "refit",

@@ -28,6 +28,11 @@ class _Rewired(View):
         super().__init__(table)
         self.sources = sources
 
+    def counts_per_turn(self, column: str) -> float | None:
+        """Return the counts of a turn of the column's source; None of an inverted one, which is below 0."""
+        source, sign = self.sources.get(column, (column, 1))
+        return self.table.counts_per_turn(source) if sign > 0 else None
+
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[dict[str, np.ndarray]]:
         wanted = tuple(dict.fromkeys(self.sources.get(c, (c, 1))[0] for c in columns))
         for piece in self.table.pieces(wanted, size):
@@ -46,6 +51,14 @@ def rewired(log: Log, channels: Sequence[str], wiring: Wiring | None) -> Log:
     sigmas = dict(log.noise.sigmas)
     sigmas |= {c: log.noise.sigmas[s] for c, (s, _) in sources.items() if s in log.noise.sigmas}
     return replace(log, table=_Rewired(log.table, sources), noise=Noise(sigmas))
+
+
+def composed(first: Wiring | None, then: Wiring | None, channels: Sequence[str]) -> Wiring | None:
+    """Return the wiring of a log that was wired as `first` and, on that, as `then`."""
+    if first is None or then is None:
+        return first or then
+    at = {c: first[k] for k, c in enumerate(channels)}
+    return tuple((at[source][0], sign * at[source][1]) for source, sign in then)
 
 
 def as_read(log: Log, model: Model, wiring: Wiring | None = None) -> Log:

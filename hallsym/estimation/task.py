@@ -10,8 +10,14 @@ from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
 from hallsym.estimation.channel_assignment import Wiring, check_wiring, find_wiring, rewired
 from hallsym.estimation.covariance import noise_floor
-from hallsym.estimation.decoding import columns_of, error_tables, logged_columns
-from hallsym.estimation.gauss_newton import optimum
+from hallsym.estimation.decoding import (
+    columns_of,
+    error_tables,
+    knows_rails,
+    logged_columns,
+    nominal_variance,
+)
+from hallsym.estimation.gauss_newton import DROP, optimum
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
@@ -27,6 +33,9 @@ LEAST_SIGMA = 1e-13
 """Standard deviation [m] given to a reading that shows no noise at all (a noise-free simulation)."""
 SUSPECT = 6.5
 """Peak error in noise floors above which outliers are looked for."""
+BEGIN = (2 / 3, 1 / 3)
+"""Where a parameter begins that did nothing at its nominal value: parts of the way to its upper bound. Two
+thirds of a share of up to 1.5 is all of it."""
 ROUNDS = 12
 """Of taking outliers out and fitting again, at most."""
 
@@ -113,12 +122,39 @@ class Task:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
         task, keep, begin = self, None, self.model.nominal
         if first is not None:
-            task, keep = replace(self, log=first.source or self.log, known_noise=first.noise), first.keep
+            log = rewired(self.log, self.model.channels, first.wiring)
+            task = replace(self, log=log, known_noise=first.noise)
+            # the corners that a rail cuts look like spikes to a model that knows of none
+            keep = None if knows_rails(self.model) else first.keep
             known = first.model.named(first.values)
             begin = self.model.vector({n: v for n, v in known.items() if n in self.model.names})
         begin = begin if self.begin is None else self.begin
-        state = optimum(task.log, task.model, task.noise.std, begin, task.holdout, keep, task.say)
+        state = task.passes(begin, keep)
+        if first is not None:
+            state = task.elsewhere(state, first.model.names, keep)
         return Solved(task, state, task.errors(state, keep), keep, first.wiring if first else None)
+
+    def passes(self, begin: np.ndarray, keep: Weigh | None) -> Solution:
+        """Return the optimum that passes over the log reach from `begin` (n,)."""
+        return optimum(self.log, self.model, self.noise.std, begin, self.holdout, keep, self.say)
+
+    def elsewhere(self, state: Solution, known: Sequence[str], keep: Weigh | None) -> Solution:
+        """Return a better optimum that begins where parameters of effects that seemed to do nothing act.
+
+        A rail that the model does not reach is not felt: what it cuts has no slope where nothing is cut.
+        `known`: parameters of the model without its effects.
+        """
+        lower, upper = self.model.bounds
+        free = [
+            k for k in state.determination.held if self.model.names[k] not in known and lower[k] < upper[k]
+        ]
+        for share in BEGIN if free else ():
+            begin = state.p.copy()
+            begin[free] = self.model.nominal[free] + share * (upper - self.model.nominal)[free]
+            other = self.passes(begin, keep)
+            if other.search.cost < state.search.cost - DROP * abs(state.search.cost):
+                return other
+        return state
 
     def counting(self, what: str) -> Callable[[int], None]:
         """Return a progress callback that says which share of the log is done."""
@@ -151,6 +187,7 @@ class Task:
         """Return the errors before and after; `keep`: weight of each sample."""
         versions = [(designed(self.model, state.p), {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
+        variance = np.array([nominal_variance(self.model, variance), variance])
         before, after = error_tables(
             self.log, self.model, versions, variance, keep, self.counting("tabulating errors"), self.noise.std
         )
@@ -165,8 +202,8 @@ class Task:
         """Take outliers out, refit, until the same samples are left."""
         total, before, whole = float(state.everything.summary.counts.sum()), -1.0, state
         columns = (*self.model.references, *self.model.channels)
-        suspects = remembered(outliers.column_spikes(columns), self.log.rows, columns)
-        weigh = suspects
+        rule = outliers.column_spikes(columns)
+        weigh = suspects = remembered(rule, self.log.rows, columns)
         for _ in range(ROUNDS):
             summary = self.summary(weigh)
             left = float(summary.counts.sum())
@@ -176,9 +213,11 @@ class Task:
             self.check(state)
             if abs(left - before) <= 1e-6 * total:
                 break
-            before, weigh = left, self.weigh(state, suspects)
+            before, rule = left, self.weigh(state, suspects)
+            weigh = remembered(rule, self.log.rows, columns_of(self.model))
+        kept = outliers.too_many_note(sorted(rule.wrong_for, key=columns.index)) if rule.wrong_for else ()
         if left == total:
-            return whole, None, ()
+            return whole, None, kept
         state = self.solve(summary)
         gone = total - left
         said = (
@@ -187,17 +226,15 @@ class Task:
             if self.loss != "tukey"
             else f"Tukey's biweight took {100 * gone / total:.2g} % of the weight."
         )
-        return state, weigh, (said,)
+        return state, weigh, (said, *kept)
 
-    def weigh(self, state: Solution, suspects: Weigh) -> Weigh:
-        """Return what takes outliers out, judged by the residuals of the fit so far; each block once."""
+    def weigh(self, state: Solution, suspects: Weigh) -> outliers.Filter:
+        """Return what takes outliers out, judged by the residuals of the fit so far."""
         residual = outliers.residuals(self.model, state.p, state.zeros())
         covariance = state.fitted.at(state.p).covariance.mean(axis=0)
         if self.loss == "tukey":
-            weigh = outliers.tukey(residual, covariance)
-        else:
-            weigh = outliers.reject_spikes(residual, covariance, suspects)
-        return remembered(weigh, self.log.rows, columns_of(self.model))
+            return outliers.tukey(residual, covariance)
+        return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
 
     def check(self, state: Started) -> None:
         """Refuse a reference that does not belong, and channels that no value in the bounds explains."""
