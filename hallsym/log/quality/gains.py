@@ -1,0 +1,192 @@
+"""Units, signs and order of columns, in a whole log and in single runs, by what readings answer to references."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hallsym.log.quality.explain import BEYOND, Explanation, Slopes, explanations, widened
+from hallsym.log.quality.findings import Finding
+from hallsym.log.quality.responses import Responses
+from hallsym.log.quality.units import option, other_units
+from hallsym.model.response import Response, response_of
+
+VARIES = 0.2
+"""Share of the largest slope of a reference by which slopes of one run may differ from those of the others:
+height, tilts and temperature move gains that far."""
+ALIEN, USUAL = 0.5, 0.1
+"""Share of a reading's variance that its reference leaves: in a run to which it does not belong, and in the
+others at most for that to say anything."""
+WEAK = 0.1
+"""Share of the variance of a run's strongest reading below which a channel hears too little to judge."""
+NAMED, OPTIONS = 3, 2
+"""Runs and options that a sentence names."""
+SEARCHED = 6
+"""Runs for which everything is tried, at most; further ones are compared with what was found there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Findings on a log, and the columns that explain slopes of the whole log, the best explanation first."""
+
+    findings: tuple[Finding, ...] = ()
+    whole: tuple[Explanation, ...] = ()
+
+
+def judge_gains(log: Any, seen: Responses) -> Judged:
+    """Judge what the readings of a log answered to its references."""
+    possible = response_of(seen.model)
+    if possible is None or not seen.moved.any():
+        return Judged()
+    usual = _usual(seen, possible)
+    model = seen.model
+    units = {c: other_units(log.table, c) for c in (*model.references, *model.channels)}
+    if not usual.possible():
+        found = explanations(usual, model.references, model.channels, units)
+        return Judged(tuple(_whole(log, model, found)), tuple(found))
+    return Judged(tuple(_by_run(log, seen, usual, units)))
+
+
+def _usual(seen: Responses, possible: Response) -> Slopes:
+    """Slopes of the whole log: the median over runs, of those that are possible if most are."""
+    low, high = widened(possible.lower, possible.upper, BEYOND)
+    told = np.broadcast_to(seen.moved[:, :, None], seen.slopes.shape)
+    good = told & (seen.slopes >= low) & (seen.slopes <= high)
+    kept = np.where(2 * good.sum(axis=0) >= told.sum(axis=0), good, told)
+    moved = seen.moved.any(axis=0)
+    slopes, std = _medians(seen.slopes, kept), _medians(seen.std, kept)
+    return Slopes(slopes, std, moved, possible.lower, possible.upper)
+
+
+def _medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Median over runs of the values that are kept; 0 where none is."""
+    ordered, count = np.sort(np.where(kept, values, np.inf), axis=0), kept.sum(axis=0)
+    middle = np.maximum(np.array([(count - 1) // 2, count // 2]), 0)
+    found = np.take_along_axis(ordered, middle, axis=0).mean(axis=0)
+    return np.where(count > 0, found, 0.0)
+
+
+# -- the whole log ---------------------------------------------------------------------------------------
+
+
+def _whole(log: Any, model: Any, found: Sequence[Explanation]) -> Iterator[Finding]:
+    if not found:
+        return
+    text = "; or ".join(said(e) for e in found)
+    remedies = dict.fromkeys(r for e in found for r in _remedies(log, e))
+    yield Finding(
+        f"In {log.name} {text} against the layout of {model.name}", True, remedy=", or ".join(remedies)
+    )
+
+
+def said(found: Explanation) -> str:
+    """Return what is wrong, in words: order, signs, units."""
+    parts = []
+    for what, changes in (("references", found.references), ("channels", found.channels)):
+        moved = [c.column for c in changes if c.source != c.column]
+        if moved:
+            parts.append(f"{what} {_and(moved)} look swapped")
+    flipped = [c.source for c in found.changes if c.sign < 0]
+    if flipped:
+        parts.append(f"the sign of {_and(flipped)} looks inverted")
+    for factor in dict.fromkeys(c.factor for c in found.changes if c.factor != 1):
+        columns = [c for c in found.changes if c.factor == factor]
+        for unit in dict.fromkeys(c.unit for c in columns):
+            names = [c.source for c in columns if c.unit == unit]
+            many = "s" if len(names) == 1 else ""
+            parts.append(
+                f"{_and(names)} look{many} like {unit}"
+                if unit
+                else f"{_and(names)} look{many} {1 / factor:.4g} times too small (converted twice?)"
+            )
+    return " and ".join(parts)
+
+
+def _remedies(log: Any, found: Explanation) -> Iterator[str]:
+    units = [option(log.table, c.source, c.unit) for c in found.changes if c.unit]
+    if units:
+        yield f"say {' '.join(units[:OPTIONS])}{' and so on' * (len(units) > OPTIONS)}"
+    if any(c.sign < 0 or c.source != c.column for c in found.references):
+        yield "state sign and order of references in a column file"
+    if any(c.sign < 0 or c.source != c.column for c in found.channels):
+        yield "check the wiring, give the machine's probes in meta.json"
+        if found.only_channels and not units:
+            yield "resolve it with --resolve-wiring"
+
+
+# -- single runs -----------------------------------------------------------------------------------------
+
+
+def _by_run(log: Any, seen: Responses, usual: Slopes, units: Any) -> Iterator[Finding]:
+    """Runs whose slopes are not those of the others, each way of being wrong in one sentence."""
+    if len(seen.runs) < 2:
+        return
+    groups: dict[str, list[int]] = {}
+    known: list[tuple[Explanation, str]] = []
+    foreign, model, searched = _foreign(seen), seen.model, 0
+    for r, run in enumerate(seen.runs):
+        near = _near(seen, usual, r)
+        if near.possible() and not foreign[r]:
+            continue
+        text = next((t for e, t in known if near.explained(e, model.references, model.channels)), "")
+        if not text and searched < SEARCHED:
+            searched += 1
+            found = explanations(near, model.references, model.channels, units)
+            if found and found[0].simple:
+                text = "; or ".join(said(e) for e in found if e.simple)
+                known.append((found[0], text))
+        if not text:
+            text = "the references explain less than half of the readings: one of them is another run's"
+            text = text if foreign[r] else _odd(near, model)
+        groups.setdefault(text, []).append(run)
+    for text, runs in groups.items():
+        them = "it" if len(runs) == 1 else "them"
+        yield Finding(
+            f"In {few(runs)} of {log.name} {text}, beside the other runs", True,
+            remedy=f"correct {them}, or leave {them} out with --holdout {','.join(map(str, runs[:NAMED]))}",
+        )  # fmt: skip
+
+
+def _near(seen: Responses, usual: Slopes, r: int) -> Slopes:
+    """Slopes of run r beside those of the others."""
+    room = VARIES * np.abs(usual.found).max(axis=1, keepdims=True)
+    return Slopes(seen.slopes[r], seen.std[r], seen.moved[r], usual.found - room, usual.found + room)
+
+
+def _odd(near: Slopes, model: Any) -> str:
+    """Return how slopes of a run are unlike those of the others."""
+    low, high = near.lower, near.upper
+    off = np.where(near.moved[:, None], np.maximum(low - near.found, near.found - high) / (high - low), -1.0)
+    j, k = np.unravel_index(int(off.argmax()), off.shape)
+    middle = 0.5 * (low + high)[j, k]
+    return (
+        f"{model.channels[k]} changes by {near.found[j, k]:.3g} per {model.references[j]} where {middle:.3g} "
+        "is usual: references, readings or machine of another run"
+    )
+
+
+def _foreign(seen: Responses) -> np.ndarray:
+    """Return which runs (runs,) have a reference that leaves most of a strong reading unexplained."""
+    strong = (seen.signal > WEAK * seen.signal.max(axis=1, keepdims=True)) & (seen.signal > 1 / WEAK)
+    worst = np.where(strong, seen.unexplained, 0.0).max(axis=1)
+    return np.asarray((worst > ALIEN) & (np.median(worst) < USUAL))
+
+
+def few(runs: Sequence[int]) -> str:
+    """Return runs by number, the first of many.
+
+    >>> few([5]), few([3, 4]), few([1, 2, 3, 4, 5])
+    ('run 5', 'runs 3 and 4', 'runs 1, 2, 3 and 2 more')
+    """
+    if len(runs) == 1:
+        return f"run {runs[0]}"
+    if len(runs) <= NAMED:
+        return f"runs {_and(list(map(str, runs)))}"
+    return f"runs {', '.join(map(str, runs[:NAMED]))} and {len(runs) - NAMED} more"
+
+
+def _and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
