@@ -3,13 +3,18 @@
 import numpy as np
 
 from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.start import MOVED
-from hallsym.log.quality.responses import Responses
+from hallsym.estimation.run_statistics import RunStatistics, projected
+from hallsym.estimation.start import MOVED, LinearFit
+from hallsym.log.quality.responses import Coupling, Responses
 from hallsym.model.features import Features
+from hallsym.model.response import relative
 
 SHARE, CLEAR = 0.02, 0.1
 """Share of a reading's variance that the motion of a reference must make to be judged by; and the share that
 may stay unexplained where the motion is smaller than the noise that is stated, perhaps in another unit."""
+LEADS, AT_REST = 0.3, 0.05
+"""Share of a reading's variance by which a reference leads a run; and the motion, beside that of the runs it
+leads, at which it is at rest: what is left there follows the others, and its slope is noise over noise."""
 
 
 def pose_features(features: Features) -> list[int] | None:
@@ -30,23 +35,45 @@ def responses_of(cost: Cost) -> Responses | None:
     index = model.remember("pose features", lambda: pose_features(features))
     if index is None:
         return None
-    rows, noise = summary.projected, np.einsum("rjj->rj", cost.noise_in_features)[:, index]
-    inner = [k - features.n_zero for k in index]
-    X, Y = rows[:, :, inner], rows[:, :, features.size - features.n_zero :]
+    noise = np.einsum("rjj->rj", cost.noise_in_features)[:, index]
+    X, Y = _freed(summary, index)
     gram, cross = np.swapaxes(X, 1, 2) @ X, np.swapaxes(X, 1, 2) @ Y
     energy, total = np.einsum("rjj->rj", gram), np.einsum("rik,rik->rk", Y, Y)
     signal = total / (summary.counts[:, None] * cost.reading_variance)
-    slopes, _, left = _regression(gram, cross, total, energy > 0)
+    slopes, inverse, left = _regression(gram, cross, total, energy > 0)
     part = slopes**2 * energy[:, :, None] / np.maximum(total, 1e-300)[:, None, :]
     clear = energy > MOVED * summary.counts[:, None] * noise
     told = (part > SHARE) & (clear[:, :, None] | (left < CLEAR * total)[:, None, :])
-    moved = told.any(axis=2)
+    moved = told.any(axis=2) & _moves(energy, inverse, (part > LEADS).any(axis=2), summary.counts)
     slopes, inverse, left = _regression(gram, cross, total, moved)
     freedom = np.maximum(summary.counts[:, None] - moved.sum(axis=1, keepdims=True) - 1.0, 1.0)
     variance = np.maximum(left / freedom, cost.reading_variance)
     std = np.sqrt(np.einsum("rjj->rj", inverse)[:, :, None] * variance[:, None, :])
     share = np.where(signal > MOVED, left / np.maximum(total, 1e-300), 0.0)
-    return Responses(model, summary.runs, slopes, std, moved, share, signal)
+    return Responses(model, summary.runs, slopes, std, moved, share, signal, gram, total)
+
+
+def _freed(summary: RunStatistics, index: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the features `index` and the readings of each run, freed of what a run has of its own."""
+    features, n_zero = summary.features, summary.features.n_zero
+    if min(index) >= n_zero:
+        rows = summary.projected
+        return rows[:, :, [k - n_zero for k in index]], rows[:, :, features.size - n_zero :]
+    # zeros go along with the motion: only the features that do not move with it are a run's own
+    pose = features.exponents.copy()
+    pose[:, len(features.model.pose) : len(features.model.pose) + len(features.model.state)] = 0
+    own = [k for k in range(n_zero) if not pose[k].any()]
+    rows = projected(summary.triangles[:, :, [*own, *index, *range(features.size, summary.triangles.shape[2])]], len(own))
+    return rows[:, :, : len(index)], rows[:, :, len(index) :]
+
+
+def _moves(energy: np.ndarray, inverse: np.ndarray, leads: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return whether each reference (runs, j) moves apart from the others, beside the runs it leads."""
+    own = 1.0 / np.maximum(np.einsum("rjj->rj", inverse) * counts[:, None], 1e-300)
+    usual = np.where(leads, energy / counts[:, None], np.nan)
+    any_ = leads.any(axis=0)
+    usual[:, ~any_] = (energy / counts[:, None])[:, ~any_]
+    return np.asarray(own > AT_REST**2 * np.nanmedian(usual, axis=0))
 
 
 def _regression(
@@ -59,3 +86,43 @@ def _regression(
     inverse = np.linalg.pinv(gram * outer, rcond=1e-9, hermitian=True) * outer
     slopes = inverse @ cross
     return slopes, inverse, np.maximum(total - np.einsum("rjk,rjk->rk", slopes, cross), 0.0)
+
+
+def coupling_of(merged: Cost, linear: LinearFit) -> Coupling | None:
+    """Return how gains follow the state; None where no feature of the model is a pose times a state."""
+    features, model = merged.summary.features, merged.summary.model
+    index = model.remember("coupled features", lambda: coupled_features(features))
+    if index is None:
+        return None
+    R_f, R_m = (part[0] for part in merged.triangles)
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", R_f, R_f), 1e-300))
+    used = (R_f / size)[:, linear.moved]
+    variance = np.full(features.size, np.inf)
+    inverse = np.linalg.pinv(used.T @ used, rcond=1e-12, hermitian=True)
+    variance[linear.moved] = np.diag(inverse) / size[linear.moved] ** 2
+    noise = np.maximum(
+        linear.unexplained * np.einsum("ij,ij->j", R_m, R_m) / merged.summary.counts[0], merged.reading_variance
+    )
+    alone, coupled = index
+    slopes, change = linear.coefficients[alone], linear.coefficients[coupled]
+    weight = 1.0 / (variance[coupled][..., None] * noise)
+    told = (weight * slopes[:, None] ** 2).sum(axis=0)
+    std = np.where(told > 0, 1.0 / np.sqrt(np.where(told > 0, told, 1.0)), np.inf)
+    return Coupling(relative(slopes, change, weight), std)
+
+
+def coupled_features(features: Features) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the feature of each reference, (n_pose,), and of its product with each state, (n_pose, n_state)."""
+    model, index = features.model, pose_features(features)
+    if index is None or not model.state:
+        return None
+    where = {tuple(row): k for k, row in enumerate(features.exponents.tolist())}
+    out = np.zeros((len(index), len(model.state)), dtype=int)
+    for j, k in enumerate(index):
+        for n in range(len(model.state)):
+            row = features.exponents[k].copy()
+            row[len(model.pose) + n] += 1
+            if tuple(row.tolist()) not in where:
+                return None
+            out[j, n] = where[tuple(row.tolist())]
+    return np.array(index), out

@@ -84,7 +84,7 @@ class RunStatistics:
     def projected(self) -> np.ndarray:
         """Rows of each triangle, the features that carry zeros projected out: (runs, n, n - n_zero)."""
         k = self.features.n_zero
-        return self.triangles if k == 0 else _projected(self.triangles, k)
+        return self.triangles if k == 0 else projected(self.triangles, k)
 
     def merged(self) -> "RunStatistics":
         """Return one run for all, the features that carry zeros projected out.
@@ -243,7 +243,7 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
     return _r(rows)
 
 
-def _projected(triangles: np.ndarray, k: int) -> np.ndarray:
+def projected(triangles: np.ndarray, k: int) -> np.ndarray:
     """Rows of each triangle with its first k columns projected out, the k columns left out.
 
     Where the vertical state is still, those columns are multiples of each other: only their rank counts.

@@ -8,13 +8,14 @@ import numpy as np
 
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
-from hallsym.estimation.channel_assignment import Wiring, check_wiring, find_wiring, rewired
+from hallsym.estimation.channel_assignment import Wiring, rewired, wiring_of
 from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import columns_of, error_tables, logged_columns
 from hallsym.estimation.gauss_newton import optimum
 from hallsym.estimation.identifiable import determine
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
+from hallsym.estimation.plausible import Judgement, judge
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.log import Log, Noise, estimate_noise
 from hallsym.log.batches import Weigh, remembered
@@ -53,8 +54,16 @@ class Started(Solution):
     """A solved fit of run statistics, with what it was started and is checked with."""
 
     linear: start.LinearFit
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """The costs of all runs, of the fitted ones and of these merged, and what linear least squares makes of them."""
+
+    everything: Cost
+    fitted: Cost
     merged: Cost
-    closed_form: np.ndarray
+    linear: start.LinearFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +85,7 @@ class Solved:
 class Task:
     """What stays the same while a fit goes round.
 
-    `holdout`: runs that take no part. `begin`: (n,) values to begin from, None for the closed form.
+    `holdout`: runs that take no part. `begin_at`: (n,) values to begin from, None for the closed form.
     `known_noise`: of columns that the log neither states nor shows.
     """
 
@@ -87,7 +96,7 @@ class Task:
     loss: str
     seed: int
     say: Progress
-    begin: np.ndarray | None
+    begin_at: np.ndarray | None
     known_noise: Noise = field(default_factory=Noise)
 
     @cached_property
@@ -97,17 +106,22 @@ class Task:
 
     def by_statistics(self, resolve_wiring: bool) -> Solved:
         """Fit run statistics, which hold all that the cost can ask of the log."""
-        task, state = self, self.solve(self.summary())
-        wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
-        if gain > 0:
+        task, begun = self, self.begin(self.summary())
+        judged = self.judged(begun)
+        wiring = wiring_of(judged.whole) if resolve_wiring else None
+        if wiring is not None:
             task = replace(self, log=rewired(self.log, self.model.channels, wiring))
-            state = task.solve(task.summary())
-        errors, keep, notes = task.errors(state, None), None, tuple[str, ...]()
+            begun = task.begin(task.summary())
+            judged = task.judged(begun)
+        judged.refuse()
+        state = task.solve(begun)
+        errors, keep, notes = task.errors(state, None), None, judged.notes
         if task.suspicious(state, errors) if self.loss == "auto" else self.loss != "none":
-            state, keep, notes = task.without_outliers(state)
+            state, keep, said = task.without_outliers(state)
+            notes += said
             errors = task.errors(state, keep) if keep else errors
         task.check(state)
-        return Solved(task, state, errors, keep, wiring if gain > 0 else None, notes)
+        return Solved(task, state, errors, keep, wiring, notes)
 
     def by_passes(self, first: Fit | None) -> Solved:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
@@ -116,7 +130,7 @@ class Task:
             task, keep = replace(self, log=first.source or self.log, known_noise=first.noise), first.keep
             known = first.model.named(first.values)
             begin = self.model.vector({n: v for n, v in known.items() if n in self.model.names})
-        begin = begin if self.begin is None else self.begin
+        begin = begin if self.begin_at is None else self.begin_at
         state = optimum(task.log, task.model, task.noise.std, begin, task.holdout, keep, task.say)
         return Solved(task, state, task.errors(state, keep), keep, first.wiring if first else None)
 
@@ -130,14 +144,27 @@ class Task:
         """Return the run statistics of the log."""
         return summarise(self.log, self.model, weigh, self.counting("summarising runs"))
 
-    def solve(self, summary: RunStatistics, solver: str | None = None) -> Started:
-        """Find the optimum of one set of run statistics."""
+    def begin(self, summary: RunStatistics) -> "Begun":
+        """Return what linear least squares says of one set of run statistics."""
         everything = cost_of(summary, self.noise.std)
         fitted = everything.without(self.holdout)
         merged = cost_of(fitted.summary.merged(), self.noise.std)
-        linear = start.linear_fit(merged)
+        return Begun(everything, fitted, merged, start.linear_fit(merged))
+
+    def judged(self, begun: "Begun") -> Judgement:
+        """Judge units, signs and runs; spikes, which bend every slope, are not believed unless they are kept."""
+        found = judge(self.log, begun.everything, begun.merged, begun.linear, self.holdout)
+        if not found.findings or self.loss == "none":
+            return found
+        columns = (*self.model.references, *self.model.channels)
+        again = self.begin(self.summary(outliers.column_spikes(columns)))
+        return judge(self.log, again.everything, again.merged, again.linear, self.holdout)
+
+    def solve(self, begun: "Begun", solver: str | None = None) -> Started:
+        """Find the optimum from what linear least squares says."""
+        fitted, merged, linear = begun.fitted, begun.merged, begun.linear
         closed_form = start.closed_form(merged, linear)
-        first = np.clip(closed_form if self.begin is None else self.begin, *self.model.bounds)
+        first = np.clip(closed_form if self.begin_at is None else self.begin_at, *self.model.bounds)
         determination = determine(fitted, first)
         held = list(determination.held)
         first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
@@ -145,7 +172,7 @@ class Task:
         self.say(f"solving with {solver}")
         found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
         found = replace(found, p=nearest_turn(self.model, found.p))
-        return Started(everything, fitted, determination, found, linear, merged, closed_form)
+        return Started(begun.everything, fitted, determination, found, linear)
 
     def errors(self, state: Solution, keep: Weigh | None) -> Errors:
         """Return the errors before and after; `keep`: weight of each sample."""
@@ -172,14 +199,14 @@ class Task:
             left = float(summary.counts.sum())
             if left < total:
                 self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
-                state = self.solve(summary, solver="direct")
+                state = self.solve(self.begin(summary), solver="direct")
             self.check(state)
             if abs(left - before) <= 1e-6 * total:
                 break
             before, weigh = left, self.weigh(state, suspects)
         if left == total:
             return whole, None, ()
-        state = self.solve(summary)
+        state = self.solve(self.begin(summary))
         gone = total - left
         said = (
             f"{gone:.0f} of {total:.0f} samples ({100 * gone / total:.2g} %) are isolated spikes and were "
@@ -200,10 +227,5 @@ class Task:
         return remembered(weigh, self.log.rows, columns_of(self.model))
 
     def check(self, state: Started) -> None:
-        """Refuse a reference that does not belong, and channels that no value in the bounds explains."""
+        """Refuse a reference that does not belong."""
         start.check_reference(self.model, state.linear.unexplained, self.log.name)
-        lower, upper = self.model.bounds
-        slack = 0.05 * state.determination.scale
-        inside = (lower - slack <= state.closed_form) & (state.closed_form <= upper + slack)
-        if not inside.all():
-            check_wiring(state.merged, state.linear, self.log.name)

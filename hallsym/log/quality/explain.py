@@ -176,7 +176,8 @@ def _tried(
     Those that change fewer references come first.
     """
     low, high = widened(slopes.lower, slopes.upper, WITHIN)
-    size = np.maximum(np.maximum(np.abs(slopes.lower), np.abs(slopes.upper)).max(axis=1), 1e-300)
+    size = np.maximum(np.abs(slopes.lower), np.abs(slopes.upper)).max(axis=1)
+    size = np.where(size > 0, size, 1.0)
     middle = 0.5 * (slopes.lower + slopes.upper)
     tried = list(_of_references(references, slopes.moved, units))
     scales = sorted({1.0, *(f for c in channels for f in units[c])})

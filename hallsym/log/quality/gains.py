@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from hallsym.log.quality.explain import BEYOND, Explanation, Slopes, explanations, widened
+from hallsym.log.quality.explain import BEYOND, Explanation, Slopes, Units, explanations, widened
 from hallsym.log.quality.findings import Finding
 from hallsym.log.quality.responses import Responses
 from hallsym.log.quality.units import option, other_units
@@ -22,8 +22,13 @@ ALIEN, USUAL = 0.5, 0.1
 others at most for that to say anything."""
 WEAK = 0.1
 """Share of the variance of a run's strongest reading below which a channel hears too little to judge."""
+OFF = 0.05
+"""Share of the variance of a run's strongest reading that slopes of the other runs must leave: an effect moves
+slopes of what is hardly heard."""
 NAMED, OPTIONS = 3, 2
 """Runs and options that a sentence names."""
+LONGEST = 300
+"""Characters of a sentence."""
 SEARCHED = 6
 """Runs for which everything is tried, at most; further ones are compared with what was found there."""
 
@@ -36,8 +41,8 @@ class Judged:
     whole: tuple[Explanation, ...] = ()
 
 
-def judge_gains(log: Any, seen: Responses) -> Judged:
-    """Judge what the readings of a log answered to its references."""
+def judge_gains(log: Any, seen: Responses, holdout: Collection[int] = ()) -> Judged:
+    """Judge what the readings of a log answered to its references; no run in `holdout` is a refusal."""
     possible = response_of(seen.model)
     if possible is None or not seen.moved.any():
         return Judged()
@@ -47,7 +52,7 @@ def judge_gains(log: Any, seen: Responses) -> Judged:
     if not usual.possible():
         found = explanations(usual, model.references, model.channels, units)
         return Judged(tuple(_whole(log, model, found)), tuple(found))
-    return Judged(tuple(_by_run(log, seen, usual, units)))
+    return Judged(tuple(_by_run(log, seen, usual, units, holdout)))
 
 
 def _usual(seen: Responses, possible: Response) -> Slopes:
@@ -73,44 +78,51 @@ def _medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
 
 
 def _whole(log: Any, model: Any, found: Sequence[Explanation]) -> Iterator[Finding]:
-    if not found:
-        return
-    text = "; or ".join(said(e) for e in found)
-    remedies = dict.fromkeys(r for e in found for r in _remedies(log, e))
-    yield Finding(
-        f"In {log.name} {text} against the layout of {model.name}", True, remedy=", or ".join(remedies)
-    )
+    if found:
+        text = "; or ".join(said(e) for e in found)
+        ways = dict.fromkeys(r for e in found for r in remedies(log, e))
+        yield sentence(f"In {log.name} {text} against the layout of {model.name}", ways)
+
+
+def sentence(text: str, ways: Iterable[str]) -> Finding:
+    """Return a refusal with as many remedies as one line holds."""
+    kept: list[str] = []
+    for way in ways:
+        if not kept or len(text) + len(", or ".join([*kept, way])) + 3 <= LONGEST:
+            kept.append(way)
+    return Finding(text, True, remedy=", or ".join(kept))
 
 
 def said(found: Explanation) -> str:
     """Return what is wrong, in words: order, signs, units."""
-    parts = []
-    for what, changes in (("references", found.references), ("channels", found.channels)):
+    parts: list[str] = []
+    for what, changes in (("columns", found.references), ("channels", found.channels)):
         moved = [c.column for c in changes if c.source != c.column]
         if moved:
-            parts.append(f"{what} {_and(moved)} look swapped")
+            parts.append(f"{what} {listed(moved)} look swapped")
     flipped = [c.source for c in found.changes if c.sign < 0]
     if flipped:
-        parts.append(f"the sign of {_and(flipped)} looks inverted")
+        parts.append(f"the sign of {listed(flipped)} looks inverted")
     for factor in dict.fromkeys(c.factor for c in found.changes if c.factor != 1):
         columns = [c for c in found.changes if c.factor == factor]
         for unit in dict.fromkeys(c.unit for c in columns):
             names = [c.source for c in columns if c.unit == unit]
             many = "s" if len(names) == 1 else ""
             parts.append(
-                f"{_and(names)} look{many} like {unit}"
+                f"{listed(names)} look{many} like {unit}"
                 if unit
-                else f"{_and(names)} look{many} {1 / factor:.4g} times too small (converted twice?)"
+                else f"{listed(names)} look{many} {1 / factor:.4g} times too small (converted twice?)"
             )
     return " and ".join(parts)
 
 
-def _remedies(log: Any, found: Explanation) -> Iterator[str]:
+def remedies(log: Any, found: Explanation) -> Iterator[str]:
+    """Yield what to do about an explanation."""
     units = [option(log.table, c.source, c.unit) for c in found.changes if c.unit]
     if units:
         yield f"say {' '.join(units[:OPTIONS])}{' and so on' * (len(units) > OPTIONS)}"
     if any(c.sign < 0 or c.source != c.column for c in found.references):
-        yield "state sign and order of references in a column file"
+        yield "state sign and order of columns in a column file"
     if any(c.sign < 0 or c.source != c.column for c in found.channels):
         yield "check the wiring, give the machine's probes in meta.json"
         if found.only_channels and not units:
@@ -120,16 +132,20 @@ def _remedies(log: Any, found: Explanation) -> Iterator[str]:
 # -- single runs -----------------------------------------------------------------------------------------
 
 
-def _by_run(log: Any, seen: Responses, usual: Slopes, units: Any) -> Iterator[Finding]:
+def _by_run(
+    log: Any, seen: Responses, usual: Slopes, units: Units, holdout: Collection[int]
+) -> Iterator[Finding]:
     """Runs whose slopes are not those of the others, each way of being wrong in one sentence."""
     if len(seen.runs) < 2:
         return
     groups: dict[str, list[int]] = {}
     known: list[tuple[Explanation, str]] = []
     foreign, model, searched = _foreign(seen), seen.model, 0
+    strength = seen.signal / np.maximum(seen.signal.max(axis=1, keepdims=True), 1e-300)
+    off = (seen.misfit(usual.found) * strength).max(axis=1) > OFF
     for r, run in enumerate(seen.runs):
         near = _near(seen, usual, r)
-        if near.possible() and not foreign[r]:
+        if not foreign[r] and (near.possible() or not off[r]):
             continue
         text = next((t for e, t in known if near.explained(e, model.references, model.channels)), "")
         if not text and searched < SEARCHED:
@@ -143,11 +159,17 @@ def _by_run(log: Any, seen: Responses, usual: Slopes, units: Any) -> Iterator[Fi
             text = text if foreign[r] else _odd(near, model)
         groups.setdefault(text, []).append(run)
     for text, runs in groups.items():
-        them = "it" if len(runs) == 1 else "them"
-        yield Finding(
-            f"In {few(runs)} of {log.name} {text}, beside the other runs", True,
-            remedy=f"correct {them}, or leave {them} out with --holdout {','.join(map(str, runs[:NAMED]))}",
-        )  # fmt: skip
+        yield run_finding(log, runs, text, holdout)
+
+
+def run_finding(
+    log: Any, runs: Sequence[int], text: str, holdout: Collection[int], refuse: bool = True
+) -> Finding:
+    """Return what is wrong with runs: a refusal unless all of them are held out."""
+    them, used = "it" if len(runs) == 1 else "them", [run for run in runs if run not in holdout]
+    leave = f"leave {them} out with --holdout {','.join(map(str, used[:NAMED]))}"
+    remedy = f"correct {them}, or {leave}" if used else f"correct {them} before judging a fit by {them}"
+    return Finding(f"In {few(runs)} of {log.name} {text}, beside the other runs", refuse and bool(used), remedy=remedy)
 
 
 def _near(seen: Responses, usual: Slopes, r: int) -> Slopes:
@@ -159,7 +181,8 @@ def _near(seen: Responses, usual: Slopes, r: int) -> Slopes:
 def _odd(near: Slopes, model: Any) -> str:
     """Return how slopes of a run are unlike those of the others."""
     low, high = near.lower, near.upper
-    off = np.where(near.moved[:, None], np.maximum(low - near.found, near.found - high) / (high - low), -1.0)
+    size = np.maximum(high - low, 1e-300)
+    off = np.where(near.moved[:, None], np.maximum(low - near.found, near.found - high) / size, -1.0)
     j, k = np.unravel_index(int(off.argmax()), off.shape)
     middle = 0.5 * (low + high)[j, k]
     return (
@@ -184,9 +207,9 @@ def few(runs: Sequence[int]) -> str:
     if len(runs) == 1:
         return f"run {runs[0]}"
     if len(runs) <= NAMED:
-        return f"runs {_and(list(map(str, runs)))}"
+        return f"runs {listed(list(map(str, runs)))}"
     return f"runs {', '.join(map(str, runs[:NAMED]))} and {len(runs) - NAMED} more"
 
 
-def _and(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

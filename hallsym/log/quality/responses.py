@@ -15,7 +15,8 @@ class Responses:
 
     `slopes`, `std`: (runs, n_pose, n_channels), 0 for a reference that did not move. `moved`: (runs, n_pose).
     `unexplained`: (runs, n_channels) share of a reading's variance that the references leave, 0 where a
-    channel hears only noise. `signal`: (runs, n_channels) variance of a reading over that of its noise.
+    channel hears only noise. `signal`: (runs, n_channels) variance of a reading over that of its noise. `products`: (runs, n_pose,
+    n_pose) of the references, `total`: (runs, n_channels) sum of squares of the readings, means taken out.
     """
 
     model: Model
@@ -25,3 +26,22 @@ class Responses:
     moved: np.ndarray
     unexplained: np.ndarray
     signal: np.ndarray
+    products: np.ndarray
+    total: np.ndarray
+
+    def misfit(self, slopes: np.ndarray) -> np.ndarray:
+        """Return what other slopes (n_pose, n_channels) would leave of each run's readings: (runs, n_channels).
+
+        As a share of their variance, beside what the run's own slopes leave.
+        """
+        off = np.where(self.moved[:, :, None], self.slopes - slopes, 0.0)
+        left = np.einsum("rjk,rjl,rlk->rk", off, self.products, off)
+        return np.asarray(left / np.maximum(self.total, 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Relative change of the gains with each state column, (n_state, n_channels), with standard uncertainty."""
+
+    found: np.ndarray
+    std: np.ndarray
