@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hallsym.errors import InputError
 from hallsym.estimation.likelihood import Cost
-from hallsym.estimation.responses import coupling_of, responses_of
+from hallsym.estimation.responses import coupling_of, products_of, responses_of
 from hallsym.estimation.start import LinearFit
 from hallsym.log import Log
 from hallsym.log.quality.explain import Explanation
 from hallsym.log.quality.findings import Finding
-from hallsym.log.quality.gains import judge_gains
+from hallsym.log.quality.gains import judge_gains, said
+from hallsym.log.quality.runs_against_model import judge_runs
 from hallsym.log.quality.tie import judge_ties
 
 
@@ -22,6 +23,16 @@ class Judgement:
 
     findings: tuple[Finding, ...] = ()
     whole: tuple[Explanation, ...] = ()
+    spiky: bool = False
+    """Whether spikes bend the slopes, so that nothing can be said before they are taken out."""
+
+    def resolved(self, before: Judgement) -> Judgement:
+        """Return this judgement of rewired channels with what else would explain those before."""
+        others = [e for e in before.whole if not e.only_channels]
+        if not others:
+            return self
+        text = f"Order and signs of channels are resolved; it would do as well that {said(others[0])}."
+        return replace(self, findings=(*self.findings, Finding(text[:-1])))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -45,6 +56,9 @@ def judge(
     gains = judge_gains(log, seen, holdout)
     if gains.findings:
         return Judgement(gains.findings, gains.whole)
-    coupling = coupling_of(merged, linear)
+    runs = tuple(judge_runs(log, seen.model, products_of(everything, merged, linear), holdout))
+    if runs:
+        return Judgement(runs)
+    coupling = coupling_of(merged, linear, len(seen.runs))
     ties = () if coupling is None else tuple(judge_ties(log, seen.model, coupling))
     return Judgement(ties)

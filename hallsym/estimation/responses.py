@@ -5,7 +5,7 @@ import numpy as np
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.run_statistics import RunStatistics, projected
 from hallsym.estimation.start import MOVED, LinearFit
-from hallsym.log.quality.responses import Coupling, Responses
+from hallsym.log.quality.responses import Coupling, Products, Responses
 from hallsym.model.features import Features
 from hallsym.model.response import relative
 
@@ -88,8 +88,8 @@ def _regression(
     return slopes, inverse, np.maximum(total - np.einsum("rjk,rjk->rk", slopes, cross), 0.0)
 
 
-def coupling_of(merged: Cost, linear: LinearFit) -> Coupling | None:
-    """Return how gains follow the state; None where no feature of the model is a pose times a state."""
+def coupling_of(merged: Cost, linear: LinearFit, runs: int) -> Coupling | None:
+    """Return how gains of `runs` follow the state; None where no feature is a pose times a state."""
     features, model = merged.summary.features, merged.summary.model
     index = model.remember("coupled features", lambda: coupled_features(features))
     if index is None:
@@ -100,9 +100,13 @@ def coupling_of(merged: Cost, linear: LinearFit) -> Coupling | None:
     variance = np.full(features.size, np.inf)
     inverse = np.linalg.pinv(used.T @ used, rcond=1e-12, hermitian=True)
     variance[linear.moved] = np.diag(inverse) / size[linear.moved] ** 2
-    noise = np.maximum(
-        linear.unexplained * np.einsum("ij,ij->j", R_m, R_m) / merged.summary.counts[0], merged.reading_variance
+    white = merged.reading_variance + np.einsum(
+        "fk,fg,gk->k", linear.coefficients, merged.noise_in_features[0], linear.coefficients
     )
+    left = linear.unexplained * np.einsum("ij,ij->j", R_m, R_m) / merged.summary.counts[0]
+    # what is beyond noise goes along with a run: it counts once per run, not once per sample
+    noise = np.maximum(left, merged.reading_variance)
+    noise = noise + np.maximum(left - white, 0.0) * merged.summary.counts[0] / runs
     alone, coupled = index
     slopes, change = linear.coefficients[alone], linear.coefficients[coupled]
     weight = 1.0 / (variance[coupled][..., None] * noise)
@@ -126,3 +130,13 @@ def coupled_features(features: Features) -> tuple[np.ndarray, np.ndarray] | None
                 return None
             out[j, n] = where[tuple(row.tolist())]
     return np.array(index), out
+
+
+def products_of(cost: Cost, merged: Cost, linear: LinearFit) -> Products:
+    """Return the products of columns that moved, of each run, freed of what a run has of its own."""
+    summary, inner = cost.summary, cost.summary.features.size - cost.summary.features.n_zero
+    X, Y = summary.projected[:, :, :inner][:, :, linear.moved], summary.projected[:, :, inner:]
+    C, transposed = linear.coefficients, np.swapaxes(X, 1, 2)
+    variance = cost.reading_variance + np.einsum("fk,fg,gk->k", C, merged.noise_in_features[0], C)
+    squares = np.einsum("rik,rik->rk", Y, Y)
+    return Products(summary.runs, transposed @ X, transposed @ Y, squares, summary.counts, variance)

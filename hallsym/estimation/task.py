@@ -28,6 +28,8 @@ LEAST_SIGMA = 1e-13
 """Standard deviation [m] given to a reading that shows no noise at all (a noise-free simulation)."""
 SUSPECT = 6.5
 """Peak error in noise floors above which outliers are looked for."""
+SPIKY = 1e-3
+"""Share of samples that leave their neighbourhood from which on slopes are judged without them, after the fit."""
 ROUNDS = 12
 """Of taking outliers out and fitting again, at most."""
 
@@ -53,6 +55,7 @@ def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = ()) -> Nois
 class Started(Solution):
     """A solved fit of run statistics, with what it was started and is checked with."""
 
+    merged: Cost
     linear: start.LinearFit
 
 
@@ -112,7 +115,7 @@ class Task:
         if wiring is not None:
             task = replace(self, log=rewired(self.log, self.model.channels, wiring))
             begun = task.begin(task.summary())
-            judged = task.judged(begun)
+            judged = task.judged(begun).resolved(judged)
         judged.refuse()
         state = task.solve(begun)
         errors, keep, notes = task.errors(state, None), None, judged.notes
@@ -120,6 +123,10 @@ class Task:
             state, keep, said = task.without_outliers(state)
             notes += said
             errors = task.errors(state, keep) if keep else errors
+        if judged.spiky:
+            again = task.judge(state)
+            again.refuse()
+            notes += again.notes
         task.check(state)
         return Solved(task, state, errors, keep, wiring, notes)
 
@@ -152,13 +159,18 @@ class Task:
         return Begun(everything, fitted, merged, start.linear_fit(merged))
 
     def judged(self, begun: "Begun") -> Judgement:
-        """Judge units, signs and runs; spikes, which bend every slope, are not believed unless they are kept."""
-        found = judge(self.log, begun.everything, begun.merged, begun.linear, self.holdout)
+        """Judge units, signs and runs before the fit; where there are spikes, which bend slopes, only after it."""
+        found = self.judge(begun)
         if not found.findings or self.loss == "none":
             return found
         columns = (*self.model.references, *self.model.channels)
         again = self.begin(self.summary(outliers.column_spikes(columns)))
-        return judge(self.log, again.everything, again.merged, again.linear, self.holdout)
+        left, total = (float(b.everything.summary.counts.sum()) for b in (again, begun))
+        return Judgement(spiky=True) if left < (1 - SPIKY) * total else found
+
+    def judge(self, begun: "Begun | Started") -> Judgement:
+        """Judge units, signs and runs by what linear least squares says."""
+        return judge(self.log, begun.everything, begun.merged, begun.linear, self.holdout)
 
     def solve(self, begun: "Begun", solver: str | None = None) -> Started:
         """Find the optimum from what linear least squares says."""
@@ -172,7 +184,7 @@ class Task:
         self.say(f"solving with {solver}")
         found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
         found = replace(found, p=nearest_turn(self.model, found.p))
-        return Started(begun.everything, fitted, determination, found, linear)
+        return Started(begun.everything, fitted, determination, found, merged, linear)
 
     def errors(self, state: Solution, keep: Weigh | None) -> Errors:
         """Return the errors before and after; `keep`: weight of each sample."""

@@ -25,7 +25,7 @@ MORE = 0.25
 """Cost of a second change of one column, such as another unit and another sign; the first costs 1."""
 TWICE = 0.5
 """Further cost of values that are too small by a unit, which only a conversion done twice makes."""
-AS_GOOD = 1.0
+AS_GOOD = 2.0
 """Changes more than the fewest that an explanation by other columns may take to be named beside it."""
 
 Units = Mapping[str, Mapping[float, str]]

@@ -46,6 +46,8 @@ def judge_gains(log: Any, seen: Responses, holdout: Collection[int] = ()) -> Jud
     possible = response_of(seen.model)
     if possible is None or not seen.moved.any():
         return Judged()
+    if np.median(_worst(seen)) > ALIEN:  # slopes of what the references do not explain mean nothing
+        return Judged()
     usual = _usual(seen, possible)
     model = seen.model
     units = {c: other_units(log.table, c) for c in (*model.references, *model.channels)}
@@ -193,9 +195,14 @@ def _odd(near: Slopes, model: Any) -> str:
 
 def _foreign(seen: Responses) -> np.ndarray:
     """Return which runs (runs,) have a reference that leaves most of a strong reading unexplained."""
-    strong = (seen.signal > WEAK * seen.signal.max(axis=1, keepdims=True)) & (seen.signal > 1 / WEAK)
-    worst = np.where(strong, seen.unexplained, 0.0).max(axis=1)
+    worst = _worst(seen)
     return np.asarray((worst > ALIEN) & (np.median(worst) < USUAL))
+
+
+def _worst(seen: Responses) -> np.ndarray:
+    """Return the largest share of a strong reading that is left unexplained, (runs,)."""
+    strong = (seen.signal > WEAK * seen.signal.max(axis=1, keepdims=True)) & (seen.signal > 1 / WEAK)
+    return np.asarray(np.where(strong, seen.unexplained, 0.0).max(axis=1))
 
 
 def few(runs: Sequence[int]) -> str:

@@ -45,3 +45,34 @@ class Coupling:
 
     found: np.ndarray
     std: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Products of columns by run: features (runs, f, f), with readings (runs, f, K), of readings (runs, K).
+
+    `counts`: samples (runs,). `variance`: (K,) of a residual, by the noise of readings and references.
+    """
+
+    runs: tuple[int, ...]
+    features: np.ndarray
+    readings: np.ndarray
+    squares: np.ndarray
+    counts: np.ndarray
+    variance: np.ndarray
+
+    def coefficients(self, weights: np.ndarray) -> np.ndarray:
+        """Return least squares of weighted runs, (m, runs) -> (m, f, K)."""
+        square = np.tensordot(weights, self.features, axes=1)
+        right = np.tensordot(weights, self.readings, axes=1)
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("...jj->...j", square), 1e-300))
+        outer = scale[..., :, None] * scale[..., None, :]
+        inverse = np.linalg.pinv(square * outer, rcond=1e-10, hermitian=True)
+        return np.asarray(scale[..., :, None] * (inverse @ (scale[..., :, None] * right)))
+
+    def chi_squares(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return chi-square of each run and channel, (m, f, K) -> (m, runs, K)."""
+        cross = np.einsum("mfk,rfk->mrk", coefficients, self.readings)
+        inner = self.features @ coefficients[:, None]
+        square = np.einsum("mfk,mrfk->mrk", coefficients, inner)
+        return np.maximum(self.squares - 2 * cross + square, 0.0) / self.variance
