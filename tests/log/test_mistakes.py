@@ -15,10 +15,19 @@ CASES = [pytest.param(m, name, id=f"{m.name}, {name}") for m in MISTAKES for nam
 LONGEST = 300
 
 
+def columns_of(log: Log) -> list[str]:
+    """Return the columns that a fit of the log uses."""
+    return [name for name in log.columns if name not in ("run", "t_s")]
+
+
 def sentences(mistake: Mistake, log: Log) -> tuple[str, list[str]]:
     """How it ends, and everything that is said."""
     try:
-        notes = check_log(log) if mistake.found == "log" else list(fit(log, solver="direct").notes)
+        notes = (
+            check_log(log, columns_of(log))
+            if mistake.found == "log"
+            else list(fit(log, solver="direct").notes)
+        )
     except InputError as error:
         return "refusal", [str(error)]
     return "note", notes
