@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 
 import pytest
+from mistaken_columns import COLUMNS
 from mistakes import ENCODER, MISTAKES, STAGE, Mistake, base, made
 
 from hallsym.errors import InputError
 from hallsym.estimation import fit
 from hallsym.log import Log, check_log
 
-CASES = [pytest.param(m, name, id=f"{m.name}, {name}") for m in MISTAKES for name in m.on]
+CASES = [pytest.param(m, name, id=f"{m.name}, {name}") for m in (*MISTAKES, *COLUMNS) for name in m.on]
 LONGEST = 300
 
 
@@ -45,3 +46,8 @@ def test_each_mistake_is_named(mistake: Mistake, name: str) -> None:
 def test_the_logs_without_a_mistake_pass_silently(name: str) -> None:
     arrays, noise = base(name)
     assert check_log(Log.from_arrays(arrays, noise)) == []
+
+
+@pytest.mark.parametrize("name", STAGE)
+def test_a_fit_of_a_log_without_a_mistake_says_nothing(name: str) -> None:
+    assert fit(Log.from_arrays(*base(name)), solver="direct").notes == ()

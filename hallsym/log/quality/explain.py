@@ -21,6 +21,8 @@ CERTAIN = 4.0
 """Standard deviations that a slope must be outside."""
 MOST = 30_000
 """Changes of references that are tried at most; beyond that, none of unit."""
+TOGETHER = 256
+"""Changes of references that are tried at once."""
 MORE = 0.25
 """Cost of a second change of one column, such as another unit and another sign; the first costs 1."""
 TWICE = 0.5
@@ -177,34 +179,39 @@ def _tried(
     """
     low, high = widened(slopes.lower, slopes.upper, WITHIN)
     size = np.maximum(np.abs(slopes.lower), np.abs(slopes.upper)).max(axis=1)
-    size = np.where(size > 0, size, 1.0)
-    middle = 0.5 * (slopes.lower + slopes.upper)
-    tried = list(_of_references(references, slopes.moved, units))
+    size, middle = np.where(size > 0, size, 1.0), 0.5 * (slopes.lower + slopes.upper)
     scales = sorted({1.0, *(f for c in channels for f in units[c])})
     options = [(sign, factor) for sign in (1, -1) for factor in scales]
     price = _costs(options, channels, units)
-    values = np.array([sign / factor for sign, factor in options])
-    for changes in sorted(tried, key=lambda c: sum(change.cost for change in c)):
-        order = [references.index(c.source) for c in changes]
-        scale = np.array([c.sign * c.factor for c in changes])[:, None]
-        moved, size_ = slopes.moved[order], size[:, None, None]
-        if not moved.any():
-            continue
-        found, std = slopes.found[order] * scale, CERTAIN * slopes.std[order] * np.abs(scale)
-        turned = values[:, None, None, None] * found[None, :, :, None]  # (option, pose, carrier, channel)
-        room = np.abs(values)[:, None, None, None] * std[None, :, :, None]
+    values = np.array([sign / factor for sign, factor in options])[:, None, None, None]
+    ways = _of_references(references, slopes.moved, units)
+    for first in range(0, len(ways[0]), TOGETHER):
+        order, sign, factor = (part[first : first + TOGETHER] for part in ways)
+        scale = (sign * factor)[:, None, :, None, None]
+        # (way, option, pose, carrier, channel)
+        turned = values * (scale * slopes.found[order][:, None, :, :, None])
+        room = CERTAIN * np.abs(values * (scale * slopes.std[order][:, None, :, :, None]))
+        still = ~slopes.moved[order][:, None, :, None, None]
         inside = (turned >= low[:, None] - room) & (turned <= high[:, None] + room)
-        inside = np.all(inside | ~moved[:, None, None], axis=1)
-        off = np.where(moved[:, None, None], np.abs(turned - middle[:, None]) / size_, 0.0).sum(axis=1)
-        assigned = _assigned(np.where(inside, off, np.inf) * 1e-6 + price)
-        if assigned is None:
-            continue
-        picked = tuple(_change(channels[n], channels[c], *options[k], units) for n, c, k in assigned)
-        misfit = float(sum(off[k, c, n] for n, c, k in assigned))
-        yield Explanation(changes, picked, misfit)
+        possible = np.all(inside | still, axis=2)
+        possible &= np.isfinite(price)
+        good = possible.any(axis=1).any(axis=1).all(axis=1) & possible.any(axis=1).any(axis=2).all(axis=1)
+        for m in np.flatnonzero(good & ~still[:, 0, :, 0, 0].all(axis=1)):
+            gap = np.abs(turned[m] - middle[:, None]) / size[:, None, None]
+            off = np.where(still[m], 0.0, gap).sum(axis=1)
+            assigned = _assigned(np.where(possible[m], off, np.inf) * 1e-6 + price)
+            if assigned is None:
+                continue
+            picked = tuple(change_of(channels[n], channels[c], *options[k], units) for n, c, k in assigned)
+            changes = tuple(
+                change_of(c, references[order[m, j]], int(sign[m, j]), float(factor[m, j]), units)
+                for j, c in enumerate(references)
+            )
+            yield Explanation(changes, picked, float(sum(off[k, c, n] for n, c, k in assigned)))
 
 
-def _change(column: str, source: str, sign: int, factor: float, units: Units) -> Change:
+def change_of(column: str, source: str, sign: int, factor: float, units: Units) -> Change:
+    """Return a change with the unit that its factor means."""
     return Change(column, source, sign, factor, units[source].get(factor, ""))
 
 
@@ -213,7 +220,7 @@ def _costs(options: Sequence[tuple[int, float]], channels: Sequence[str], units:
     cost = [
         [
             [
-                _change(n, c, sign, factor, units).cost if factor == 1 or factor in units[c] else np.inf
+                change_of(n, c, sign, factor, units).cost if factor == 1 or factor in units[c] else np.inf
                 for n in channels
             ]
             for c in channels
@@ -237,24 +244,35 @@ def _assigned(cost: np.ndarray) -> list[tuple[int, int, int]] | None:
 
 def _of_references(
     references: Sequence[str], moved: np.ndarray, units: Units
-) -> Iterator[tuple[Change, ...]]:
-    """Yield every change of order, sign and unit of references; one that did not move is left as it is."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return every change of references, the fewest first: carrier, its sign and its factor, (m, n_pose) each.
+
+    A column that did not move is in its unit and has its sign.
+    """
     place = {c: k for k, c in enumerate(references)}
     groups = [list(g) for _, g in groupby(sorted(references, key=_unit_of), key=_unit_of)]
-    orders = [dict(pair for g, o in zip(groups, way, strict=True) for pair in zip(g, o, strict=True))
-              for way in product(*(permutations(g) for g in groups))]  # fmt: skip
-    scales = [[1.0, *units[c]] if moved[place[c]] else [1.0] for c in references]
-    signs = [(1, -1) if moved[place[c]] else (1,) for c in references]
+    orders = [
+        dict(pair for g, o in zip(groups, way, strict=True) for pair in zip(g, o, strict=True))
+        for way in product(*(permutations(g) for g in groups))
+    ]
+    scales = [(1.0, *units[c]) if here else (1.0,) for c, here in zip(references, moved, strict=True)]
+    signs = [(1, -1) if here else (1,) for here in moved]
     if len(orders) * math.prod(map(len, scales)) * math.prod(map(len, signs)) > MOST:
-        scales = [[1.0] for _ in references]
+        scales = [(1.0,) for _ in references]
     if len(orders) * math.prod(map(len, signs)) > MOST:
         orders = [{c: c for c in references}]
-    for order in orders:
-        for way in product(*signs):
-            for by in product(*scales):
-                # sign and unit belong to the column that carries a coordinate
-                at = {c: place[order[c]] for c in references}
-                yield tuple(_change(c, order[c], way[k], by[k], units) for c, k in at.items())
+    carriers = np.array([[place[order[c]] for c in references] for order in orders])
+    sign, factor = np.array(list(product(*signs))), np.array(list(product(*scales)))
+    pick = np.indices((len(carriers), len(sign), len(factor))).reshape(3, -1)
+    order = carriers[pick[0]]
+    # sign and unit belong to the column that carries a coordinate
+    sign, factor = (np.take_along_axis(v[k], order, axis=1) for v, k in ((sign, pick[1]), (factor, pick[2])))
+    ways = (order != np.arange(len(references))).astype(float) + (sign < 0) + (factor != 1)
+    nameless = [[f for f, unit in units[c].items() if not unit] for c in references]
+    twice = np.array([np.isin(factor[:, j], nameless[j]) for j in range(len(references))]).T
+    cost = np.where(ways > 0, 1 + MORE * (ways - 1) + TWICE * twice, 0.0).sum(axis=1)
+    cheap = np.argsort(cost, kind="stable")
+    return order[cheap], sign[cheap], factor[cheap]
 
 
 def _unit_of(column: str) -> str:

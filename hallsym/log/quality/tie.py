@@ -7,13 +7,14 @@ d gain / d r over d gain / d z is the sensor's place less that of the point wher
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import groupby, permutations, product
 from typing import Any
 
 import numpy as np
 
-from hallsym.log.quality.explain import Change, Explanation
+from hallsym.log.quality.explain import Explanation, Units, change_of
 from hallsym.log.quality.findings import Finding
 from hallsym.log.quality.gains import listed, remedies, said, sentence
 from hallsym.log.quality.responses import Coupling
@@ -40,6 +41,19 @@ SURE = 1.0
 """A decade of odds for an explanation, at least."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Ways:
+    """Ways in which columns are not what they say, the first that they are: (m, n_state) each.
+
+    `order`: the column that carries each coordinate; `sign`, `factor`: of that column. `price`: (m,).
+    """
+
+    order: np.ndarray
+    sign: np.ndarray
+    factor: np.ndarray
+    price: np.ndarray
+
+
 def judge_ties(log: Any, model: Model, seen: Coupling) -> Iterator[Finding]:
     """Judge units, signs and order of the state's columns; silent where the log cannot tell."""
     possible = response_of(model)
@@ -47,99 +61,115 @@ def judge_ties(log: Any, model: Model, seen: Coupling) -> Iterator[Finding]:
     told = (np.abs(seen.found) > CERTAIN * seen.std) & np.array([[c in tied] for c in model.state])
     if possible is None or not told.any():
         return
-    as_is = tuple(Change(c, c) for c in model.state)
-    start = _score(model, possible, seen, told, as_is)
+    here = np.arange(len(model.state))[None]
+    as_is = _Ways(here, np.ones(here.shape), np.ones(here.shape), np.zeros(1))
+    start = float(_scores(model, possible, seen, told, as_is)[0])
     if start >= 0 and not _may_be_small(model, seen, told):
         return
     units = {c: other_units(log.table, c) for c in model.state}
-    tried = (c for c in _tried(model, units, told) if _price(c) <= MOST)
-    best = max(tried, key=lambda c: _score(model, possible, seen, told, c))
-    score = _score(model, possible, seen, told, best)
-    if best == as_is or score < start + SURE:
+    ways = _ways(model, units, told)
+    scores = _scores(model, possible, seen, told, ways)
+    best = int(scores.argmax())
+    if scores[best] < start + SURE:
         return
-    found = Explanation(best, (), 0.0)
+    found = Explanation(
+        tuple(
+            change_of(c, model.state[n], int(ways.sign[best, k]), float(ways.factor[best, k]), units)
+            for k, (c, n) in enumerate(zip(model.state, ways.order[best], strict=True))
+        ),
+        (),
+        0.0,
+    )
     what = model.family.together or listed(model.state)
     yield sentence(f"In {log.name} {said(found)}, judged by how gains follow {what}", remedies(log, found))
 
 
 def _may_be_small(model: Model, seen: Coupling, told: np.ndarray) -> bool:
     """Return whether every place is so near the origin that a unit could make it more usual."""
-    return any(
-        len(ratios := _ratios(model, seen, told, tie)[0]) and np.abs(ratios).max() < NEAR for tie in model.ties
-    )
+    for tie in model.ties:
+        ratios, _, good = _ratios(model, seen.found[None], seen.std[None], told[None], tie)
+        if good.any() and np.abs(ratios[good]).max() < NEAR:
+            return True
+    return False
 
 
 def _ratios(
-    model: Model, seen: Coupling, told: np.ndarray, tie: Tie
+    model: Model, found: np.ndarray, std: np.ndarray, told: np.ndarray, tie: Tie
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Place less origin by each channel that tells, with standard uncertainty, and which channels tell."""
+    """Place less origin by each channel (m, K), with standard uncertainty, and whether the channel tells."""
     one, other = (model.state.index(c) for c in (tie.column, tie.other))
-    k = np.flatnonzero(told[other] & (seen.std[one] > 0))
-    below = seen.found[other, k]
-    ratios = seen.found[one, k] / below
-    std = np.hypot(seen.std[one, k], ratios * seen.std[other, k]) / np.abs(below)
+    below = np.where(told[:, other], found[:, other], 1.0)
+    ratios = found[:, one] / below
+    spread = np.hypot(std[:, one], ratios * std[:, other]) / np.abs(below)
     size = max(high - low for low, high in (tie.origin, *tie.places))
-    good = std < np.maximum(np.abs(ratios), size) / CERTAIN
-    return ratios[good], std[good], k[good]
+    return ratios, spread, told[:, other] & (spread < np.maximum(np.abs(ratios), size) / CERTAIN)
 
 
-def _score(
-    model: Model, possible: Response, seen: Coupling, told: np.ndarray, changes: Sequence[Change]
-) -> float:
-    """Return decades of odds for columns that are what `changes` say, beside a usual log."""
-    order = [model.state.index(c.source) for c in changes]
-    scale = np.array([c.sign * c.factor for c in changes])[:, None]
-    turned = Coupling(seen.found[order] * scale, seen.std[order] * np.abs(scale))
-    told = told[order]
-    wrong = _wrong_sign(possible, turned, told)
-    score, before = -_price(changes), dict(zip(model.state, range(len(model.state)), strict=True))
+def _scores(model: Model, possible: Response, seen: Coupling, told: np.ndarray, ways: _Ways) -> np.ndarray:
+    """Return decades of odds for each way (m,), beside a usual log."""
+    scale = (ways.sign * ways.factor)[:, :, None]
+    found, std, told = seen.found[ways.order] * scale, seen.std[ways.order] * np.abs(scale), told[ways.order]
+    wrong, scores = _wrong_sign(possible, found, std, told), -ways.price
     for tie in model.ties:
-        ratios, std, k = _ratios(model, turned, told, tie)
-        if len(k) < 2:
-            continue
-        places = np.array(tie.places)[k]
-        reach = max(np.abs(places).max() + max(map(abs, tie.origin)), 1e-300)
-        score -= 2 * float(np.log10(np.maximum(np.abs(ratios) / reach, 1.0)).sum())
-        room = NEAR + CERTAIN * std
-        low = max(tie.origin[0], (places[:, 0] - ratios - room).max())
-        wrong |= bool(low > min(tie.origin[1], (places[:, 1] - ratios + room).min()))
+        ratios, spread, good = _ratios(model, found, std, told, tie)
+        good &= good.sum(axis=1, keepdims=True) > 1
+        places = np.array(tie.places)
+        reach = np.abs(places).max() + max(map(abs, tie.origin))
+        beyond = np.log10(np.maximum(np.abs(ratios) / reach, 1.0))
+        scores = scores - 2 * np.where(good, beyond, 0.0).sum(axis=1)
+        room = NEAR + CERTAIN * spread
+        low = np.where(good, places[:, 0] - ratios - room, -np.inf).max(axis=1)
+        high = np.where(good, places[:, 1] - ratios + room, np.inf).min(axis=1)
+        wrong = wrong | (np.maximum(low, tie.origin[0]) > np.minimum(high, tie.origin[1]))
         # numbers this much larger are this much more usual among places that may lie anywhere in the machine
-        one, other = (changes[before[c]] for c in (tie.column, tie.other))
-        score += len(k) * float(np.log10(one.factor / other.factor))
-    return score - ODD * wrong
+        one, other = (ways.factor[:, model.state.index(c)] for c in (tie.column, tie.other))
+        scores = scores + good.sum(axis=1) * np.log10(one / other)
+    return np.asarray(scores - ODD * wrong)
 
 
-def _wrong_sign(possible: Response, seen: Coupling, told: np.ndarray) -> bool:
-    """Return whether a gain follows a column against the only sign that the model allows."""
-    room = NEAR * np.abs(np.where(told, seen.found, 0.0)).max(axis=1, keepdims=True) + CERTAIN * seen.std
-    below = (possible.state_lower >= 0) & (possible.state_upper > 0) & (seen.found < -room)
-    above = (possible.state_upper <= 0) & (possible.state_lower < 0) & (seen.found > room)
-    return bool(np.any((below | above) & told))
+def _wrong_sign(possible: Response, found: np.ndarray, std: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """Return whether a gain follows a column against the only sign that the model allows, (m,)."""
+    room = NEAR * np.abs(np.where(told, found, 0.0)).max(axis=2, keepdims=True) + CERTAIN * std
+    below = (possible.state_lower >= 0) & (possible.state_upper > 0) & (found < -room)
+    above = (possible.state_upper <= 0) & (possible.state_lower < 0) & (found > room)
+    return np.asarray(((below | above) & told).any(axis=(1, 2)))
 
 
-def _price(changes: Sequence[Change]) -> float:
-    """Return decades of odds against the changes: each way of being wrong once, and a little per column."""
-    total = 0.0
-    for way in (lambda c: c.source != c.column, lambda c: c.sign < 0, lambda c: c.factor):
-        ways = [(way(c), _unit_of(c.column)) for c in changes]
-        many = {w: ways.count(w) for w in ways if w[0] not in (False, 1.0)}
-        total += sum(RARE + ALSO * (n - 1) for n in many.values())
-    return total + DOUBLED * any(c.factor != 1 and not c.unit for c in changes)
-
-
-def _tried(model: Model, units: Mapping[str, Mapping[float, str]], told: np.ndarray) -> Iterator[tuple[Change, ...]]:
-    """Yield every change of order, sign and unit of the state's columns."""
+def _ways(model: Model, units: Units, told: np.ndarray) -> _Ways:
+    """Return every change of order, sign and unit of the state's columns that three mistakes can make."""
     state, known = list(model.state), told.any(axis=1)
     place = {c: k for k, c in enumerate(state)}
     groups = [list(g) for _, g in groupby(sorted(state, key=_unit_of), key=_unit_of)]
+    signs = [(1.0, -1.0) if here else (1.0,) for here in known]
+    factors = [(1.0, *units[c]) if here else (1.0,) for c, here in zip(state, known, strict=True)]
+    kept: list[tuple[float, list[int], list[float], list[float]]] = []
     for way in product(*(permutations(g) for g in groups)):
-        order = dict(pair for g, o in zip(groups, way, strict=True) for pair in zip(g, o, strict=True))
-        for signs in product(*((1, -1) if known[place[order[c]]] else (1,) for c in state)):
-            for factors in product(*([1.0, *units[order[c]]] if known[place[order[c]]] else [1.0] for c in state)):
-                yield tuple(
-                    Change(c, order[c], s, f, units[order[c]].get(f, ""))
-                    for c, s, f in zip(state, signs, factors, strict=True)
-                )
+        carrier = dict(pair for g, o in zip(groups, way, strict=True) for pair in zip(g, o, strict=True))
+        order = [place[carrier[c]] for c in state]
+        swapped = RARE * any(k != n for k, n in enumerate(order))
+        for sign in product(*signs):
+            flipped = swapped + _price([s < 0 for s in sign])
+            if flipped > MOST:
+                continue
+            for factor in product(*factors):
+                if (price := flipped + _unit_price(state, factor, units)) <= MOST:
+                    kept.append((price, order, [sign[n] for n in order], [factor[n] for n in order]))
+    price, orders, turned, scaled = zip(*kept, strict=True)
+    return _Ways(np.array(orders), np.array(turned), np.array(scaled), np.array(price))
+
+
+def _price(wrong: Sequence[bool]) -> float:
+    """Return decades of odds against columns that are wrong in one way."""
+    return RARE + ALSO * (sum(wrong) - 1) if any(wrong) else 0.0
+
+
+def _unit_price(state: Sequence[str], factors: Sequence[float], units: Units) -> float:
+    """Return decades of odds against factors: each unit once, and a little for every further column in it."""
+    total, ways = 0.0, [(f, _unit_of(c)) for c, f in zip(state, factors, strict=True) if f != 1]
+    for way in set(ways):
+        total += RARE + ALSO * (ways.count(way) - 1)
+    doubled = any(f != 1 and not units[c][f] for c, f in zip(state, factors, strict=True))
+    return total + DOUBLED * doubled
 
 
 def _unit_of(column: str) -> str:
