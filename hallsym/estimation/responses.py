@@ -18,7 +18,7 @@ leads, at which it is at rest: what is left there follows the others, and its sl
 
 
 def pose_features(features: Features) -> list[int] | None:
-    """Return for each reference the feature that is its motion, or begins as it does; None if one has none."""
+    """Return for each reference the feature that is its motion or begins as it does; None if one has none."""
     model = features.model
     rest = [np.zeros(1) for _ in (*model.pose, *model.state)]
     n, centre = len(model.pose), np.zeros(features.exponents.shape[1])
@@ -63,7 +63,9 @@ def _freed(summary: RunStatistics, index: list[int]) -> tuple[np.ndarray, np.nda
     pose = features.exponents.copy()
     pose[:, len(features.model.pose) : len(features.model.pose) + len(features.model.state)] = 0
     own = [k for k in range(n_zero) if not pose[k].any()]
-    rows = projected(summary.triangles[:, :, [*own, *index, *range(features.size, summary.triangles.shape[2])]], len(own))
+    rows = projected(
+        summary.triangles[:, :, [*own, *index, *range(features.size, summary.triangles.shape[2])]], len(own)
+    )
     return rows[:, :, : len(index)], rows[:, :, len(index) :]
 
 
@@ -116,7 +118,7 @@ def coupling_of(merged: Cost, linear: LinearFit, runs: int) -> Coupling | None:
 
 
 def coupled_features(features: Features) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the feature of each reference, (n_pose,), and of its product with each state, (n_pose, n_state)."""
+    """Return the feature of each reference (n_pose,) and of its product with each state (n_pose, n_state)."""
     model, index = features.model, pose_features(features)
     if index is None or not model.state:
         return None
@@ -137,6 +139,9 @@ def products_of(cost: Cost, merged: Cost, linear: LinearFit) -> Products:
     summary, inner = cost.summary, cost.summary.features.size - cost.summary.features.n_zero
     X, Y = summary.projected[:, :, :inner][:, :, linear.moved], summary.projected[:, :, inner:]
     C, transposed = linear.coefficients, np.swapaxes(X, 1, 2)
-    variance = cost.reading_variance + np.einsum("fk,fg,gk->k", C, merged.noise_in_features[0], C)
+    of_references = np.einsum("fk,fg,gk->k", C, merged.noise_in_features[0], C)
     squares = np.einsum("rik,rik->rk", Y, Y)
-    return Products(summary.runs, transposed @ X, transposed @ Y, squares, summary.counts, variance)
+    return Products(
+        summary.runs, transposed @ X, transposed @ Y, squares, summary.counts,
+        cost.reading_variance + of_references, of_references,
+    )  # fmt: skip

@@ -29,7 +29,7 @@ LEAST_SIGMA = 1e-13
 SUSPECT = 6.5
 """Peak error in noise floors above which outliers are looked for."""
 SPIKY = 1e-3
-"""Share of samples that leave their neighbourhood from which on slopes are judged without them, after the fit."""
+"""Share of samples that are spikes from which on slopes are judged after the fit, without them."""
 ROUNDS = 12
 """Of taking outliers out and fitting again, at most."""
 
@@ -61,7 +61,7 @@ class Started(Solution):
 
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """The costs of all runs, of the fitted ones and of these merged, and what linear least squares makes of them."""
+    """The costs of all runs, of the fitted ones and of these merged, and the linear fit of the last."""
 
     everything: Cost
     fitted: Cost
@@ -159,7 +159,7 @@ class Task:
         return Begun(everything, fitted, merged, start.linear_fit(merged))
 
     def judged(self, begun: "Begun") -> Judgement:
-        """Judge units, signs and runs before the fit; where there are spikes, which bend slopes, only after it."""
+        """Judge units, signs and runs before the fit; spikes bend slopes: where there are any, after it."""
         found = self.judge(begun)
         if not found.findings or self.loss == "none":
             return found

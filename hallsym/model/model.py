@@ -76,8 +76,8 @@ class Combination:
 class Tie:
     """What a rigid body ties together: how gains follow two columns of the state.
 
-    For each channel, (d gain / d `column`) / (d gain / d `other`) is a place of the machine less an origin that
-    all channels share. `places`: its lower and upper value for each channel, `origin`: that of the origin.
+    For each channel, (d gain / d `column`) / (d gain / d `other`) is a place of the machine less an origin
+    that all channels share. `places`: its bounds for each channel, `origin`: those of the origin.
     """
 
     column: str

@@ -1,7 +1,7 @@
 """What a model's readings answer to a motion: slopes with the pose, how the state moves them, their ranges.
 
-Of a reading that is nearly linear in the pose. One whose noise is averaged over poses (`Model.typical`) has no
-slope that holds everywhere, and none is given.
+Of a reading that is nearly linear in the pose. One whose noise is averaged over poses (`Model.typical`) has
+no slope that holds everywhere, and none is given.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from mistakes import READINGS, REFERENCES, VERTICAL, Arrays, Make, Mistake, both, of_run, pasted, scale
+from mistakes import READINGS, REFERENCES, VERTICAL, Arrays, Make, Mistake, both, of_run, scale
 
 DEGREE = 180 / np.pi
 
@@ -99,7 +99,9 @@ SIGNS = (
         for c in (*REFERENCES, *VERTICAL)
     ),
     *(seen(f"{c} inverted", scale(c, -1), rf"the sign of {c} looks inverted.*wiring") for c in READINGS),
-    seen("x and y exchanged", swapped("x_ref_m", "y_ref_m"), r"x_ref_m and y_ref_m look swapped.*column file"),
+    seen(
+        "x and y exchanged", swapped("x_ref_m", "y_ref_m"), r"x_ref_m and y_ref_m look swapped.*column file"
+    ),
     seen("Rx and Ry exchanged", swapped("rx_rad", "ry_rad"), r"rx_rad and ry_rad look swapped.*column file"),
     seen("A and B exchanged", swapped("hall_a_m", "hall_b_m"), r"hall_a_m and hall_b_m look swapped.*wiring"),
     seen(
@@ -124,7 +126,9 @@ RUNS = (
         in_run(3, scale("y_ref_m", -1)),
         r"In run 3 .*the sign of y_ref_m looks inverted.*--holdout 3",
     ),
-    seen("a unit in a run", in_run(4, scale("x_ref_m", 1e3)), r"In run 4 .*x_ref_m looks like mm.*correct it"),
+    seen(
+        "a unit in a run", in_run(4, scale("x_ref_m", 1e3)), r"In run 4 .*x_ref_m looks like mm.*correct it"
+    ),
     seen(
         "two channels exchanged in a run",
         in_run(3, swapped("hall_a_m", "hall_c_m")),

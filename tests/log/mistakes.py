@@ -293,7 +293,9 @@ RECORDING = (
         "refusal",
     ),
     of_stage("time in us", scale("t_s", 1e6), r"t_s .* step is 2000 s: it looks like ms", "refusal"),
-    of_stage("time in ms, said to be us", scale("t_s", 1e-6), r"t_s .* in run \d .* covers .*unit", "refusal"),
+    of_stage(
+        "time in ms, said to be us", scale("t_s", 1e-6), r"t_s .* in run \d .* covers .*unit", "refusal"
+    ),
     of_stage(
         "a clock set forward", clock_step(2, 10.0), r"t_s .* misses 5000 ticks.*\(run 2\).*as runs", "refusal"
     ),

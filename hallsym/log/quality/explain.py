@@ -1,7 +1,7 @@
 """Which unit, sign or order of columns would make responses possible that are not.
 
-A response is a matrix of slopes d reading / d reference. A column in another unit multiplies its row or column
-of that matrix, a sign inverts it, exchanged columns exchange it: few changes, tried all at once.
+A response is a matrix of slopes d reading / d reference. A column in another unit multiplies its row or
+column of that matrix, a sign inverts it, exchanged columns exchange it: few changes, tried all at once.
 """
 
 from __future__ import annotations
@@ -160,7 +160,9 @@ def explanations(
     if not ranked:
         return []
     first = ranked[0]
-    others = [e for e in ranked[1:] if e.cost <= first.cost + AS_GOOD * (e.only_channels or e.only_references)]
+    others = [
+        e for e in ranked[1:] if e.cost <= first.cost + AS_GOOD * (e.only_channels or e.only_references)
+    ]
     if not first.named and "named" in best:
         others = [best["named"]]
     return [first, *others]
@@ -245,7 +247,7 @@ def _assigned(cost: np.ndarray) -> list[tuple[int, int, int]] | None:
 def _of_references(
     references: Sequence[str], moved: np.ndarray, units: Units
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return every change of references, the fewest first: carrier, its sign and its factor, (m, n_pose) each.
+    """Return every change of references, fewest first: carrier, its sign and its factor, (m, n_pose) each.
 
     A column that did not move is in its unit and has its sign.
     """

@@ -1,4 +1,4 @@
-"""Units, signs and order of columns, in a whole log and in single runs, by what readings answer to references."""
+"""Units, signs and order of columns, in a log and in single runs, by what readings answer to references."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hallsym.log.quality.explain import BEYOND, Explanation, Slopes, Units, expl
 from hallsym.log.quality.findings import Finding
 from hallsym.log.quality.responses import Responses
 from hallsym.log.quality.units import option, other_units
+from hallsym.model import Model
 from hallsym.model.response import Response, response_of
 
 VARIES = 0.2
@@ -23,8 +24,8 @@ others at most for that to say anything."""
 WEAK = 0.1
 """Share of the variance of a run's strongest reading below which a channel hears too little to judge."""
 OFF = 0.05
-"""Share of the variance of a run's strongest reading that slopes of the other runs must leave: an effect moves
-slopes of what is hardly heard."""
+"""Share of the variance of a run's strongest reading that slopes of the other runs must leave: an effect
+moves slopes of what is hardly heard."""
 NAMED, OPTIONS = 3, 2
 """Runs and options that a sentence names."""
 LONGEST = 300
@@ -50,11 +51,14 @@ def judge_gains(log: Any, seen: Responses, holdout: Collection[int] = ()) -> Jud
         return Judged()
     usual = _usual(seen, possible)
     model = seen.model
-    units = {c: other_units(log.table, c) for c in (*model.references, *model.channels)}
     if not usual.possible():
-        found = explanations(usual, model.references, model.channels, units)
+        found = explanations(usual, model.references, model.channels, _units(log, model))
         return Judged(tuple(_whole(log, model, found)), tuple(found))
-    return Judged(tuple(_by_run(log, seen, usual, units, holdout)))
+    return Judged(tuple(_by_run(log, seen, usual, holdout)))
+
+
+def _units(log: Any, model: Model) -> Units:
+    return {c: other_units(log.table, c) for c in (*model.references, *model.channels)}
 
 
 def _usual(seen: Responses, possible: Response) -> Slopes:
@@ -63,7 +67,7 @@ def _usual(seen: Responses, possible: Response) -> Slopes:
     told = np.broadcast_to(seen.moved[:, :, None], seen.slopes.shape)
     good = told & (seen.slopes >= low) & (seen.slopes <= high)
     kept = np.where(2 * good.sum(axis=0) >= told.sum(axis=0), good, told)
-    moved = seen.moved.any(axis=0)
+    moved = np.asarray(seen.moved.any(axis=0))
     slopes, std = _medians(seen.slopes, kept), _medians(seen.std, kept)
     return Slopes(slopes, std, moved, possible.lower, possible.upper)
 
@@ -79,7 +83,7 @@ def _medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
 # -- the whole log ---------------------------------------------------------------------------------------
 
 
-def _whole(log: Any, model: Any, found: Sequence[Explanation]) -> Iterator[Finding]:
+def _whole(log: Any, model: Model, found: Sequence[Explanation]) -> Iterator[Finding]:
     if found:
         text = "; or ".join(said(e) for e in found)
         ways = dict.fromkeys(r for e in found for r in remedies(log, e))
@@ -134,9 +138,7 @@ def remedies(log: Any, found: Explanation) -> Iterator[str]:
 # -- single runs -----------------------------------------------------------------------------------------
 
 
-def _by_run(
-    log: Any, seen: Responses, usual: Slopes, units: Units, holdout: Collection[int]
-) -> Iterator[Finding]:
+def _by_run(log: Any, seen: Responses, usual: Slopes, holdout: Collection[int]) -> Iterator[Finding]:
     """Runs whose slopes are not those of the others, each way of being wrong in one sentence."""
     if len(seen.runs) < 2:
         return
@@ -145,21 +147,21 @@ def _by_run(
     foreign, model, searched = _foreign(seen), seen.model, 0
     strength = seen.signal / np.maximum(seen.signal.max(axis=1, keepdims=True), 1e-300)
     off = (seen.misfit(usual.found) * strength).max(axis=1) > OFF
-    for r, run in enumerate(seen.runs):
-        near = _near(seen, usual, r)
-        if not foreign[r] and (near.possible() or not off[r]):
+    for r in np.flatnonzero(foreign | off):
+        near = _near(seen, usual, int(r))
+        if not foreign[r] and near.possible():
             continue
         text = next((t for e, t in known if near.explained(e, model.references, model.channels)), "")
         if not text and searched < SEARCHED:
             searched += 1
-            found = explanations(near, model.references, model.channels, units)
+            found = explanations(near, model.references, model.channels, _units(log, model))
             if found and found[0].simple:
                 text = "; or ".join(said(e) for e in found if e.simple)
                 known.append((found[0], text))
         if not text:
             text = "the references explain less than half of the readings: one of them is another run's"
             text = text if foreign[r] else _odd(near, model)
-        groups.setdefault(text, []).append(run)
+        groups.setdefault(text, []).append(seen.runs[r])
     for text, runs in groups.items():
         yield run_finding(log, runs, text, holdout)
 
@@ -171,7 +173,9 @@ def run_finding(
     them, used = "it" if len(runs) == 1 else "them", [run for run in runs if run not in holdout]
     leave = f"leave {them} out with --holdout {','.join(map(str, used[:NAMED]))}"
     remedy = f"correct {them}, or {leave}" if used else f"correct {them} before judging a fit by {them}"
-    return Finding(f"In {few(runs)} of {log.name} {text}, beside the other runs", refuse and bool(used), remedy=remedy)
+    return Finding(
+        f"In {few(runs)} of {log.name} {text}, beside the other runs", refuse and bool(used), remedy=remedy
+    )
 
 
 def _near(seen: Responses, usual: Slopes, r: int) -> Slopes:
@@ -180,7 +184,7 @@ def _near(seen: Responses, usual: Slopes, r: int) -> Slopes:
     return Slopes(seen.slopes[r], seen.std[r], seen.moved[r], usual.found - room, usual.found + room)
 
 
-def _odd(near: Slopes, model: Any) -> str:
+def _odd(near: Slopes, model: Model) -> str:
     """Return how slopes of a run are unlike those of the others."""
     low, high = near.lower, near.upper
     size = np.maximum(high - low, 1e-300)
@@ -219,4 +223,5 @@ def few(runs: Sequence[int]) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
+    """Return names with commas and an and."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,4 +1,4 @@
-"""The record by which a log is judged against a model: what its readings answered to the references, by run."""
+"""The record by which a log is judged against a model: what readings answered to references, by run."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ class Responses:
 
     `slopes`, `std`: (runs, n_pose, n_channels), 0 for a reference that did not move. `moved`: (runs, n_pose).
     `unexplained`: (runs, n_channels) share of a reading's variance that the references leave, 0 where a
-    channel hears only noise. `signal`: (runs, n_channels) variance of a reading over that of its noise. `products`: (runs, n_pose,
-    n_pose) of the references, `total`: (runs, n_channels) sum of squares of the readings, means taken out.
+    channel hears only noise. `signal`: (runs, n_channels) variance of a reading over that of its noise.
+    `products`: (runs, n_pose, n_pose) of the references, `total`: (runs, n_channels) sums of squares of the
+    readings, means taken out.
     """
 
     model: Model
@@ -30,7 +31,7 @@ class Responses:
     total: np.ndarray
 
     def misfit(self, slopes: np.ndarray) -> np.ndarray:
-        """Return what other slopes (n_pose, n_channels) would leave of each run's readings: (runs, n_channels).
+        """Return what other slopes (n_pose, n_channels) leave of each run's readings, (runs, n_channels).
 
         As a share of their variance, beside what the run's own slopes leave.
         """
@@ -41,7 +42,7 @@ class Responses:
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """Relative change of the gains with each state column, (n_state, n_channels), with standard uncertainty."""
+    """Relative change of gains with each state column, (n_state, n_channels), with standard uncertainty."""
 
     found: np.ndarray
     std: np.ndarray
@@ -51,7 +52,8 @@ class Coupling:
 class Products:
     """Products of columns by run: features (runs, f, f), with readings (runs, f, K), of readings (runs, K).
 
-    `counts`: samples (runs,). `variance`: (K,) of a residual, by the noise of readings and references.
+    `counts`: samples (runs,). `variance`: (K,) of a residual, by the noise of readings and references;
+    `of_references`: the part of the latter.
     """
 
     runs: tuple[int, ...]
@@ -60,6 +62,7 @@ class Products:
     squares: np.ndarray
     counts: np.ndarray
     variance: np.ndarray
+    of_references: np.ndarray
 
     def coefficients(self, weights: np.ndarray) -> np.ndarray:
         """Return least squares of weighted runs, (m, runs) -> (m, f, K)."""

@@ -33,6 +33,8 @@ SLIP = 0.03
 supply or a probe was changed."""
 FEWEST, TRIED = 4, 8
 """Runs beside the odd one that have to agree; runs that are tried as the odd one, those that fit worst."""
+CLEARLY = 4.0
+"""Mean square over that of noise from which on a run is odd whose gains are those of the others."""
 ODD_SHARE = 0.2
 """Share of the largest change of a gain up to which another gain counts as unchanged."""
 SINGULAR = 1e-6
@@ -56,10 +58,10 @@ def judge_runs(log: Any, model: Model, seen: Products, holdout: Collection[int] 
         change = 100 * (step.gain - 1)
         yield Finding(
             f"The gain of {model.channels[step.channel]} of {log.name} changes by {change:+.2g} % from "
-            f"{_moment(log, step)} on: check its range, supply and mount, and fit the runs before and after apart"
+            f"{_moment(log, step)} on: check its range, supply and mount; fit the runs before and after apart"
         )
-    elif odd is not None:
-        yield run_finding(log, [odd.run], _said(odd, model), holdout, refuse=False)
+    elif odd is not None and (text := _said(odd, model)):
+        yield run_finding(log, [odd.run], text, holdout, refuse=False)
 
 
 def _exceeds(chi_square: np.ndarray, noise: np.ndarray) -> np.ndarray:
@@ -71,8 +73,8 @@ def _exceeds(chi_square: np.ndarray, noise: np.ndarray) -> np.ndarray:
 class Odd:
     """The run that the others contradict: gain of each channel there over theirs (K,), standard uncertainty.
 
-    `excess`: mean square of its residuals over noise, from the others' coefficients. `left`: share of the whole
-    excess chi-square without it.
+    `excess`: mean square of its residuals over noise, from the others' coefficients. `left`: what the others
+    leave beyond noise, over what the run does.
     """
 
     run: int
@@ -99,7 +101,8 @@ def _odd(seen: Products, whole: np.ndarray) -> Odd | None:
     alone = seen.chi_squares(own)[0, r].sum() - noise[r]
     if left > ALONE or not _exceeds(chi[m, r], noise[r]) or alone > OWN * excess:
         return None
-    predicted = np.einsum("fk,fk->k", C, seen.features[r] @ C)
+    # the noise of references adds to what they predict, and to nothing that is read
+    predicted = np.einsum("fk,fk->k", C, seen.features[r] @ C) - seen.counts[r] * seen.of_references
     heard = predicted > LOUD * seen.counts[r] * seen.variance
     size = np.where(heard, predicted, 1.0)
     gains = np.where(heard, np.einsum("fk,fk->k", C, seen.readings[r]) / size, 1.0)
@@ -108,11 +111,15 @@ def _odd(seen: Products, whole: np.ndarray) -> Odd | None:
 
 
 def _said(odd: Odd, model: Model) -> str:
-    """Return what is odd about a run: one gain, all gains, or something else."""
+    """Return what is odd about a run: one gain, all gains, or something else; "" where it is no matter."""
     off, heard = odd.gains - 1, np.isfinite(odd.std)
-    clear = heard & (np.abs(off) > np.maximum(CERTAIN * odd.std, ODD_SHARE * np.abs(off[heard]).max(initial=0.0)))
+    clear = heard & (
+        np.abs(off) > np.maximum(CERTAIN * odd.std, ODD_SHARE * np.abs(off[heard]).max(initial=0.0))
+    )
     names = [c for c, here in zip(model.channels, clear, strict=True) if here]
     if not names:
+        if odd.excess < CLEARLY:
+            return ""
         return (
             f"the readings contradict the model by {np.sqrt(odd.excess):.2g} times the noise: references or "
             f"{listed(model.state) if model.state else 'readings'} of another run"
@@ -122,12 +129,13 @@ def _said(odd: Odd, model: Model) -> str:
         return f"the gain of {names[0]} differs by {changes}: its range, its supply, or another mount"
     state = f"{listed(model.state)} of another run, or " if model.state else ""
     many = "s" if len(names) > 1 else ""
-    return f"the gain{many} of {listed(names)} differ{'' if many else 's'} by {changes}: {state}another machine or mount"
+    verb = "differ" if many else "differs"
+    return f"the gain{many} of {listed(names)} {verb} by {changes}: {state}another machine or mount"
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A channel whose gain is `gain` times the former from `run` on; `left`: share of the excess that is left."""
+    """A channel whose gain is `gain` times the former from `run` on; `left`: share of the excess left."""
 
     channel: int
     run: int
@@ -138,7 +146,7 @@ class Step:
 
 
 def _moment(log: Any, step: Step) -> str:
-    """Return run and time of a step; within a run, the time at which the mean gain of the run would change."""
+    """Return run and time of a step; within a run, the time that its mean gain suggests."""
     if "t_s" not in log.columns:
         return f"run {step.run}"
     t = log.run(step.run, ("t_s",))["t_s"]
@@ -179,7 +187,7 @@ def _gain(seen: Products, C: np.ndarray, r: int, k: int) -> float:
 def _explained(
     seen: Products, weights: np.ndarray, shapes: np.ndarray, k: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much gains of channel k that follow `shapes` (m, runs) lower chi-square, and their size."""
+    """Return by how much gains of channel k that follow `shapes` (m, runs) lower chi-square; their size."""
     C = seen.coefficients(weights[None])[0][:, k]
     square = np.tensordot(weights, seen.features, axes=1)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(square), 1e-300))

@@ -37,6 +37,9 @@ DOUBLED = 1.0
 """Values that are too small, which takes a conversion done twice, are ten times as rare."""
 MOST = 10.0
 """Decades against what is tried, at most: three mistakes at once."""
+APART = 7.6
+"""Half a unit on a scale of decades: 7.6 times 7.6 is 57.3, the smallest unit. Two units that change a ratio by
+less do not explain it better than an odd machine."""
 SURE = 1.0
 """A decade of odds for an explanation, at least."""
 
@@ -137,7 +140,7 @@ def _wrong_sign(possible: Response, found: np.ndarray, std: np.ndarray, told: np
 
 def _ways(model: Model, units: Units, told: np.ndarray) -> _Ways:
     """Return every change of order, sign and unit of the state's columns that three mistakes can make."""
-    state, known = list(model.state), told.any(axis=1)
+    state, known = list(model.state), [bool(row.any()) for row in told]
     place = {c: k for k, c in enumerate(state)}
     groups = [list(g) for _, g in groupby(sorted(state, key=_unit_of), key=_unit_of)]
     signs = [(1.0, -1.0) if here else (1.0,) for here in known]
@@ -152,10 +155,18 @@ def _ways(model: Model, units: Units, told: np.ndarray) -> _Ways:
             if flipped > MOST:
                 continue
             for factor in product(*factors):
+                if not _far(state, factor, model.ties):
+                    continue
                 if (price := flipped + _unit_price(state, factor, units)) <= MOST:
                     kept.append((price, order, [sign[n] for n in order], [factor[n] for n in order]))
-    price, orders, turned, scaled = zip(*kept, strict=True)
-    return _Ways(np.array(orders), np.array(turned), np.array(scaled), np.array(price))
+    parts = [np.array(part) for part in zip(*kept, strict=True)]
+    return _Ways(parts[1], parts[2], parts[3], parts[0])
+
+
+def _far(state: Sequence[str], factors: Sequence[float], ties: Sequence[Tie]) -> bool:
+    """Return whether units that change a ratio change it by more than a plausible scale."""
+    ratios = [factors[state.index(t.column)] / factors[state.index(t.other)] for t in ties]
+    return all(r == 1 or not 1 / APART < r < APART for r in ratios)
 
 
 def _price(wrong: Sequence[bool]) -> float:
@@ -165,9 +176,8 @@ def _price(wrong: Sequence[bool]) -> float:
 
 def _unit_price(state: Sequence[str], factors: Sequence[float], units: Units) -> float:
     """Return decades of odds against factors: each unit once, and a little for every further column in it."""
-    total, ways = 0.0, [(f, _unit_of(c)) for c, f in zip(state, factors, strict=True) if f != 1]
-    for way in set(ways):
-        total += RARE + ALSO * (ways.count(way) - 1)
+    ways = [(f, _unit_of(c)) for c, f in zip(state, factors, strict=True) if f != 1]
+    total = sum((RARE + ALSO * (ways.count(way) - 1) for way in set(ways)), 0.0)
     doubled = any(f != 1 and not units[c][f] for c, f in zip(state, factors, strict=True))
     return total + DOUBLED * doubled
 
