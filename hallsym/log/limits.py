@@ -62,6 +62,11 @@ def is_moving(column: str) -> bool:
     return is_reading(column) or is_reference(column) or bool(_POSE.fullmatch(column))
 
 
+def tells(column: str, of: str) -> bool:
+    """Say whether a column follows the motion that another one follows, and so tells of it."""
+    return (is_reading(column) and is_reference(of)) or (is_reference(column) and is_reading(of))
+
+
 def has_meaning(column: str) -> bool:
     """Say whether a column is one of a kind (`v_sin_v`, `x_ref_m`), so that it is not meant for another."""
     alone = column in ("v_sin_v", "v_cos_v", "angle_rad")

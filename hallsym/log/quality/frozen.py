@@ -9,9 +9,9 @@ import numpy as np
 
 from hallsym.log.core import Block, Log
 from hallsym.log.drop import Drop
-from hallsym.log.limits import is_moving, is_reading, is_reference
+from hallsym.log.limits import is_moving, tells
 from hallsym.log.quality.findings import Finding, the
-from hallsym.log.quality.motion import Follows, follows, noise_in_codes, stretches
+from hallsym.log.quality.motion import Gains, equal_by_chance, gains, noise_in_codes, stretches
 from hallsym.log.quality.scan import HELD_SAMPLES, Scan, Spans
 from hallsym.units import Array, si_unit
 
@@ -21,14 +21,16 @@ _JUMP = 3.0
 """Usual steps of a column that it goes on with after a stretch of old samples."""
 _RARE = 0.2
 """Share of equal neighbours outside the stretches up to which they are rare: a coarse converter has more."""
+_FINE = 3.0
+"""Noise in codes from which rounding, which is noise in motion and none at rest, adds nothing to it."""
 _CHANCE = 1e-6
 """Probability that noise repeats a code for so long somewhere in a block from which it is no chance."""
 _AT_A_TURN = 4.0
 """Equal neighbours at a turning point over those elsewhere, at most."""
 _LONGER = 2.0
 """Usual length of the equal values of a coarse converter beyond which a stretch is looked at."""
-_LINEAR = 0.5
-"""Share of a column's variation that the others must explain in a run to say what it should have done."""
+_LINEAR = 0.9
+"""Share of a column's variation that the others must explain to say what it should have done."""
 _OVER_NOISE = 5.0
 """Spread of what they say over what they leave from which the column should have moved."""
 
@@ -53,7 +55,7 @@ def held(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
         if not is_moving(name) or not trace.held or name not in spans.overall:
             continue
         low, high = ends.get(name, (-np.inf, np.inf))
-        found = [one for one in _stretches(log, name, spans) if low < one.value < high]
+        found = [one for one in _stretches(log, seen, name, spans) if low < one.value < high]
         if found:
             yield _finding(log, name, found, seen.rows)
 
@@ -74,8 +76,11 @@ def _finding(log: Log, name: str, found: list[Stretch], rows: int) -> Finding:
     )  # fmt: skip
 
 
-def _stretches(log: Log, name: str, spans: Spans) -> list[Stretch]:
-    beside = tuple(c for c in log.columns if _tells(c, name))
+def _stretches(log: Log, seen: Scan, name: str, spans: Spans) -> list[Stretch]:
+    whole = seen.sample.whole
+    beside = tuple(c for c in whole.data if tells(c, name))
+    found_gains = gains(whole.data[name], [whole.data[c] for c in beside], np.ones(len(whole.run), bool))
+    told = found_gains if found_gains and found_gains.share > _LINEAR else None
     steady = {run for run, columns in spans.runs.items() if columns[name].min == columns[name].max}
     found: list[Stretch] = []
     row = 0
@@ -83,18 +88,14 @@ def _stretches(log: Log, name: str, spans: Spans) -> list[Stretch]:
         x = block.data[name]
         if block.run not in steady:
             found += [
-                Stretch(block.run, row + a, row + b, float(x[a])) for a, b in _frozen(block, name, beside)
+                Stretch(block.run, row + a, row + b, float(x[a]))
+                for a, b in _frozen(block, name, beside, told)
             ]
         row += len(x)
     return found
 
 
-def _tells(column: str, of: str) -> bool:
-    """Say whether a column follows the motion that another one follows, so that one tells of the other."""
-    return (is_reading(column) and is_reference(of)) or (is_reference(column) and is_reading(of))
-
-
-def _frozen(block: Block, name: str, beside: tuple[str, ...]) -> list[tuple[int, int]]:
+def _frozen(block: Block, name: str, beside: tuple[str, ...], told: Gains | None) -> list[tuple[int, int]]:
     """Return (start, stop) of the stretches of one value in a block that cannot be a rest."""
     x = block.data[name]
     step = np.abs(np.diff(x))
@@ -119,26 +120,22 @@ def _frozen(block: Block, name: str, beside: tuple[str, ...]) -> list[tuple[int,
     usual = float(np.median(moving)) if rare else np.inf
     again = min(0.5, _AT_A_TURN * float(np.mean(step[between] == 0))) if rare else 0.5
     leaps = [_leaps(other, free) for other in others]
-    told = follows(x, others, free) if long else None
     return [
         (a, b)
         for a, b in long
         if (_jumps(step, a, b, usual, leaps) and _no_chance(len(x), again, b - a))
-        or (told is not None and told.share > _LINEAR and _misses(told, a, b))
+        or (told is not None and _misses(told, [other[a:b] for other in others]))
     ]
 
 
 def _beyond_chance(x: Array, long: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the stretches that the noise in the longest part of a column between them would have ended.
-
-    Noise of s codes repeats a code with probability 1 / (2 sqrt(pi) s).
-    """
+    """Return the stretches that the noise in the longest part of a column between them would have ended."""
     edges = [0, *(edge for pair in long for edge in pair), len(x)]
     parts = [x[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
     codes = noise_in_codes(max(parts, key=len))
-    if codes == 0.0:
+    if codes < _FINE:
         return []
-    again = min(0.5, 1.0 / (2.0 * np.sqrt(np.pi) * codes))
+    again = equal_by_chance(codes)
     return [(a, b) for a, b in long if _no_chance(len(x), again, b - a)]
 
 
@@ -160,7 +157,7 @@ def _jumps(step: Array, a: int, b: int, usual: float, leaps: list[Array]) -> boo
     return any(step[i] > _JUMP * usual and not any(leap[i] for leap in leaps) for i in ends)
 
 
-def _misses(told: Follows, a: int, b: int) -> bool:
+def _misses(told: Gains, others: list[Array]) -> bool:
     """Say whether the other columns moved through a stretch in which this one did not."""
-    moved = float(np.std(told.predicted[a:b]))
-    return told.share > _LINEAR and moved > _OVER_NOISE * told.spread
+    predicted, known = told.predicted(others)
+    return bool(known.mean() > 0.5 and np.std(predicted[known]) > _OVER_NOISE * told.spread)

@@ -8,28 +8,35 @@ import numpy as np
 
 from hallsym.log.core import Log
 from hallsym.log.drop import Drop
-from hallsym.log.limits import is_moving, is_reading, is_reference
+from hallsym.log.limits import is_moving, is_reading, is_reference, tells
 from hallsym.log.quality.findings import Finding, others, the
-from hallsym.log.quality.motion import follows, is_noisy, stretches
+from hallsym.log.quality.motion import gains, noise_in_codes
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.log.quality.sample import WHOLE_ROWS
-from hallsym.log.quality.scan import Scan, Span, Spans
-from hallsym.units import si_unit
+from hallsym.log.quality.scan import HELD_SAMPLES, Scan, Span, Spans
+from hallsym.units import Array, si_unit
 
 _FEW_LEVELS = 8
 """Values of a reading that are too few to calibrate with: the step is an eighth of the travel."""
 _FINER = 8
 """Times as many values that a reference must take: where it takes few, the machine visited few places."""
+_HIDDEN = 0.1
+"""Motion that one value hides, one sigma over the step: 0.29 where it is continuous, 0 from rest to rest."""
 _CODES, _OVER_NOISE = 1.0, 3.0
 """Standard deviation of what the references predict for a run, in codes of the converter and over what the
 prediction leaves, from which a reading that does not change there is dead: one code hides less."""
+_FINE = 3.0
+"""Noise in codes that cannot hide in one of them."""
 _LINEAR = 0.5
 """Share of a reading's variation that a linear function of the references must explain to be believed."""
 _FEWEST_CHANGES = 16
-_REST = 64
-"""Equal samples in a row that are a rest and no slow channel."""
+_ALIKE = 0.6
+"""Share of the values that a slow logger repeats as often as the usual one."""
 _BY_CHANCE = 2.0
 """Equal neighbours over those one code apart from which the logger repeated them: by chance it is a half."""
+_GOES_ON = 0.5
+"""What other columns do while one repeats its value, over what they do until it goes on, per share of samples
+that repeat: 1 for a slow logger, about 0 where all of them step from rest to rest."""
 _CODE_AT = 0.005
 """Quantile of the changes that is one code of a converter if there is one: outliers make smaller ones."""
 _SLOW_SHARE = 0.5
@@ -70,16 +77,18 @@ def _should_move(log: Log, seen: Scan, name: str, run: int, runs: Mapping[int, M
     """Say whether noise or the references' motion should have moved a reading that is constant in a run."""
     steady = [r for r, span in runs.items() if _rests(span[name])]
     live = next(r for r in runs if r not in steady)
-    if is_noisy(log.run(live, (name,))[name]):
+    if noise_in_codes(log.run(live, (name,))[name]) > _FINE:
         return True
     whole = seen.sample.whole
     x, here, good = whole.data[name], whole.run == run, ~np.isin(whole.run, steady)
-    found = follows(x, [values for c, values in whole.data.items() if is_reference(c)], good)
+    motion = [values for c, values in whole.data.items() if is_reference(c)]
+    found = gains(x, motion, good)
     if found is None or found.share < _LINEAR:
         repeats = seen.traces[name].repeats - sum(seen.samples[r] - 1 for r in steady)
         return repeats < seen.rows / 2
     step = float(np.diff(np.unique(x[good])).min())
-    return bool(here.any() and np.std(found.predicted[here]) > max(_CODES * step, _OVER_NOISE * found.spread))
+    predicted, known = found.predicted([values[here] for values in motion])
+    return bool(known.any() and np.std(predicted[known]) > max(_CODES * step, _OVER_NOISE * found.spread))
 
 
 def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
@@ -90,12 +99,26 @@ def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         if not 2 <= levels <= _FEW_LEVELS:
             continue
         finest = max((len(np.unique(v)) for c, v in values.items() if is_reference(c)), default=0)
-        if finest >= _FINER * levels:
-            step = (spans.overall[name].max - spans.overall[name].min) / (levels - 1)
+        step = (spans.overall[name].max - spans.overall[name].min) / (levels - 1)
+        if finest >= _FINER * levels and _hidden(seen, name) > _HIDDEN * step:
             yield Finding(
                 f"{the(log, name)} takes {levels} values only, about {step:.3g} {si_unit(name)} apart",
                 remedy="raise the gain before the converter, or log more of its digits",
             )
+
+
+def _hidden(seen: Scan, name: str) -> float:
+    """Return how much of a reading's motion, one sigma, its levels hide, by the references."""
+    values = seen.sample.whole.data
+    x = values[name]
+    references = [v for c, v in values.items() if is_reference(c)]
+    found = gains(x, references, np.ones(len(x), bool))
+    if found is None or found.share < _LINEAR:
+        return np.inf
+    predicted, _ = found.predicted(references)
+    level = np.unique(x, return_inverse=True)[1]
+    means = np.bincount(level, weights=predicted) / np.bincount(level)
+    return float(np.std(predicted - means[level]))
 
 
 def stale(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
@@ -111,7 +134,7 @@ def stale(log: Log, seen: Scan, spans: Spans, rails: Drop) -> Iterator[Finding]:
         repeats, rows = trace.repeats - sum(resting) + len(resting), seen.rows - sum(resting)
         if repeats <= _OFTEN * rows or not (share := _repeats(log, name)):
             continue
-        if share > _SLOW_SHARE:
+        if share >= _SLOW_SHARE:
             yield Finding(
                 f"{the(log, name)} repeats each value about {1 / (1 - share):.0f} times: it was recorded at a"
                 " lower rate than the others, which looks like a delay",
@@ -132,21 +155,43 @@ def _rests(span: Span) -> bool:
 def _repeats(log: Log, column: str) -> float:
     """Return the share of samples that repeat the one before because of the logger; 0 where they need not.
 
-    A coarse converter repeats by itself where the motion is slow: then its steps are mostly one code, and
-    half as many are none as are one code up or down. Long rests do not count.
+    Where the motion rests, what the column tells of rests too.
     """
-    parts = []
-    for block in log.blocks((column,), size=WHOLE_ROWS):
+    beside = tuple(c for c in log.columns if tells(c, column))
+    steps, inside, across = [], np.zeros(len(beside)), np.zeros(len(beside))
+    for block in log.blocks((column, *beside), size=WHOLE_ROWS):
         step = np.abs(np.diff(block.data[column]))
-        free = np.ones(len(step), bool)
-        for a, b in stretches(step == 0, shortest=_REST):
-            free[a:b] = False
-        parts.append(step[free])
-    step = np.concatenate(parts) if parts else np.empty(0)
-    changes = step[step > 0]
-    code = float(np.quantile(changes, _CODE_AT)) if len(changes) else 0.0
-    if len(changes) < _FEWEST_CHANGES or np.median(changes) < _SLOW * code:
+        changes = np.flatnonzero(step)
+        steps.append(step[changes[0] :] if len(changes) else step[:0])
+        first, last = changes[:-1] + 1, changes[1:]
+        held = first < last
+        for k, name in enumerate(beside):
+            x = block.data[name]
+            inside[k] += np.abs(x[last] - x[first])[held].sum()
+            across[k] += np.abs(x[last + 1] - x[first])[held].sum()
+    share = _repeated(np.concatenate(steps) if steps else np.empty(0))
+    goes_on = inside > _GOES_ON * share * across
+    return share if not beside or goes_on.all() else 0.0
+
+
+def _repeated(step: Array) -> float:
+    """Return the share of absolute steps (n,) that are nil by the logger, or 0.
+
+    A slow logger repeats each value equally often; one that is late at times repeats single ones. A coarse
+    converter repeats by itself where the motion is slow: then its steps are mostly one code, and half as many
+    are none as are one code up or down.
+    """
+    changes = np.flatnonzero(step)
+    if len(changes) < _FEWEST_CHANGES:
         return 0.0
-    equal = len(step) - len(changes)
-    by_a_code = int(np.count_nonzero(changes < 1.5 * code))
-    return equal / len(step) if equal > max(_OFTEN * len(step), _BY_CHANCE * by_a_code) else 0.0
+    size, lasts = step[changes], np.diff(changes)
+    code, usual = float(np.quantile(size, _CODE_AT)), float(np.median(lasts))
+    if np.median(size) < _SLOW * code:
+        return 0.0
+    alike = np.abs(lasts - usual) <= usual / 4
+    if usual >= 2 and alike.mean() > _ALIKE:
+        return 1.0 - 1.0 / float(lasts[alike].mean())
+    single = lasts < HELD_SAMPLES
+    equal, among = int((lasts[single] - 1).sum()), int(lasts[single].sum())
+    by_a_code = int(np.count_nonzero(size < 1.5 * code))
+    return equal / among if equal > max(_OFTEN * among, _BY_CHANCE * by_a_code) else 0.0

@@ -20,7 +20,11 @@ _ARITHMETIC = 1e-13
 _EQUAL, _SMALLEST = 0.01, 0.005
 """Share of equal neighbours from which the steps themselves show the codes, and the quantile of the others
 that is one code: the codes of a converter may lie unevenly."""
+_MORE = 3.0
+"""Equal neighbours over those by chance from which it is no noise: an axis that goes from rest to rest."""
 _FEWEST = 16
+_FAR = 10.0
+"""Leverage of a sample over that of the usual one up to which a linear function is believed there."""
 _COARSE = 0.8
 """Share of distinct values below which a column shows the codes of its converter."""
 
@@ -60,7 +64,13 @@ def noise_in_codes(x: Array) -> float:
         whole = np.abs(fourth)
         step = float(np.min(whole[whole > _ARITHMETIC * np.abs(x).max()], initial=np.inf))
     codes = spread / step
-    return codes if codes > _OF_A_CODE else 0.0
+    chance = equal_by_chance(codes) if codes > _OF_A_CODE else 0.0
+    return codes if np.mean(steps == 0) < _MORE * chance + _EQUAL else 0.0
+
+
+def equal_by_chance(codes: float) -> float:
+    """Return how often noise of so many codes, one sigma, repeats a code: 1 / (2 sqrt(pi) codes)."""
+    return min(0.5, 1.0 / (2.0 * np.sqrt(np.pi) * codes))
 
 
 def _spread(difference: Array, order: int) -> float:
@@ -68,33 +78,50 @@ def _spread(difference: Array, order: int) -> float:
     return float(np.median(np.abs(difference))) / (0.67449 * np.sqrt(comb(2 * order, order)))
 
 
-@dataclass(frozen=True)
-class Follows:
-    """A column as a linear function of others: `predicted` (n,) and `spread` of what is left, one sigma.
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """A column as a linear function of others, over the samples it was fitted to.
 
-    `share` of the variation that the function explains among the samples it was fitted to.
+    `share` of its variation that the function explains; `spread` of what is left, one sigma.
     """
 
-    predicted: Array
-    spread: float
     share: float
+    spread: float
+    _moving: Array
+    _centre: Array
+    _scale: Array
+    _coefficients: Array
+    _inverse: Array
+
+    def predicted(self, others: Sequence[Array]) -> tuple[Array, Array]:
+        """Return the column (n,) by the others, and where the fitted samples support it, (n,) of bool.
+
+        Their leverage says so: that of the fitted samples is 1 on average.
+        """
+        table = _table(others, self._moving, self._centre, self._scale)
+        leverage = np.sum(table * (self._inverse @ table), axis=0) / len(table)
+        return self._coefficients @ table, leverage < _FAR
 
 
-def follows(x: Array, others: Sequence[Array], good: Array) -> Follows | None:
+def gains(x: Array, others: Sequence[Array], good: Array) -> Gains | None:
     """Fit column x (n,) by others (n,) and a constant over the `good` samples; None if these are too few."""
-    moving = [
-        other for other in others if (span := np.ptp(other[good], axis=0) if good.any() else 0) and span > 0
-    ]
-    if not moving or np.count_nonzero(good) < 4 * (len(moving) + 1):
+    values = np.array([other[good] for other in others])
+    scale = values.std(axis=1) if values.size else np.zeros(0)
+    moving = np.flatnonzero(scale > 0)
+    count = int(np.count_nonzero(good))
+    if not len(moving) or count < 4 * (len(moving) + 1):
         return None
-    table = np.array(
-        [(other - other[good].mean()) / other[good].std() for other in moving] + [np.ones(len(x))]
-    )
-    middle = x[good].mean()
-    coefficients, *_ = np.linalg.lstsq(table[:, good].T, x[good] - middle, rcond=None)
-    predicted = coefficients @ table + middle
-    rest = x[good] - predicted[good]
+    centre = values.mean(axis=1)
+    table = _table(list(values), moving, centre, scale)
+    inverse = np.linalg.pinv(table @ table.T / count, hermitian=True)
+    coefficients = inverse @ (table @ x[good]) / count
+    rest = x[good] - coefficients @ table
     variance = float(np.var(x[good]))
     share = 1.0 - float(np.mean(rest**2)) / variance if variance > 0 else 0.0
-    spread = float(np.sqrt(np.sum(rest**2) / (len(rest) - len(table))))
-    return Follows(predicted, spread, share)
+    spread = float(np.sqrt(np.sum(rest**2) / (count - len(table))))
+    return Gains(share, spread, moving, centre, scale, coefficients, inverse)
+
+
+def _table(others: Sequence[Array], moving: Array, centre: Array, scale: Array) -> Array:
+    rows = [(others[k] - centre[k]) / scale[k] for k in moving.tolist()]
+    return np.array([*rows, np.ones(len(others[0]))])
