@@ -13,6 +13,7 @@ from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import columns_of, error_tables, logged_columns
 from hallsym.estimation.gauss_newton import optimum
 from hallsym.estimation.identifiable import determine
+from hallsym.estimation.lateness import lateness
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
 from hallsym.estimation.plausible import Judgement, judge
@@ -127,6 +128,8 @@ class Task:
             again = task.judge(state)
             again.refuse()
             notes += again.notes
+        late = lateness(task.log, task.model, state.p, state.zeros(), state.fitted)
+        notes += () if late is None else (late,)
         task.check(state)
         return Solved(task, state, errors, keep, wiring, notes)
 

@@ -60,6 +60,19 @@ def from_time(column: str, t_s: float, factor: float) -> Make:
     return make
 
 
+def late(columns: tuple[str, ...], samples: int) -> Make:
+    """Record columns some samples late, run by run."""
+
+    def make(arrays: Arrays) -> None:
+        for run in np.unique(arrays["run"]):
+            rows = of_run(int(run))(arrays)
+            for name in columns:
+                x = arrays[name][rows]
+                arrays[name][rows] = np.concatenate([np.full(samples, x[0]), x[:-samples]])
+
+    return make
+
+
 UNITS = (
     seen("x in mm", scale("x_ref_m", 1e3), r"x_ref_m looks like mm.*--column x_ref_mm=x_ref_m"),
     seen("y in mm", scale("y_ref_m", 1e3), r"y_ref_m .*looks like mm.*--column y_ref_mm=y_ref_m"),
@@ -188,4 +201,13 @@ RUNS = (
         on=("6 runs",),
     ),
 )
-COLUMNS = (*UNITS, *SIGNS, *RUNS)
+CLOCKS = tuple(
+    seen(
+        f"references {n} samples late",
+        late(REFERENCES, n),
+        rf"look ({n}|{n - 1}\.9\d?) samples \(0\.00\d+ s\) late.*hallsym diagnose",
+        "note",
+    )
+    for n in (1, 2, 3)
+)
+COLUMNS = (*UNITS, *SIGNS, *RUNS, *CLOCKS)

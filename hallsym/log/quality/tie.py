@@ -38,8 +38,8 @@ DOUBLED = 1.0
 MOST = 10.0
 """Decades against what is tried, at most: three mistakes at once."""
 APART = 7.6
-"""Half a unit on a scale of decades: 7.6 times 7.6 is 57.3, the smallest unit. Two units that change a ratio by
-less do not explain it better than an odd machine."""
+"""Half a unit on a scale of decades: 7.6 times 7.6 is 57.3, the smallest unit. Two units that change a ratio
+by less do not explain it better than an odd machine."""
 SURE = 1.0
 """A decade of odds for an explanation, at least."""
 
