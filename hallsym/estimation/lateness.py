@@ -53,7 +53,7 @@ def lateness(
         return None
     when = "late" if middle > 0 else "early"
     return (
-        f"References of {log.name} look {abs(middle) / tick:.2g} samples ({abs(middle):.3g} s) {when} beside the "
-        f"readings, which explains {100 * min(explained, 1.0):.0f} % of what the model leaves: check how columns "
-        "were put together; hallsym diagnose compares a delay with a lag and hysteresis."
+        f"References of {log.name} look {abs(middle) / tick:.2g} samples ({abs(middle):.3g} s) {when} beside "
+        f"the readings, which explains {100 * min(explained, 1.0):.0f} % of what the model leaves: check how "
+        "columns were put together; hallsym diagnose compares a delay with a lag and hysteresis."
     )
