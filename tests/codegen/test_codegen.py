@@ -451,6 +451,8 @@ def test_a_recalibration_replaces_the_parameters_alone(tmp_path, capsys):
         ("zz_um=1:2", "Unknown key"),
         ("z_um=a:b", "such as z_um"),
         ("z=1:2", "unit"),
+        ("z_m=-1e9:1e9", "wider than a machine travels"),
+        ("hall_a_m=-1e9:1e9", "wider than a machine travels"),
     ],
 )
 def test_ranges_that_cannot_be(tmp_path, capsys, text, says):
@@ -497,3 +499,26 @@ def test_stated_bounds_hold_against_fifty_digits(double):
     bound = np.array(list(code.backend.error_bound.values()))
     assert (worst <= bound).all(), worst / bound
     assert (worst > 0.05 * bound).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            lambda r: r["log"]["span"].update(z_m=[2.5e-4, -2.5e-4]),
+            "z_m was recorded from 0.00025 to -0.00025",
+        ),
+        (
+            lambda r: r["parameters"]["theta_A"].update(value=9.0),
+            "theta_A of the calibration is 9, outside its",
+        ),
+    ],
+)
+def test_a_calibration_that_cannot_be_is_refused(tmp_path, capsys, change, says):
+    record = json.loads((GOLDEN / "calib.json").read_text())
+    change(record)
+    (tmp_path / "calib.json").write_text(json.dumps(record))
+    code, _, err = run(capsys, "codegen", tmp_path / "calib.json", "-o", tmp_path / "fw")
+    assert code == 2
+    assert says in err
+    assert not (tmp_path / "fw").exists()
