@@ -5,7 +5,7 @@ From the products of each run's columns, which hold all that linear least square
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +41,8 @@ SINGULAR = 1e-6
 """Part of a step that the model must not be able to imitate, for its size to mean anything."""
 LOUD = 10.0
 """Variance of what a channel hears in a run over noise from which on its gain there is known."""
+
+Sums = Callable[[np.ndarray, int], np.ndarray]
 
 
 def judge_runs(log: Any, model: Model, seen: Products, holdout: Collection[int] = ()) -> Iterator[Finding]:
@@ -158,19 +160,18 @@ def _moment(log: Any, step: Step) -> str:
 def _step(seen: Products, whole: np.ndarray) -> Step | None:
     """Return the channel whose gain steps with a run, if nothing but a step explains its excess."""
     n, over = len(seen.runs), whole.sum(axis=0) - seen.counts.sum()
-    k, ones = int(over.argmax()), np.ones(n)
-    after = np.tri(n, n, -1).T[:-1]  # row r: 1 in the runs after r
-    drift = np.linspace(0.0, 1.0, n)[None]
-    gained, size = _explained(seen, ones, np.vstack([after, drift]), k)
-    s = int(gained[:-1].argmax())
-    left, smooth = ((over[k] - g) / over[k] for g in (gained[s], gained[-1]))
+    k, ones, ramp = int(over.argmax()), np.ones(n), np.linspace(0.0, 1.0, n)
+    gained, size = _explained(seen, ones, _after, k)
+    drifting, _ = _explained(seen, ones, lambda v, power: np.tensordot(ramp**power, v, axes=1)[None], k)
+    s = int(gained.argmax())
+    left, smooth = ((over[k] - g) / over[k] for g in (gained[s], drifting[0]))
     found = Step(k, seen.runs[s + 1], 1 + size[s], left)
     for r in (s, s + 1):  # the step may fall into a run: it is left out, and what it leaves is forgiven
         if left > ALONE and 0 < r < n - 1:
             weights = np.where(np.arange(n) == r, 0.0, 1.0)
             C = seen.coefficients(weights[None])
             chi = float(weights @ seen.chi_squares(C)[0, :, k] - weights @ seen.counts)
-            more, by = _explained(seen, weights, after[r : r + 1], k)
+            more, by = _explained(seen, weights, _since(r + 1), k)
             if chi > 0 and (rest := (chi - more[0]) / over[k]) < found.left:
                 part = float(np.clip((_gain(seen, C[0], r, k) - 1) / by[0], 0.0, 1.0)) if by[0] else 1.0
                 found = Step(k, seen.runs[r], 1 + by[0], rest, part)
@@ -184,19 +185,29 @@ def _gain(seen: Products, C: np.ndarray, r: int, k: int) -> float:
     return float(C[:, k] @ seen.readings[r, :, k] / max(C[:, k] @ seen.features[r] @ C[:, k], 1e-300))
 
 
-def _explained(
-    seen: Products, weights: np.ndarray, shapes: np.ndarray, k: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much gains of channel k that follow `shapes` (m, runs) lower chi-square; their size."""
+def _since(run: int) -> Sums:
+    """Return what sums the runs from one on."""
+    return lambda values, power: values[run:].sum(axis=0)[None]
+
+
+def _after(values: np.ndarray, power: int) -> np.ndarray:
+    """Return the sums of what comes after each run but the last, (runs, ...) -> (runs - 1, ...)."""
+    return np.asarray(np.cumsum(values[:0:-1], axis=0)[::-1])
+
+
+def _explained(seen: Products, weights: np.ndarray, total: Sums, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much gains of channel k that follow a shape lower chi-square, and their size, (m,) each.
+
+    `total(values, power)`: sums of values over runs, weighted by each of m shapes to that power.
+    """
     C = seen.coefficients(weights[None])[0][:, k]
     square = np.tensordot(weights, seen.features, axes=1)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(square), 1e-300))
     outer = np.outer(scale, scale)
     inverse = np.linalg.pinv(square * outer, rcond=1e-10, hermitian=True) * outer
-    predicted, shapes = seen.features @ C, shapes * weights
-    right = shapes @ ((seen.readings[:, :, k] - predicted) @ C)
-    cross = shapes @ predicted
-    own = shapes**2 @ (predicted @ C)
+    predicted = weights[:, None] * (seen.features @ C)
+    right = total((weights[:, None] * seen.readings[:, :, k] - predicted) @ C, 1)
+    cross, own = total(predicted, 1), total(predicted @ C, 2)
     free = own - np.einsum("sf,fg,sg->s", cross, inverse, cross)
     size = np.where(free > SINGULAR * own, right / np.where(free > SINGULAR * own, free, 1.0), 0.0)
     return size * right / seen.variance[k], size
