@@ -12,6 +12,9 @@ from hallsym.model.response import relative
 SHARE, CLEAR = 0.02, 0.1
 """Share of a reading's variance that the motion of a reference must make to be judged by; and the share that
 may stay unexplained where the motion is smaller than the noise that is stated, perhaps in another unit."""
+APART = 25.0
+"""Energy of what a reference moves apart from the others, over its noise's, from which on its slope means
+something: noise of a reference lowers its slope by one part in this."""
 LEADS, AT_REST = 0.3, 0.05
 """Share of a reading's variance by which a reference leads a run; and the motion, beside that of the runs it
 leads, at which it is at rest: what is left there follows the others, and its slope is noise over noise."""
@@ -42,14 +45,17 @@ def responses_of(cost: Cost) -> Responses | None:
     signal = total / (summary.counts[:, None] * cost.reading_variance)
     slopes, inverse, left = _regression(gram, cross, total, energy > 0)
     part = slopes**2 * energy[:, :, None] / np.maximum(total, 1e-300)[:, None, :]
-    clear = energy > MOVED * summary.counts[:, None] * noise
-    told = (part > SHARE) & (clear[:, :, None] | (left < CLEAR * total)[:, None, :])
-    moved = told.any(axis=2) & _moves(energy, inverse, (part > LEADS).any(axis=2), summary.counts)
+    own = 1.0 / np.maximum(np.einsum("rjj->rj", inverse), 1e-300)
+    clear = own > APART * summary.counts[:, None] * noise
+    never = ~clear.any(axis=0)  # then the noise is not in the unit of the column
+    told = (part > SHARE) & (clear[:, :, None] | (never[:, None] & (left < CLEAR * total)[:, None, :]))
+    share = np.where(signal > MOVED, left / np.maximum(total, 1e-300), 0.0)
+    moved = told.any(axis=2) & _moves(energy, own, (part > LEADS).any(axis=2), summary.counts)
     slopes, inverse, left = _regression(gram, cross, total, moved)
     freedom = np.maximum(summary.counts[:, None] - moved.sum(axis=1, keepdims=True) - 1.0, 1.0)
-    variance = np.maximum(left / freedom, cost.reading_variance)
+    each = left / freedom  # of a short run too small by chance: what is usual is the least
+    variance = np.maximum(np.maximum(each, np.median(each, axis=0)), cost.reading_variance)
     std = np.sqrt(np.einsum("rjj->rj", inverse)[:, :, None] * variance[:, None, :])
-    share = np.where(signal > MOVED, left / np.maximum(total, 1e-300), 0.0)
     return Responses(model, summary.runs, slopes, std, moved, share, signal, gram, total)
 
 
@@ -69,13 +75,12 @@ def _freed(summary: RunStatistics, index: list[int]) -> tuple[np.ndarray, np.nda
     return rows[:, :, : len(index)], rows[:, :, len(index) :]
 
 
-def _moves(energy: np.ndarray, inverse: np.ndarray, leads: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def _moves(energy: np.ndarray, own: np.ndarray, leads: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return whether each reference (runs, j) moves apart from the others, beside the runs it leads."""
-    own = 1.0 / np.maximum(np.einsum("rjj->rj", inverse) * counts[:, None], 1e-300)
     usual = np.where(leads, energy / counts[:, None], np.nan)
     any_ = leads.any(axis=0)
     usual[:, ~any_] = (energy / counts[:, None])[:, ~any_]
-    return np.asarray(own > AT_REST**2 * np.nanmedian(usual, axis=0))
+    return np.asarray(own / counts[:, None] > AT_REST**2 * np.nanmedian(usual, axis=0))
 
 
 def _regression(

@@ -17,8 +17,8 @@ import scipy
 BEYOND, WITHIN = 1.5, 1.25
 """Factor beyond what a model allows that is still a plausible scale: a matter for fit and diagnosis. What
 explains slopes beyond it has to bring them nearer than that: 57.3 times too large is not nearly 100 times."""
-CERTAIN = 4.0
-"""Standard deviations that a slope must be outside."""
+CERTAIN = 6.0
+"""Standard deviations that a slope must be outside: of a thousand runs with ten slopes, none is by chance."""
 MOST = 30_000
 """Changes of references that are tried at most; beyond that, none of unit."""
 TOGETHER = 256

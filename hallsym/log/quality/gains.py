@@ -151,8 +151,10 @@ def _by_run(log: Any, seen: Responses, usual: Slopes, holdout: Collection[int]) 
         near = _near(seen, usual, int(r))
         if not foreign[r] and near.possible():
             continue
-        text = next((t for e, t in known if near.explained(e, model.references, model.channels)), "")
-        if not text and searched < SEARCHED:
+        text = ""
+        if not near.possible():
+            text = next((t for e, t in known if near.explained(e, model.references, model.channels)), "")
+        if not text and searched < SEARCHED and not near.possible():
             searched += 1
             found = explanations(near, model.references, model.channels, _units(log, model))
             if found and found[0].simple:
