@@ -7,6 +7,7 @@ import numpy as np
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.outliers import residuals
 from hallsym.log import Log
+from hallsym.log.quality.findings import Fault
 from hallsym.model import Model
 
 MISFIT = 1.5
@@ -52,7 +53,7 @@ def lateness(
     if explained < MOST or abs(middle) < SAMPLES * tick or np.ptp(delay) > ALIKE * abs(middle):
         return None
     when = "late" if middle > 0 else "early"
-    return (
+    return Fault(
         f"References of {log.name} look {abs(middle) / tick:.2g} samples ({abs(middle):.3g} s) {when} beside "
         f"the readings, which explains {100 * min(explained, 1.0):.0f} % of what the model leaves: check how "
         "columns were put together; hallsym diagnose compares a delay with a lag and hysteresis."

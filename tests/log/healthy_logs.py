@@ -61,7 +61,7 @@ def _noise(sigma: dict[str, float], level: float, step: float, rng: np.random.Ge
         sigma,
         correlation_s=step * rng.uniform(1, 30) if kind == 1 else 0.0,
         degrees_of_freedom=float(rng.uniform(3, 6)) if kind == 2 else None,
-        adc_step_m=min(level * rng.choice([0.0, 0.3, 1.0, 3.0, 10.0, 30.0]), 1e-5 if level < 1e-4 else 1.0),
+        adc_step_m=min(level * rng.choice([0.0, 0.3, 1.0, 3.0, 10.0, 30.0]), 1e-5 if level < 1e-5 else 0.01),
     )
 
 

@@ -313,7 +313,7 @@ RECORDING = (
     of_stage("a run of 10 samples", without_rows(3, 10), r"Run 3 .* has 10 samples .* cut short", "note"),
     of_stage(
         "runs of 10 samples",
-        keep(lambda a: np.concatenate([np.flatnonzero(a["run"] == r)[:10] for r in range(6)])),
+        keep(lambda a: np.concatenate([np.flatnonzero(a["run"] == r)[::50] for r in np.unique(a["run"])])),
         r"usual run .* has 10 samples: .*record longer",
         "note",
     ),

@@ -39,8 +39,9 @@ def copied(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
 
 
 def _same(log: Log, seen: Scan, spans: Spans) -> Pairs:
-    """Return the columns, with noise in them, that are equal bit for bit in two runs of equal length."""
+    """Return the columns that are equal bit for bit in two runs, where one of them carries noise."""
     pairs: Pairs = defaultdict(list)
+    noisy: set[tuple[int, int]] = set()
     for name in filter(is_moving, spans.overall):
         sums = seen.bit_sums(name)
         if len(set(sums)) == len(sums):
@@ -51,11 +52,11 @@ def _same(log: Log, seen: Scan, spans: Spans) -> Pairs:
                 groups[bits, spans.samples[run]].append(run)
         for first, *later in groups.values():
             values = log.run(first, (name,))[name] if later else np.empty(0)
-            if is_noisy(values):
-                for run in later:
-                    if np.array_equal(log.run(run, (name,))[name], values):
-                        pairs[first, run].append(name)
-    return dict(sorted(pairs.items(), key=lambda item: item[0][::-1]))
+            equal = [(first, r) for r in later if np.array_equal(log.run(r, (name,))[name], values)]
+            noisy.update(equal if is_noisy(values) else ())
+            for pair in equal:
+                pairs[pair].append(name)
+    return {pair: pairs[pair] for pair in sorted(noisy, key=lambda pair: pair[::-1])}
 
 
 def _all(names: list[str], spans: dict) -> bool:

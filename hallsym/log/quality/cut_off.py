@@ -19,8 +19,9 @@ which it is cut off; and samples before and after it that tell the slope. A para
 times duration deep, a wave with a flat top, of fourth order, an eighth."""
 _RUNS = 8
 """Runs, those with the most samples in a pile, in which the motion is looked at."""
-_LINEAR = 0.98
-"""Share of a run's variation from which the reading is a linear function of the references there."""
+_LINEAR, _STRAIGHT = 0.98, 0.9995
+"""Share of a run's variation from which the reading is a linear function of the references there: where noise
+is what it leaves, and where something else is."""
 _BESIDE, _BENT = 0.1, 0.3
 """Share of a run's range beside a pile in which a linear function still holds if the pile is a rail, and what
 it may miss there over what it misses in the pile: a reading that bends by itself begins to before."""
@@ -43,7 +44,8 @@ def is_cut_off(x: Array, motion: Sequence[Array], run: Array, pile: Pile, free: 
     linear = _linear(x, motion, run, pile, free)
     if linear is not None:
         return linear
-    if pile.ratio < _SURE:
+    open_runs = np.isin(run, np.unique(run[free]))  # a run that never leaves the pile says nothing
+    if pile.ratio * np.count_nonzero(within & open_runs) < _SURE * np.count_nonzero(within):
         return False
     goes_on = any(_goes_on(values, run, within) for values in _related(x, motion, free))
     return goes_on and _has_corners(x, run, within) and _is_flat(x, run, within)
@@ -56,7 +58,9 @@ def _linear(x: Array, motion: Sequence[Array], run: Array, pile: Pile, free: Arr
     found = [_beside_gains(x[p], [values[p] for values in motion], pile, free[p]) for p in parts]
     found = [row for row in found if row is not None] or [_beside_gains(x, motion, pile, free)]
     if found == [None]:
-        return None
+        rest = [run == one for one in np.setdiff1d(run, runs)[:_RUNS].tolist()]
+        alike = [_beside_gains(x[p], [values[p] for values in motion], pile, free[p]) for p in rest]
+        return False if sum(row is not None for row in alike) > len(alike) / 2 else None
     table = np.array([row for row in found if row])
     if not len(table):
         return False
@@ -83,10 +87,13 @@ def _beside_gains(x: Array, motion: Sequence[Array], pile: Pile, free: Array) ->
     if np.count_nonzero(on) < 2:
         return []
     misses = pile.sign * (predicted - x)
+    white = _whiteness(misses[free])
+    if white < _WHITE and found.share < _STRAIGHT:
+        return None
     near = free & (pile.sign * x > pile.sign * pile.edge - _BESIDE * np.ptp(x))
     bent = float(misses[near].mean()) if near.any() else 0.0
     spreads = (float(np.var(predicted[on])), found.spread**2, float(np.var(x[on])))
-    return [float(np.count_nonzero(on)), *spreads, float(misses[on].mean()), bent, _whiteness(misses[free])]
+    return [float(np.count_nonzero(on)), *spreads, float(misses[on].mean()), bent, white]
 
 
 def _whiteness(rest: Array) -> float:

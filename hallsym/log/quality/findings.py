@@ -9,8 +9,12 @@ from hallsym.errors import counted
 from hallsym.log.core import Log
 from hallsym.log.drop import Drop
 
-_LONGEST_NAME = 70
+_LONGEST_NAME = 60
 """Characters of a log's name that a sentence has room for: with them it stays below 300."""
+
+
+class Fault(str):
+    """A note on what is wrong with a recording that is used all the same; other notes are remarks."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +33,17 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """The whole sentence of a log that is used as it is, or refused."""
+        """The whole sentence of a log that is used as it is, or refused; a `Fault` if it says what to do."""
         way = "leave the bad samples out with --drop-bad" if self.drop else "accept it with --drop-bad"
         ends = [self.remedy] if self.remedy else []
         ends += [way] if self.refuse and (self.drop or self.bear) else []
-        return self.text + (": " if ends else "") + ", or ".join(ends) + "."
+        said = self.text + (": " if ends else "") + ", or ".join(ends) + "."
+        return Fault(said) if ends else said
 
     @property
     def left_out(self) -> str:
         """The whole sentence of a log without the bad samples, with the remedy where nobody asked for it."""
-        return f"{self.text}; left out{'' if self.refuse or not self.remedy else f': {self.remedy}'}."
+        return f"{self.text}; left out." if self.refuse else Fault(f"{self.text}; left out: {self.remedy}.")
 
     @property
     def borne(self) -> str:

@@ -69,7 +69,7 @@ def _finding(log: Log, name: str, found: list[Stretch], rows: int) -> Finding:
     zero = all(one.value == 0.0 for one in found)
     return Finding(
         f"{the(log, name)} holds one value for up to {longest} samples"
-        f" ({stretches_of}, {count / rows:.1%} of the log, {where})"
+        f" ({stretches_of}, {count / rows:.1%}, {where})"
         + (": the channel dropped out" if zero else ": the logger repeated old samples"),
         count > REFUSE * rows, Drop(rows=tuple((one.start, one.stop) for one in found)),
         remedy="look at the channel and the logger",

@@ -100,7 +100,11 @@ def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
             continue
         finest = max((len(np.unique(v)) for c, v in values.items() if is_reference(c)), default=0)
         step = (spans.overall[name].max - spans.overall[name].min) / (levels - 1)
-        if finest >= _FINER * levels and _hidden(seen, name) > _HIDDEN * step:
+        widest = max(spans.overall[c].max - spans.overall[c].min for c in filter(is_reading, spans.overall))
+        coarse = (
+            step * 2 * _FEW_LEVELS > widest
+        )  # of a reading that hardly moves here, its converter may be fine
+        if coarse and finest >= _FINER * levels and _hidden(seen, name) > _HIDDEN * step:
             yield Finding(
                 f"{the(log, name)} takes {levels} values only, about {step:.3g} {si_unit(name)} apart",
                 remedy="raise the gain before the converter, or log more of its digits",
@@ -158,18 +162,19 @@ def _repeats(log: Log, column: str) -> float:
     Where the motion rests, what the column tells of rests too.
     """
     beside = tuple(c for c in log.columns if tells(c, column))
-    steps, inside, across = [], np.zeros(len(beside)), np.zeros(len(beside))
+    shares, inside, across = [], np.zeros(len(beside)), np.zeros(len(beside))
     for block in log.blocks((column, *beside), size=WHOLE_ROWS):
         step = np.abs(np.diff(block.data[column]))
         changes = np.flatnonzero(step)
-        steps.append(step[changes[0] :] if len(changes) else step[:0])
+        if len(changes) >= _FEWEST_CHANGES:
+            shares.append(_repeated(step))
         first, last = changes[:-1] + 1, changes[1:]
         held = first < last
         for k, name in enumerate(beside):
             x = block.data[name]
             inside[k] += np.abs(x[last] - x[first])[held].sum()
             across[k] += np.abs(x[last + 1] - x[first])[held].sum()
-    share = _repeated(np.concatenate(steps) if steps else np.empty(0))
+    share = float(np.median(shares)) if shares else 0.0  # a logger is late in every run
     goes_on = inside > _GOES_ON * share * across
     return share if not beside or goes_on.all() else 0.0
 
@@ -182,8 +187,6 @@ def _repeated(step: Array) -> float:
     are none as are one code up or down.
     """
     changes = np.flatnonzero(step)
-    if len(changes) < _FEWEST_CHANGES:
-        return 0.0
     size, lasts = step[changes], np.diff(changes)
     code, usual = float(np.quantile(size, _CODE_AT)), float(np.median(lasts))
     if np.median(size) < _SLOW * code:

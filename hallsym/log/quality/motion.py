@@ -13,8 +13,9 @@ from hallsym.units import Array
 _ROUGH = 0.5
 """Spread of sixth over that of fourth differences, each for unit white noise, from which a column is noisy: 1
 for white noise, 0.75 for noise that is correlated over many samples, below 0.05 for motion."""
-_OF_A_CODE = 0.6
-"""Standard deviation of noise, in codes of the converter, from which it is more than rounding (0.29)."""
+_OF_A_CODE = 2.0
+"""Standard deviation of noise, in codes of the converter, from which it is more than rounding: that has 0.29,
+and up to 1.4 in these differences where it alternates."""
 _ARITHMETIC = 1e-13
 """Differences over the largest value that are due to rounding of floating-point numbers alone."""
 _EQUAL, _SMALLEST = 0.01, 0.005
@@ -64,8 +65,9 @@ def noise_in_codes(x: Array) -> float:
         whole = np.abs(fourth)
         step = float(np.min(whole[whole > _ARITHMETIC * np.abs(x).max()], initial=np.inf))
     codes = spread / step
-    chance = equal_by_chance(codes) if codes > _OF_A_CODE else 0.0
-    return codes if np.mean(steps == 0) < _MORE * chance + _EQUAL else 0.0
+    if codes <= _OF_A_CODE:
+        return 0.0
+    return codes if np.mean(steps == 0) < _MORE * equal_by_chance(codes) + _EQUAL else 0.0
 
 
 def equal_by_chance(codes: float) -> float:

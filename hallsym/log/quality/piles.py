@@ -13,7 +13,7 @@ TURN = 2.6
 """Samples within a window at the end of the range over those of the fullest window beside it, of a pile. A
 sine that turns there has 1 / (sqrt(2) - 1) = 2.4, a triangle 1."""
 SAME = 8
-"""Samples exactly at the end of the range that are a pile where hardly any two others are equal."""
+"""Samples exactly at the end of the range that are a pile where no three of the others are equal."""
 _CHANCE = 2.0
 """Standard deviations of a count that are left to chance."""
 _WINDOWS = 2
@@ -54,7 +54,8 @@ def piles(x: Array) -> list[Pile]:
 def _highest(ordered: Array, step: float) -> tuple[float, float] | None:
     """Return edge and ratio of the pile at the end of ascending samples; windows are wider than `step`."""
     n, span = len(ordered), float(ordered[-1] - ordered[0])
-    if step == 0.0 and n - int(np.searchsorted(ordered, ordered[-1])) >= SAME:
+    first = int(np.searchsorted(ordered, ordered[-1]))
+    if n - first >= SAME and _alone(ordered[:first]):
         return float(ordered[-1]), np.inf
     end = ordered[-1 - int(_BEYOND * n)]
     widths = span * _WIDTHS
@@ -68,3 +69,9 @@ def _highest(ordered: Array, step: float) -> tuple[float, float] | None:
     ratio = np.where(good, top / np.maximum(fullest, 1), 0.0)
     best = int(np.argmax(ratio))
     return float(np.nextafter(bounds[best, 1], np.inf)), float(ratio[best])
+
+
+def _alone(ordered: Array) -> bool:
+    """Say whether no three of ascending samples are equal, but for those at their lower end."""
+    above = ordered[int(np.searchsorted(ordered, ordered[0], side="right")) :] if len(ordered) else ordered
+    return not bool((above[2:] == above[:-2]).any())

@@ -26,13 +26,13 @@ time lacks 0.3 % of its stroke, which matters to nothing; beyond it a calibratio
 class Rails:
     """The rails of a reading: samples that are not between `low` and `high` lie on them (-inf, inf: none).
 
-    `at` holds the level of each rail, `count` the samples on them; `worst` the run with the largest share.
+    `at` holds the level of each rail, `share` that of the samples on them; `worst` the run with the largest.
     """
 
     low: float
     high: float
     at: tuple[float, ...]
-    count: int
+    share: float
     worst: tuple[int, float]
 
 
@@ -43,27 +43,35 @@ def saturated(log: Log, seen: Scan) -> Iterator[Finding]:
         if trace.nonfinite or not trace.low < trace.high:
             continue
         if max(trace.at_low, trace.at_high) >= SAME or piles(seen.sample.whole.data[name]):
-            rails = _rails(log, name)
+            rails = _rails(_samples(log, seen, name), name)
             if rails:
-                yield _finding(log, name, rails, min(seen.rows, WHOLE_ROWS))
+                yield _finding(log, name, rails, seen.rows)
 
 
 def _finding(log: Log, name: str, rails: Rails, rows: int) -> Finding:
-    share, unit = rails.count / rows, si_unit(name)
+    count, unit = round(rails.share * rows), si_unit(name)
     where = " and ".join(f"{level:.4g}" for level in rails.at)
-    refuse = share > REFUSE
+    refuse = rails.share > REFUSE
     return Finding(
-        f"{the(log, name)} is saturated: {rails.count} samples ({share:.1%}) lie on its"
+        f"{the(log, name)} is saturated: {count} samples ({rails.share:.1%}) lie on its"
         f" rail{'s' if len(rails.at) > 1 else ''} at {where} {unit}, most in run {rails.worst[0]}"
         f" ({rails.worst[1]:.0%})",
         refuse, Drop(between=((name, rails.low, rails.high),)), remedy="lower the gain or the travel",
     )  # fmt: skip
 
 
-def _rails(log: Log, name: str) -> Rails | None:
-    """Look at whole columns: both ends, then whether the reading is cut off there or rests or turns there."""
-    references = [column for column in log.columns if is_reference(column)]
-    whole = Whole.of(log, (name, *references))
+def _samples(log: Log, seen: Scan, name: str) -> Whole:
+    """Return a reading beside the references: whole, or thinned where the log is long."""
+    references = [column for column in seen.traces if is_reference(column)]
+    if seen.rows > WHOLE_ROWS:
+        thinned = seen.sample.whole
+        return Whole(thinned.run, {c: thinned.data[c] for c in (name, *references)})
+    return Whole.of(log, (name, *references))
+
+
+def _rails(whole: Whole, name: str) -> Rails | None:
+    """Find both ends, then whether the reading is cut off there or rests or turns there."""
+    references = [column for column in whole.data if is_reference(column)]
     x = whole.data[name]
     found = piles(x)
     free = ~np.any([pile.of(x) for pile in found], axis=0) if found else np.empty(0, bool)
@@ -76,7 +84,7 @@ def _rails(log: Log, name: str) -> Rails | None:
         max((pile.edge for pile in found if pile.sign < 0), default=-np.inf),
         min((pile.edge for pile in found if pile.sign > 0), default=np.inf),
         tuple(sorted(float(np.median(x[pile.of(x)])) for pile in found)),
-        int(np.count_nonzero(on)),
+        float(np.mean(on)),
         _worst(whole.run, on),
     )
 

@@ -60,7 +60,8 @@ def judge_runs(log: Any, model: Model, seen: Products, holdout: Collection[int] 
         change = 100 * (step.gain - 1)
         yield Finding(
             f"The gain of {model.channels[step.channel]} of {log.name} changes by {change:+.2g} % from "
-            f"{_moment(log, step)} on: check its range, supply and mount; fit the runs before and after apart"
+            f"{_moment(log, step)} on",
+            remedy="check its range, supply and mount; fit the runs before and after apart",
         )
     elif odd is not None and (text := _said(odd, model)):
         yield run_finding(log, [odd.run], text, holdout, refuse=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +20,7 @@ WHOLE_ROWS = 2_000_000
 
 
 class Sample:
-    """Every n-th sample of a log, n a power of two that grows along the pass; `rows` are their places."""
+    """Every n-th sample of a log, n a power of two that grows along the pass."""
 
     def __init__(self, columns: Sequence[str]) -> None:
         """Keep samples of `columns`."""
@@ -31,9 +32,9 @@ class Sample:
     def add(self, piece: Piece, row: int) -> None:
         """Take a piece that begins at `row` of the log."""
         here = slice(-row % self.stride, None, self.stride)
-        rows = np.arange(row, row + len(piece[RUN]))[here]
+        rows = np.arange(row + here.start, row + len(piece[RUN]), self.stride)
         values = np.array([piece[name][here] for name in self.columns]).reshape(len(self.columns), len(rows))
-        self._parts.append((rows, piece[RUN][here], values))
+        self._parts.append((rows, piece[RUN][here].copy(), values))  # a view would keep the whole piece
         self._count += len(rows)
         while self._count > 2 * ENOUGH:
             self._thin()
@@ -47,17 +48,16 @@ class Sample:
     @cached_property
     def whole(self) -> Whole:
         """The kept samples, at the end of the pass."""
-        rows, run, values = (np.concatenate(parts, axis=-1) for parts in zip(*self._parts, strict=True))
-        return Whole(run, dict(zip(self.columns, values, strict=True)), rows)
+        _, run, values = (np.concatenate(parts, axis=-1) for parts in zip(*self._parts, strict=True))
+        return Whole(run, dict(zip(self.columns, values, strict=True)))
 
 
+@dataclass(frozen=True, eq=False)
 class Whole:
-    """Columns of a log side by side, or those of its thinned copy: `run`, `rows` and `data[column]`, (n,)."""
+    """Columns of a log side by side, or those of its thinned copy: `run` and `data[column]`, (n,) each."""
 
-    def __init__(self, run: Array, data: dict[str, Array], rows: Array | None = None) -> None:
-        """Take arrays of equal length; `rows`: their places in the log, all of them by default."""
-        self.run, self.data = run, data
-        self.rows = np.arange(len(run)) if rows is None else rows
+    run: Array
+    data: dict[str, Array]
 
     @staticmethod
     def of(log: Log, columns: Sequence[str]) -> Whole:
