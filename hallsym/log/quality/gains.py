@@ -175,9 +175,9 @@ def run_finding(
     them, used = "it" if len(runs) == 1 else "them", [run for run in runs if run not in holdout]
     leave = f"leave {them} out with --holdout {','.join(map(str, used[:NAMED]))}"
     remedy = f"correct {them}, or {leave}" if used else f"correct {them} before judging a fit by {them}"
-    return Finding(
-        f"In {few(runs)} of {log.name} {text}, beside the other runs", refuse and bool(used), remedy=remedy
-    )
+    whole, short = (f"In {few(runs)}{of} {text}, beside the other runs" for of in (f" of {log.name}", ""))
+    fits = len(whole) + len(remedy) + len(": .") <= LONGEST
+    return Finding(whole if fits else short, refuse and bool(used), remedy=remedy)
 
 
 def _near(seen: Responses, usual: Slopes, r: int) -> Slopes:
