@@ -16,7 +16,7 @@ The path of a fit, file by file:
 """
 
 from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, added_effects, load_fit
-from hallsym.estimation.channel_assignment import Wiring, as_read, check_wiring, find_wiring, rewired
+from hallsym.estimation.channel_assignment import Wiring, as_read, find_wiring, rewired
 from hallsym.estimation.coefficients import Coefficients
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
 from hallsym.estimation.decoding import (
@@ -70,7 +70,6 @@ __all__ = [
     "Wiring",
     "added_effects",
     "as_read",
-    "check_wiring",
     "closed_form",
     "column_spikes",
     "columns_of",
