@@ -73,11 +73,18 @@ def atomic_write(path: str | Path, content: bytes | str | Callable[[Path], None]
                 stream.write(data)
 
 
-def reason(error: Exception) -> str:
-    """Return in a few words why the system refused a file, on one line."""
+_READING = {
+    errno.EACCES: "permission is denied; ask for the right to read it",
+    errno.EPERM: "permission is denied; ask for the right to read it",
+}
+
+
+def reason(error: Exception, *, reading: bool = False) -> str:
+    """Return in a few words why the system refused to write (or read) a file, on one line."""
     if not isinstance(error, OSError) or not error.strerror:
         return summary(error)  # a name with a null character, say
-    return _REASONS.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
+    known = _REASONS | _READING if reading else _REASONS
+    return known.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
 
 
 # -- temporaries -----------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ def note_input(path: str | Path) -> None:
         known.inputs[identity] = str(path)
 
 
-def check_output(path: str | Path) -> None:
+def check_output(path: str | os.PathLike[str]) -> None:
     """Refuse to write `path` where it is an input, or a folder that holds one."""
     known = _TASK.get()
     if known is None:
@@ -72,13 +72,13 @@ def check_output(path: str | Path) -> None:
                 )
 
 
-def _refused(output: str | Path, source: str) -> InputError:
+def _refused(output: str | os.PathLike[str], source: str) -> InputError:
     return InputError(
         f"Output {quoted(output)} is the input {quoted(source)}, which would be lost; give another name."
     )
 
 
-def _identity(path: str | Path) -> Identity | None:
+def _identity(path: str | os.PathLike[str]) -> Identity | None:
     try:
         found = os.stat(path)
     except (OSError, ValueError):

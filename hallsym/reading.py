@@ -18,16 +18,17 @@ from hallsym.errors import InputError, nearest, quoted, summary
 from hallsym.files import reason
 from hallsym.guard import note_input
 
+NO_JSON = "cannot be read as JSON"
 MOST_TEXT_BYTES = 256_000_000
 """Bytes of a file that is read whole as text: a calibration of 10,000 runs has 2e6."""
 
 
 @contextmanager
-def reading(path: str | Path, what: str, expected: str, remedy: str = "copy it again") -> Iterator[None]:
+def reading(path: str | Path, what: str, fault: str, remedy: str = "copy it again") -> Iterator[None]:
     """Turn whatever is raised inside into an `InputError`, and keep warnings of libraries quiet.
 
-    `what` names the file in messages ("Calibration"), `expected` is what it must be ("a JSON file"), `remedy`
-    what to do. An `InputError` passes through.
+    `what` names the file in messages ("Calibration"), `fault` is what is wrong with one that cannot be read
+    ("is not valid TOML"), `remedy` what to do. An `InputError` passes through.
     """
     name = f"{what} {quoted(path)}"
     try:
@@ -37,15 +38,15 @@ def reading(path: str | Path, what: str, expected: str, remedy: str = "copy it a
     except InputError:
         raise
     except MemoryError as error:
-        raise InputError(f"{name} needs more memory than there is; split it, or {remedy}.") from error
+        raise InputError(f"{name} needs more memory than there is; make it smaller, or {remedy}.") from error
     except RecursionError as error:
-        raise InputError(f"{name} must be {expected}; it is nested too deeply, so {remedy}.") from error
+        raise InputError(f"{name} {fault} (it is nested too deeply); {remedy}.") from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno:
-            raise InputError(f"{name} cannot be read: {reason(error)}.") from error
-        raise InputError(
-            f"{name} must be {expected}; it is cut short or damaged, so {remedy} ({summary(error)})."
-        ) from error
+            raise InputError(
+                f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
+            ) from error
+        raise InputError(f"{name} {fault} ({summary(error)}); {remedy}.") from error
 
 
 def regular(path: str | Path, what: str, make: str = "") -> Path:
@@ -60,7 +61,9 @@ def regular(path: str | Path, what: str, make: str = "") -> Path:
     except FileNotFoundError:
         raise InputError(f"{name} does not exist{_neighbour(Path(path))}{make and f'; {make}'}.") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{name} cannot be read: {reason(error)}.") from None
+        raise InputError(
+            f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
+        ) from None
     if stat.S_ISDIR(mode):
         raise InputError(f"{name} is a folder; give the path of a file.")
     if not stat.S_ISREG(mode):
@@ -69,22 +72,22 @@ def regular(path: str | Path, what: str, make: str = "") -> Path:
     return Path(path)
 
 
-def read_text(path: str | Path, what: str, expected: str, remedy: str, make: str = "") -> str:
+def read_text(path: str | Path, what: str, fault: str, remedy: str, make: str = "") -> str:
     """Return the text of a small UTF-8 file; `make` as in `regular`, the rest as in `reading`."""
     file = regular(path, what, make)
-    with reading(path, what, expected, remedy):
+    with reading(path, what, fault, remedy):
         if file.stat().st_size > MOST_TEXT_BYTES:
             raise InputError(
-                f"{what} {quoted(path)} has {file.stat().st_size} bytes; {expected} of at most "
-                f"{MOST_TEXT_BYTES} is expected, so {remedy}."
+                f"{what} {quoted(path)} must have at most {MOST_TEXT_BYTES} bytes of text; it has "
+                f"{file.stat().st_size}, so it is something else: give another file."
             )
         return file.read_text(encoding="utf-8-sig")
 
 
 def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
     """Return what a JSON file holds; NaN, infinities and numbers beyond a double's range are refused."""
-    text = read_text(path, what, "a JSON file", remedy, make)
-    with reading(path, what, "a JSON file", remedy):
+    text = read_text(path, what, NO_JSON, remedy, make)
+    with reading(path, what, NO_JSON, remedy):
         import msgspec  # here, because not every command reads JSON
 
         return msgspec.json.decode(text)

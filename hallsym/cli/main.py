@@ -35,9 +35,7 @@ examples:
 """
 
 
-def main(
-    arguments: Sequence[str] | None = None, interrupted: Callable[[], bool] = lambda: False
-) -> int:
+def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool] = lambda: False) -> int:
     """Run one command; returns its exit code. Bad input gives one sentence on stderr and 2.
 
     `interrupted`: whether Ctrl-C was pressed; a library may turn it into another exception.

@@ -195,10 +195,18 @@ def _positive(key: str, value: Any, path: str | Path) -> float:
 
 def _whole(raw: Array, source: str) -> Array:
     values = np.asarray(raw)
-    if values.dtype.kind in "iu":
-        return values.astype(np.int64, copy=False)
-    with np.errstate(invalid="ignore"):
-        whole = values.astype(np.int64)
-    if not np.array_equal(whole, values):
-        raise InputError(f"Column '{source}' must hold whole run numbers; it holds other values.")
-    return whole
+    wrong = (values < -MOST_RUN) | (values > MOST_RUN) if values.dtype.kind in "iu" else _no_run(values)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"Column '{source}' must hold whole run numbers up to 2^53; row {row} holds {values[row]}."
+        )
+    return values.astype(np.int64, copy=False)
+
+
+MOST_RUN = 2**53
+"""Beyond it neighbouring whole numbers are one double, so that two runs would become one."""
+
+
+def _no_run(values: Array) -> Array:
+    return ~(np.abs(values) < MOST_RUN) | (values != np.floor(values))
