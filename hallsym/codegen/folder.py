@@ -1,6 +1,5 @@
 """Writing a generated folder: all or nothing, and never over files that are not ours."""
 
-import json
 import os
 import re
 import shutil
@@ -14,6 +13,7 @@ from hallsym.codegen.templates import MARK
 from hallsym.errors import InputError
 from hallsym.files import beside, clean, reason, replacing
 from hallsym.guard import check_output
+from hallsym.reading import read_json
 
 
 def write_folder(folder: Path, files: Mapping[str, str | bytes], *, force: bool = False) -> None:
@@ -73,8 +73,8 @@ def replace_params(folder: Path, files: Mapping[str, str | bytes], layout: int) 
 def options_of(folder: Path) -> dict[str, Any]:
     """Return what the choices of a generated folder came to: given again, they make the same code."""
     try:
-        record = json.loads((folder / "params" / "decoupler_params.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        record = read_json(folder / "params" / "decoupler_params.json", "File", "generate it again")
+    except InputError:
         return {}
     found = record.get("options") if isinstance(record, dict) else None
     return found if isinstance(found, dict) else {}
