@@ -19,6 +19,8 @@ from hallsym.files import reason
 from hallsym.guard import note_input
 
 NO_JSON = "cannot be read as JSON"
+MOST_NUMBER = 1e100
+"""Magnitude of a number in any file: the square and the cube of a larger one are no numbers any more."""
 MOST_TEXT_BYTES = 256_000_000
 """Bytes of a file that is read whole as text: a calibration of 10,000 runs has 2e6."""
 
@@ -85,12 +87,32 @@ def read_text(path: str | Path, what: str, fault: str, remedy: str, make: str = 
 
 
 def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
-    """Return what a JSON file holds; NaN, infinities and numbers beyond a double's range are refused."""
+    """Return what a JSON file holds; NaN, infinities and numbers beyond a double's range are refused, as is what exceeds 1e100."""
     text = read_text(path, what, NO_JSON, remedy, make)
     with reading(path, what, NO_JSON, remedy):
         import msgspec  # here, because not every command reads JSON
 
-        return msgspec.json.decode(text)
+        data = msgspec.json.decode(text)
+    place = _too_large(data)
+    if place is not None:
+        raise InputError(
+            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; "
+            f"'{place.lstrip('.')}' is larger, so {remedy}."
+        )
+    return data
+
+
+def _too_large(data: Any) -> str | None:
+    """Return the place of a number whose square is none any more; None where there is no such number."""
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            if isinstance(value, str | bool) or value is None:
+                continue
+            if (place := _too_large(value)) is not None:
+                return f".{key}{place}"
+    elif isinstance(data, int | float) and abs(data) > MOST_NUMBER:
+        return ""
+    return None
 
 
 def _neighbour(path: Path) -> str:

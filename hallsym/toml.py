@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest, quoted
-from hallsym.reading import read_text, reading
+from hallsym.reading import MOST_NUMBER, read_text, reading
 from hallsym.units import UNITS, split_unit
 
 
@@ -22,8 +22,6 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
         return tomllib.loads(text)
 
 
-MOST = 1e100
-"""Magnitude of a number: squares and products of such numbers are still numbers."""
 MOST_WHOLE = 2**53
 
 
@@ -144,7 +142,7 @@ class Table:
 
 def number(value: Any, key: str, where: str, least: float = -np.inf) -> float:
     """Return a finite number, at least `least`."""
-    if not (_is_number(value) and abs(value) <= MOST):
+    if not (_is_number(value) and abs(value) <= MOST_NUMBER):
         raise InputError(f"'{key}' of {where} must be a finite number; instead received {value!r}.")
     if value < least:
         raise InputError(f"'{key}' of {where} must be a number >= {least:g}; instead received {value!r}.")
@@ -153,7 +151,7 @@ def number(value: Any, key: str, where: str, least: float = -np.inf) -> float:
 
 def positive(value: Any, key: str, where: str) -> float:
     """Return a finite number above 0."""
-    if not (_is_number(value) and 0 < value <= MOST):
+    if not (_is_number(value) and 0 < value <= MOST_NUMBER):
         raise InputError(f"'{key}' of {where} must be a positive number; instead received {value!r}.")
     return float(value)
 

@@ -11,7 +11,7 @@ from hallsym.cli.trajectory import about_curve
 from hallsym.estimation import LOSSES, SOLVERS, noise_of
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, models
-from hallsym.log import Log, check_log, spans
+from hallsym.log import Log, check_log, estimate_noise, spans
 from hallsym.report.tables import grid
 from hallsym.report.text.effect import effect_record, effect_text, is_explained
 from hallsym.report.text.fit import fit_text
@@ -96,11 +96,21 @@ def _about_campaign(campaign: Campaign) -> dict[str, Any]:
     }
 
 
+MOST_ESTIMATED = 256
+"""Columns whose noise is estimated for a summary: some ms each, of one run."""
+
+
 def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     notes = list(log.notes) if options.drop_bad else check_log(log)
     extent = spans(log)
     columns = [c for c in log.columns if c != "run"]
-    noise = noise_of(log, None)
+    noise = (
+        estimate_noise(log, columns[:MOST_ESTIMATED])
+        if len(columns) > MOST_ESTIMATED
+        else noise_of(log, None)
+    )
+    if len(columns) > MOST_ESTIMATED:
+        notes.append(f"The noise of the first {MOST_ESTIMATED} columns is estimated.")
     record: dict[str, Any] = {
         "log": log.name,
         "rows": log.rows,
@@ -109,9 +119,7 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
         "base_model": log.meta.base_model,
         "columns": {
             c: {
-                "min": extent.overall[c].min,
-                "max": extent.overall[c].max,
-                "std": extent.overall[c].std,
+                **{k: getattr(extent.overall.get(c), k, None) for k in ("min", "max", "std")},
                 "noise": noise[c].value if c in noise else None,
                 "noise_source": noise[c].source if c in noise else None,
             }
@@ -123,7 +131,7 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     for c in columns:
         factor, unit, _ = readable(c) if c != "t_s" else (1.0, "s", "t")
         entry = record["columns"][c]
-        numbers = [f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
+        numbers = ["" if entry[k] is None else f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
         sigma = "" if entry["noise"] is None else f"{entry['noise'] * factor:.3g}"
         rows.append([c, *numbers, sigma, unit, entry["noise_source"] or ""])
     head = f"{log.name}: {log.rows} samples in {len(log.runs)} runs"

@@ -243,6 +243,15 @@ def _checked(
             f"The covariance of {where} must have {len(names)} rows and columns, one per parameter; fit the "
             "log again."
         )
+    for rows in filter(None, record.errors.values()):
+        for what in ("rmse", "peak"):
+            _same(model.pose, rows.get(what, ()), f"errors ({what}) of {where}")
+    for channel, sign in record.wiring or ():
+        if channel not in model.channels or sign not in (1, -1):
+            raise InputError(
+                f"'wiring' of {where} must pair {', '.join(model.channels)} with 1 or -1; it has "
+                f"{[channel, sign]!r}: fit the log again."
+            )
     column = {k: np.array([_float(getattr(entries[n], k)) for n in names]) for k in ("value", "std")}
     return Fit(
         model=model,

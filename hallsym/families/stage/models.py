@@ -288,6 +288,10 @@ def _named(name: str, model: Model) -> Model:
     return replace(model, name=name)
 
 
+FARTHEST = 5.0
+"""Distance [m] of a probe from the middle of a stage: a machine of 10 m. The paper's are at 0.2 m."""
+
+
 def _check(probes: tuple[Probe, ...]) -> None:
     if len(probes) < 3:
         raise InputError(
@@ -299,6 +303,11 @@ def _check(probes: tuple[Probe, ...]) -> None:
     for p in probes:
         if not np.all(np.isfinite([*p.position, *p.senses])):
             raise InputError(f"Position and 'senses' of probe {p.channel} must be finite numbers.")
+        if not np.all(np.abs(p.position) <= FARTHEST):
+            raise InputError(
+                f"Probe {p.channel} must be within {FARTHEST:g} m of the middle; it is at {list(p.position)}: "
+                "'position_m' is in m, not in mm."
+            )
         if not abs(p.senses[0] ** 2 + p.senses[1] ** 2 - 1) < 1e-6:
             raise InputError(
                 f"'senses' of probe {p.channel} must be a unit vector; instead received {list(p.senses)}."

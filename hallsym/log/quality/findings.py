@@ -168,7 +168,7 @@ def saturated(log: Log, scan: Scan) -> Iterator[Finding]:
 def stale(log: Log, scan: Scan, spans: Spans) -> Iterator[Finding]:
     """Samples that the logger repeated; in a run where a column rests there is nothing to repeat."""
     for name, trace in scan.traces.items():
-        if not is_moving(name):
+        if not is_moving(name) or name not in spans.overall:
             continue
         resting = [n for run, n in spans.samples.items() if _rests(spans.runs[run][name])]
         repeats, rows = trace.repeats - sum(resting) + len(resting), scan.rows - sum(resting)
@@ -201,9 +201,9 @@ def _the(log: Log, name: str) -> str:
 
 
 def _still(name: str, spans: dict[str, Span], samples: int) -> bool:
-    references = [span for column, span in spans.items() if is_reference(column)]
-    steady = spans[name].min == spans[name].max
-    return steady and samples >= FEWEST_SAMPLES and all(span.min < span.max for span in references)
+    if spans[name].min < spans[name].max or samples < FEWEST_SAMPLES:
+        return False
+    return all(span.min < span.max for column, span in spans.items() if is_reference(column))
 
 
 def _others(runs: Sequence[int] | dict[int, int]) -> str:
