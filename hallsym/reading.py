@@ -87,7 +87,7 @@ def read_text(path: str | Path, what: str, fault: str, remedy: str, make: str = 
 
 
 def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
-    """Return what a JSON file holds; NaN, infinities and numbers beyond a double's range are refused, as is what exceeds 1e100."""
+    """Return what a JSON file holds; NaN, infinities and numbers beyond `MOST_NUMBER` are refused."""
     text = read_text(path, what, NO_JSON, remedy, make)
     with reading(path, what, NO_JSON, remedy):
         import msgspec  # here, because not every command reads JSON

@@ -104,12 +104,10 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     notes = list(log.notes) if options.drop_bad else check_log(log)
     extent = spans(log)
     columns = [c for c in log.columns if c != "run"]
-    noise = (
-        estimate_noise(log, columns[:MOST_ESTIMATED])
-        if len(columns) > MOST_ESTIMATED
-        else noise_of(log, None)
-    )
-    if len(columns) > MOST_ESTIMATED:
+    if len(columns) <= MOST_ESTIMATED:
+        noise = noise_of(log, None)
+    else:
+        noise = log.noise.merged(estimate_noise(log, columns[:MOST_ESTIMATED]))
         notes.append(f"The noise of the first {MOST_ESTIMATED} columns is estimated.")
     record: dict[str, Any] = {
         "log": log.name,

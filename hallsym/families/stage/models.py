@@ -301,12 +301,10 @@ def _check(probes: tuple[Probe, ...]) -> None:
     if len(set(labels)) < len(labels):
         raise InputError(f"Probe channels must have different letters; instead received {', '.join(labels)}.")
     for p in probes:
-        if not np.all(np.isfinite([*p.position, *p.senses])):
-            raise InputError(f"Position and 'senses' of probe {p.channel} must be finite numbers.")
-        if not np.all(np.abs(p.position) <= FARTHEST):
+        if not np.all(np.abs([*p.position, *p.senses]) <= FARTHEST):
             raise InputError(
-                f"Probe {p.channel} must be within {FARTHEST:g} m of the middle; it is at {list(p.position)}: "
-                "'position_m' is in m, not in mm."
+                f"Position and 'senses' of probe {p.channel} must be finite numbers up to {FARTHEST:g} (in m, "
+                f"not in mm); instead received {list(p.position)} and {list(p.senses)}."
             )
         if not abs(p.senses[0] ** 2 + p.senses[1] ** 2 - 1) < 1e-6:
             raise InputError(
