@@ -303,7 +303,7 @@ def _check(probes: tuple[Probe, ...]) -> None:
     for p in probes:
         if not np.all(np.abs([*p.position, *p.senses]) <= FARTHEST):
             raise InputError(
-                f"Position and 'senses' of probe {p.channel} must be finite numbers up to {FARTHEST:g} (in m, "
+                f"Position and 'senses' of probe {p.channel} must be finite, at most {FARTHEST:g} (in m, "
                 f"not in mm); instead received {list(p.position)} and {list(p.senses)}."
             )
         if not abs(p.senses[0] ** 2 + p.senses[1] ** 2 - 1) < 1e-6:
