@@ -6,6 +6,7 @@ outside, so that a mistake of ours is not taken for a damaged file.
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 import warnings
@@ -19,8 +20,8 @@ from hallsym.files import reason
 from hallsym.guard import note_input
 
 NO_JSON = "cannot be read as JSON"
-MOST_NUMBER = 1e100
-"""Magnitude of a number in any file: the square and the cube of a larger one are no numbers any more."""
+MOST_NUMBER = 1e50
+"""Magnitude of a number in any file: powers up to the sixth of it are still numbers."""
 MOST_TEXT_BYTES = 256_000_000
 """Bytes of a file that is read whole as text: a calibration of 10,000 runs has 2e6."""
 
@@ -90,9 +91,7 @@ def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
     """Return what a JSON file holds; NaN, infinities and numbers beyond `MOST_NUMBER` are refused."""
     text = read_text(path, what, NO_JSON, remedy, make)
     with reading(path, what, NO_JSON, remedy):
-        import msgspec  # here, because not every command reads JSON
-
-        data = msgspec.json.decode(text)
+        data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
     place = _too_large(data)
     if place is not None:
         raise InputError(
@@ -100,6 +99,19 @@ def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
             f"'{place.lstrip('.')}' is larger, so {remedy}."
         )
     return data
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the keys of an object; of one that stands there twice, JSON does not say which is meant."""
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r} is given twice")
+    return found
+
+
+def _no_number(text: str) -> Any:
+    raise ValueError(f"{text} is no number")
 
 
 def _too_large(data: Any) -> str | None:

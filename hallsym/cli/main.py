@@ -61,6 +61,13 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
     except Exception as error:
         if interrupted():
             return _said("interrupted; nothing was written.", NOT_CONVERGED)
+        if type(error).__name__ == "LinAlgError":  # by name, because a command without numbers has no numpy
+            return _said(
+                f"The numbers of the inputs cannot be computed with ({summary(error)}): a value is far "
+                "from what the model expects; look at the units and values of each file with 'hallsym info'.",
+                BAD_INPUT,
+                error,
+            )
         return _said(_bug(error), BUG, error)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, cast
 import numpy as np
 
 from hallsym.errors import InputError, quoted
-from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation.decoding import ErrorTable, logged_columns
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import build, known_effect, plain
@@ -243,6 +243,9 @@ def _checked(
             f"The covariance of {where} must have {len(names)} rows and columns, one per parameter; fit the "
             "log again."
         )
+    lacking = [c for c in logged_columns(model) if c not in record.noise and c != "t_s"]
+    if lacking:
+        raise InputError(f"The noise of {lacking[0]} is missing in {where}; fit the log again.")
     for rows in filter(None, record.errors.values()):
         for what in ("rmse", "peak"):
             _same(model.pose, rows.get(what, ()), f"errors ({what}) of {where}")

@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.errors import InputError, quoted
 from hallsym.log.columns import RUN
 from hallsym.log.table import Source
-from hallsym.reading import MOST_NUMBER, reading
+from hallsym.reading import reading
 from hallsym.units import Array
 
 MOST_ROWS = 1_000_000_000
@@ -98,13 +98,6 @@ class Guarded(Source):
                 what = "booleans" if values.dtype.kind == "b" else "other values"
                 raise InputError(
                     f"Column '{name}' of {quoted(self.path)} must hold numbers; it holds {what}."
-                )
-            far = np.abs(values) > MOST_NUMBER
-            if far.any() and (far := far & np.isfinite(values)).any():
-                row = int(np.argmax(far))
-                raise InputError(
-                    f"Column '{name}' of {quoted(self.path)} must hold measured values; it holds "
-                    f"{values[row]}, so the file is damaged: copy it again."
                 )
             rows = values.shape if rows is None else rows
             if values.ndim != 1 or values.shape != rows:

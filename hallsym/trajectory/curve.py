@@ -191,6 +191,10 @@ def curve_from_dict(raw: Mapping[str, Any]) -> Curve:
         raise ValueError("as many coordinates as columns of control points are needed")
     if not isinstance(form, RationalForm) and not np.isfinite(form.control).all():
         raise ValueError("control points must be finite")
+    if raw["error_kind"] not in ("bounded", "estimated", None):
+        raise ValueError("error_kind must be bounded, estimated or null")
+    if not all(name.endswith(("_m", "_rad")) for name in names):
+        raise ValueError("coordinates must be in m or rad, such as x_m")
     return Curve(
         form, start, stop, names, str(raw["method"]), None if error is None else float(error),
         raw["error_kind"], dict(raw["source"]),

@@ -6,12 +6,12 @@ import csv
 import io
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, quoted
 from hallsym.reading import read_text, reading
 from hallsym.trajectory.basis import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
@@ -29,6 +29,8 @@ class Points:
     coordinates: tuple[str, ...]
     rounding: float = 0.0
     name: str = "points"
+    notes: tuple[str, ...] = ()
+    """What has to be said about the file."""
 
     @property
     def shares(self) -> Array:
@@ -109,13 +111,18 @@ def read_points(path: str | Path) -> Points:
     )
     parameter = [k for k, c in enumerate(columns) if c[0] == "t"]
     step = max(columns[k][1] * _step([row[k] for row in rows[1:]]) for k in lengths)
-    return points_of(
+    made = points_of(
         table[:, order] * np.array([columns[k][1] for k in order]),
         table[:, parameter[0]] if parameter else None,
         tuple(columns[k][0] for k in order),
         step / 2,
         path.name,
     )
+    torn = (
+        f"the last line of {quoted(path.name)} does not end with a newline: if the file was cut short, its "
+        "last point is wrong."
+    )
+    return made if text.endswith(("\n", "\r")) else replace(made, notes=(torn,))
 
 
 def _column(name: str, path: Path) -> tuple[str, float]:

@@ -22,6 +22,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.families import published
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
+from hallsym.toml import number
 
 FAMILY = Family("stage")
 """Of these models; the package puts the whole record here, which lists them."""
@@ -439,8 +440,8 @@ def _is_number(value: object) -> bool:
 
 def _probe(entry: Mapping[str, Any]) -> Probe:
     try:
-        x, y = (float(v) for v in entry["position_m"])
-        nx, ny = (float(v) for v in entry["senses"])
+        x, y = (number(v, "position_m", "a probe") for v in entry["position_m"])
+        nx, ny = (number(v, "senses", "a probe") for v in entry["senses"])
         return Probe(str(entry["channel"]), (x, y), (nx, ny))
     except (KeyError, TypeError, ValueError):
         raise InputError(
