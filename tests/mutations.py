@@ -1,8 +1,6 @@
 """Damage that files suffer: bytes, text, JSON data and columns, each kind a function of a seeded generator.
 
-A mutation returns the damaged content. `KINDS` says for each whether it is *structural* (something is missing, torn
-or of another type: reading it as if nothing had happened would be wrong) or may be another *valid* file (a digit
-became another digit).
+A mutation takes good content and a generator and returns the damaged content.
 """
 
 from __future__ import annotations
@@ -70,14 +68,16 @@ def huge_number(data: bytes, rng: Random) -> bytes:
 
 
 BYTES: tuple[Callable[[bytes, Random], bytes], ...] = (
-    flip_bit, flip_bytes, truncate, cut_end, zero_block, delete_block, repeat_block, garbage_block, huge_number,
+    flip_bit, flip_bytes, truncate, cut_end, zero_block, delete_block, repeat_block, garbage_block,
+    huge_number,
 )  # fmt: skip
 
 # -- text ------------------------------------------------------------------------------------------------
 
 TOKENS = (
-    "nan", "inf", "-inf", "1e308", "-1e308", "1e999", "1e-320", "-1", "0", "x", "", "1" * 400, "9" * 5000, "true",
-    "1,5", "\x00", "\x1b[31m", "\ufeff", "'", '"', "[", "{", "[[", "1e-12", "9007199254740993", "\u0663", "0x10", "_",
+    "nan", "inf", "-inf", "1e308", "-1e308", "1e999", "1e-320", "-1", "0", "x", "", "1" * 400, "9" * 5000,
+    "true", "1,5", "\x00", "\x1b[31m", "\ufeff", "'", '"', "[", "{", "[[", "1e-12", "9007199254740993",
+    "\u0663", "0x10", "_",
 )  # fmt: skip
 
 
@@ -169,8 +169,8 @@ TOML = (toml_value, toml_value, toml_key, *TEXT)
 # -- JSON ------------------------------------------------------------------------------------------------
 
 JSON_VALUES: tuple[Any, ...] = (
-    None, True, False, 0, -1, 1.5, 1e308, -1e308, math.nan, math.inf, 10**400, 2**63, "text", "", [], [[]], {}, {"a": 1},
-    [1, "a"], "\x1b[31m\n", "x" * 10000,
+    None, True, False, 0, -1, 1.5, 1e308, -1e308, math.nan, math.inf, 10**400, 2**63, "text", "",
+    [], [[]], {}, {"a": 1}, [1, "a"], "\x1b[31m\n", "x" * 10000,
 )  # fmt: skip
 
 
@@ -283,7 +283,6 @@ def columns_length(columns: Columns, rng: Random) -> dict[str, np.ndarray]:
 
 
 COLUMNS = (columns_values, columns_values, columns_type, columns_names, columns_length)
-STRUCTURAL = frozenset({truncate, cut_end, columns_length, columns_type, columns_names})
 
 
 def with_columns(
