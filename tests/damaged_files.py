@@ -90,7 +90,11 @@ def _hdf5(columns: Mapping[str, np.ndarray], stream: io.BytesIO) -> None:
 def _mat(columns: Mapping[str, np.ndarray], stream: io.BytesIO) -> None:
     from scipy.io import savemat
 
-    savemat(stream, {re.sub(r"\W", "_", k)[:30] or "e": v for k, v in columns.items()}, do_compression=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        savemat(
+            stream, {re.sub(r"\W", "_", k)[:30] or "e": v for k, v in columns.items()}, do_compression=True
+        )
 
 
 def _csv(columns: Mapping[str, np.ndarray], stream: io.BytesIO) -> None:

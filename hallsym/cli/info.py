@@ -8,7 +8,7 @@ from typing import Any
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, noted, open_log, say
 from hallsym.cli.trajectory import about_curve
-from hallsym.estimation import LOSSES, SOLVERS, noise_of
+from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, models
 from hallsym.log import Log, check_log, estimate_noise, spans
@@ -104,10 +104,10 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     notes = list(log.notes) if options.drop_bad else check_log(log)
     extent = spans(log)
     columns = [c for c in log.columns if c != "run"]
-    if len(columns) <= MOST_ESTIMATED:
-        noise = noise_of(log, None)
-    else:
-        noise = log.noise.merged(estimate_noise(log, columns[:MOST_ESTIMATED]))
+    sensed = [c for c in columns if c != "t_s" and c in extent.overall]
+    unknown = [c for c in sensed if c not in log.noise][:MOST_ESTIMATED]
+    noise = log.noise.merged(estimate_noise(log, unknown)) if unknown else log.noise
+    if len(sensed) > MOST_ESTIMATED:
         notes.append(f"The noise of the first {MOST_ESTIMATED} columns is estimated.")
     record: dict[str, Any] = {
         "log": log.name,

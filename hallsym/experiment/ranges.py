@@ -157,9 +157,7 @@ MOST_LEVELS = 1000
 def _levels(file: Table) -> int:
     levels = file.whole("levels", 5, least=2)
     if levels > MOST_LEVELS:
-        raise InputError(
-            f"'levels' of {file.where} must be at most {MOST_LEVELS}; instead received {levels}."
-        )
+        raise InputError(f"'levels' of {file.where} must be {MOST_LEVELS} at most; it is {levels}.")
     return levels
 
 

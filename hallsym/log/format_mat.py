@@ -18,18 +18,19 @@ from hallsym.units import Array
 
 def open_mat(path: Path) -> Arrays | Hdf5Source:
     """Open a MATLAB file of either kind."""
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     if _is_v73(path):
         return Hdf5Source(path)
     _check_compressed(path)
+    logical = {name for name, _, kind in whosmat(path) if kind == "logical"}
     content = loadmat(path, simplify_cells=True)
     vectors = dict(_flatten({key: value for key, value in content.items() if not key.startswith("__")}, ""))
     names, left_out, aliases = name_vectors({key: len(values) for key, values in vectors.items()}, ".")
     source = Arrays({name: vectors[key] for name, key in names.items()})
     source.left_out, source.aliases = left_out, aliases
     for name, values in list(source.columns.items()):
-        if values.dtype.kind == "b":
+        if values.dtype.kind == "b" or name in logical:
             source.left_out[name] = "it holds booleans, not numbers"
             del source.columns[name]
     source.names = tuple(source.columns)

@@ -3,7 +3,7 @@
     python tests/benchmarks/bench_damaged_files.py [CASES]
 
 Each case damages one file (bytes, text, values, keys, columns; tests/mutations.py) and runs the command that
-reads it. The table of docs/logs.md is what this prints for 10,000 cases (the default). Memory is limited to 8 GB.
+reads it. The table of docs/logs.md is what this prints for 10,000 cases (the default). Memory: 8 GB at most.
 """
 
 from __future__ import annotations
