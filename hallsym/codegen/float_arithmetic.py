@@ -13,6 +13,7 @@ from hallsym.codegen.backend import VERSION, Backend, Stored
 from hallsym.codegen.bounds import Bounds, pose_bounds
 from hallsym.codegen.entries import Entry, unit
 from hallsym.codegen.float_c import Real, statements
+from hallsym.codegen.naming import identifier
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +53,12 @@ class FloatArithmetic(Backend):
     @cached_property
     def inputs(self) -> Sequence[Port]:
         """In SI."""
-        return [Port(c, self.type, c, unit(c)) for c in self.decoupler.inputs]
+        return [Port(c, self.type, identifier(c), unit(c)) for c in self.decoupler.inputs]
 
     @cached_property
     def outputs(self) -> Sequence[Port]:
         """In SI."""
-        return [Port(c, self.type, c, unit(c)) for c in self.decoupler.pose]
+        return [Port(c, self.type, identifier(c), unit(c)) for c in self.decoupler.pose]
 
     @property
     def span(self) -> tuple[np.ndarray, np.ndarray]:
@@ -146,9 +147,9 @@ class FloatArithmetic(Backend):
         return [*stored((*d.table, *d.limits)), *rows, *stored(d.zeros)]
 
     @property
-    def head(self) -> tuple[tuple[str, int], ...]:
-        """One more word before doubles, which begin at a multiple of 8 bytes."""
-        return (*super().head, ("reserved", 0)) if self.real.size == 8 else super().head
+    def pad(self) -> int:
+        """A word before the zeros in double."""
+        return self.real.size - 4
 
     @cached_property
     def layout(self) -> int:

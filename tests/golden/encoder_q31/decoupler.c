@@ -84,8 +84,8 @@ static inline int32_t limited(int32_t value, int32_t low, int32_t high, uint32_t
 uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, decoupler_out_t *out)
 {
     uint32_t status = 0U;
-    const int32_t v_sin = limited(in->v_sin_v, p->low_v_sin, p->high_v_sin, DECOUPLER_V_SIN, &status);
-    const int32_t v_cos = limited(in->v_cos_v, p->low_v_cos, p->high_v_cos, DECOUPLER_V_COS, &status);
+    const int32_t v_sin = limited(in->v_sin_v, p->low_v_sin, p->high_v_sin, DECOUPLER_STATUS_V_SIN, &status);
+    const int32_t v_cos = limited(in->v_cos_v, p->low_v_cos, p->high_v_cos, DECOUPLER_STATUS_V_COS, &status);
     const int32_t q1 = v_sin - p->center_v_sin;
     const int32_t q2 = v_cos - p->center_v_cos;
     const int32_t q3 = upper(p->x_v_sin, q1);
@@ -105,7 +105,7 @@ uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, d
     out->angle_bam = q16;
     if (q11 < p->least_field)
     {
-        status |= DECOUPLER_FIELD;
+        status |= DECOUPLER_STATUS_FIELD;
     }
     return status;
 }
@@ -114,9 +114,14 @@ uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const d
 {
     decoupler_out_t seen;
     const uint32_t status = decoupler_step(p, in, &seen);
+    const uint32_t zeros[1] = {
+        p->zero_angle + (pose->angle_bam - seen.angle_bam),
+    };
     if (status == 0U)
     {
-        p->zero_angle += pose->angle_bam - seen.angle_bam;
+        const uint32_t crc = decoupler_crc((const uint8_t *)zeros, (uint32_t)sizeof(zeros));
+        p->zero_angle = zeros[0];
+        p->zeros_crc = crc;
     }
     return status;
 }

@@ -8,13 +8,15 @@
 #pragma STDC FP_CONTRACT OFF /* gcc: -std=c99 or -ffp-contract=off */
 #endif
 
-#define FIRST offsetof(decoupler_params_t, center_v_sin)
-#define COVERED offsetof(decoupler_params_t, zero_angle)
+#define LENGTH ((uint32_t)sizeof(decoupler_params_t))
+#define COVERED ((uint32_t)offsetof(decoupler_params_t, version))
+#define ZEROS_CRC ((uint32_t)offsetof(decoupler_params_t, zeros_crc))
+#define ZEROS ((uint32_t)offsetof(decoupler_params_t, zero_angle))
 
-static uint32_t crc32(const uint8_t *bytes, size_t count) /* IEEE 802.3, bit by bit */
+uint32_t decoupler_crc(const uint8_t *bytes, uint32_t count) /* IEEE 802.3, bit by bit */
 {
     uint32_t crc = 0xFFFFFFFFUL;
-    for (size_t k = 0U; k < count; k++)
+    for (uint32_t k = 0U; k < count; k++)
     {
         crc ^= (uint32_t)bytes[k];
         for (uint32_t n = 0U; n < 8U; n++)
@@ -72,13 +74,18 @@ uint32_t decoupler_check(const decoupler_params_t *p)
     {
         found |= DECOUPLER_BAD_VERSION;
     }
-    if (p->layout != DECOUPLER_LAYOUT)
+    if ((p->layout != DECOUPLER_LAYOUT) || (p->length != LENGTH))
     {
         found |= DECOUPLER_BAD_LAYOUT;
     }
-    if (crc32(&bytes[FIRST], COVERED - FIRST) != p->crc)
+    if (decoupler_crc(&bytes[COVERED], ZEROS_CRC - COVERED) != p->crc)
     {
         found |= DECOUPLER_BAD_CRC;
+    }
+    if ((decoupler_crc(&bytes[ZEROS], LENGTH - ZEROS) != p->zeros_crc)
+        || !((p->zero_angle >= -6.28318548f) && (p->zero_angle <= 6.28318548f)))
+    {
+        found |= DECOUPLER_BAD_ZEROS;
     }
     if (bad != 0U)
     {

@@ -14,36 +14,39 @@
 extern "C" {
 #endif
 
-#define DECOUPLER_VERSION 1UL /**< of interface and table */
-#define DECOUPLER_LAYOUT 0x442A83A9UL /**< of the table this code reads */
+#define DECOUPLER_VERSION 2UL /**< of interface and table */
+#define DECOUPLER_LAYOUT 0x9AC06388UL /**< of the table this code reads */
 
 /** @name Status of decoupler_step(): 0, or the inputs that were brought back into their range */
 /** @{ */
-#define DECOUPLER_HALL_A 0x00000001UL /**< hall_a_m outside its range, or not finite */
-#define DECOUPLER_HALL_B 0x00000002UL /**< hall_b_m outside its range, or not finite */
-#define DECOUPLER_HALL_C 0x00000004UL /**< hall_c_m outside its range, or not finite */
-#define DECOUPLER_Z 0x00000008UL /**< z_m outside its range, or not finite */
-#define DECOUPLER_RX 0x00000010UL /**< rx_rad outside its range, or not finite */
-#define DECOUPLER_RY 0x00000020UL /**< ry_rad outside its range, or not finite */
-#define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose not within 1 m, 1 rad */
+#define DECOUPLER_STATUS_HALL_A 0x00000001UL /**< hall_a_m outside its range, or not finite */
+#define DECOUPLER_STATUS_HALL_B 0x00000002UL /**< hall_b_m outside its range, or not finite */
+#define DECOUPLER_STATUS_HALL_C 0x00000004UL /**< hall_c_m outside its range, or not finite */
+#define DECOUPLER_STATUS_Z 0x00000008UL /**< z_m outside its range, or not finite */
+#define DECOUPLER_STATUS_RX 0x00000010UL /**< rx_rad outside its range, or not finite */
+#define DECOUPLER_STATUS_RY 0x00000020UL /**< ry_rad outside its range, or not finite */
+#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose not within 1 m, 1 rad */
 /** @} */
 
 /** @name Findings of decoupler_check(): 0, or what is wrong with a table */
 /** @{ */
 #define DECOUPLER_BAD_VERSION 0x01UL /**< made for another interface */
-#define DECOUPLER_BAD_LAYOUT 0x02UL /**< made for other code */
-#define DECOUPLER_BAD_CRC 0x04UL /**< coefficients or limits have changed */
+#define DECOUPLER_BAD_LAYOUT 0x02UL /**< made for other code, or of another length */
+#define DECOUPLER_BAD_CRC 0x04UL /**< something but the zeros has changed */
 #define DECOUPLER_BAD_NUMBER 0x08UL /**< an entry is not finite */
 #define DECOUPLER_BAD_LIMITS 0x10UL /**< a range is empty */
 #define DECOUPLER_BAD_GAIN 0x20UL /**< a gain falls below 0.1 of itself within the limits */
+#define DECOUPLER_BAD_ZEROS 0x40UL /**< zeros have changed otherwise than by decoupler_zero() */
 /** @} */
 
 /** Parameter table: constant, in flash; a copy in RAM where decoupler_zero() is used. */
 typedef struct
 {
+    uint32_t crc; /**< CRC-32 of what follows, up to the CRC of the zeros */
     uint32_t version; /**< DECOUPLER_VERSION */
     uint32_t layout; /**< DECOUPLER_LAYOUT */
-    uint32_t crc; /**< CRC-32 of coefficients and limits */
+    uint32_t length; /**< [byte] of the table */
+    uint32_t calibration[2]; /**< first 8 bytes of the SHA-256 of the calibration */
     float gain_hall_a_ry; /**< [1/rad] gain of hall_a_m for its share of y_m, per ry_rad */
     float gain_hall_a_rx; /**< [1/rad] gain of hall_a_m for its share of y_m, per rx_rad */
     float gain_hall_a_z; /**< [1/m] gain of hall_a_m for its share of y_m, per z_m */
@@ -68,6 +71,7 @@ typedef struct
     float limit_z; /**< [m] largest |z_m| of the box */
     float limit_rx; /**< [rad] largest |rx_rad| of the box */
     float limit_ry; /**< [rad] largest |ry_rad| of the box */
+    uint32_t zeros_crc; /**< CRC-32 of the zeros */
     float zero_x; /**< [m] added to x_m; set by decoupler_zero() */
     float zero_y; /**< [m] added to y_m; set by decoupler_zero() */
     float zero_rz; /**< [rad] added to rz_rad; set by decoupler_zero() */
@@ -103,15 +107,20 @@ uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, d
 
 /**
  * Take the zero at a known pose, after a reset: later poses are counted from it.
+ * The zeros are computed first and stored last, one by one: an interrupt that calls decoupler_step() on the same
+ * table meanwhile can see some new and some old ones. Where that matters, take the zero in a second table.
  * @param p table in RAM; only its zeros change, and only if the result is 0
  * @param in sample taken at the known pose
  * @param pose where the machine is [m, rad]; within 1 m, 1 rad
- * @return as decoupler_step(), or DECOUPLER_POSE
+ * @return as decoupler_step(), or DECOUPLER_STATUS_KNOWN
  */
 uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose);
 
 /** Check a table when it is loaded: 0, or DECOUPLER_BAD_* bits. */
 uint32_t decoupler_check(const decoupler_params_t *p);
+
+/** CRC-32 (IEEE 802.3) of bytes, as the table has it. */
+uint32_t decoupler_crc(const uint8_t *bytes, uint32_t count);
 
 #ifdef __cplusplus
 }

@@ -3,9 +3,11 @@
 #include "decoupler_params.h"
 
 const decoupler_params_t decoupler_params = {
-    .version = 1UL,
-    .layout = 0x442A83A9UL,
-    .crc = 0x7FABE0CEUL,
+    .crc = 0x7E2FA7B7UL,
+    .version = 2UL,
+    .layout = 0x9AC06388UL,
+    .length = 136UL,
+    .calibration = {0x8B880FFEUL, 0x148014F8UL},
     .gain_hall_a_ry = 28.8782864f, /* [1/rad] */
     .gain_hall_a_rx = -132.089401f, /* [1/rad] */
     .gain_hall_a_z = -355.889893f, /* [1/m] */
@@ -30,6 +32,7 @@ const decoupler_params_t decoupler_params = {
     .limit_z = 0.000250000012f, /* [m] */
     .limit_rx = 0.000500000024f, /* [rad] */
     .limit_ry = 0.000500000024f, /* [rad] */
+    .zeros_crc = 0x7BD5C66FUL,
     .zero_x = 0.0f, /* [m] */
     .zero_y = 0.0f, /* [m] */
     .zero_rz = 0.0f, /* [rad] */

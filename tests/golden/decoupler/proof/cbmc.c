@@ -17,12 +17,12 @@ int main(void)
     in.rx_rad = nondet_float();
     in.ry_rad = nondet_float();
     const uint32_t status = decoupler_step(&decoupler_params, &in, &out);
-    wanted |= ((in.hall_a_m >= -decoupler_params.limit_hall_a) && (in.hall_a_m <= decoupler_params.limit_hall_a)) ? 0U : DECOUPLER_HALL_A;
-    wanted |= ((in.hall_b_m >= -decoupler_params.limit_hall_b) && (in.hall_b_m <= decoupler_params.limit_hall_b)) ? 0U : DECOUPLER_HALL_B;
-    wanted |= ((in.hall_c_m >= -decoupler_params.limit_hall_c) && (in.hall_c_m <= decoupler_params.limit_hall_c)) ? 0U : DECOUPLER_HALL_C;
-    wanted |= ((in.z_m >= -decoupler_params.limit_z) && (in.z_m <= decoupler_params.limit_z)) ? 0U : DECOUPLER_Z;
-    wanted |= ((in.rx_rad >= -decoupler_params.limit_rx) && (in.rx_rad <= decoupler_params.limit_rx)) ? 0U : DECOUPLER_RX;
-    wanted |= ((in.ry_rad >= -decoupler_params.limit_ry) && (in.ry_rad <= decoupler_params.limit_ry)) ? 0U : DECOUPLER_RY;
+    wanted |= ((in.hall_a_m >= -decoupler_params.limit_hall_a) && (in.hall_a_m <= decoupler_params.limit_hall_a)) ? 0U : DECOUPLER_STATUS_HALL_A;
+    wanted |= ((in.hall_b_m >= -decoupler_params.limit_hall_b) && (in.hall_b_m <= decoupler_params.limit_hall_b)) ? 0U : DECOUPLER_STATUS_HALL_B;
+    wanted |= ((in.hall_c_m >= -decoupler_params.limit_hall_c) && (in.hall_c_m <= decoupler_params.limit_hall_c)) ? 0U : DECOUPLER_STATUS_HALL_C;
+    wanted |= ((in.z_m >= -decoupler_params.limit_z) && (in.z_m <= decoupler_params.limit_z)) ? 0U : DECOUPLER_STATUS_Z;
+    wanted |= ((in.rx_rad >= -decoupler_params.limit_rx) && (in.rx_rad <= decoupler_params.limit_rx)) ? 0U : DECOUPLER_STATUS_RX;
+    wanted |= ((in.ry_rad >= -decoupler_params.limit_ry) && (in.ry_rad <= decoupler_params.limit_ry)) ? 0U : DECOUPLER_STATUS_RY;
     __CPROVER_assert(status == wanted, "status is 0 iff every input is in the box");
     __CPROVER_assert((out.x_m >= -0.00166964217f) && (out.x_m <= 0.00166964217f), "x_m bounded");
     __CPROVER_assert((out.y_m >= -0.000732246088f) && (out.y_m <= 0.000732246088f), "y_m bounded");

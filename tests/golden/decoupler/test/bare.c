@@ -11,6 +11,9 @@ void decoupler_bare(const decoupler_params_t *p, const decoupler_in_t *in, decou
     const float z = in->z_m;
     const float rx = in->rx_rad;
     const float ry = in->ry_rad;
+    const float zero_x = p->zero_x;
+    const float zero_y = p->zero_y;
+    const float zero_rz = p->zero_rz;
     /* [1] gain of hall_a_m for its share of y_m */
     const float now_hall_a = (((p->gain_hall_a_ry * ry) + (p->gain_hall_a_rx * rx)) + (p->gain_hall_a_z * z)) + p->gain_hall_a;
     /* [1] gain of hall_b_m for its share of y_m */
@@ -23,7 +26,7 @@ void decoupler_bare(const decoupler_params_t *p, const decoupler_in_t *in, decou
     const float u_hall_b = hall_b / now_hall_b;
     /* [m] share of x_m that hall_c sees */
     const float u_hall_c = hall_c / now_hall_c;
-    out->x_m = ((p->zero_x + (p->x_hall_a * u_hall_a)) + (p->x_hall_b * u_hall_b)) + u_hall_c;
-    out->y_m = ((p->zero_y + (p->y_hall_c * u_hall_c)) + u_hall_a) + u_hall_b;
-    out->rz_rad = ((p->zero_rz + (p->rz_hall_c * u_hall_c)) + (p->rz_hall_a * u_hall_a)) + (p->rz_hall_b * u_hall_b);
+    out->x_m = ((zero_x + (p->x_hall_a * u_hall_a)) + (p->x_hall_b * u_hall_b)) + u_hall_c;
+    out->y_m = ((zero_y + (p->y_hall_c * u_hall_c)) + u_hall_a) + u_hall_b;
+    out->rz_rad = ((zero_rz + (p->rz_hall_c * u_hall_c)) + (p->rz_hall_a * u_hall_a)) + (p->rz_hall_b * u_hall_b);
 }

@@ -110,3 +110,85 @@ decoupler_selftest_t decoupler_selftest(void)
     }
     return result;
 }
+
+static uint32_t away(float value, float wanted)
+{
+    const float error = (value > wanted) ? (value - wanted) : (wanted - value);
+    return (error < 9.53674316e-07f) ? 0U : 1U;
+}
+
+/* 0 if a zero is taken at each pose of a few, and the pose is the known one then. */
+static uint32_t not_taken(const decoupler_in_t *in)
+{
+    static const decoupler_out_t known[3] = {
+        {0.000244140625f, 0.000244140625f, 0.000244140625f},
+        {1.0f, 1.0f, 1.0f},
+        {-1.0f, -1.0f, -1.0f},
+    };
+    decoupler_params_t table = decoupler_params;
+    uint32_t bad = 0U;
+    for (uint32_t k = 0U; k < 3U; k++)
+    {
+        decoupler_out_t out;
+        bad |= (decoupler_zero(&table, in, &known[k]) == 0U) ? 0U : 1U;
+        bad |= (decoupler_step(&table, in, &out) == 0U) ? 0U : 1U;
+        bad |= (decoupler_check(&table) == 0U) ? 0U : 1U;
+        bad |= away(out.x_m, known[k].x_m);
+        bad |= away(out.y_m, known[k].y_m);
+        bad |= away(out.rz_rad, known[k].rz_rad);
+    }
+    return bad;
+}
+
+/* 0 if a zero is refused with this status, and the table stays as it is. */
+static uint32_t not_refused(const decoupler_in_t *in, const decoupler_out_t *pose, uint32_t status)
+{
+    decoupler_params_t table = decoupler_params;
+    table.zero_x = 0.000244140625f;
+    table.zero_y = 0.000244140625f;
+    table.zero_rz = 0.000244140625f;
+    const decoupler_params_t before = table;
+    uint32_t bad = (decoupler_zero(&table, in, pose) == status) ? 0U : 1U;
+    bad |= (memcmp(&table, &before, sizeof(table)) == 0) ? 0U : 1U;
+    return bad;
+}
+
+uint32_t decoupler_missed_zeros(void)
+{
+    uint32_t bad = 0U;
+    for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
+    {
+        const decoupler_in_t *in = &decoupler_vectors[k].in;
+        decoupler_out_t pose = {0};
+        if (decoupler_vectors[k].status == 0U)
+        {
+            bad += not_taken(in);
+            pose.x_m = 1.00010002f;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.x_m = -1.00010002f;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.x_m = NAN;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.x_m = 0.0f;
+            pose.y_m = 1.00010002f;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.y_m = -1.00010002f;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.y_m = NAN;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.y_m = 0.0f;
+            pose.rz_rad = 1.00010002f;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.rz_rad = -1.00010002f;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.rz_rad = NAN;
+            bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);
+            pose.rz_rad = 0.0f;
+        }
+        else
+        {
+            bad += not_refused(in, &pose, decoupler_vectors[k].status);
+        }
+    }
+    return bad;
+}

@@ -15,6 +15,10 @@ typedef struct
 /** Run the listed vectors. */
 decoupler_selftest_t decoupler_selftest(void);
 
+/** How many faults of a table, and of taking a zero, are not found; 0 if all are. */
+uint32_t decoupler_missed_faults(void);
+uint32_t decoupler_missed_zeros(void);
+
 /** Hash of status and bits of the pose over `count` samples that include any bit pattern. */
 uint32_t decoupler_hash(uint32_t count);
 

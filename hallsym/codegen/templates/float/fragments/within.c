@@ -1,7 +1,7 @@
-static inline @REAL@ within(@REAL@ value, @REAL@ limit, uint32_t bit, uint32_t *status)
+INLINE @REAL@ within(@REAL@ value, @REAL@ limit, uint32_t bit, uint32_t *status)
 {
     @REAL@ result = value;
-    if (UNLIKELY(!(@FABS@(value) <= limit)))
+    if (UNLIKELY(!(MAGNITUDE(value) <= limit)))
     {
         result = (value < @ZERO@) ? -limit : limit;
         *status += bit;

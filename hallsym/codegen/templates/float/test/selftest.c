@@ -103,3 +103,59 @@ decoupler_selftest_t decoupler_selftest(void)
     }
     return result;
 }
+
+static uint32_t away(@REAL@ value, @REAL@ wanted)
+{
+    const @REAL@ error = (value > wanted) ? (value - wanted) : (wanted - value);
+    return (error < @NEAR@) ? 0U : 1U;
+}
+
+/* 0 if a zero is taken at each pose of a few, and the pose is the known one then. */
+static uint32_t not_taken(const decoupler_in_t *in)
+{
+    static const decoupler_out_t known[@KNOWN_POSES@] = {
+        @KNOWN_ROWS@
+    };
+    decoupler_params_t table = decoupler_params;
+    uint32_t bad = 0U;
+    for (uint32_t k = 0U; k < @KNOWN_POSES@U; k++)
+    {
+        decoupler_out_t out;
+        bad |= (decoupler_zero(&table, in, &known[k]) == 0U) ? 0U : 1U;
+        bad |= (decoupler_step(&table, in, &out) == 0U) ? 0U : 1U;
+        bad |= (decoupler_check(&table) == 0U) ? 0U : 1U;
+        bad |= away(out.@out.member@, known[k].@out.member@);
+    }
+    return bad;
+}
+
+/* 0 if a zero is refused with this status, and the table stays as it is. */
+static uint32_t not_refused(const decoupler_in_t *in, const decoupler_out_t *pose, uint32_t status)
+{
+    decoupler_params_t table = decoupler_params;
+    table.@out.zero@ = @AT_KNOWN@;
+    const decoupler_params_t before = table;
+    uint32_t bad = (decoupler_zero(&table, in, pose) == status) ? 0U : 1U;
+    bad |= (memcmp(&table, &before, sizeof(table)) == 0) ? 0U : 1U;
+    return bad;
+}
+
+uint32_t decoupler_missed_zeros(void)
+{
+    uint32_t bad = 0U;
+    for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
+    {
+        const decoupler_in_t *in = &decoupler_vectors[k].in;
+        decoupler_out_t pose = {0};
+        if (decoupler_vectors[k].status == 0U)
+        {
+            bad += not_taken(in);
+            @REFUSED@
+        }
+        else
+        {
+            bad += not_refused(in, &pose, decoupler_vectors[k].status);
+        }
+    }
+    return bad;
+}

@@ -16,5 +16,11 @@ uint32_t decoupler_step(const decoupler_params_t *p, const decoupler_in_t *in, d
 uint32_t decoupler_zero(decoupler_params_t *p, const decoupler_in_t *in, const decoupler_out_t *pose)
 {
     @TAKE_ZERO@
+    if (status == 0U)
+    {
+        const uint32_t crc = decoupler_crc((const uint8_t *)zeros, (uint32_t)sizeof(zeros));
+        p->@out.zero@ = zeros[@out.index@];
+        p->zeros_crc = crc;
+    }
     return status;
 }

@@ -72,3 +72,34 @@ decoupler_selftest_t decoupler_selftest(void)
     }
     return result;
 }
+
+uint32_t decoupler_missed_zeros(void)
+{
+    static const decoupler_out_t known[@KNOWN_POSES@] = {
+        @KNOWN_ROWS@
+    };
+    uint32_t bad = 0U;
+    for (uint32_t k = 0U; k < DECOUPLER_VECTORS; k++)
+    {
+        const decoupler_in_t *in = &decoupler_vectors[k].in;
+        decoupler_params_t table = decoupler_params;
+        decoupler_out_t out;
+        for (uint32_t n = 0U; n < @KNOWN_POSES@U; n++)
+        {
+            const uint32_t status = decoupler_zero(&table, in, &known[n]);
+            (void)decoupler_step(&table, in, &out);
+            bad += (status == decoupler_vectors[k].status) ? 0U : 1U;
+            bad += (decoupler_check(&table) == 0U) ? 0U : 1U;
+            if (status == 0U)
+            {
+                bad += (out.@out.member@ == known[n].@out.member@) ? 0U : 1U;
+            }
+            else
+            {
+                bad += (table.@out.zero@ == decoupler_params.@out.zero@) ? 0U : 1U;
+            }
+        }
+        @REFUSED@
+    }
+    return bad;
+}
