@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from hallsym.errors import InputError, quoted
@@ -15,12 +14,13 @@ Identity = tuple[int, int]
 """Device and inode: what two names of one file share, through symbolic and hard links."""
 
 
-@dataclass
 class Task:
     """The files of one command, by identity; the values are the names they were given."""
 
-    inputs: dict[Identity, str] = field(default_factory=dict)
-    outputs: dict[Identity, str] = field(default_factory=dict)
+    def __init__(self) -> None:
+        """Begin without files."""
+        self.inputs: dict[Identity, str] = {}
+        self.outputs: dict[Identity, str] = {}
 
 
 _TASK: ContextVar[Task | None] = ContextVar("hallsym_task", default=None)

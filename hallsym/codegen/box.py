@@ -68,7 +68,7 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
     return Box(ends)
 
 
-def _recorded(column: str, span: tuple[float, float]) -> tuple[float, float]:
+def _recorded(column: str, span: Sequence[float]) -> tuple[float, float]:
     low, high = map(float, span)
     if not (np.isfinite([low, high]).all() and low <= high):
         raise InputError(

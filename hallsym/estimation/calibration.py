@@ -320,7 +320,7 @@ def _same(wanted: Sequence[str], found: Iterable[str], where: str) -> None:
 def _plain(record: Any) -> dict[str, Any]:
     import msgspec
 
-    return msgspec.to_builtins(record)
+    return msgspec.json.decode(msgspec.json.encode(record))
 
 
 def added_effects(model: Model) -> Sequence[str]:

@@ -80,7 +80,7 @@ class LogRecord(_Record):
     rows: Count
     runs: Count
     holdout: list[int]
-    span: dict[str, list[float]] = {}
+    span: dict[str, tuple[float, float]] = {}
 
 
 class CalibrationRecord(_Record):
