@@ -27,7 +27,9 @@ from hallsym.cli.main import main
 from hallsym.errors import LONGEST
 
 SECONDS = 10.0
-"""What no file may take."""
+"""Of the processor, what no file may take."""
+PATIENCE = 60.0
+"""Seconds after which the watchdog ends a command that waits."""
 REFUSED, SAME, SAID, OTHER, SILENT = "refused", "same numbers", "said", "another valid file", "SILENT"
 KINDS = (REFUSED, SAME, SAID, OTHER)
 VOLATILE = ("seconds", "log", "sha256", "file", "calibration", "versions", "written")
@@ -399,13 +401,13 @@ class Workshop:
 
 def called(arguments: list[str]) -> tuple[int, str, str, float]:
     """Run a command as a person does (libraries do not warn), under a watchdog."""
-    out, err, began = io.StringIO(), io.StringIO(), time.perf_counter()
+    out, err, began = io.StringIO(), io.StringIO(), time.process_time()
 
     def bark(number: int, frame: FrameType | None) -> None:
         raise HangError
 
     before = signal.signal(signal.SIGALRM, bark)
-    signal.setitimer(signal.ITIMER_REAL, 3 * SECONDS)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -418,7 +420,7 @@ def called(arguments: list[str]) -> tuple[int, str, str, float]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
-    return code, out.getvalue(), err.getvalue(), time.perf_counter() - began
+    return code, out.getvalue(), err.getvalue(), time.process_time() - began
 
 
 def complaint(code: int, err: str, seconds: float) -> str:

@@ -39,6 +39,7 @@ COMMANDS = (
     "plan",
     "tolerances",
     "simulate",
+    "sort",
     "trajectory",
     "info",
 )

@@ -43,7 +43,7 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
         if column in model.period:  # what repeats is known all round
             ends[column] = (-model.period[column], model.period[column])
         elif reference in span:
-            ends[column] = _rounded(*_recorded(reference, span[reference]))
+            ends[column] = _rounded(*_recorded(reference, *span[reference]))
     for column, (low, high) in (given or {}).items():
         if column not in columns:
             raise InputError(
@@ -68,8 +68,7 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
     return Box(ends)
 
 
-def _recorded(column: str, span: Sequence[float]) -> tuple[float, float]:
-    low, high = map(float, span)
+def _recorded(column: str, low: float, high: float) -> tuple[float, float]:
     if not (np.isfinite([low, high]).all() and low <= high):
         raise InputError(
             f"The calibration says that {column} was recorded from {low:g} to {high:g}, which is no range: "

@@ -26,7 +26,7 @@ def check(fit: Fit, allow_undetermined: bool) -> None:
         raise InputError("The calibration holds values that are not finite; fit the log again.")
     lower, upper = fit.model.bounds
     slack = 1e-9 * np.maximum(np.abs(lower), np.abs(upper))
-    outside = (fit.values < lower - slack) | (fit.values > upper + slack)
+    outside = (upper > lower) & ((fit.values < lower - slack) | (fit.values > upper + slack))
     for k in np.flatnonzero(outside)[:1]:
         raise InputError(
             f"Parameter {fit.model.names[k]} of the calibration is {fit.values[k]:g}, outside its bounds "

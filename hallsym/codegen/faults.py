@@ -51,14 +51,16 @@ def of_several(d: Decoupler, limited: Sequence[str], zero: str | None) -> Iterat
     yield from expect(changes, " | ".join(found))
 
 
-def of_limits(d: Decoupler, limited: Sequence[str], minus: str = "-") -> Iterator[str]:
-    """An empty range, and one of a single value, of each input."""
+def of_limits(d: Decoupler, limited: Sequence[str], zero: str = "") -> Iterator[str]:
+    """An empty range, one of a single value, and one of -0 where numbers have it (`zero`), of each input."""
     for column in limited:
         name = short(column)
         if d.box.symmetric(column):
             entry = f"limit_{name}"
-            yield from expect([f"table.{entry} = {minus}decoupler_params.{entry};"], "DECOUPLER_BAD_LIMITS")
+            yield from expect([f"table.{entry} = -decoupler_params.{entry};"], "DECOUPLER_BAD_LIMITS")
             yield from expect([f"table.{entry} -= decoupler_params.{entry};"])
+            if zero:
+                yield from expect([f"table.{entry} = -{zero};"], "DECOUPLER_BAD_LIMITS")
         else:
             low, high = f"low_{name}", f"high_{name}"
             swapped = [f"table.{low} = decoupler_params.{high};", f"table.{high} = decoupler_params.{low};"]

@@ -76,6 +76,16 @@ class FloatArithmetic(Backend):
     def _run(self) -> Callable[..., list[np.ndarray]]:
         return self.decoupler.on_arrays(self.real.dtype)
 
+    def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By the bits of its size where a range is symmetric: NaN goes to the end of its sign."""
+        held, status = super().hold(inputs)
+        below = np.isnan(inputs) & np.signbit(inputs) & self._symmetric
+        return np.where(below, self.ends[0], held), status
+
+    @cached_property
+    def _symmetric(self) -> np.ndarray:
+        return np.array([[self.decoupler.box.symmetric(c)] for c in self.decoupler.inputs])
+
     def run(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Operation by operation."""
         dtype = self.real.dtype

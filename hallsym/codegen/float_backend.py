@@ -26,6 +26,8 @@ FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
 """Compiler options of a Cortex-M4F by bytes of a number; its unit has no double."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
+UNIONS = ["misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_check.c"]
+"""Deviation: the bits of a number are read through a union, which C99 defines."""
 FRAGMENTS = "float/fragments/"
 
 
@@ -72,7 +74,7 @@ class FloatBackend(FloatArithmetic):
             "slope": self._slope_records(),
             # build files
             "all_nan": ", all NaN",
-            "shifts": [],
+            "deviations": UNIONS if any(map(self.by_size, d.inputs)) else [],
             "cpu": f"{M4} {FPU[self.real.size]}",
             "machine": "mps2-an386",
             # proofs
@@ -137,9 +139,16 @@ class FloatBackend(FloatArithmetic):
             "jacobian_function": self._if_jacobian("jacobian.h"),
         }
 
+    def _bits(self) -> dict[str, str]:
+        """The bits of a number in C: their type, those of the size, the one of the sign."""
+        if self.real.size == 4:
+            return {"word": "uint32_t", "size_mask": "0x7FFFFFFFUL", "sign_mask": "0x80000000UL"}
+        masks = {"size_mask": "0x7FFFFFFFFFFFFFFFULL", "sign_mask": "0x8000000000000000ULL"}
+        return {"word": "uint64_t", **masks}
+
     def by_size(self, column: str) -> bool:
-        """State columns are tested by size, readings end by end: fewest instructions, typical and worst."""
-        return column in self.decoupler.model.state and self.decoupler.box.symmetric(column)
+        """Whether the bits of its size are compared: fewest instructions, typical and worst."""
+        return self.decoupler.box.symmetric(column)
 
     def _held(self, used: ca.SX | None = None) -> list[str]:
         """Bring the inputs into their range; of those that are not `used` only the status counts."""
@@ -170,12 +179,17 @@ class FloatBackend(FloatArithmetic):
             slopes = self._held(flat)
             slopes += shared_statements(flat, whole, real, [f"slopes->{n}" for n in d.slopes])
         magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
-        within = lines_of(f"{FRAGMENTS}within.c", common) if any(map(self.by_size, d.inputs)) else []
+        by_size = list(map(self.by_size, d.inputs))
+        within = lines_of(f"{FRAGMENTS}within.c", {**common, **self._bits()}) if any(by_size) else []
+        limited = lines_of(f"{FRAGMENTS}limited.c", common)
+        if all(by_size):
+            limited = ["#if defined(__FRAMAC__)", *limited[:-1], "#endif", ""]
         zeros = [e.name for e in d.zeros]
         none = {"pose": len(d.pose), "no_zeros": ", ".join(real.constant(0.0) for _ in zeros)}
         iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, whole, real, {})}
         zero = "take_zero_iterated.c" if d.at_pose else "take_zero.c"
         return {
+            "limited_function": limited,
             "within": within,
             "held": self._held(d.folded),
             "body": body,
@@ -198,10 +212,10 @@ class FloatBackend(FloatArithmetic):
 
     def _check(self) -> dict[str, Any]:
         d, real = self.decoupler, self.real
-        zero, share = real.constant(0.0), real.constant(round(1 - LEAST_GAIN, 6))
+        share = real.constant(round(1 - LEAST_GAIN, 6))
         gains, sides = spreads(d), {c: ends(d, c) for c in d.inputs}
         filled = [
-            f"({high} >= {zero})" if d.box.symmetric(c) else f"({low} <= {high})"
+            f"(negative({high}) == 0U)" if d.box.symmetric(c) else f"({low} <= {high})"
             for c, (low, high) in sides.items()
         ]
         remain = [
@@ -217,6 +231,9 @@ class FloatBackend(FloatArithmetic):
         beyond = [f"\n        || !((p->{z} >= -{most}) && (p->{z} <= {most}))" for z, most in far.items()]
         return {
             "zeros_beyond": "".join(beyond),
+            "negative": lines_of(f"{FRAGMENTS}negative.c", {"real": self.type, **self._bits()})
+            if any(map(self.by_size, d.inputs))
+            else [],
             "most": self._most,
             "spreads": statements(gains, {e.name: f"p->{e.name}" for e in d.entries}, real, {}),
             "not_empty": "\n        && ".join(filled),
@@ -297,7 +314,7 @@ class FloatBackend(FloatArithmetic):
                 yield from faults.expect(
                     [f"table.{stored.name}{last} = {value};"], f"DECOUPLER_BAD_NUMBER{also}"
                 )
-        yield from faults.of_limits(d, self.limited)
+        yield from faults.of_limits(d, self.limited, c(0.0))
         yield from faults.of_margins(d, reach, lambda name, value: f"table.{name} = {c(value)};")
         own = {name for m in d.margins for name in (m.rest, *(entry for entry, _ in m.terms))}
         for entry in d.table:

@@ -88,7 +88,7 @@ class IntegerBackend(IntegerArithmetic):
             "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files
             "all_nan": "",
-            "shifts": [STEP, *([SHIFTS] if p.shifts else [])],
+            "deviations": [STEP, *([SHIFTS] if p.shifts else [])],
             "cpu": "-mcpu=cortex-m0 -mthumb",
             "machine": "microbit",
             # report

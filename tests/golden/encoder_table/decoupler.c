@@ -22,6 +22,7 @@
 #define MAGNITUDE(value) (((value) < 0.0f) ? -(value) : (value))
 #endif
 
+#if defined(__FRAMAC__)
 INLINE float limited(float value, float low, float high, uint32_t bit, uint32_t *status)
 {
     float result = value;
@@ -41,14 +42,43 @@ INLINE float limited(float value, float low, float high, uint32_t bit, uint32_t 
     }
     return result;
 }
+#endif
+
+#if !defined(__FRAMAC__)
+typedef union
+{
+    float value;
+    uint32_t bits;
+} number_t;
+
+/* Numbers of one sign are in the order of their bits, and NaN is above them all; the limit is not negative. */
+INLINE float within(float value, float limit, uint32_t bit, uint32_t *status)
+{
+    number_t result;
+    number_t most;
+    result.value = value;
+    most.value = limit;
+    if ((result.bits & 0x7FFFFFFFUL) > most.bits)
+    {
+        result.bits = most.bits | (result.bits & 0x80000000UL);
+        *status += bit; /* each bit once */
+    }
+    return result.value;
+}
+#else /* the same for a tool that does not follow bits; proof/exhaustive.c tries the other */
+INLINE float within(float value, float limit, uint32_t bit, uint32_t *status)
+{
+    return limited(value, -limit, limit, bit, status);
+}
+#endif
 
 /* The pose counted from the zeros given. */
 INLINE uint32_t pose_of(const decoupler_params_t *p, const decoupler_in_t *in,
                         float zero_angle, decoupler_out_t *out)
 {
     uint32_t status = 0U;
-    const float v_sin = limited(in->v_sin_v, -p->limit_v_sin, p->limit_v_sin, DECOUPLER_STATUS_V_SIN, &status);
-    const float v_cos = limited(in->v_cos_v, -p->limit_v_cos, p->limit_v_cos, DECOUPLER_STATUS_V_COS, &status);
+    const float v_sin = within(in->v_sin_v, p->limit_v_sin, DECOUPLER_STATUS_V_SIN, &status);
+    const float v_cos = within(in->v_cos_v, p->limit_v_cos, DECOUPLER_STATUS_V_COS, &status);
     /* [V] v_sin_v from its center */
     const float off_v_sin = v_sin - p->center_v_sin;
     /* [V] v_cos_v from its center */

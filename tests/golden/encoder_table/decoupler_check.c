@@ -37,12 +37,23 @@ static float greater(float a, float b)
     return (a > b) ? a : b;
 }
 
+static uint32_t negative(float value) /* -0 is: its bits are no limit */
+{
+    union
+    {
+        float value;
+        uint32_t bits;
+    } number;
+    number.value = value;
+    return ((number.bits & 0x80000000UL) != 0U) ? 1U : 0U;
+}
+
 static uint32_t ranges(const decoupler_params_t *p)
 {
     uint32_t found = 0U;
     const float spread_v_sin = 0.0f;
-    if (!((p->limit_v_sin >= 0.0f)
-        && (p->limit_v_cos >= 0.0f)))
+    if (!((negative(p->limit_v_sin) == 0U)
+        && (negative(p->limit_v_cos) == 0U)))
     {
         found |= DECOUPLER_BAD_LIMITS;
     }

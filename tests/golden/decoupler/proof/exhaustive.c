@@ -27,31 +27,12 @@ static unsigned long all_within(float high)
     return bad;
 }
 
-static unsigned long all_limited(float low, float high)
-{
-    unsigned long bad = 0UL;
-    uint32_t bits = 0U;
-    do
-    {
-        float value;
-        uint32_t status = 0U;
-        (void)memcpy(&value, &bits, sizeof(value));
-        const float held = limited(value, low, high, 1U, &status);
-        const uint32_t inside = ((value >= low) && (value <= high)) ? 1U : 0U;
-        const uint32_t good = ((held >= low) && (held <= high)) ? 1U : 0U;
-        const uint32_t same = ((inside == 0U) || (held == value)) ? 1U : 0U;
-        bad += ((good & same & (status ^ inside)) == 1U) ? 0UL : 1UL;
-        bits++;
-    } while (bits != 0U);
-    return bad;
-}
-
 int main(void)
 {
     unsigned long bad = 0UL;
-    bad += all_limited(-decoupler_params.limit_hall_a, decoupler_params.limit_hall_a);
-    bad += all_limited(-decoupler_params.limit_hall_b, decoupler_params.limit_hall_b);
-    bad += all_limited(-decoupler_params.limit_hall_c, decoupler_params.limit_hall_c);
+    bad += all_within(decoupler_params.limit_hall_a);
+    bad += all_within(decoupler_params.limit_hall_b);
+    bad += all_within(decoupler_params.limit_hall_c);
     bad += all_within(decoupler_params.limit_z);
     bad += all_within(decoupler_params.limit_rx);
     bad += all_within(decoupler_params.limit_ry);

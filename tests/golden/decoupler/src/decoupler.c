@@ -16,12 +16,8 @@
 #define UNLIKELY(condition) (condition)
 #define INLINE static inline
 #endif
-#if defined(__GNUC__) && !defined(__FRAMAC__)
-#define MAGNITUDE(value) __builtin_fabsf(value) /* one instruction, and no libm */
-#else
-#define MAGNITUDE(value) (((value) < 0.0f) ? -(value) : (value))
-#endif
 
+#if defined(__FRAMAC__)
 INLINE float limited(float value, float low, float high, uint32_t bit, uint32_t *status)
 {
     float result = value;
@@ -41,26 +37,44 @@ INLINE float limited(float value, float low, float high, uint32_t bit, uint32_t 
     }
     return result;
 }
+#endif
 
+#if !defined(__FRAMAC__)
+typedef union
+{
+    float value;
+    uint32_t bits;
+} number_t;
+
+/* Numbers of one sign are in the order of their bits, and NaN is above them all; the limit is not negative. */
 INLINE float within(float value, float limit, uint32_t bit, uint32_t *status)
 {
-    float result = value;
-    if (UNLIKELY(!(MAGNITUDE(value) <= limit)))
+    number_t result;
+    number_t most;
+    result.value = value;
+    most.value = limit;
+    if ((result.bits & 0x7FFFFFFFUL) > most.bits)
     {
-        result = (value < 0.0f) ? -limit : limit;
-        *status += bit;
+        result.bits = most.bits | (result.bits & 0x80000000UL);
+        *status += bit; /* each bit once */
     }
-    return result;
+    return result.value;
 }
+#else /* the same for a tool that does not follow bits; proof/exhaustive.c tries the other */
+INLINE float within(float value, float limit, uint32_t bit, uint32_t *status)
+{
+    return limited(value, -limit, limit, bit, status);
+}
+#endif
 
 /* The pose counted from the zeros given. */
 INLINE uint32_t pose_of(const decoupler_params_t *p, const decoupler_in_t *in,
                         float zero_x, float zero_y, float zero_rz, decoupler_out_t *out)
 {
     uint32_t status = 0U;
-    const float hall_a = limited(in->hall_a_m, -p->limit_hall_a, p->limit_hall_a, DECOUPLER_STATUS_HALL_A, &status);
-    const float hall_b = limited(in->hall_b_m, -p->limit_hall_b, p->limit_hall_b, DECOUPLER_STATUS_HALL_B, &status);
-    const float hall_c = limited(in->hall_c_m, -p->limit_hall_c, p->limit_hall_c, DECOUPLER_STATUS_HALL_C, &status);
+    const float hall_a = within(in->hall_a_m, p->limit_hall_a, DECOUPLER_STATUS_HALL_A, &status);
+    const float hall_b = within(in->hall_b_m, p->limit_hall_b, DECOUPLER_STATUS_HALL_B, &status);
+    const float hall_c = within(in->hall_c_m, p->limit_hall_c, DECOUPLER_STATUS_HALL_C, &status);
     const float z = within(in->z_m, p->limit_z, DECOUPLER_STATUS_Z, &status);
     const float rx = within(in->rx_rad, p->limit_rx, DECOUPLER_STATUS_RX, &status);
     const float ry = within(in->ry_rad, p->limit_ry, DECOUPLER_STATUS_RY, &status);

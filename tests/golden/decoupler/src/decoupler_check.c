@@ -37,18 +37,29 @@ static float greater(float a, float b)
     return (a > b) ? a : b;
 }
 
+static uint32_t negative(float value) /* -0 is: its bits are no limit */
+{
+    union
+    {
+        float value;
+        uint32_t bits;
+    } number;
+    number.value = value;
+    return ((number.bits & 0x80000000UL) != 0U) ? 1U : 0U;
+}
+
 static uint32_t ranges(const decoupler_params_t *p)
 {
     uint32_t found = 0U;
     const float spread_hall_a = ((greater(p->gain_hall_a_ry, -p->gain_hall_a_ry) * p->limit_ry) + (greater(p->gain_hall_a_rx, -p->gain_hall_a_rx) * p->limit_rx)) + (greater(p->gain_hall_a_z, -p->gain_hall_a_z) * p->limit_z);
     const float spread_hall_b = ((greater(p->gain_hall_b_ry, -p->gain_hall_b_ry) * p->limit_ry) + (greater(p->gain_hall_b_rx, -p->gain_hall_b_rx) * p->limit_rx)) + (greater(p->gain_hall_b_z, -p->gain_hall_b_z) * p->limit_z);
     const float spread_hall_c = ((greater(p->gain_hall_c_ry, -p->gain_hall_c_ry) * p->limit_ry) + (greater(p->gain_hall_c_rx, -p->gain_hall_c_rx) * p->limit_rx)) + (greater(p->gain_hall_c_z, -p->gain_hall_c_z) * p->limit_z);
-    if (!((p->limit_hall_a >= 0.0f)
-        && (p->limit_hall_b >= 0.0f)
-        && (p->limit_hall_c >= 0.0f)
-        && (p->limit_z >= 0.0f)
-        && (p->limit_rx >= 0.0f)
-        && (p->limit_ry >= 0.0f)))
+    if (!((negative(p->limit_hall_a) == 0U)
+        && (negative(p->limit_hall_b) == 0U)
+        && (negative(p->limit_hall_c) == 0U)
+        && (negative(p->limit_z) == 0U)
+        && (negative(p->limit_rx) == 0U)
+        && (negative(p->limit_ry) == 0U)))
     {
         found |= DECOUPLER_BAD_LIMITS;
     }

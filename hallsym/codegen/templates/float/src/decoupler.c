@@ -18,26 +18,7 @@
 #endif
 @MAGNITUDE@
 
-INLINE @REAL@ limited(@REAL@ value, @REAL@ low, @REAL@ high, uint32_t bit, uint32_t *status)
-{
-    @REAL@ result = value;
-    if (UNLIKELY(!(value <= high))) /* NaN goes here too */
-    {
-        result = high;
-        *status += bit; /* each bit once */
-    }
-    else if (UNLIKELY(value < low))
-    {
-        result = low;
-        *status += bit; /* each bit once */
-    }
-    else
-    {
-        /* within its range */
-    }
-    return result;
-}
-
+@LIMITED_FUNCTION@
 @WITHIN@
 /* The pose counted from the zeros given. */
 INLINE uint32_t pose_of(const decoupler_params_t *p, const decoupler_in_t *in,

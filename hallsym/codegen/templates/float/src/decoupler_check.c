@@ -37,6 +37,7 @@ static @REAL@ greater(@REAL@ a, @REAL@ b)
     return (a > b) ? a : b;
 }
 
+@NEGATIVE@
 static uint32_t ranges(const decoupler_params_t *p)
 {
     uint32_t found = 0U;
