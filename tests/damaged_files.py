@@ -233,6 +233,7 @@ def targets() -> tuple[Target, ...]:
         Target("HDF5 log", "log.h5", ("info", "{FILE}", *log), m.BYTES, False, _hdf5),
         Target("HDF5 run groups", "runs.h5", ("info", "{FILE}", *log), m.BYTES),
         Target("MATLAB log", "log.mat", ("info", "{FILE}", *log), m.BYTES, True, _mat),
+        Target("sensors, sort", "sensors.csv", ("sort", "{FILE}", "--field", "0mT,475mT", "--json"), m.TEXT),
         Target("calibration", "calib.json", ("evaluate", "{FILE}", "log.parquet", "--json"), m.JSON),
         Target("calibration, info", "calib.json", ("info", "{FILE}", "--json"), m.JSON),
         Target("calibration, budget", "calib.json", ("budget", "{FILE}", "--json"), m.JSON),
@@ -294,6 +295,7 @@ def make_files(folder: Path) -> None:
         "campaign": CAMPAIGN, "ranges": RANGES, "tolerances": TOLERANCES,
     }.items():  # fmt: skip
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    (folder / "sensors.csv").write_text(_sensors(), encoding="utf-8")
     t = np.linspace(0, 1, 24)
     lines = [f"{a!r},{b!r}" for a, b in zip((100 * t).tolist(), (50 * np.sin(3 * t)).tolist(), strict=True)]
     (folder / "points.csv").write_text("\n".join(["x_um,y_um", *lines, ""]), encoding="utf-8")
@@ -309,6 +311,17 @@ def make_files(folder: Path) -> None:
         assert main([str(a) for a in arguments]) == 0, arguments
     for name, gap in (("diagnosis", 2e-6), ("before", 3e-6)):
         (folder / f"{name}.json").write_text(json.dumps(_diagnosis(gap), indent=1), encoding="utf-8")
+
+
+def _sensors() -> str:
+    """Readings of sensors in two fields beside those of one that stays on the bench."""
+    rng = np.random.default_rng(0)
+    gain = 2.0 * (1 + rng.normal(0, 0.02, 40))
+    lines = ["sensor,t_s,reading_0_v,reference_0_v,reading_1_v,reference_1_v"]
+    for k, sensor in enumerate([*range(40), 3, 7, 11, 15, 21, 30]):
+        read = 0.475 * gain[sensor] * (1 + rng.normal(0, 1e-3))
+        lines.append(f"S{sensor},{20 * k},0.001,0.002,{read:.6f},{0.9 * (1 + rng.normal(0, 1e-3)):.6f}")
+    return "\n".join([*lines, ""])
 
 
 def _diagnosis(gap: float) -> dict[str, Any]:

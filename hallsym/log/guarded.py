@@ -50,6 +50,12 @@ class Guarded(Source):
             columns = self.inner.read(names)
         return self._judged(names, columns)
 
+    def labels(self, name: str) -> list[str]:
+        """Return a column of names, as text."""
+        self._check_rows()
+        with self._reading():
+            return self.inner.labels(name)
+
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
         self._check_rows()
