@@ -88,22 +88,19 @@ _MISSPELT = 0.85
 """Likeness (`difflib`) of a key with a column's name from which on it is that name misspelt."""
 
 
-def unused_noise(values: Mapping[str, float], columns: Sequence[str], where: str) -> list[str]:
-    """Return a note for each stated noise that belongs to no column; refuse one that is misspelt.
+def check_misspelt_noise(values: Mapping[str, float], columns: Sequence[str], where: str) -> None:
+    """Refuse a stated noise whose key is nearly, but not quite, that of a column.
 
-    A file may state the noise of columns that this log happens not to have, such as `temperature_degc`: that
-    is no mistake where the name is one of hallsym's own.
+    Others may stand: a file may state the noise of columns that this log happens not to have, such as
+    `temperature_degc`, or in words of its own.
     """
-    notes = []
+    groups = [c for c in ("hall_m", "hall_v", "col_v") if any(_fits(c, column) for column in columns)]
     for key in values:
         stem, unit = split_unit(key)
         if any(_fits(key, column) for column in columns) or (unit and quantity(stem)):
             continue
-        groups = [c for c in ("hall_m", "hall_v", "col_v") if any(_fits(c, column) for column in columns)]
         if get_close_matches(key, [*groups, *columns], n=1, cutoff=_MISSPELT):
             check_noise_keys({key: values[key]}, [*groups, *columns], where)
-        notes.append(f"Noise '{key}' of {where} belongs to no column of the log and is not used.")
-    return notes
 
 
 def _fits(key: str, column: str) -> bool:

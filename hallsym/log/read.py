@@ -22,7 +22,7 @@ from hallsym.log.format_csv import CsvSource
 from hallsym.log.formats import FORMATS, format_of
 from hallsym.log.guarded import Guarded
 from hallsym.log.meta import Meta
-from hallsym.log.noise import Noise, check_noise_keys, unused_noise
+from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.reading import regular
@@ -69,8 +69,8 @@ def read_log(
         )
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
-    unused = unused_noise(meta.noise_1sigma, table.columns, "meta.json")
-    log = Log(table, known, meta, file, (*run_notes(table.bindings), *_notes(source), *unused))
+    check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
+    log = Log(table, known, meta, file, (*run_notes(table.bindings), *_notes(source)))
     return clean_log(log) if drop_bad else log
 
 
