@@ -9,10 +9,17 @@ from hallsym.errors import InputError
 from hallsym.estimation import noise_of
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.channel_assignment import as_read, rewired
-from hallsym.estimation.decoding import logged_columns
-from hallsym.estimation.gauss_newton import judge
+from hallsym.estimation.decoding import ErrorTable, logged_columns
+from hallsym.estimation.gauss_newton import Shifts, judged
 from hallsym.log import Log, usable
+from hallsym.log.phase import LISTED
+from hallsym.model import Model
 from hallsym.report.tables import error_rows
+from hallsym.units import readable
+
+MOSTLY = 0.5
+"""Share of the squared error from which on another zero is what to say first of it."""
+REMEDY = "--own-zero estimates it"
 
 
 def add(sub: Any) -> None:
@@ -26,6 +33,11 @@ def add(sub: Any) -> None:
     parser.add_argument("log", metavar="LOG", help="log to judge on")
     own_option(parser)
     parser.add_argument("--by-run", action="store_true", help="one line per run")
+    parser.add_argument(
+        "--own-zero",
+        action="store_true",
+        help="estimate the zero of a reference that turns from each run too: it was homed or coupled anew",
+    )
     log_options(parser)
 
 
@@ -40,7 +52,8 @@ def run(options: Namespace) -> int:
     _belongs(log, known)
     log = as_read(log, known.model, known.wiring)
     noise = noise_of(log, known.model)
-    table = judge(log, known.model, known.values, noise.std)
+    table, shifts = judged(log, known.model, known.values, noise.std, own_zero=options.own_zero)
+    notes += _shift_notes(known.model, table, shifts, taken_out=options.own_zero)
     rows: dict[str, Any] = {"all runs": table.over()}
     if options.by_run:
         rows |= {f"run {run}": table.over([run]) for run in table.runs}
@@ -61,6 +74,27 @@ def run(options: Namespace) -> int:
         ),
     )
     return OK
+
+
+def _shift_notes(model: Model, table: ErrorTable, shifts: Shifts, *, taken_out: bool) -> list[str]:
+    """Say which references have another zero than when the calibration was made, and how to take it out."""
+    notes, count = [], dict(zip(table.runs, table.count.tolist(), strict=True))
+    for column, own in shifts.items():
+        made = sum(count[run] * shift**2 for run, shift in own.items())
+        if not taken_out and made <= MOSTLY * table.squares[:, model.references.index(column)].sum():
+            continue
+        factor, unit, _ = readable(column)
+        said = [f"run {run}: {factor * shift:+.4f}" for run, shift in own.items()]
+        said = said if len(own) > 1 else [f"{factor * shift:+.4f}" for shift in own.values()]
+        more = f", and {len(own) - LISTED} more" if len(own) > LISTED else ""
+        remedy = "The errors are without it." if taken_out else f"Most of the error is that; {REMEDY}."
+        if not taken_out and len(own) > 1:
+            remedy = f"{remedy[:-1]} from each run, a fit with --effect zero_deviation gives each its own."
+        notes.append(
+            f"{column} counts from another zero than when the calibration was made; in {unit}, beside that: "
+            f"{', '.join(said[:LISTED])}{more}. {remedy}"
+        )
+    return notes
 
 
 def _belongs(log: Log, known: Fit) -> None:

@@ -16,20 +16,22 @@ The path of a fit, file by file:
 """
 
 from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, added_effects, load_fit
-from hallsym.estimation.channel_assignment import Wiring, as_read, check_wiring, find_wiring, rewired
+from hallsym.estimation.channel_assignment import Wiring, as_read, find_wiring, rewired
 from hallsym.estimation.coefficients import Coefficients
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
 from hallsym.estimation.decoding import (
     ErrorTable,
     columns_of,
     decoder,
+    decoder_near,
     decoding_gain,
     error_tables,
     logged_columns,
+    nominal_variance,
     pose_errors,
 )
 from hallsym.estimation.fit import LOSSES, fit
-from hallsym.estimation.gauss_newton import cost_near, judge, zeros_of
+from hallsym.estimation.gauss_newton import cost_near, judge, judged, zeros_of
 from hallsym.estimation.identifiable import (
     Determination,
     determine,
@@ -68,13 +70,13 @@ __all__ = [
     "Wiring",
     "added_effects",
     "as_read",
-    "check_wiring",
     "closed_form",
     "column_spikes",
     "columns_of",
     "cost_near",
     "cost_of",
     "decoder",
+    "decoder_near",
     "decoding_gain",
     "determine",
     "eliminate",
@@ -85,6 +87,7 @@ __all__ = [
     "fit",
     "inverse",
     "judge",
+    "judged",
     "least_information",
     "linear_combinations",
     "linear_fit",
@@ -92,6 +95,7 @@ __all__ = [
     "logged_columns",
     "noise_floor",
     "noise_of",
+    "nominal_variance",
     "pose_errors",
     "pseudo_inverse",
     "refit",

@@ -124,6 +124,8 @@ class Fit:
     """What those runs determine; not saved."""
     undetermined_by_log: tuple[str, ...] = ()
     wiring: tuple[tuple[str, int], ...] | None = None
+    turned: bool = False
+    """Whether `wiring` is what an inspection of the log found before the fit: a side to mount; not saved."""
     versions: Mapping[str, str] = field(default_factory=dict)
     error_rows: Mapping[str, Any] = field(default_factory=dict)
 

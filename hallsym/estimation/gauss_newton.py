@@ -8,7 +8,7 @@ from itertools import count
 import numpy as np
 
 import solvers
-from hallsym.estimation.decoding import ErrorTable, error_tables
+from hallsym.estimation.decoding import ErrorTable, error_tables, zero_shifts
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.linearised import exact, summarise_at
@@ -16,6 +16,7 @@ from hallsym.estimation.optimum import Search, Solution, search
 from hallsym.estimation.run_statistics import summarise
 from hallsym.log import Log
 from hallsym.log.batches import Weigh
+from hallsym.log.phase import rehomed
 from hallsym.model import Model
 
 PASSES = 40
@@ -26,6 +27,7 @@ SETTLED = 1e-9
 """Change [m] of a run's zeros below which they are settled."""
 
 Zeros = Mapping[int, np.ndarray]
+Shifts = Mapping[str, Mapping[int, float]]
 
 
 def cost_near(
@@ -48,10 +50,26 @@ def zeros_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
     return dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
 
 
-def judge(log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float]) -> ErrorTable:
-    """Return the errors of fixed parameters on another log; each run's zeros are estimated from that run."""
+def judge(
+    log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
+) -> ErrorTable:
+    """Return the errors of fixed parameters on another log; each run's zeros are estimated from that run.
+
+    `own_zero`: so is the zero of a reference that repeats, which the calibration has one of.
+    """
+    return judged(log, model, p, noise, own_zero=own_zero)[0]
+
+
+def judged(
+    log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
+) -> tuple[ErrorTable, Shifts]:
+    """Return what `judge` does, and how far zeros of references are from the calibration's, see
+    `zero_shifts`."""
     cost = cost_near(log, model, p, noise)
-    return error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)[0]
+    zeros, variance = zeros_of(cost, p), cost.reading_variance
+    shifts = zero_shifts(log, model, p, zeros, variance, noise)
+    log = rehomed(log, shifts, model) if own_zero and shifts else log
+    return error_tables(log, model, [(p, zeros)], variance, sigma=noise)[0], shifts
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,15 +9,16 @@ from time import perf_counter
 import numpy as np
 
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.channel_assignment import Wiring
+from hallsym.estimation.channel_assignment import Wiring, composed
 from hallsym.estimation.covariance import noise_floor, uncertainty
 from hallsym.estimation.task import Solved
 from hallsym.log.phase import home_notes
 from hallsym.model import Model
 
 
-def result_of(solved: Solved, notes: tuple[str, ...], wiring: Wiring | None, began: float) -> Fit:
-    """Return the fit that is handed out; `began`: when, by `perf_counter`."""
+def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, began: float) -> Fit:
+    """Return the fit that is handed out; `mounted`: the wiring that was found before it, by inspection;
+    `began`: when, by `perf_counter`."""
     task, state, errors = solved.task, solved.solution, solved.errors
     model, found = task.model, state.determined
     estimate = uncertainty(state.fitted, state.p, found)
@@ -72,7 +73,8 @@ def result_of(solved: Solved, notes: tuple[str, ...], wiring: Wiring | None, beg
         likelihood=state.fitted,
         determination=found,
         undetermined_by_log=estimate.undetermined_by_log,
-        wiring=wiring,
+        wiring=composed(mounted, solved.wiring, model.channels),
+        turned=mounted is not None and solved.wiring is None,
         versions=dict(_versions()),
         error_rows=errors.rows(),
     )

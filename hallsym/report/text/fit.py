@@ -19,7 +19,7 @@ def fit_text(fit: Fit) -> str:
     used = log["runs"] - len(log["holdout"])
     parts = [
         f"{fit.model.name} on {log['path'] or 'a log in memory'}: {counted(log['rows'], 'sample')}, "
-        + f"{counted(used, 'run')} fitted"
+        + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
         + f"; {fit.status} in {fit.seconds:.2f} s",
         "",

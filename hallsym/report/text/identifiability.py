@@ -21,10 +21,10 @@ from hallsym.units import parameter_unit, readable
 def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     """Return the report; `zeros`: list the zero deviation of every run too."""
     cost = report.evidence.cost
-    what = "will determine" if cost.planned else "determine"
-    runs = len(cost.summary.runs)
+    runs, recorded = len(cost.summary.runs), report.evidence.recorded
+    what = "will determine" if cost.planned else "determine" if runs > 1 else "determines"
     parts = [
-        f"{report.model.name}: what {runs} runs of {report.evidence.recorded} {what}",
+        f"{report.model.name}: what {f'{runs} runs of ' if runs > 1 else ''}{recorded} {what}",
         "",
         parameters_text(report.parameters, {p.name: p.meaning for p in report.model.parameters}),
     ]
