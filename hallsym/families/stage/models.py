@@ -306,9 +306,7 @@ def _check(probes: tuple[Probe, ...]) -> None:
         raise InputError(f"Probe channels must have different letters; instead received {', '.join(labels)}.")
     for p in probes:
         if not np.all(np.abs([*p.position, *p.senses]) <= FARTHEST):
-            raise InputError(
-                f"Position and 'senses' of probe {p.channel} must be finite, up to {FARTHEST:g} m."
-            )
+            raise InputError(f"Position, 'senses' of probe {p.channel} must be finite, up to {FARTHEST:g} m.")
         if not abs(p.senses[0] ** 2 + p.senses[1] ** 2 - 1) < 1e-6:
             raise InputError(
                 f"'senses' of probe {p.channel} must be a unit vector; instead received {list(p.senses)}."
