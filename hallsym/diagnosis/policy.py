@@ -77,6 +77,11 @@ class Policy:
     """Plain effects that, each with a second effect, compete with a flexible one (0: none).
 
     Cost: each takes one pass over the log."""
+    no_substitute: float = 0.5
+    """What a flexible effect and a second one leave, over what a plain one and its second leave, below which
+    the plain one is no substitute.
+
+    Half: where the flexible one only took an imperfection along, both pairs leave nearly the same."""
     cancelling: float = 2.0
     """Deviations of the whole machine from nominal above which an effect alone is undone by other parameters.
 

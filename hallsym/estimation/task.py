@@ -200,12 +200,14 @@ class Task:
     def judged(self, begun: "Begun") -> Judgement:
         """Judge units, signs and runs before the fit; spikes bend slopes: where there are any, after it."""
         found = self.judge(begun)
-        if not found.findings or self.loss == "none":
+        if not found.findings:
             return found
         columns = (*self.model.references, *self.model.channels)
         again = self.begin(self.summary(outliers.column_spikes(columns)))
         left, total = (float(b.everything.summary.counts.sum()) for b in (again, begun))
-        return Judgement(spiky=True) if left < (1 - SPIKY) * total else found
+        if left >= (1 - SPIKY) * total:
+            return found
+        return self.judge(again) if self.loss == "none" else Judgement(spiky=True)
 
     def judge(self, begun: "Begun | Started") -> Judgement:
         """Judge units, signs and runs by what linear least squares says."""

@@ -18,7 +18,7 @@ from test_compare import diagnosis
 from test_compare import effect as effect_record
 from test_diagnosis_holding import turn
 from test_diagnosis_rotary import bearing, machine, third
-from test_diagnosis_turn import LIKE_A_TABLE, table
+from test_diagnosis_turn import LIKE_A_TABLE, overdriven, table
 
 from hallsym.diagnosis import (
     POLICY,
@@ -322,6 +322,13 @@ def test_two_plain_effects_win_against_a_flexible_one():
     assert kept.verdict == "explained"
     assert "third_harmonic_distortion" in kept.ranked
     assert (off.verdict, off.ranked) == ("unexplained", ("magnet_tilt",))
+
+
+def test_a_flexible_effect_stays_where_a_second_one_beside_it_leaves_far_less():
+    """A rail and an old reading: a saturated field and a delay explain more than the rail alone."""
+    kept, off = without(overdriven(0.654, 0.034, -0.0024), "rotary", no_substitute=0.0)
+    assert kept.ranked[0] == "saturation"
+    assert off.ranked[0] == "field_saturation"
 
 
 def test_an_effect_that_other_parameters_undo_is_rejected():
