@@ -205,7 +205,7 @@ def following(
     only: Sequence[str] | None = None,
     shared: bool = False,
 ) -> Model:
-    """Each value v gains the sum of c f, or of c f v for a `gain`; c per channel, or `shared`, and function f.
+    """Each value v gains the sum of c f, or of c f v for a `gain`; c per function f and channel, or `shared`.
 
     `names`: of c, for each function, with `{k}` for the channel; by default the effect's name and a number.
     """
@@ -275,8 +275,8 @@ def at_frequency(
 # -- effects that follow those functions, in one line for a family ------------------------------------------
 
 Follow = Callable[..., Model]
-"""`follow(model, effect, functions)`: how gains, or offsets, of a family follow functions of data. Of channels
-that may also follow them all alike, `follow(model, effect, functions, shared)`."""
+"""`follow(model, effect, functions)`: how gains, or offsets, of a family follow functions of data; where all
+channels may follow them alike, `follow(model, effect, functions, shared)`."""
 
 
 def _per(lead: str) -> Any:

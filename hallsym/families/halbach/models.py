@@ -134,10 +134,12 @@ def wave(s: Signals, layout: Layout, k: int, h: int) -> tuple[ca.SX, ca.SX]:
     array, sensor = array_of(layout), sensors(layout)[k]
     q = h * array.wavenumber
     fade = ca.exp(-q * (s["z_m"] - array.level_m))
-    pair = tuple(s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin))
+    cosine, sine = (
+        s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin)
+    )
     moved, (dx, _, dz) = s["moved"][k], s["placed"][k]
     near = ca.exp(-q * (moved["z_m"] - dz))
-    each = [links.turned(pair, q * (moved["x_m"] - dx - x)) for x, _ in sensor.positions]
+    each = [links.turned((cosine, sine), q * (moved["x_m"] - dx - x)) for x, _ in sensor.positions]
     cos, sin = (sum(parts) * near / len(each) for parts in zip(*each, strict=True))
     return cos, sin
 
@@ -166,7 +168,7 @@ SAME_PLACE = 100.0
 def begin(v: ca.SX, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     """Return x and z from the first harmonic: arctangent (2-19) and logarithm (2-20)."""
     array, rows = array_of(layout), phasor_of(layout)
-    re, im = ca.vertsplit(ca.DM(rows) @ v)
+    re, im = ca.vertsplit(ca.DM(np.asarray(rows)) @ v)
     a, b, lc = p["a1"], p["b1"], 1 / array.wavenumber
     turn = ca.atan2(im * a + re * b, re * a - im * b)  # of Z over (a - i b)
     fade = ca.log((re**2 + im**2) / (a**2 + b**2)) / 2
@@ -176,7 +178,8 @@ def begin(v: ca.SX, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
 def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the amplitudes from the coefficients of the fading waves, the mean over all channels."""
     array, seen = array_of(model.layout), sensors(model.layout)
-    found, nothing = {}, np.zeros(len(seen))
+    found: dict[str, float] = {}
+    nothing = np.zeros(len(seen))
     for h in HARMONICS:
         turns = [np.mean([np.exp(1j * h * array.wavenumber * x) for x, _ in c.positions]) for c in seen]
         cos, sin = (coefficients.get(f"fade {h} * {f} {h}kx", nothing) for f in ("cos", "sin"))
@@ -215,7 +218,7 @@ def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
     )
     if names and len(names) != count:
         raise InputError(
-            f"The log has {len(names)} columns ({names[0]} to {names[-1]}), but its meta.json states {count}; "
+            f"The log has {len(names)} columns ({names[0]} to {names[-1]}), but meta.json states {count}; "
             "state 'columns', or a list 'column_x_m', for those of the log."
         )
     about = {"length_m": wavelength * _number(nominal, "periods", 8.0)}
