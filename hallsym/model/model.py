@@ -180,6 +180,13 @@ class Model:
                 )
         return model
 
+    def poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return random poses (n_pose, count): typical ones times 1 +- 0.3; of size 1 where none are stated."""
+        noise = rng.standard_normal((len(self.pose), count))
+        if not self.typical:
+            return noise
+        return np.array(self.typical)[rng.integers(len(self.typical), size=count)].T * (1 + 0.3 * noise)
+
     @cached_property
     def _remembered(self) -> dict[Hashable, Any]:
         return {}

@@ -8,7 +8,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from hallsym.families.halbach.layout import Array, arrays, sensors
+from hallsym.families.halbach.layout import arrays, sensors
 from hallsym.families.mechanisms import P, free
 from hallsym.model import Model, Parameter, Signals, Way, effect
 from hallsym.model.arguments import one_of
@@ -18,10 +18,20 @@ LONGER = Way("a longer array", "what its ends make goes away")
 HEIGHT = Way("another gap", "harmonic h fades with h times the rate of the first")
 
 
-def segments(array: Array) -> np.ndarray:
-    """Return the numbers of the magnets beside the one that faces the sensors with its north pole, (n,)."""
+LIMIT = 5.0
+"""Bounds of what a magnet is off: wide, since the outermost ones are hardly seen."""
+
+
+def segments(model: Model) -> np.ndarray:
+    """Return the numbers of the magnets that sensors see, from the one whose north pole faces them, (n,).
+
+    Those within half a wavelength beyond the outermost sensors and the stroke, which is taken as half a
+    wavelength on either side: the field of a magnet farther off has faded to what the others can make.
+    """
+    (array,) = arrays(model.layout).values()
     pitch = array.wavelength_m / array.magnets_per_period
-    most = int(np.floor(array.length_m / 2 / pitch))
+    seen = max(abs(s.middle[0]) for s in sensors(model.layout)) + array.wavelength_m
+    most = int(np.floor(min(array.length_m / 2, seen) / pitch))
     return np.arange(-most, most + 1)
 
 
@@ -38,7 +48,7 @@ def magnet_fields(s: Signals, p: P, model: Model) -> list[list[tuple[ca.SX, ca.S
     filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-q * height))
     size = ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2) * np.exp(q * array.level_m) / filled
     crest = -ca.atan2(p["b1"], p["a1"]) / q  # of Bz, on the mover: a magnet whose north pole faces down
-    which = segments(array)
+    which = segments(model)
     edges = [crest + (float(i) - 0.5) * pitch for i in (*which, which[-1] + 1)]
     out = []
     for k, sensor in enumerate(sensors(model.layout)):
@@ -64,8 +74,7 @@ def magnet_fields(s: Signals, p: P, model: Model) -> list[list[tuple[ca.SX, ca.S
 
 
 def _of_magnets(model: Model, name: str, part: int, meaning: str, limit: float, unit: str) -> Model:
-    (array,) = arrays(model.layout).values()
-    names = [f"{name}_{i}" for i in segments(array)]
+    names = [f"{name}_{i}" for i in segments(model)]
 
     def step(s: Signals, p: P) -> None:
         fields = magnet_fields(s, p, model)
@@ -79,13 +88,13 @@ def _of_magnets(model: Model, name: str, part: int, meaning: str, limit: float, 
 @effect(link="field", label="each magnet", separate=(TURNED, "a longer stroke"))
 def remanence_spread(model: Model) -> Model:
     """The remanence of the magnets differs from one to the next (mover-fixed)."""
-    return _of_magnets(model, "remanence_spread", 0, "relative remanence of magnet", 0.5, "1")
+    return _of_magnets(model, "remanence_spread", 0, "relative remanence of magnet", LIMIT, "1")
 
 
 @effect(link="field", label="each magnet", separate=(TURNED, "a longer stroke"))
 def magnetisation_angle_error(model: Model) -> Model:
     """The directions of the magnets are off (mover-fixed)."""
-    return _of_magnets(model, "magnetisation_angle_error", 1, "turn of the direction of magnet", 0.5, "rad")
+    return _of_magnets(model, "magnetisation_angle_error", 1, "turn of the direction of magnet", LIMIT, "rad")
 
 
 @effect(link="field", waves=(1, 3), separate=(HEIGHT, LONGER))
