@@ -68,9 +68,9 @@ def split_unit(column: str) -> tuple[str, Unit | None]:
     for parts in (2, 1):
         pieces = column.rsplit("_", parts)
         suffix = "_".join(pieces[1:]).lower()
-        if len(pieces) == parts + 1 and pieces[0] and suffix in UNITS:
-            if not known or UNITS[suffix].si in quantity(pieces[0]):
-                return pieces[0], UNITS[suffix]
+        whole = len(pieces) == parts + 1 and pieces[0] and suffix in UNITS
+        if whole and (not known or UNITS[suffix].si in quantity(pieces[0])):
+            return pieces[0], UNITS[suffix]
     return column, None
 
 

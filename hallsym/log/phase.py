@@ -46,7 +46,11 @@ def near(model: Model, pose: np.ndarray, reference: np.ndarray) -> np.ndarray:
     out = np.array(pose, dtype=float)
     for k, coordinate in enumerate(model.pose):
         if coordinate in model.period:
-            out[k] = reference[k] + wrapped(out[k] - reference[k], model.period[coordinate])
+            if model.onward is None:
+                out[k] = reference[k] + wrapped(out[k] - reference[k], model.period[coordinate])
+                continue
+            period = model.period[coordinate]
+            out = out - period * np.round((out[k] - reference[k]) / period) * model.onward(out, coordinate)
     return out
 
 

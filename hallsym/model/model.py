@@ -116,6 +116,11 @@ class Model:
     """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
+    onward: "Callable[[np.ndarray, str], np.ndarray] | None" = None
+    """`(poses (n_pose, samples), coordinate) -> (n_pose, samples)`: how a pose changes per unit of a periodic
+    coordinate on the way to the next pose that reads the same; only that coordinate where it is None."""
+    guess: "Callable[[Model, Any], Mapping[str, float]] | None" = None
+    """`(model, log) -> parameters` to begin from, of a model without run statistics; nominal otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
     """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
     inspect: "Callable[..., Inspection] | None" = None
@@ -181,7 +186,7 @@ class Model:
         return model
 
     def poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return random poses (n_pose, count): typical ones times 1 +- 0.3; of size 1 where none are stated."""
+        """Return random poses (n_pose, count): typical ones times 1 +- 0.3; of size 1 if none are stated."""
         noise = rng.standard_normal((len(self.pose), count))
         if not self.typical:
             return noise

@@ -2,7 +2,8 @@
 
 Signals of the chain, beside the columns: `moved`: for each channel a dict of what is added to each logged
 coordinate (clock, reference); `placed`: what is added to the position (x, y, z) [m] of its sensors; `tilted`:
-the slopes (x, y) of their axes [rad]; `field`: the field that each channel sees [V]; `reading`.
+the slopes (x, y) of their axes [rad]; `mounted`: shift [m] and rotation of arrays that are not at their
+place; `stretch`: share by which wavelengths are long; `field`: what each channel sees [V]; `reading`.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,6 +25,8 @@ def begin(s: Signals, model: Model) -> None:
     s["placed"] = [[ca.SX(0)] * 3 for _ in range(count)]
     s["tilted"] = [[ca.SX(0)] * 2 for _ in range(count)]
     s["filters"] = []
+    s["mounted"] = {}
+    s["stretch"] = ca.SX(0)
 
 
 def labels(model: Model) -> Sequence[str]:

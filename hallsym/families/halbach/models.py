@@ -110,6 +110,7 @@ def array_of(layout: Layout) -> Array:
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     """Set the field at each channel: harmonics 1 and 5, with the tilt of each sensor's axis."""
     s["wave"] = lambda k, h: wave(s, layout, k, h)
+    s["harmonic"] = lambda k, h, a, b: harmonic(s, k, h, a, b)
     s["field"] = ca.vertcat(
         *(sum(harmonic(s, k, h, p[f"a{h}"], p[f"b{h}"]) for h in HARMONICS) for k in range(len(s["moved"])))
     )
@@ -138,8 +139,15 @@ def wave(s: Signals, layout: Layout, k: int, h: int) -> tuple[ca.SX, ca.SX]:
         s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin)
     )
     moved, (dx, _, dz) = s["moved"][k], s["placed"][k]
-    near = ca.exp(-q * (moved["z_m"] - dz))
-    each = [links.turned((cosine, sine), q * (moved["x_m"] - dx - x)) for x, _ in sensor.positions]
+    along, up = moved["x_m"] - dx, moved["z_m"] - dz
+    if not s["stretch"].is_zero():
+        share = 1 / (1 + s["stretch"]) - 1
+        up = up + share * (s["z_m"] + up - array.level_m)
+        each = [along - x + share * (s["x_m"] + along - x) for x, _ in sensor.positions]
+    else:
+        each = [along - x for x, _ in sensor.positions]
+    near = ca.exp(-q * up)
+    each = [links.turned((cosine, sine), q * shift) for shift in each]
     cos, sin = (sum(parts) * near / len(each) for parts in zip(*each, strict=True))
     return cos, sin
 

@@ -20,3 +20,5 @@ EFFECTS = (
     magnets.wavelength_error,
 )  # fmt: skip
 """Effects of the model of x and z."""
+PLANAR_EFFECTS = COMMON
+"""Effects of the model of six coordinates."""

@@ -110,8 +110,7 @@ def forbidden_harmonics(
     def step(s: Signals, p: P) -> None:
         rows = []
         for k in range(len(model.channels)):
-            cos, sin = s["wave"](k, order)
-            rows.append(p[f"a{order}"] * cos + p[f"b{order}"] * sin)
+            rows.append(s["harmonic"](k, order, p[f"a{order}"], p[f"b{order}"]))
         s["field"] = s["field"] + ca.vertcat(*rows)
 
     new = tuple(
@@ -126,13 +125,7 @@ def wavelength_error(model: Model) -> Model:
     """The wavelength of the magnets is not nominal: period and decay change together."""
 
     def step(s: Signals, p: P) -> None:
-        (array,) = arrays(model.layout).values()
-        share = 1 / (1 + p["longer"]) - 1
-        for k, (moved, sensor) in enumerate(zip(s["moved"], sensors(model.layout), strict=True)):
-            x, _ = sensor.middle
-            s["placed"][k][0] = s["placed"][k][0] + share * x
-            moved["x_m"] = moved["x_m"] + share * (s["x_m"] + moved["x_m"])
-            moved["z_m"] = moved["z_m"] + share * (s["z_m"] + moved["z_m"] - array.level_m)
+        s["stretch"] = s["stretch"] + p["longer"]
 
     new = free({"longer": "share by which the wavelength is longer than nominal"}, 0.1, "1")
     return model.with_step("reference", step, effect="wavelength_error", parameters=new)
