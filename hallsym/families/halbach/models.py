@@ -110,6 +110,9 @@ def array_of(layout: Layout) -> Array:
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     """Set the field at each channel: harmonics 1 and 5, with the tilt of each sensor's axis."""
     s["wave"] = lambda k, h: wave(s, layout, k, h)
+    s["seen"] = lambda k: seen_by(s, layout, k)
+    s["amplitude"] = ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2)
+    s["crest"] = -ca.atan2(p["b1"], p["a1"]) / array_of(layout).wavenumber
     s["harmonic"] = lambda k, h, a, b: harmonic(s, k, h, a, b)
     s["field"] = ca.vertcat(
         *(sum(harmonic(s, k, h, p[f"a{h}"], p[f"b{h}"]) for h in HARMONICS) for k in range(len(s["moved"])))
@@ -150,6 +153,16 @@ def wave(s: Signals, layout: Layout, k: int, h: int) -> tuple[ca.SX, ca.SX]:
     each = [links.turned((cosine, sine), q * shift) for shift in each]
     cos, sin = (sum(parts) * near / len(each) for parts in zip(*each, strict=True))
     return cos, sin
+
+
+def seen_by(s: Signals, layout: Layout, k: int) -> list[links.Seen]:
+    """Return what each element of channel k sees of the array."""
+    moved, (dx, _, dz), slope = s["moved"][k], s["placed"][k], s["tilted"][k][0]
+    gap = s["z_m"] + moved["z_m"] - dz
+    return [
+        links.Seen(array_of(layout), x + dx - s["x_m"] - moved["x_m"], gap, ca.cos(slope), ca.sin(slope))
+        for x, _ in sensors(layout)[k].positions
+    ]
 
 
 # -- starts ----------------------------------------------------------------------------------------------

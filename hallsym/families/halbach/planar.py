@@ -91,32 +91,7 @@ def _typical(level: float, wave: float) -> np.ndarray:
 # -- the pose of a rigid body ------------------------------------------------------------------------------
 
 
-def rotation(rx: ca.SX, ry: ca.SX, rz: ca.SX) -> ca.SX:
-    """Return Rz Ry Rx (3, 3)."""
-    (cx, sx), (cy, sy), (cz, sz) = ((ca.cos(a), ca.sin(a)) for a in (rx, ry, rz))
-    return ca.vertcat(
-        ca.horzcat(cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx),
-        ca.horzcat(sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx),
-        ca.horzcat(-sy, cy * sx, cy * cx),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What an element sees of one array: the place `u` along its period, the `height` below it [m].
-
-    `up`, `along`: components of the sensor's axis across and along the array. `across`: place across it.
-    """
-
-    array: Array
-    u: ca.SX
-    height: ca.SX
-    up: ca.SX
-    along: ca.SX
-    across: ca.SX
-
-
-def seen_by(s: Signals, p: Mapping[str, ca.SX], layout: Layout, k: int) -> list[Seen]:
+def seen_by(s: Signals, p: Mapping[str, ca.SX], layout: Layout, k: int) -> list[links.Seen]:
     """Return what each element of channel k sees of its array."""
     sensor, known = sensors(layout)[k], arrays(layout)
     moved, placed, tilted = s["moved"][k], s["placed"][k], s["tilted"][k]
@@ -135,7 +110,7 @@ def seen_by(s: Signals, p: Mapping[str, ca.SX], layout: Layout, k: int) -> list[
         if place is not None:
             shift, own = place
             m, axis = own.T @ (m - shift), own.T @ axis
-        out.append(Seen(array, m[i], -m[2], axis[2], axis[i], m[1 - i]))
+        out.append(links.Seen(array, m[i], -m[2], axis[2], axis[i]))
     return out
 
 
@@ -148,7 +123,7 @@ def rigid(s: Signals, p: Mapping[str, ca.SX]) -> Callable[[tuple[ca.SX, ...]], t
         if key not in known:
             x, y, z, rx, ry, rz = (s[c] + m for c, m in zip(POSE, moved, strict=True))
             at = ca.vertcat(x + p["x0"], y + p["y0"], z)
-            known[key] = rotation(rx + p["rx0"], ry + p["ry0"], rz + p["rz0"]), at
+            known[key] = links.rotation(rx + p["rx0"], ry + p["ry0"], rz + p["rz0"]), at
         return known[key]
 
     return pose
@@ -159,6 +134,7 @@ def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     s["rigid"] = rigid(s, p)
     s["seen"] = lambda k: seen_by(s, p, layout, k)
     s["harmonic"] = lambda k, h, a, b: harmonic(s, k, h, a, b)
+    s["crest"], s["amplitude"] = ca.SX(0), p["a1"]
     rows = []
     for k in range(len(s["moved"])):
         rows.append(sum(harmonic(s, k, h, p[f"a{h}"], ca.SX(0)) for h in HARMONICS))
