@@ -5,8 +5,8 @@ coordinate (clock, reference); `placed`: what is added to the position (x, y, z)
 the slopes (x, y) of their axes [rad]; `mounted`: shift [m] and rotation of arrays that are not at their
 place; `stretch`: share by which wavelengths are long; `field`: what each channel sees [V]; `reading`.
 Functions: `seen(channel)`: what each of its elements sees (`Seen`), `harmonic(channel, h, a, b)`: its reading
-of a cos + b sin of harmonic h. `crest`: place [m] along an array where the first harmonic points to the sensors,
-`amplitude`: of it at the level [V].
+of a cos + b sin of harmonic h. `crest`: place [m] along an array where the first harmonic points to the
+sensors, `amplitude`: of it at the level [V].
 """
 
 from collections.abc import Sequence

@@ -96,22 +96,27 @@ def seen_by(s: Signals, p: Mapping[str, ca.SX], layout: Layout, k: int) -> list[
     sensor, known = sensors(layout)[k], arrays(layout)
     moved, placed, tilted = s["moved"][k], s["placed"][k], s["tilted"][k]
     turn, at = s["rigid"](tuple(moved.values()))
-    out = []
+    array = known[sensor.array]
+    i, out = array.axis, []
     for x, y in sensor.positions:
-        m = turn.T @ (ca.vertcat(x + placed[0], y + placed[1], placed[2]) - at)
-        axis = turn.T[:, 2]
-        if not (tilted[0].is_zero() and tilted[1].is_zero()):
-            n = ca.vertcat(tilted[0], tilted[1], 1)
-            axis = turn.T @ (n / ca.sqrt(1 + tilted[0] ** 2 + tilted[1] ** 2))
-        array = known[sensor.array]
-        i = array.axis
-        place = s["mounted"].get(sensor.array)
+        m, axis = _in_mover()(turn, at, ca.vertcat(x, y, 0) + ca.vertcat(*placed), ca.vertcat(*tilted))
         m = m - ca.vertcat(*array.centre, 0)
-        if place is not None:
-            shift, own = place
+        if sensor.array in s["mounted"]:
+            shift, own = s["mounted"][sensor.array]
             m, axis = own.T @ (m - shift), own.T @ axis
         out.append(links.Seen(array, m[i], -m[2], axis[2], axis[i]))
     return out
+
+
+@cache
+def _in_mover() -> ca.Function:
+    """`(R, t, place, slopes) -> place and axis` of a sensor in mover axes; made once, it is called often."""
+    turn, at, place, slopes = (ca.SX.sym(n, *size) for n, size in _SENSOR.items())
+    axis = ca.vertcat(slopes, 1) / ca.sqrt(1 + ca.sumsqr(slopes))
+    return ca.Function("in_mover", [turn, at, place, slopes], [turn.T @ (place - at), turn.T @ axis])
+
+
+_SENSOR = {"turn": (3, 3), "at": (3, 1), "place": (3, 1), "slopes": (2, 1)}
 
 
 def rigid(s: Signals, p: Mapping[str, ca.SX]) -> Callable[[tuple[ca.SX, ...]], tuple[ca.SX, ca.SX]]:
@@ -143,14 +148,24 @@ def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
 
 def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
     """Return what channel k sees of harmonic h, a cos + b sin across the array, -(a sin - b cos) along it."""
-    total = ca.SX(0)
     seen = s["seen"](k)
-    for e in seen:
-        q = h * e.array.wavenumber / (1 + s["stretch"])
-        fade = ca.exp(-q * (e.height - e.array.level_m))
-        cos, sin = ca.cos(q * e.u), ca.sin(q * e.u)
-        total += fade * (e.up * (a * cos + b * sin) - e.along * (a * sin - b * cos))
-    return total / len(seen)
+    parts = [
+        _harmonic()(
+            h * e.array.wavenumber / (1 + s["stretch"]), e.array.level_m, e.u, e.height, e.up, e.along, a, b
+        )
+        for e in seen
+    ]
+    return sum(parts, ca.SX(0)) / len(seen)
+
+
+@cache
+def _harmonic() -> ca.Function:
+    """`(q, level, u, height, up, along, a, b) -> reading` of one element; made once, it is called often."""
+    names = ("q", "level", "u", "height", "up", "along", "a", "b")
+    q, level, u, height, up, along, a, b = symbols = [ca.SX.sym(n) for n in names]
+    cos, sin = ca.cos(q * u), ca.sin(q * u)
+    value = ca.exp(-q * (height - level)) * (up * (a * cos + b * sin) - along * (a * sin - b * cos))
+    return ca.Function("harmonic", symbols, [value])
 
 
 # -- the closed form: 8 measurements, 6 coordinates ----------------------------------------------------------
