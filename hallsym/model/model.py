@@ -116,9 +116,10 @@ class Model:
     """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
-    onward: "Callable[[np.ndarray, str], np.ndarray] | None" = None
-    """`(poses (n_pose, samples), coordinate) -> (n_pose, samples)`: how a pose changes per unit of a periodic
-    coordinate on the way to the next pose that reads the same; only that coordinate where it is None."""
+    onward: "Callable[[np.ndarray, str, Mapping[str, float]], np.ndarray] | None" = None
+    """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: how a pose changes, per unit of
+    the nominal period of a coordinate, on the way to the next pose that reads the same; only that coordinate,
+    and by as much, where it is None."""
     guess: "Callable[[Model, Any], Mapping[str, float]] | None" = None
     """`(model, log) -> parameters` to begin from, of a model without run statistics; nominal otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()

@@ -9,7 +9,7 @@ of a cos + b sin of harmonic h. `crest`: place [m] along an array where the firs
 sensors, `amplitude`: of it at the level [V].
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -61,6 +61,11 @@ def read(s: Signals, p: P) -> None:
     """Set the reading of each channel."""
     s["gain"] = ca.SX.ones(s["field"].numel())
     s["reading"] = s["field"]
+
+
+def scale_of(coordinate: str, values: Mapping[str, float]) -> float:
+    """Return the period of a coordinate as logged over the nominal one: of the magnets and the reference."""
+    return (1 + values.get("longer", 0.0)) / (1 - values.get(f"scale_{coordinate[0]}", 0.0))
 
 
 def turned(pair: tuple[ca.SX, ca.SX], angle: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -87,10 +87,16 @@ def halbach(layout: Layout | None = None) -> Model:
         closed_form=closed_form,
         period=dict.fromkeys(("x_m", "x_ref_m"), array.wavelength_m),
         begin=lambda v, p: begin(v, p, layout),
+        onward=onward,
         typical=tuple((k * array.wavelength_m / 8, array.level_m) for k in range(8)),
         inspect=inspect,
     )  # fmt: skip
     return model
+
+
+def onward(pose: np.ndarray, coordinate: str, values: Mapping[str, float]) -> np.ndarray:
+    """Return how the pose (2, samples) changes per nominal metre of x to where the field repeats."""
+    return np.array([[links.scale_of(coordinate, values)], [0.0]])
 
 
 def array_of(layout: Layout) -> Array:

@@ -269,8 +269,8 @@ def _fraction(turns: ca.SX) -> ca.SX:
     return turns - ca.floor(turns + 0.5)
 
 
-def onward(pose: np.ndarray, coordinate: str) -> np.ndarray:
-    """Return how the pose (6, samples) changes per metre along the mover's own x or y axis, (6, samples).
+def onward(pose: np.ndarray, coordinate: str, values: Mapping[str, float]) -> np.ndarray:
+    """Return how the pose (6, samples) changes per nominal metre along the mover's own x or y, (6, samples).
 
     Readings repeat when the mover goes on by a period along its own axes: a turned mover climbs with it.
     """
@@ -282,7 +282,7 @@ def onward(pose: np.ndarray, coordinate: str) -> np.ndarray:
     }
     out = np.zeros_like(pose)
     out[:3] = axes[coordinate]
-    return out
+    return out * links.scale_of(coordinate, values)
 
 
 def guess(model: Model, log: Any) -> dict[str, float]:
