@@ -111,7 +111,9 @@ class Model:
     texts: Mapping[str, str] = field(default_factory=dict)
     """What an effect is saved as where its name does not say all: `hysteresis:half_width_m=6e-05`."""
     period: Mapping[str, float] = field(default_factory=dict)
-    """Pose coordinates, channels, references and parameters that repeat, each with its period [its unit]."""
+    """Pose coordinates, channels, references and parameters that repeat, each with its period [its unit].
+
+    A reference of a coordinate that repeats need not: an interferometer beside a periodic field does not."""
     homes: Mapping[str, str] = field(default_factory=dict)
     """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None

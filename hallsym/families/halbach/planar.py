@@ -68,7 +68,7 @@ def halbach_planar(layout: Layout | None = None) -> Model:
             ("electronics", links.read),
         ),
         layout=layout,
-        period=dict.fromkeys(("x_m", "y_m", "x_ref_m", "y_ref_m"), wave),
+        period=dict.fromkeys(("x_m", "y_m"), wave),
         begin=lambda v, p: begin(v, p, layout),
         onward=onward,
         guess=guess,
