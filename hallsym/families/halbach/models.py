@@ -97,7 +97,9 @@ def halbach(layout: Layout | None = None) -> Model:
 
 def onward(pose: np.ndarray, coordinate: str, values: Mapping[str, float]) -> np.ndarray:
     """Return how the pose (2, samples) changes per nominal metre of x to where the field repeats."""
-    return np.array([[links.scale_of(coordinate, values)], [0.0]])
+    out = np.zeros_like(pose)
+    out[0] = links.scale_of(coordinate, values)
+    return out
 
 
 def array_of(layout: Layout) -> Array:
