@@ -77,7 +77,6 @@ def halbach(layout: Layout | None = None) -> Model:
             ("electronics", links.read),
         ),
         combinations=(
-            Combination("hypot(a1, b1)", "V", ("a1", "b1"), lambda p: ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2)),
             Combination(
                 "atan2(b1, a1)/k", "m", ("a1", "b1"),
                 lambda p: ca.atan2(p["b1"], p["a1"]) / array.wavenumber,
