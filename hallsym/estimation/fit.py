@@ -5,15 +5,14 @@ give starting points; IPOPT refines them inside the bounds; a second pass tabula
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.channel_assignment import as_read, rewired
-from hallsym.estimation.decoding import logged_columns
+from hallsym.estimation.channel_assignment import as_read
+from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import SOLVERS
 from hallsym.estimation.result import result_of, zero_notes
@@ -68,7 +67,7 @@ def fit(
         model = build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
     say("checking the log")
     columns = logged_columns(model)
-    explains_rails = "saturation" in model.effects
+    explains_rails = knows_rails(model)
     log, notes = usable(log, columns, drop_bad=drop_bad, rails=not explains_rails)
     mounted = model.inspect(model, log) if model.inspect else Inspection()
     notes += mounted.notes
@@ -77,7 +76,7 @@ def fit(
     task = Task(log, model, held_out, solver, loss, seed, say, start)
     if exact(model):
         solved = task.by_statistics(resolve_wiring)
-        return result_of(solved, (*notes, *solved.notes), solved.wiring or mounted.wiring, began)
+        return result_of(solved, (*notes, *solved.notes), mounted.wiring, began)
     first = None
     if exact(base := plain(model)):
         # the model without effects has no rails: it is fitted to the samples off them
@@ -89,11 +88,9 @@ def fit(
         )  # fmt: skip
         zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
         notes += [note for note in first.notes if note not in (*zeros, *free.notes)]
-        if explains_rails:
-            first = replace(first, source=rewired(log, model.channels, first.wiring))
     solved = task.by_passes(first)
     told = dict.fromkeys((*mounted.notes, *notes))
-    return result_of(solved, tuple(told), solved.wiring or mounted.wiring, began)
+    return result_of(solved, tuple(told), mounted.wiring, began)
 
 
 def _choice(name: str, known: Sequence[str], what: str) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mistaken_columns import COLUMNS
 from mistakes import ENCODER, MISTAKES, STAGE, Mistake, base, made
 
 from hallsym import build
@@ -17,7 +18,7 @@ from hallsym.estimation import fit
 from hallsym.families import published
 from hallsym.log import Log, check_log, clean_log, write_log
 
-CASES = [pytest.param(m, name, id=f"{m.name}, {name}") for m in MISTAKES for name in m.on]
+CASES = [pytest.param(m, name, id=f"{m.name}, {name}") for m in (*MISTAKES, *COLUMNS) for name in m.on]
 LONGEST = 300
 MODELS = {**dict.fromkeys(STAGE, "stage31"), **dict.fromkeys(ENCODER, "rotary")}
 
@@ -56,6 +57,11 @@ def test_each_mistake_is_named(mistake: Mistake, name: str) -> None:
 def test_the_logs_without_a_mistake_pass_silently(name: str) -> None:
     arrays, noise = base(name)
     assert check_log(Log.from_arrays(arrays, noise)) == []
+
+
+@pytest.mark.parametrize("name", STAGE)
+def test_a_fit_of_a_log_without_a_mistake_says_nothing(name: str) -> None:
+    assert fit(Log.from_arrays(*base(name)), solver="direct").notes == ()
 
 
 @pytest.mark.slow
