@@ -5,6 +5,7 @@ rectangles, which must add up to the array's harmonics; symmetry (a shift of all
 """
 
 from math import exp, pi
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -310,3 +311,48 @@ def test_layout_entries_are_checked():
 
 def test_amplitude_is_that_of_square_magnets():
     assert 2 * np.sqrt(2) / pi * (1 - exp(-pi / 2)) == pytest.approx(harmonic_over_remanence(1, 0.03, 0.0075))
+
+
+# -- a field measured on a real magnet -----------------------------------------------------------------------
+
+MAPS = Path(__file__).parents[3] / "shared" / "real" / "halbach-fieldmaps"
+if not MAPS.exists():
+    MAPS = Path(__file__).parents[4] / "shared" / "real" / "halbach-fieldmaps"
+
+
+def read_from_line(place, tesla, wavelength, pitch, count, stroke):
+    """The log of an array of sensors drawn along a measured line, and its model."""
+    layout = columns([(j - (count - 1) / 2) * pitch for j in range(count)], wavelength, length_m=2 * stroke)
+    model = halbach(layout)
+    x = np.arange(-stroke, stroke, 1e-3)
+    data = {"run": np.arange(len(x)) * 4 // len(x), "t_s": 0.01 * np.arange(len(x)), "x_ref_m": x}
+    data["z_ref_m"] = np.full(len(x), 5e-3)
+    for sensor in layout[:count]:
+        data[sensor.channel] = np.interp(sensor.middle[0] - x, place, tesla)
+    noise = dict.fromkeys(model.channels, 1e-4) | {"x_ref_m": 1e-6, "z_ref_m": 1e-6}
+    return model, Log.from_arrays(data, Noise.given(noise, tuple(data)))
+
+
+def line_of_a_perfect_magnet(wavelength):
+    place = np.arange(-0.5, 0.5, 1e-4)
+    noise = 1e-5 * np.random.default_rng(0).standard_normal(len(place))
+    return place, 0.68 * np.sin(2 * np.pi * place / wavelength) + noise
+
+
+@pytest.mark.parametrize(("count", "pitch"), [(3, 0.022 / 3), (9, 0.022 / 3), (8, 0.004)])
+def test_an_array_of_any_pitch_reads_a_line(count, pitch):
+    """A magnet 64 ppm shorter than nominal: the wavelength is found, whatever the pitch."""
+    model, log = read_from_line(*line_of_a_perfect_magnet(0.022 * (1 - 64e-6)), 0.022, pitch, count, 0.3)
+    fit = hallsym.fit(log, model, effects=["wavelength_error"], solver="direct", loss="none")
+    assert fit.value("longer") == pytest.approx(-64e-6, rel=0.05)
+
+
+@pytest.mark.skipif(not MAPS.exists(), reason="../shared/real/halbach-fieldmaps is not here")
+@pytest.mark.parametrize(("count", "pitch"), [(3, 0.022 / 3), (9, 0.022 / 3), (8, 0.004)])
+def test_an_array_of_any_pitch_reads_a_measured_line(count, pitch):
+    """27 periods of an undulator's magnet: x within 20 um rms, and its real period of 21.9986 mm."""
+    line = np.genfromtxt(MAPS / "carnauba_phase0mm_line.csv", delimiter=",", names=True)
+    model, log = read_from_line(1e-3 * line["z_mm"], line["by_t"], 0.022, pitch, count, 0.3)
+    fit = hallsym.fit(log, model, effects=["wavelength_error"], solver="direct", loss="none")
+    assert fit.errors.rows()["fitted"]["rmse"]["x_m"] < 20e-6
+    assert 22 * (1 + fit.value("longer")) == pytest.approx(21.9986, abs=1e-3)
