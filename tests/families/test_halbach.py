@@ -324,7 +324,7 @@ def read_from_line(place, tesla, wavelength, pitch, count, stroke):
     """The log of an array of sensors drawn along a measured line, and its model."""
     layout = columns([(j - (count - 1) / 2) * pitch for j in range(count)], wavelength, length_m=2 * stroke)
     model = halbach(layout)
-    x = np.arange(-stroke, stroke, 1e-3)
+    x = np.arange(-stroke, stroke, 0.9731e-3)  # no part of a wavelength
     data = {"run": np.arange(len(x)) * 4 // len(x), "t_s": 0.01 * np.arange(len(x)), "x_ref_m": x}
     data["z_ref_m"] = np.full(len(x), 5e-3)
     for sensor in layout[:count]:
