@@ -122,11 +122,8 @@ def test_periods_of_the_error_by_cause():
         "one height": (stretch, {"dz_0": 1e-4}),
         "one offset": (transducer.offset_error(model), {"offset_error_0": 5e-3}),
     }
-    known = dict(
-        zip(published("error_periods")["factor"], published("error_periods")["period_m"], strict=True)
-    )
     for name, waves, *_ in table(causes, closed_form=True):
-        assert waves == (round(0.03 / known[name]) if known[name] else 0), name
+        assert waves == (round(0.03 / period) if (period := PRINTED[f"error period of {name}"]) else 0), name
 
 
 # -- independent physics -------------------------------------------------------------------------------------
