@@ -165,6 +165,20 @@ def test_fewer_parameters_win_if_they_explain_nearly_as_much():
     assert first([flexible, plain], replace(POLICY, simpler_gap=0.001)) == "flexible"
 
 
+def test_a_plain_variant_holds_the_place_only_where_it_is_as_good():
+    """Two parameters of one cause, of which one alone leaves more than another cause's only one."""
+    flexible = effect("flexible", 2, 100.0, 1.0e-6, bic=-90.0)
+    plain = effect("plain", 1, 102.0, 1.001e-6, bic=-89.0)
+    variant = replace(flexible.score, size=1, gain=plain.score.gain - 1.0, bic=plain.score.bic + 18.0)
+    exact, scored = [flexible, plain], [flexible.score, plain.score, variant]
+
+    def winner(policy: Policy) -> str:
+        return ordered(exact, scored, lambda _: True, policy)[0].score.effect.name
+
+    assert winner(POLICY) == "plain"
+    assert winner(replace(POLICY, as_good=20.0)) == "flexible"
+
+
 def test_an_effect_that_fits_alike_and_predicts_better_wins():
     tight = effect("tight", 2, 100.0, 1.00e-6, ratio=0.60, bic=-90.0)
     predictive = effect("predictive", 2, 109.0, 1.04e-6, ratio=0.40, bic=-80.0)
