@@ -13,7 +13,7 @@ import numpy as np
 
 from hallsym.codegen.box import Box
 from hallsym.codegen.decoupler import Decoupler
-from hallsym.codegen.lowering import angle, linear
+from hallsym.codegen.lowering import angle, linear, wave
 from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.lowering.correction import SIZES, Grid, Series, grid, proved, shortest_correction
 from hallsym.codegen.lowering.phase_curve import Curve
@@ -30,8 +30,10 @@ __all__ = [
 
 Lowering = Callable[..., Decoupler]
 
-KINDS: Mapping[str, Lowering] = {"linear": linear.decoupler, "angle": angle.decoupler}
-"""Lowerings by kind of decoder: readings gain * displacement + offset; one corrected angle."""
+KINDS: Mapping[str, Lowering] = {
+    "linear": linear.decoupler, "angle": angle.decoupler, "wave": wave.decoupler,
+}  # fmt: skip
+"""Lowerings by kind of decoder: readings gain * displacement + offset; one corrected angle; a decaying wave."""
 
 
 def lowering_of(model: Model) -> Lowering:
