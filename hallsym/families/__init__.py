@@ -4,14 +4,14 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import rotary, stage
+from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
 from hallsym.log import Meta
 from hallsym.log.limits import is_moving
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
 
-FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY)
+FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, halbach.FAMILY)
 """Families whose models and effects have names on the command line; shared code asks `Model.family`."""
 
 

@@ -1,0 +1,39 @@
+"""Halbach arrays on a mover over a board of Hall sensors: x and z of one array, six coordinates of four."""
+
+from hallsym.families.halbach import models
+from hallsym.families.halbach.effects import EFFECTS
+from hallsym.model import Example, Family, PoseMetric
+
+SWEEPS = tuple(
+    {
+        "duration_s": 2.0,
+        "x_m": {"kind": "sine", "amplitude": 0.02, "frequency_hz": f},
+        "z_m": {"kind": "sine", "amplitude": depth, "frequency_hz": 2.3 * f, "about": gap},
+    }
+    for f, gap, depth in (
+        (1.0, 4.2e-3, 0.0), (1.3, 5.2e-3, 0.0), (0.9, 6.2e-3, 0.0), (0.7, 5e-3, 8e-4), (1.1, 5e-3, 8e-4),
+        (0.8, 5.5e-3, 8e-4),
+    )
+)  # fmt: skip
+"""Sweeps of x at the gaps of the thesis and one more, then with the gap moving."""
+
+FAMILY = Family(
+    name="halbach",
+    noun="array",
+    about="an array (col_0_v, ...; x_ref_m, z_ref_m)",
+    readings=r"col_\d+_v",
+    pose_metric=PoseMetric("m"),
+    models=(models.halbach,),
+    default="halbach",
+    aliases={"halbach_h5": "halbach"},
+    from_meta=models.from_meta,
+    tables=("arrays",),
+    effects=EFFECTS,
+    words={"x_ref_m": "x along the array", "z_ref_m": "gap z"},
+    example=Example(
+        campaign={"step_s": 4e-3, "run": list(SWEEPS)},
+        values={"a1": 0.62, "b1": 0.11, "a5": -6e-4, "b5": -8e-4},
+        noise={"col_v": 1e-3, "x_ref_m": 1e-7, "z_ref_m": 1e-7},
+    ),
+)
+models.FAMILY = FAMILY
