@@ -134,8 +134,12 @@ class FloatBackend(FloatArithmetic):
         }
 
     def by_size(self, column: str) -> bool:
-        """State columns are tested by size, readings end by end: fewest instructions, typical and worst."""
-        return column in self.decoupler.model.state and self.decoupler.box.symmetric(column)
+        """State columns are tested by size, readings end by end: fewest instructions, typical and worst.
+
+        Readings by size where the decoupler says so.
+        """
+        d = self.decoupler
+        return (d.by_size or column in d.model.state) and d.box.symmetric(column)
 
     def _held(self, used: ca.SX | None = None) -> list[str]:
         """Bring the inputs into their range; of those that are not `used` only the status counts."""

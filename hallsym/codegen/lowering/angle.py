@@ -26,7 +26,6 @@ from hallsym.codegen.lowering.trigonometry import (
     HALF_PI,
     PI,
     SINE,
-    arctangent,
     arctangent_error,
     odd,
     sine_error,
@@ -40,6 +39,8 @@ WEAK = 0.5
 """Share of its calibrated amplitude below which the field is reported as too weak."""
 ROOM = 0.1
 """Share of its swing by which a voltage may leave what the model gives over the box: noise, temperature."""
+TINY = 1e-30
+"""Added to a divisor that may be zero; lost in rounding where it is not."""
 ROUNDED = 1e-13
 CUT = 2 * pi * 2.0**-31
 """Phase [rad] that the last bit of a place in a table stands for."""
@@ -172,7 +173,18 @@ class _Assembly:
         return Margin(self.curve.model.channels[0], "least_field")
 
     def _arctangent(self) -> ca.SX:
-        return arctangent(self._step, self.symbols["y"], self.symbols["x"])
+        """atan2(y, x) by octants."""
+        x, y = self.symbols["x"], self.symbols["y"]
+        across, up = self._step("across", ca.fabs(x)), self._step("up", ca.fabs(y))
+        flat = up <= across
+        share = self._step("share", ca.if_else(flat, up, across) / (ca.if_else(flat, across, up) + TINY))
+        ratio = self._step("ratio", ca.if_else(share < 1.0, share, 1.0), "[1] tangent in the first octant")
+        square = self._step("square", ratio * ratio)
+        octant = self._step("octant", odd(ARCTANGENT, ratio, square), "[rad] its angle, a polynomial")
+        none = ca.SX(0.0)
+        quarter = self._step("quarter", ca.fabs(ca.if_else(flat, none, HALF_PI) - octant))
+        half = self._step("half", ca.fabs(ca.if_else(x < 0, PI, none) - quarter))
+        return self._step("phase", ca.if_else(y < 0, -half, half), "[rad] atan2(y, x)")
 
     def _finish(self, phase: ca.SX, zero: ca.SX) -> None:
         """The correction, the zero, and the branch."""

@@ -111,6 +111,10 @@ class Phasor:
         """Return a Lipschitz constant of g."""
         return float(sum(n * np.linalg.norm(e, 2) * r ** (n - 1) for n, e in self.shares.items()))
 
+    def bend(self, r: float) -> float:
+        """Return a Lipschitz constant of the derivative of g."""
+        return float(sum(n * (n - 1) * np.linalg.norm(e, 2) * r ** (n - 2) for n, e in self.shares.items()))
+
 
 def phasor(
     model: Model, p: np.ndarray, weight: np.ndarray, along: str, height: str, ends: tuple[float, float]
@@ -132,10 +136,10 @@ def phasor(
     harmonics = tuple(n for n in range(2, HARMONICS + 1) if size[n - 1] > LOST * size[0])
     matrix = np.stack([factor[:, 0].real, -factor[:, 0].imag], axis=1)
     scaled = matrix.T * weight
-    if len(model.channels) < 3 or np.linalg.matrix_rank(matrix, 1e-6 * np.abs(matrix).max()) < 2:
+    if np.linalg.matrix_rank(matrix, 1e-6 * np.abs(matrix).max()) < 2:
         raise InputError(
-            f"Place and height are decoded from three sums or more that see the wave at different places; {model.name} "
-            f"has {len(model.channels)}, and they do not tell cosine from sine."
+            f"Place and height are decoded from sums that see the wave at different places; the {len(model.channels)} of "
+            f"{model.name} do not tell cosine from sine."
         )
     return Phasor(
         lc, sample.rising, sample.middle, offset, factor, np.linalg.solve(scaled @ matrix, scaled), harmonics

@@ -24,12 +24,7 @@ TURN_HIGH = float(np.float32(2 * pi))
 TURN_LOW = 2 * pi - TURN_HIGH
 """2 pi in two parts: x - TURN_HIGH is exact in float32 for pi <= x <= 4 pi (Sterbenz): one rounding."""
 HALF_PI, PI = pi / 2, pi
-TINY = 1e-30
-"""Added to a divisor that may be zero; lost in rounding where it is not."""
 GRID = 1 << 18
-
-Adder = Callable[[str, ca.SX, str], ca.SX]
-"""`add(name, expression, remark)` makes a step and returns its symbol."""
 
 
 def odd(coefficients: Sequence[float], x: ca.SX, square: ca.SX) -> ca.SX:
@@ -38,22 +33,6 @@ def odd(coefficients: Sequence[float], x: ca.SX, square: ca.SX) -> ca.SX:
     for a in reversed(coefficients[:-1]):
         total = total * square + _single(a)
     return x * total
-
-
-def arctangent(add: Adder, y: ca.SX, x: ca.SX, tag: str = "") -> ca.SX:
-    """Add steps of atan2(y, x) by octants; `tag`: ends their names. Returns the angle, the step "phase"."""
-    across, up = add(f"across{tag}", ca.fabs(x), ""), add(f"up{tag}", ca.fabs(y), "")
-    flat = up <= across
-    quotient = ca.if_else(flat, up, across) / (ca.if_else(flat, across, up) + TINY)
-    share = add(f"share{tag}", quotient, "")
-    held = ca.if_else(share < 1.0, share, 1.0)
-    ratio = add(f"ratio{tag}", held, "[1] tangent in the first octant")
-    square = add(f"square{tag}", ratio * ratio, "")
-    octant = add(f"octant{tag}", odd(ARCTANGENT, ratio, square), "[rad] its angle, a polynomial")
-    none = ca.SX(0.0)
-    quarter = add(f"quarter{tag}", ca.fabs(ca.if_else(flat, none, HALF_PI) - octant), "")
-    half = add(f"half{tag}", ca.fabs(ca.if_else(x < 0, PI, none) - quarter), "")
-    return add(f"phase{tag}", ca.if_else(y < 0, -half, half), "[rad] atan2(y, x)")
 
 
 @cache
