@@ -29,26 +29,31 @@ from hallsym.codegen.lowering.wave_steps import (
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
-ENOUGH = 2.5e-7
-"""Place and height [m] that rounds and polynomials may leave: a twentieth of what a gain off by a thousandth changes
-at a wavelength of 30 mm."""
+ENOUGH = 6e-7
+"""Place and height [m] that rounds and polynomials may leave: an eighth of what a gain off by a thousandth changes at
+a wavelength of 30 mm."""
 SWING = 0.1
 """Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 ROUNDED = 1e-13
+LAST = {"": "", "radial": " and the radial part of a second", "linear": " and one along its slope"}
 FLAG = "field beyond the calibrated heights: too near, too far, or no array"
 
 
-def decoupler(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Decoupler:
+def decoupler(
+    model: Model, p: np.ndarray, weight: np.ndarray, box: Box, *, accuracy: float | None = None
+) -> Decoupler:
     """Return the decoupler of a wave at parameters `p` over a box.
 
-    `weight`: 1 / variance of each reading. The place is the one within half a wavelength of zero. Raises `InputError`
-    for readings that are no decaying wave.
+    `weight`: 1 / variance of each reading. `accuracy`: what rounds and polynomials may leave of place and height [m],
+    default `ENOUGH`. The place is the one within half a wavelength of zero. Raises `InputError` for readings that are
+    no decaying wave.
     """
     refuse(model)
+    aim = ENOUGH if accuracy is None else accuracy
     along, height = _coordinates(model)
     found = phasor(model, p, weight, along, height, box.ends[height])
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})
-    return _Assembly(own, wave_of(found, box.ends[height], ENOUGH), box, along, height).make()
+    return _Assembly(own, wave_of(found, box.ends[height], aim), box, along, height).make()
 
 
 def refuse(model: Model) -> None:
@@ -183,7 +188,7 @@ def said_of(wave: Wave) -> tuple[str, ...]:
             f"The {name} is a polynomial of degree {series.degree}: off by at most {series.error * lc:.2g} m (proved)."
         )
     if wave.harmonics:
-        names, along = ", ".join(map(str, wave.harmonics)), " and one along its slope" if wave.linear else ""
+        names, along = ", ".join(map(str, wave.harmonics)), LAST[wave.last]
         out.append(
             f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
             f"{wave.left * lc:.2g} m (proved)."

@@ -15,12 +15,14 @@ from hallsym.codegen.decoupler import Step
 from hallsym.codegen.intervals import Enclosure, constant, enclose
 from hallsym.codegen.lowering.angle_bounds import half_ulp
 from hallsym.codegen.lowering.trigonometry import PI, odd
-from hallsym.codegen.lowering.wave_steps import QUARTER_PI, Wave
+from hallsym.codegen.lowering.wave_steps import QUARTER_PI, Wave, radial_of
 
 CELLS = 512
 """Cells of the arguments of arctangent and logarithm."""
 SHORT = 1 - 1e-5
 """Share of the least field that rounding of the flag's own value leaves at least."""
+RADIAL = 64
+"""Roundings of a radial term, each a share of it: entry and powers up to the twelfth harmonic."""
 
 Values = Mapping[str, float | tuple[float, float]]
 """Entries of the table by name, and ranges of the readings."""
@@ -108,4 +110,7 @@ def height_error(wave: Wave, vector: float, digits: int) -> float:
     (found,) = enclose([(size - 1.0) / (size + 1.0)], {"size": Enclosure(ends[:-1], ends[1:], rounded)}, digits)
     (made,) = enclose([odd(wave.logarithm.coefficients, t, t * t)], {"t": found}, digits)
     error, most = float(np.max(made.error)) + stretch * (1 + stretch), float(np.max(made.most))
+    if wave.last == "radial":  # rounded as each of its products, and once more by the sum
+        term = sum(f * wave.outer ** (2 * n - 2) for n, f in radial_of(wave.phasor).items())
+        error += RADIAL * 2.0**-digits * term + half_ulp(most + term, digits)
     return error * lc + constant(lc, digits).error * most + half_ulp(lc * most, digits)

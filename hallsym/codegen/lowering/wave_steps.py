@@ -1,7 +1,9 @@
 """Steps from the readings of a decaying wave to the logarithm of its phasor: harmonics, arctangent, logarithm.
 
-Harmonics: u = seen - g(u), g a sum of powers. A round puts in the last u; a linear one takes g along its slope from the
-powers that the round before has made, at two thirds of its cost. As few of them as leave at most an accuracy.
+Harmonics: u = seen - g(u), g a sum of powers. A round puts in the last u. After the first, what the second would do is
+mostly radial, n |b|^2 |u|^(2 n - 2) of ln |u| for a share b of the conjugate power, as sums at thirds of the period have
+it of the fifth: six instructions. A linear round takes g along its slope from the powers that the round before has
+made, at two thirds of its cost. The cheapest of these that leaves at most an accuracy is taken.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +25,7 @@ ROOM = 0.05
 MOST_ROUNDS = 6
 LADDER = 20
 """Ends of the polynomial of the logarithm are whole multiples of 1 / LADDER: so code outlasts a calibration."""
-POLYNOMIALS = 0.1
+POLYNOMIALS = 0.12
 """Share of an accuracy that arctangent and logarithm may take each; the rounds take the rest."""
 NEGLIGIBLE = 0.02
 """Share of an accuracy that harmonics left out may sum to."""
@@ -45,8 +47,8 @@ class Wave:
     harmonics: tuple[int, ...]
     """Those that count, beyond the first."""
     rounds: int
-    linear: bool
-    """Whether a linear round follows the last."""
+    last: str
+    """What follows the last round: nothing, a "radial" term or a "linear" round."""
     least: float
     """|u| below which, and beyond 1 / |u| above which, the flag is set."""
     logarithm: Odd
@@ -90,9 +92,9 @@ def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
             f"{2e3 * pi * phasor.lc:.3g} mm: their correction does not converge; give fewer heights with --range."
         )
     harmonics, out = _counting(phasor, outer, NEGLIGIBLE * share)
-    rounds, linear, left = _rounds(phasor, outer, reach, (1 - POLYNOMIALS - NEGLIGIBLE) * share)
+    rounds, last, left = _rounds(phasor, outer, reach, (1 - POLYNOMIALS - NEGLIGIBLE) * share)
     if not harmonics:
-        rounds, linear, left = 0, False, 0.0
+        rounds, last, left = 0, "", 0.0
     end = ceil(tanh(log(reach)) * LADDER * (1 + 1e-6)) / LADDER
     logarithm = shortest("artanh", end, POLYNOMIALS * share) if end < 1 else None
     arctangent = shortest("atan", 1.0, POLYNOMIALS * share)
@@ -101,7 +103,7 @@ def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
             f"Heights that span {1e3 * abs(ends[1] - ends[0]):.3g} mm are too many for one logarithm of a wavelength of "
             f"{2e3 * pi * phasor.lc:.3g} mm, or the accuracy of {accuracy:.2g} m is too fine; give fewer with --range."
         )
-    return Wave(phasor, harmonics, rounds, linear, 1 / reach, logarithm, arctangent, left + out)
+    return Wave(phasor, harmonics, rounds, last, 1 / reach, logarithm, arctangent, left + out)
 
 
 def _counting(phasor: Phasor, r: float, share: float) -> tuple[tuple[int, ...], float]:
@@ -116,8 +118,8 @@ def _counting(phasor: Phasor, r: float, share: float) -> tuple[tuple[int, ...], 
     return tuple(n for n in phasor.harmonics if n not in out), 2 * total
 
 
-def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, bool, float]:
-    """Return how many rounds leave at most `share` of ln u, whether a linear one ends them, and what they leave.
+def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, str, float]:
+    """Return how many rounds, what follows the last, and what they leave of ln u: at most `share` where possible.
 
     e, the distance from the fixed point, falls by the slope of g in each; a linear one adds half the bend of g times
     the square of its step.
@@ -126,11 +128,34 @@ def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, 
     for k in range(1, MOST_ROUNDS + 1):
         made = slope * before
         straight = slope * made + bend / 2 * (before + made) ** 2
-        for linear, error in ((False, made), (True, straight)):
-            if error / reach * (1 + 2 * error / reach) <= share:
-                return k, linear, error / reach * (1 + 2 * error / reach)
+        ways = [("", made), ("linear", straight)]
+        if k == 1:
+            radial = sum(radial_of(phasor).values()) and _not_radial(phasor, r)
+            ways.insert(1, ("radial", slope * made + bend / 2 * before**2 + radial + _folded(phasor, r, before)))
+        for last, error in ways:
+            left = error / reach * (1 + 2 * error / reach)
+            if left <= share:
+                return k, last, left
         before = made
-    return MOST_ROUNDS, False, made / reach * (1 + 2 * made / reach)
+    return MOST_ROUNDS, "", made / reach * (1 + 2 * made / reach)
+
+
+def radial_of(phasor: Phasor) -> dict[int, float]:
+    """Return n |b|^2 by harmonic: its second order adds that times |u|^(2 n - 2) to ln |u|."""
+    return {n: n * abs(conjugate) ** 2 for n, (_, conjugate) in phasor.parts.items()}
+
+
+def _not_radial(phasor: Phasor, r: float) -> float:
+    """Bound of what the second order of g does beside its radial part."""
+    sizes = {n: abs(own) + abs(conjugate) for n, (own, conjugate) in phasor.parts.items()}
+    every = sum(n * a * b * r ** (n + m - 1) for n, a in sizes.items() for m, b in sizes.items())
+    return float(every - sum(f * r ** (2 * n - 1) for n, f in radial_of(phasor).items()))
+
+
+def _folded(phasor: Phasor, r: float, before: float) -> float:
+    """Bound of what the radial part loses by being added to ln |u|, not to u, times r."""
+    term = sum(f * r ** (2 * n - 2) for n, f in radial_of(phasor).items())
+    return float(term * (NEAR * before + r * term))
 
 
 @dataclass(eq=False)
@@ -181,33 +206,35 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
     at: Pair = (seen[0], seen[1])
     for k in range(1, wave.rounds + 1):
         powers = Powers(made, *at, f"_{k}{tag}")
-        about = f"[1] higher harmonics off, round {k}"
-        new = _without(made, seen, shares, [powers(n) for n in wave.harmonics], ("", f"_{k}{tag}"), about)
-        if wave.linear and k == wave.rounds:
+        sums = _shared(shares, [powers(n) for n in wave.harmonics])
+        if wave.last == "linear" and k == wave.rounds:
+            moves = [
+                made.step(f"{axis}_move{tag}", total if k == 1 else before - (first - total))
+                for axis, before, first, total in zip(AXES, at, seen, sums, strict=True)
+            ]
             moved = []
             for n in wave.harmonics:
-                ahead = [a + n * (b - a) for a, b in zip(at, new, strict=True)]
-                ends = [made.step(f"{axis}_ahead_{n}{tag}", v) for axis, v in zip(AXES, ahead, strict=True)]
-                moved.append(_times(made, powers(n - 1), (ends[0], ends[1]), f"_{n}_ahead{tag}"))
-            about = "[1] the same along the slope"
-            new = _without(made, seen, shares, moved, ("", f"_ahead{tag}"), about)
-        at = new
+                ahead = [
+                    made.step(f"{axis}_ahead_{n}{tag}", before - float(n) * move)
+                    for axis, before, move in zip(AXES, at, moves, strict=True)
+                ]
+                moved.append(_times(made, powers(n - 1), (ahead[0], ahead[1]), f"_{n}_ahead{tag}"))
+            sums = _shared(shares, moved)
+        about = f"[1] higher harmonics off, round {k}"
+        at = (
+            made.step(f"cos_{k}{tag}", seen[0] - sums[0], about),
+            made.step(f"sin_{k}{tag}", seen[1] - sums[1]),
+        )
     return at
 
 
-def _without(
-    made: Collected,
-    seen: Sequence[ca.SX],
-    shares: Mapping[int, list[ca.SX]],
-    powers: Sequence[Pair],
-    names: tuple[str, str],
-    about: str,
-) -> Pair:
-    """Add what is seen less the shares of some powers."""
-    cos, sin = seen
+def _shared(shares: Mapping[int, list[ca.SX]], powers: Sequence[Pair]) -> Pair:
+    """Return what cosine and sine hold of some powers."""
+    cos, sin = [], []
     for (cc, cs, sc, ss), (real, imaginary) in zip(shares.values(), powers, strict=True):
-        cos, sin = cos - (cc * real + cs * imaginary), sin - (sc * real + ss * imaginary)
-    return made.step(f"cos{names[1]}", cos, about), made.step(f"sin{names[1]}", sin)
+        cos.append(cc * real + cs * imaginary)
+        sin.append(sc * real + ss * imaginary)
+    return sum(cos[1:], start=cos[0]), sum(sin[1:], start=sin[0])
 
 
 def _times(made: Collected, a: Pair, b: Pair, name: str) -> Pair:
@@ -240,9 +267,23 @@ def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.S
     t = made.step(f"tangent{tag}", (size - 1.0) / (size + 1.0), "[1] of its logarithm, hyperbolic")
     square = made.step(f"tangent_square{tag}", t * t)
     made.step(f"inside{tag}", 1.0 - square)
-    return made.step(
-        f"log{tag}", odd(wave.logarithm.coefficients, t, square), "[1] logarithm, a polynomial"
-    )
+    total = odd(wave.logarithm.coefficients, t, square)
+    if wave.last == "radial":
+        seen = [made.symbols[f"{axis}_seen{tag}"] for axis in AXES]
+        power = {1: made.step(f"size_seen{tag}", seen[0] * seen[0] + seen[1] * seen[1])}
+        for n in wave.harmonics:
+            value = radial_of(wave.phasor)[n]
+            entry = made.entry(f"radial_{n}{tag}", value, "1", f"second order of harmonic {n} in the logarithm")
+            total = total + entry * _power(made, power, n - 1, f"size_seen{tag}")
+    return made.step(f"log{tag}", total, "[1] logarithm, a polynomial")
+
+
+def _power(made: Collected, known: dict[int, ca.SX], n: int, name: str) -> ca.SX:
+    """Return the n-th power of a number, one step for each product."""
+    if n not in known:
+        a, b = _power(made, known, n // 2, name), _power(made, known, n - n // 2, name)
+        known[n] = made.step(f"{name}_{n}", a * b)
+    return known[n]
 
 
 def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
