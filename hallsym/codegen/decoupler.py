@@ -132,6 +132,8 @@ class Decoupler:
     """The program of integers (`hallsym.codegen.fixed_point`), of a family that brings one of its own."""
     arrays: tuple[Array, ...] = ()
     """Rows of numbers that steps look up; in the table after the limits."""
+    evident: bool = True
+    """Whether an analysis that relates no two values, such as Frama-C EVA, sees that the pose is finite."""
     by_size: bool = False
     """Whether readings with as much room either side of zero are tested by their size, as state columns are."""
     said: tuple[str, ...] = ()

@@ -32,8 +32,10 @@ class FloatBackend(FloatArithmetic):
     """Prints the files of one decoupler in float or double."""
 
     def _templates(self) -> dict[str, str]:
-        """Not all bit patterns of a double can be tried."""
+        """Not all bit patterns of a double can be tried, and EVA is for code whose results it can see."""
         found = super()._templates()
+        if not self.decoupler.evident:
+            del found["proof/eva.c"]
         if self.real.size == 8:
             del found["proof/exhaustive.c"]
         return found

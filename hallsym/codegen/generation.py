@@ -154,7 +154,8 @@ def _integers(
                 f"--range {column} does not go with --arithmetic q31, where every bit pattern of {column} is "
                 "an angle; leave it out."
             )
-    found = lower(fit, box_of(fit, ranges), **(UNSEEN if has_options else given))
+    unseen = {name: UNSEEN[name] for name in options_of(lowering_of(fit.model))}
+    found = lower(fit, box_of(fit, ranges), **(unseen if has_options else given))
     check_gains(pose_bounds(found))
     check_same(found)
     made = integer_program(found, **{name: value for name, value in given.items() if value is not None})

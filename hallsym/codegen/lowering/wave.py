@@ -142,6 +142,7 @@ class _Assembly:
             listed=self._listed(),
             said=self._said(),
             by_size=True,
+            evident=False,
         )
 
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:

@@ -28,6 +28,7 @@ FAMILY = Family(
     aliases={"halbach_h5": "halbach"},
     from_meta=models.from_meta,
     tables=("arrays",),
+    decoder="wave",
     effects=EFFECTS,
     words={"x_ref_m": "x along the array", "z_ref_m": "gap z"},
     example=Example(
