@@ -1,7 +1,7 @@
 """A family of decaying waves, for tests of its C: sums of sensors under a periodic array, with harmonics.
 
-Independent of hallsym's own families: B(x, z) = sum_h A_h exp(-h z / lc) cos(h (x_s - x) / lc + phase), field in
-tesla at the gap z, times gain, plus offset (Maguire, UBC 2015, chapter 2).
+Independent of hallsym's own families: B(x, z) = sum_h A_h exp(-h z / lc) cos(h (x_s - x) / lc + phase), field
+in tesla at the gap z, times gain, plus offset (Maguire, UBC 2015, chapter 2).
 """
 
 from dataclasses import replace
@@ -20,7 +20,8 @@ THIRD = LENGTH / 3
 
 
 def sums(count=3, pitch=THIRD):
-    """Sums at a pitch, gains, offsets and places of their own; fifth harmonic and wavelength are parameters."""
+    """Sums at a pitch, gains, offsets and places of their own; fifth harmonic and wavelength are
+    parameters."""
     channels = tuple(f"col_{k}_v" for k in range(count))
 
     def field(s, p):
@@ -68,7 +69,8 @@ def sums(count=3, pitch=THIRD):
 WAVES = Family("waves", models=(sums,), readings=r"col_\d+_v", pose_metric=PoseMetric("m"), decoder="wave")
 
 VALUES = {
-    "g0": 4.12, "g1": 3.9, "g2": 4.03, "o0": 2e-3, "o1": -4e-3, "o2": 1e-3, "dx1": 4e-5, "dz2": -3e-5, "phase": 0.7,
+    "g0": 4.12, "g1": 3.9, "g2": 4.03, "o0": 2e-3, "o1": -4e-3, "o2": 1e-3, "dx1": 4e-5, "dz2": -3e-5,
+    "phase": 0.7,
 }  # fmt: skip
 
 

@@ -209,7 +209,9 @@ class Backend(Arithmetic):
             "pose": len(d.pose),
             "width": len(d.pose) + 1,
             "if_evident": "" if d.evident else "[ -f proof/eva.c ] && ",
-            "why_no_eva": "frama-c is not installed" if d.evident else "it relates no two values, as this code needs",
+            "why_no_eva": "frama-c is not installed"
+            if d.evident
+            else "it relates no two values, as this code needs",
             "first": self.entries[0].name,
             "last": self.entries[-len(d.pose)].name,
             "table": [f"uint32_t {n}; /**< 0 */" for n, _ in self.head[3:]]

@@ -1,7 +1,8 @@
-"""Odd minimax polynomials of as few terms as an accuracy takes, with a proved bound: arctangent and logarithm.
+"""Odd minimax polynomials of as few terms as an accuracy takes, with a proved bound: arctangent and
+logarithm.
 
-ln(s / m) = 2 artanh t, t = (s - m) / (s + m): one division, no comparison and no bits of the number. What a polynomial
-leaves is bounded as in `lowering.trigonometry`, on a grid and between its points.
+ln(s / m) = 2 artanh t, t = (s - m) / (s + m): one division, no comparison and no bits of the number. What a
+polynomial leaves is bounded as in `lowering.trigonometry`, on a grid and between its points.
 """
 
 from dataclasses import dataclass
@@ -50,7 +51,7 @@ def shortest(function: str, end: float, accuracy: float) -> Odd | None:
 
 def _minimax(function: str, end: float, terms: int) -> list[float]:
     """Coefficients by reweighted least squares (Lawson), rounded to float32 one by one, lowest first."""
-    t = end * np.sin(np.linspace(0, np.pi / 2, NODES + 1)[1:])
+    t: np.ndarray = end * np.sin(np.linspace(0, np.pi / 2, NODES + 1)[1:])
     wanted = FUNCTIONS[function](t)
     kept: list[float] = []
     for first in range(terms):

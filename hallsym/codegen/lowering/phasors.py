@@ -4,9 +4,10 @@ The field of a periodic array at the place x along it, h towards it, with lc = w
 
     reading_k = offset_k + Re sum_n c_kn u^n,   u = exp((h - middle) / lc + i x / lc)
 
-because the n-th harmonic decays n times as fast: u^n holds both. Gain, offset, place and tilt of a channel are in
-its own c_kn, whatever the parameters of the model are called, so every effect that keeps this form follows.
-Weighted least squares turn readings into u + g(u), g the share of the higher harmonics; u is its fixed point.
+because the n-th harmonic decays n times as fast: u^n holds both. Gain, offset, place and tilt of a channel
+are in its own c_kn, whatever the parameters of the model are called, so every effect that keeps this form
+follows. Weighted least squares turn readings into u + g(u), g the share of the higher harmonics; u is its
+fixed point.
 """
 
 from collections.abc import Mapping
@@ -37,8 +38,8 @@ FORM = 1e-9
 class Phasor:
     """Channels that read one wave at parameters `p`, linear in the powers of `u`.
 
-    `offset` (n,) and `factor` (n, HARMONICS) complex are in the unit of the readings, rows of the latter by channel;
-    `weights` (2, n) make cos and sin of u of readings without offset.
+    `offset` (n,) and `factor` (n, HARMONICS) complex are in the unit of the readings, rows of the latter by
+    channel; `weights` (2, n) make cos and sin of u of readings without offset.
     """
 
     lc: float
@@ -123,9 +124,7 @@ class Phasor:
 
     def bend(self, r: float) -> float:
         """Return a Lipschitz constant of the derivative of g."""
-        return float(
-            sum(n * (n - 1) * (abs(a) + abs(b)) * r ** (n - 2) for n, (a, b) in self.parts.items())
-        )
+        return float(sum(n * (n - 1) * (abs(a) + abs(b)) * r ** (n - 2) for n, (a, b) in self.parts.items()))
 
 
 def phasor(
@@ -133,13 +132,14 @@ def phasor(
 ) -> Phasor:
     """Return the phasor of all channels of a model at parameters `p`.
 
-    `along`, `height`: its pose coordinates, others at zero; `ends`: of the heights [m]; `weight`: 1 / variance of
-    each reading. Raises `InputError` for a model that is no sum of decaying waves.
+    `along`, `height`: its pose coordinates, others at zero; `ends`: of the heights [m]; `weight`: 1 /
+    variance of each reading. Raises `InputError` for a model that is no sum of decaying waves.
     """
     period = model.period.get(along)
     if period is None:
         raise InputError(
-            f"C of a decaying wave is generated for a model that says the period of {along}; {model.name} says none."
+            f"C of a decaying wave is generated for a model that says the period of {along}; {model.name} "
+            f"says none."
         )
     sample = _Sample(model, p, along, height, ends)
     lc = sample.fitted(period / (2 * pi))
@@ -150,7 +150,8 @@ def phasor(
     scaled = matrix.T * weight
     if np.linalg.matrix_rank(matrix, 1e-6 * np.abs(matrix).max()) < 2:
         raise InputError(
-            f"Place and height are decoded from sums that see the wave at different places; the {len(model.channels)} of "
+            f"Place and height are decoded from sums that see the wave at different places; the "
+            f"{len(model.channels)} of "
             f"{model.name} do not tell cosine from sine."
         )
     return Phasor(
@@ -205,7 +206,8 @@ class _Sample:
             raise InputError(
                 f"C is generated for sums of waves that decay as they are short; what {self.model.name} with "
                 f"{', '.join(self.model.effects) or 'no effect'} reads differs from that by "
-                f"{np.abs(rest).max() / scale:.2g} of its swing: generate from a calibration without that effect."
+                f"{np.abs(rest).max() / scale:.2g} of its swing: generate from a calibration without that "
+                f"effect."
             )
         return lc
 

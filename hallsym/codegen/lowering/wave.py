@@ -1,12 +1,11 @@
 """Lowering of models of one decaying wave: from sums of sensors to the place along it and the height.
 
-A linear map makes cosine and sine of the readings, few rounds take the higher harmonics off (powers of the same
-phasor: no function but + and *), an arctangent gives the place and a logarithm the height, both by polynomials with
-proved bounds (`lowering.wave_steps`). What they are made of is found from the model's own readings
-(`lowering.phasors`).
+A linear map makes cosine and sine of the readings, few rounds take the higher harmonics off (powers of the
+same phasor: no function but + and *), an arctangent gives the place and a logarithm the height, both by
+polynomials with proved bounds (`lowering.wave_steps`). What they are made of is found from the model's own
+readings (`lowering.phasors`).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import pi
 
@@ -30,8 +29,8 @@ from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
 ENOUGH = 6e-7
-"""Place and height [m] that rounds and polynomials may leave: an eighth of what a gain off by a thousandth changes at
-a wavelength of 30 mm."""
+"""Place and height [m] that rounds and polynomials may leave: an eighth of what a gain off by a thousandth
+changes at a wavelength of 30 mm."""
 SWING = 0.1
 """Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 ROUNDED = 1e-13
@@ -44,9 +43,9 @@ def decoupler(
 ) -> Decoupler:
     """Return the decoupler of a wave at parameters `p` over a box.
 
-    `weight`: 1 / variance of each reading. `accuracy`: what rounds and polynomials may leave of place and height [m],
-    default `ENOUGH`. The place is the one within half a wavelength of zero. Raises `InputError` for readings that are
-    no decaying wave.
+    `weight`: 1 / variance of each reading. `accuracy`: what rounds and polynomials may leave of place and
+    height [m], default `ENOUGH`. The place is the one within half a wavelength of zero. Raises `InputError`
+    for readings that are no decaying wave.
     """
     refuse(model)
     aim = ENOUGH if accuracy is None else accuracy
@@ -60,8 +59,10 @@ def refuse(model: Model) -> None:
     """Refuse what a controller cannot know of a model of waves."""
     if model.state:
         raise InputError(
-            f"C of decaying waves is generated from readings that depend on the pose alone; {model.name} with "
-            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without it."
+            f"C of decaying waves is generated from readings that depend on the pose alone; {model.name} "
+            f"with "
+            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
+            f"it."
         )
     if any(link == "reference" for link, _ in model.steps):
         raise InputError(
@@ -76,7 +77,8 @@ def _coordinates(model: Model) -> tuple[str, str]:
     height = [c for c in model.pose if c not in model.period]
     if len(along) != 1 or len(height) != 1:
         raise InputError(
-            f"C of a decaying wave is generated for one coordinate that repeats and one height; {model.name} has "
+            f"C of a decaying wave is generated for one coordinate that repeats and one height; {model.name} "
+            f"has "
             f"{', '.join(model.pose)}."
         )
     return along[0], height[0]
@@ -90,7 +92,8 @@ def readings_of(found: Phasor, place: float, height: float) -> np.ndarray:
 
 
 def ends_of(found: Phasor, k: int, heights: tuple[float, float]) -> tuple[float, float]:
-    """Return the range of a reading: what the model gives over the heights, and some room, both ends alike."""
+    """Return the range of a reading: what the model gives over the heights, and some room, both ends
+    alike."""
     most = max(found.size(z) for z in heights)
     swing = float((np.abs(found.factor[k]) * most ** np.arange(1, found.factor.shape[1] + 1)).sum())
     end = float(f"{swing * (1 + SWING) + abs(float(found.offset[k])):.3g}")
@@ -151,13 +154,17 @@ class _Assembly:
         lc = made.entry("lc", found.lc, "m", "wavelength over 2 pi")
         half = made.entry("half_wave", pi * found.lc, "m", "half the wavelength")
         middle = made.entry("middle", found.middle, "m", f"{self.height} at which the phasor is 1")
-        made.entry("least_inside", wave.least_inside, "1", "1 - t^2 at the ends of the heights, t as computed")
+        made.entry(
+            "least_inside", wave.least_inside, "1", "1 - t^2 at the ends of the heights, t as computed"
+        )
         place = made.step("place", lc * phase + made.symbols[f"zero_{short(self.along)}"])
         beyond = place - ca.if_else(place < 0, -half, half)
         level = middle + made.symbols[f"zero_{short(self.height)}"]
         moved = lc * logarithm
         last = {
-            self.along: ca.if_else(ca.fabs(place) <= half, place, beyond - ca.if_else(place < 0, -half, half)),
+            self.along: ca.if_else(
+                ca.fabs(place) <= half, place, beyond - ca.if_else(place < 0, -half, half)
+            ),
             self.height: level + moved if found.rising > 0 else level - moved,
         }
         for column in self.model.pose:
@@ -186,7 +193,8 @@ def said_of(wave: Wave) -> tuple[str, ...]:
     lc, out = wave.phasor.lc, []
     for name, series in (("arctangent", wave.arctangent), ("logarithm", wave.logarithm)):
         out.append(
-            f"The {name} is a polynomial of degree {series.degree}: off by at most {series.error * lc:.2g} m (proved)."
+            f"The {name} is a polynomial of degree {series.degree}: off by at most {series.error * lc:.2g} m "
+            f"(proved)."
         )
     if wave.harmonics:
         names, along = ", ".join(map(str, wave.harmonics)), LAST[wave.last]
@@ -195,5 +203,3 @@ def said_of(wave: Wave) -> tuple[str, ...]:
             f"{wave.left * lc:.2g} m (proved)."
         )
     return tuple(out)
-
-

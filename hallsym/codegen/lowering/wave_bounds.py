@@ -1,7 +1,8 @@
 """Rounding error bound of place and height of a decaying wave: an argument by its parts.
 
-As for a corrected angle (`lowering.angle_bounds`): rounding moves the vector (cos, sin), which is then decoded
-exactly but for straight pieces that intervals bound. Where the flag is clear the vector has at least a known length.
+As for a corrected angle (`lowering.angle_bounds`): rounding moves the vector (cos, sin), which is then
+decoded exactly but for straight pieces that intervals bound. Where the flag is clear the vector has at least
+a known length.
 """
 
 from collections.abc import Mapping, Sequence
@@ -73,7 +74,9 @@ def vector_error(wave: Wave, steps: Sequence[Step], values: Values, digits: int)
         else:
             known[name] = constant(value, digits)
     for step in steps:
-        (found,) = enclose([step.expression], {s.name(): known[s.name()] for s in ca.symvar(step.expression)}, digits)
+        (found,) = enclose(
+            [step.expression], {s.name(): known[s.name()] for s in ca.symvar(step.expression)}, digits
+        )
         if step.name.startswith(("cos", "sin")):  # of a round: no longer than `outer` with the flag clear
             most = wave.outer
             found = Enclosure(np.maximum(found.low, -most), np.minimum(found.high, most), found.error)
@@ -102,12 +105,15 @@ def place_error(wave: Wave, vector: float, digits: int) -> float:
 
 
 def height_error(wave: Wave, vector: float, digits: int) -> float:
-    """Return the bound of what is added to the middle height [m]: stretch of the vector, logarithm, factor."""
+    """Return the bound of what is added to the middle height [m]: stretch of the vector, logarithm,
+    factor."""
     lc, least, stretch = wave.phasor.lc, wave.least * SHORT, _moved(wave, vector)
     size, t = ca.SX.sym("size"), ca.SX.sym("t")
     ends = np.geomspace(least**2, least**-2, CELLS + 1)
     rounded = 2.0**-digits * 3 * ends[1:]  # two squares and their sum
-    (found,) = enclose([(size - 1.0) / (size + 1.0)], {"size": Enclosure(ends[:-1], ends[1:], rounded)}, digits)
+    (found,) = enclose(
+        [(size - 1.0) / (size + 1.0)], {"size": Enclosure(ends[:-1], ends[1:], rounded)}, digits
+    )
     (made,) = enclose([odd(wave.logarithm.coefficients, t, t * t)], {"t": found}, digits)
     error, most = float(np.max(made.error)) + stretch * (1 + stretch), float(np.max(made.most))
     if wave.last == "radial":  # rounded as each of its products, and once more by the sum

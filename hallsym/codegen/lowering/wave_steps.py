@@ -1,9 +1,11 @@
-"""Steps from the readings of a decaying wave to the logarithm of its phasor: harmonics, arctangent, logarithm.
+"""Steps from the readings of a decaying wave to the logarithm of its phasor: harmonics, arctangent,
+logarithm.
 
-Harmonics: u = seen - g(u), g a sum of powers. A round puts in the last u. After the first, what the second would do is
-mostly radial, n |b|^2 |u|^(2 n - 2) of ln |u| for a share b of the conjugate power, as sums at thirds of the period have
-it of the fifth: six instructions. A linear round takes g along its slope from the powers that the round before has
-made, at two thirds of its cost. The cheapest of these that leaves at most an accuracy is taken.
+Harmonics: u = seen - g(u), g a sum of powers. A round puts in the last u. After the first, what the second
+would do is mostly radial, n |b|^2 |u|^(2 n - 2) of ln |u| for a share b of the conjugate power, as sums at
+thirds of the period have it of the fifth: six instructions. A linear round takes g along its slope from the
+powers that the round before has made, at two thirds of its cost. The cheapest of these that leaves at most an
+accuracy is taken.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +26,8 @@ ROOM = 0.05
 """Share of the field by which it may leave what the model gives over the box before the flag is set."""
 MOST_ROUNDS = 6
 LADDER = 20
-"""Ends of the polynomial of the logarithm are whole multiples of 1 / LADDER: so code outlasts a calibration."""
+"""Ends of the polynomial of the logarithm are whole multiples of 1 / LADDER: so code outlasts a
+calibration."""
 POLYNOMIALS = 0.12
 """Share of an accuracy that arctangent and logarithm may take each; the rounds take the rest."""
 NEGLIGIBLE = 0.02
@@ -73,7 +76,8 @@ class Wave:
 
 
 def _outer(phasor: Phasor, reach: float) -> float:
-    """Bound of |u| in every round: the first, u + g(u), is the longest, and u lies within what the last leaves."""
+    """Bound of |u| in every round: the first, u + g(u), is the longest, and u lies within what the last
+    leaves."""
     return reach + NEAR * phasor.largest(reach)
 
 
@@ -88,8 +92,9 @@ def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
     outer = _outer(phasor, reach)
     if phasor.slope(outer) > CONTRACTING:
         raise InputError(
-            f"The higher harmonics are too strong at the least gap of the box for a wavelength of "
-            f"{2e3 * pi * phasor.lc:.3g} mm: their correction does not converge; give fewer heights with --range."
+            "The higher harmonics are too strong at the least gap of the box for a wavelength of "
+            f"{2e3 * pi * phasor.lc:.3g} mm: their correction does not converge; give fewer heights with "
+            f"--range."
         )
     harmonics, out = _counting(phasor, outer, NEGLIGIBLE * share)
     rounds, last, left = _rounds(phasor, outer, reach, (1 - POLYNOMIALS - NEGLIGIBLE) * share)
@@ -100,8 +105,10 @@ def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
     arctangent = shortest("atan", 1.0, POLYNOMIALS * share)
     if logarithm is None or arctangent is None:
         raise InputError(
-            f"Heights that span {1e3 * abs(ends[1] - ends[0]):.3g} mm are too many for one logarithm of a wavelength of "
-            f"{2e3 * pi * phasor.lc:.3g} mm, or the accuracy of {accuracy:.2g} m is too fine; give fewer with --range."
+            f"Heights that span {1e3 * abs(ends[1] - ends[0]):.3g} mm are too many for one logarithm of a "
+            f"wavelength of "
+            f"{2e3 * pi * phasor.lc:.3g} mm, or the accuracy of {accuracy:.2g} m is too fine; give fewer "
+            f"with --range."
         )
     return Wave(phasor, harmonics, rounds, last, 1 / reach, logarithm, arctangent, left + out)
 
@@ -119,10 +126,11 @@ def _counting(phasor: Phasor, r: float, share: float) -> tuple[tuple[int, ...], 
 
 
 def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, str, float]:
-    """Return how many rounds, what follows the last, and what they leave of ln u: at most `share` where possible.
+    """Return how many rounds, what follows the last, and what they leave of ln u: at most `share` where
+    possible.
 
-    e, the distance from the fixed point, falls by the slope of g in each; a linear one adds half the bend of g times
-    the square of its step.
+    e, the distance from the fixed point, falls by the slope of g in each; a linear one adds half the bend of
+    g times the square of its step.
     """
     slope, bend, before, made = phasor.slope(r), phasor.bend(r), NEAR * phasor.largest(reach), 0.0
     for k in range(1, MOST_ROUNDS + 1):
@@ -131,7 +139,9 @@ def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, 
         ways = [("", made), ("linear", straight)]
         if k == 1:
             radial = sum(radial_of(phasor).values()) and _not_radial(phasor, r)
-            ways.insert(1, ("radial", slope * made + bend / 2 * before**2 + radial + _folded(phasor, r, before)))
+            ways.insert(
+                1, ("radial", slope * made + bend / 2 * before**2 + radial + _folded(phasor, r, before))
+            )
         for last, error in ways:
             left = error / reach * (1 + 2 * error / reach)
             if left <= share:
@@ -184,7 +194,8 @@ Pair = tuple[ca.SX, ca.SX]
 
 def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag: str = "") -> Pair:
     """Add the steps from readings to cosine and sine of the phasor without its higher harmonics."""
-    found, seen = wave.phasor, []
+    found = wave.phasor
+    seen: list[ca.SX] = []
     for axis, row, shift in zip(AXES, found.weights, found.shift, strict=True):
         entries = [
             made.entry(f"{axis}_{name}{tag}", value, "1/V", f"{AXES[axis]} of the wave per {name}")
@@ -273,7 +284,9 @@ def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.S
         power = {1: made.step(f"size_seen{tag}", seen[0] * seen[0] + seen[1] * seen[1])}
         for n in wave.harmonics:
             value = radial_of(wave.phasor)[n]
-            entry = made.entry(f"radial_{n}{tag}", value, "1", f"second order of harmonic {n} in the logarithm")
+            entry = made.entry(
+                f"radial_{n}{tag}", value, "1", f"second order of harmonic {n} in the logarithm"
+            )
             total = total + entry * _power(made, power, n - 1, f"size_seen{tag}")
     return made.step(f"log{tag}", total, "[1] logarithm, a polynomial")
 
@@ -299,4 +312,3 @@ def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.
     beyond = made.step(f"beyond{tag}", PI - quadrant)
     half = made.step(f"half{tag}", ca.if_else(u[0] < 0, beyond, quadrant))
     return made.step(f"phase{tag}", ca.if_else(u[1] < 0, -half, half), "[rad] angle of the phasor")
-
