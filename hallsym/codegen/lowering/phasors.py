@@ -10,7 +10,7 @@ follows. Weighted least squares turn readings into u + g(u), g the share of the 
 fixed point.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
@@ -23,6 +23,8 @@ from hallsym.model.arrays import on_arrays
 
 HARMONICS = 12
 """Harmonics of the first that are looked for; Maguire's arrays have 1, 5, 9."""
+WIDE = 0.05
+"""Travel [m] either side over which it is seen what a channel follows, where a model says no period."""
 PLACES, HEIGHTS = 48, 5
 """Samples of a period and of the range of heights: enough for `HARMONICS` and their decay."""
 SETTLED = 1e-13
@@ -132,90 +134,120 @@ def phasor(
 ) -> Phasor:
     """Return the phasor of all channels of a model at parameters `p`.
 
-    `along`, `height`: its pose coordinates, others at zero; `ends`: of the heights [m]; `weight`: 1 /
-    variance of each reading. Raises `InputError` for a model that is no sum of decaying waves.
+    `along`, `height`: its pose coordinates, others at zero; `ends`: of the heights [m]; `weight`: 1 / variance
+    of each reading. Raises `InputError` for a model that is no sum of decaying waves.
     """
-    period = model.period.get(along)
-    if period is None:
-        raise InputError(
-            f"C of a decaying wave is generated for a model that says the period of {along}; {model.name} "
-            f"says none."
-        )
-    sample = _Sample(model, p, along, height, ends)
-    lc = sample.fitted(period / (2 * pi))
-    offset, factor = sample.factors(lc)
-    size = np.abs(factor).max(axis=0) * sample.strongest(lc) ** np.arange(1, HARMONICS + 1)
-    harmonics = tuple(n for n in range(2, HARMONICS + 1) if size[n - 1] > LOST * size[0])
-    matrix = np.stack([factor[:, 0].real, -factor[:, 0].imag], axis=1)
-    scaled = matrix.T * weight
-    if np.linalg.matrix_rank(matrix, 1e-6 * np.abs(matrix).max()) < 2:
-        raise InputError(
-            f"Place and height are decoded from sums that see the wave at different places; the "
-            f"{len(model.channels)} of "
-            f"{model.name} do not tell cosine from sine."
-        )
-    return Phasor(
-        lc, sample.rising, sample.middle, offset, factor, np.linalg.solve(scaled @ matrix, scaled), harmonics
-    )
+    columns = list(model.pose)
+    sample = Sample(model, p, np.zeros(len(columns)), ends, columns.index(height))
+    return phasor_of(sample, range(len(model.channels)), columns.index(along), weight)
 
 
-class _Sample:
-    """Readings of a model over a period and a range of heights."""
+class Sample:
+    """Readings of a model over places along one coordinate and a range of heights.
+
+    `middle` (n_pose,): the other coordinates; `height`: number of the coordinate that the wave decays along.
+    """
 
     def __init__(
-        self, model: Model, p: np.ndarray, along: str, height: str, ends: tuple[float, float]
+        self, model: Model, p: np.ndarray, middle: np.ndarray, ends: tuple[float, float], height: int = 2
     ) -> None:
-        self.model, period = model, model.period[along]
-        self.x = np.repeat(np.arange(PLACES) * (period / PLACES), HEIGHTS)
+        self.model, self.height, self.at = model, height, np.array(middle, dtype=float)
+        self.p, self.run = np.asarray(p, dtype=float), on_arrays(model.reading)
+        self.middle, self.half = (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2
         self.z = np.tile(np.linspace(*ends, HEIGHTS), PLACES)
-        self.middle = (ends[0] + ends[1]) / 2
-        self.half = (ends[1] - ends[0]) / 2
-        given = {along: self.x, height: self.z}
-        pose = [given.get(c, np.zeros_like(self.x)) for c in model.pose]
-        zeros = np.zeros(len(model.zeros))
-        self.readings = np.asarray(on_arrays(model.reading)(np.asarray(p, dtype=float), zeros, pose, [])[0])
-        swing = self.readings.reshape(len(self.readings), PLACES, HEIGHTS).std(axis=1)
-        self.rising = 1.0 if swing[:, -1].sum() > swing[:, 0].sum() else -1.0
+        self.known: dict[int, float] = {}
 
-    def strongest(self, lc: float) -> float:
-        """Largest |u| of the range."""
-        return float(np.exp(self.half / lc))
+    def readings(self, axis: int, x: np.ndarray, move: np.ndarray) -> np.ndarray:
+        """Return readings (n_channels, s) at places `x` (s,) and the heights, moved by `move` (n_pose,)."""
+        pose = np.tile((self.at + move)[:, None], len(x))
+        pose[axis] += x
+        pose[self.height] = self.z + move[self.height]
+        return np.asarray(self.run(self.p, np.zeros(len(self.model.zeros)), list(pose), [])[0])
 
-    def _basis(self, lc: float) -> tuple[np.ndarray, np.ndarray]:
-        """Powers of u over their largest, (HARMONICS, s) complex, and their derivatives by ln lc."""
-        u = ((self.z - self.middle) * self.rising - self.half + 1j * self.x) / lc
-        n = np.arange(1, HARMONICS + 1)[:, None]
-        powers = np.exp(n * u)
-        return powers, -n * u * powers
+    def lc(self, axis: int) -> float:
+        """Return the wavelength over 2 pi along a coordinate as far as the model says it, or the decay does."""
+        column = self.model.pose[axis]
+        if column in self.model.period:
+            return self.model.period[column] / (2 * pi)
+        if axis not in self.known:
+            x = np.repeat(np.random.default_rng(0).uniform(-1, 1, PLACES) * WIDE, HEIGHTS)
+            seen = self.readings(axis, x, np.zeros(len(self.at))).reshape(-1, PLACES, HEIGHTS)
+            low, *_, high = seen.std(axis=1)[seen.std(axis=(1, 2)).argmax()]
+            self.known[axis] = 2 * self.half / max(abs(float(np.log(high / low))), 1e-9)
+        return self.known[axis]
 
-    def fitted(self, lc: float) -> float:
-        """Return lc, by Gauss-Newton steps with the linear coefficients projected out."""
-        scale = np.abs(self.readings - self.readings.mean(axis=1, keepdims=True)).max()
+    def axes(self) -> np.ndarray:
+        """Return for each channel which of the first two coordinates it follows more."""
+        x = np.repeat(np.random.default_rng(0).uniform(-1, 1, PLACES) * WIDE, HEIGHTS)
+        swings = []
+        for axis in (0, 1):
+            seen = self.readings(axis, x, np.zeros(len(self.at))).reshape(-1, PLACES, HEIGHTS)
+            swings.append(seen.std(axis=1).mean(axis=1))
+        return np.asarray(np.argmax(swings, axis=0))
+
+    def rising(self, axis: int) -> float:
+        """1 where the field grows with the height, -1 where it falls."""
+        x = np.repeat(np.arange(PLACES) * (2 * pi * self.lc(axis) / PLACES), HEIGHTS)
+        seen = self.readings(axis, x, np.zeros(len(self.at)))
+        swing = seen.reshape(-1, PLACES, HEIGHTS).std(axis=1).sum(axis=0)
+        return 1.0 if swing[-1] > swing[0] else -1.0
+
+    def analysed(
+        self, channels: Sequence[int], axis: int, move: np.ndarray, exact: bool = False
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return lc, offsets (n,) and factors (n, HARMONICS) of the powers of u, the pose moved by `move`.
+
+        `exact`: refuse readings that have another form.
+        """
+        lc, rising = self.lc(axis), self.rising(axis)
+        x = np.repeat(np.arange(PLACES) * (2 * pi * lc / PLACES), HEIGHTS)
+        seen = self.readings(axis, x, move)[list(channels)]
+        u = (self.z - self.middle) * rising - self.half + 1j * x
+        scale = np.abs(seen - seen.mean(axis=1, keepdims=True)).max()
         for _ in range(ROUNDS):
-            powers, slopes = self._basis(lc)
-            design = np.vstack([np.ones_like(self.x), powers.real, -powers.imag]).T
-            found, *_ = np.linalg.lstsq(design, self.readings.T, rcond=None)
-            rest = self.readings.T - design @ found
-            turned = np.vstack([np.zeros_like(self.x), slopes.real, -slopes.imag]).T @ found
+            design, slopes = _basis(u, lc)
+            found, *_ = np.linalg.lstsq(design, seen.T, rcond=None)
+            rest = seen.T - design @ found
+            turned = slopes @ found
             turned = turned - design @ np.linalg.lstsq(design, turned, rcond=None)[0]
-            move = float((turned * rest).sum() / max((turned * turned).sum(), 1e-300))
-            if np.abs(rest).max() <= 1e-13 * scale or abs(move) < SETTLED:
+            move_lc = float((turned * rest).sum() / max((turned * turned).sum(), 1e-300))
+            if np.abs(rest).max() <= 1e-13 * scale or abs(move_lc) < SETTLED:
                 break
-            lc *= float(np.exp(np.clip(move, -0.1, 0.1)))
-        if not np.abs(rest).max() <= FORM * scale:
+            lc *= float(np.exp(np.clip(move_lc, -0.1, 0.1)))
+        if exact and not np.abs(rest).max() <= FORM * scale:
             raise InputError(
                 f"C is generated for sums of waves that decay as they are short; what {self.model.name} with "
                 f"{', '.join(self.model.effects) or 'no effect'} reads differs from that by "
                 f"{np.abs(rest).max() / scale:.2g} of its swing: generate from a calibration without that "
-                f"effect."
+                "effect."
             )
-        return lc
-
-    def factors(self, lc: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return offsets (n,) and factors (n, HARMONICS) of the powers of u."""
-        powers, _ = self._basis(lc)
-        design = np.vstack([np.ones_like(self.x), powers.real, -powers.imag]).T
-        found, *_ = np.linalg.lstsq(design, self.readings.T, rcond=None)
         factor = found[1 : HARMONICS + 1] + 1j * found[HARMONICS + 1 :]
-        scale = np.exp(-np.arange(1, HARMONICS + 1) * self.half / lc)
-        return found[0], (factor * scale[:, None]).T
+        shrink = np.exp(-np.arange(1, HARMONICS + 1) * self.half / lc)
+        return lc, found[0], (factor * shrink[:, None]).T
+
+
+def _basis(u: np.ndarray, lc: float) -> tuple[np.ndarray, np.ndarray]:
+    """1 and powers of exp(u / lc), (s, 2 HARMONICS + 1), and their derivatives by ln lc."""
+    n = np.arange(1, HARMONICS + 1)[:, None]
+    powers = np.exp(n * u / lc)
+    slopes = -n * u / lc * powers
+    one = np.ones_like(u.real)
+    return np.vstack([one, powers.real, -powers.imag]).T, np.vstack([0 * one, slopes.real, -slopes.imag]).T
+
+
+def phasor_of(sample: Sample, channels: Sequence[int], axis: int, weight: np.ndarray) -> Phasor:
+    """Return the phasor of some channels along a coordinate; `weight`: 1 / variance of all readings."""
+    model = sample.model
+    lc, offset, factor = sample.analysed(channels, axis, np.zeros(len(sample.at)), exact=True)
+    strongest = np.exp(sample.half / lc) ** np.arange(1, HARMONICS + 1)
+    size = np.abs(factor).max(axis=0) * strongest
+    harmonics = tuple(n for n in range(2, HARMONICS + 1) if size[n - 1] > LOST * size[0])
+    matrix = np.stack([factor[:, 0].real, -factor[:, 0].imag], axis=1)
+    scaled = matrix.T * weight[list(channels)]
+    if np.linalg.matrix_rank(matrix, 1e-6 * np.abs(matrix).max()) < 2:
+        raise InputError(
+            f"Place and height are decoded from sums that see the wave at different places; the "
+            f"{len(channels)} of {model.name} do not tell cosine from sine."
+        )
+    weights = np.linalg.solve(scaled @ matrix, scaled)
+    return Phasor(lc, sample.rising(axis), sample.middle, offset, factor, weights, harmonics)
