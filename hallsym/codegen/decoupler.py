@@ -117,6 +117,11 @@ class Decoupler:
     flags: tuple[Flag, ...] = ()
     approximation: float = 0.0
     """What polynomials and series in place of functions leave in the pose [m, rad]."""
+    leaves: Mapping[str, float] = field(default_factory=dict)
+    """The same by pose column [its unit], where they differ."""
+    drawn: "Callable[[np.random.Generator, int], np.ndarray] | None" = None
+    """Random inputs (n_inputs, s) of poses in the box, of a decoder that claims nothing of readings that belong
+    to no pose; any within the limits otherwise."""
     cut: float = 0.0
     """What bits that whole steps cut off add to the pose [m, rad]; `bounded` counts it as rounding."""
     bounded: "Callable[[int], Mapping[str, Enclosure]] | None" = None
@@ -148,6 +153,17 @@ class Decoupler:
     def slack(self) -> float:
         """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
         return ENOUGH if self.at_pose else self.approximation
+
+    def left(self, column: str) -> float:
+        """Return `slack` of one pose coordinate."""
+        return self.leaves.get(column, self.slack)
+
+    def trials(self, rng: np.random.Generator, count: int, ends: np.ndarray) -> np.ndarray:
+        """Return random inputs (n_inputs, count) for trials; `ends`: least and greatest (2, n_inputs, 1)."""
+        if self.drawn is not None:
+            return np.clip(self.drawn(rng, count), *ends)
+        share = rng.random((len(self.inputs), count))
+        return np.asarray(ends[0] + (ends[1] - ends[0]) * share)
 
     def known(self, column: str) -> float:
         """Return the largest magnitude of a known pose coordinate, for a zero: half its period, or 1."""

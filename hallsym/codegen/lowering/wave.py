@@ -15,6 +15,7 @@ import numpy as np
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
+from hallsym.codegen.lowering import arrays
 from hallsym.codegen.lowering.phasors import Phasor, phasor
 from hallsym.codegen.lowering.wave_bounds import Rounding
 from hallsym.codegen.lowering.wave_steps import (
@@ -31,6 +32,8 @@ from hallsym.model import Model
 ENOUGH = 6e-7
 """Place and height [m] that rounds and polynomials may leave: an eighth of what a gain off by a thousandth
 changes at a wavelength of 30 mm."""
+SIX = 6
+"""Coordinates of a mover over several arrays."""
 SWING = 0.1
 """Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 ROUNDED = 1e-13
@@ -48,6 +51,8 @@ def decoupler(
     for readings that are no decaying wave.
     """
     refuse(model)
+    if len(model.pose) == SIX:
+        return arrays.decoupler(model, p, weight, box, accuracy)
     aim = ENOUGH if accuracy is None else accuracy
     along, height = _coordinates(model)
     found = phasor(model, p, weight, along, height, box.ends[height])

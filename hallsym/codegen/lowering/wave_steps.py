@@ -188,6 +188,16 @@ class Collected:
         return self.symbols.setdefault(name, ca.SX.sym(name))
 
 
+    def keep(self, wanted: Sequence[str]) -> None:
+        """Leave out the steps that none of the wanted ones needs."""
+        needed, kept = set(wanted), []
+        for step in reversed(self.steps):
+            if step.name in needed:
+                kept.append(step)
+                needed |= {s.name() for s in ca.symvar(step.expression)}
+        self.steps = kept[::-1]
+
+
 Pair = tuple[ca.SX, ca.SX]
 """Real and imaginary part."""
 
@@ -262,7 +272,10 @@ class Powers:
 
     def __call__(self, n: int) -> Pair:
         """Return real and imaginary part of the n-th power."""
-        if n not in self.known and n % 2:
+        names = f"real_{n}{self.tag}", f"imaginary_{n}{self.tag}"
+        if n not in self.known and names[1] in self.made.symbols:  # made before
+            self.known[n] = self.made.symbols[names[0]], self.made.symbols[names[1]]
+        elif n not in self.known and n % 2:
             self.known[n] = _times(self.made, self(n - 1), self(1), f"_{n}{self.tag}")
         elif n not in self.known:
             a, b = self(n // 2)
