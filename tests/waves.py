@@ -66,7 +66,9 @@ def sums(count=3, pitch=THIRD):
     )  # fmt: skip
 
 
-WAVES = Family("waves", models=(sums,), readings=r"col_\d+_v", pose_metric=PoseMetric("m", 0.1), decoder="wave")
+WAVES = Family(
+    "waves", models=(sums,), readings=r"col_\d+_v", pose_metric=PoseMetric("m", 0.1), decoder="wave"
+)
 
 VALUES = {
     "g0": 4.12, "g1": 3.9, "g2": 4.03, "o0": 2e-3, "o1": -4e-3, "o2": 1e-3, "dx1": 4e-5, "dz2": -3e-5,
@@ -105,7 +107,8 @@ def turning(s):
 
 
 def planar(count=6, across=ACROSS):
-    """Four arrays over `count` sums each: means of `across` sensors side by side, a third of a period apart."""
+    """Four arrays over `count` sums each: means of `across` sensors side by side, a third of a period
+    apart."""
     places = {
         (array, k): [
             (cx + (k - (count - 1) / 2) * THIRD, cy + (j - (across - 1) / 2) * THIRD)

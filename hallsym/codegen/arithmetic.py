@@ -143,10 +143,11 @@ class Arithmetic(ABC):
                 total += int(mix(row ^ mix(n * width + np.uint32(k))).astype(np.uint64).sum())
         return total & 0xFFFFFFFF
 
-    def errors(self, samples: int = 100_000, seed: int = 0) -> dict[str, float]:
+    def errors(self, samples: int | None = None, seed: int = 0) -> dict[str, float]:
         """Return the largest error of each pose coordinate against the model, over random inputs."""
         d, rng, most = self.decoupler, np.random.default_rng(seed), np.zeros(len(self.decoupler.pose))
         low, high = self.span
+        samples = d.tried if samples is None else samples
         for first in range(0, samples, self.batch):
             count = min(self.batch, samples - first)
             inputs = self._rounded(d.trials(rng, count, np.array([low, high])))

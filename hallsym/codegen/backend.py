@@ -208,6 +208,7 @@ class Backend(Arithmetic):
             "inputs": len(d.inputs),
             "pose": len(d.pose),
             "width": len(d.pose) + 1,
+            "trials": d.tried,
             "if_evident": "" if d.evident else "[ -f proof/eva.c ] && ",
             "why_no_eva": "frama-c is not installed"
             if d.evident

@@ -22,6 +22,8 @@ from hallsym.model.arrays import on_arrays
 ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
 
+TRIED = 100_000
+
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -120,8 +122,8 @@ class Decoupler:
     leaves: Mapping[str, float] = field(default_factory=dict)
     """The same by pose column [its unit], where they differ."""
     drawn: "Callable[[np.random.Generator, int], np.ndarray] | None" = None
-    """Random inputs (n_inputs, s) of poses in the box, of a decoder that claims nothing of readings that belong
-    to no pose; any within the limits otherwise."""
+    """Random inputs (n_inputs, s) of poses in the box, of a decoder that claims nothing of readings that
+    belong to no pose; any within the limits otherwise."""
     cut: float = 0.0
     """What bits that whole steps cut off add to the pose [m, rad]; `bounded` counts it as rounding."""
     bounded: "Callable[[int], Mapping[str, Enclosure]] | None" = None
@@ -153,6 +155,12 @@ class Decoupler:
     def slack(self) -> float:
         """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
         return ENOUGH if self.at_pose else self.approximation
+
+    @property
+    def tried(self) -> int:
+        """Random inputs that errors are met over, where nothing else is said: fewer through an iterated
+        model."""
+        return TRIED if self.drawn is None else TRIED // 10
 
     def left(self, column: str) -> float:
         """Return `slack` of one pose coordinate."""

@@ -53,7 +53,7 @@ class FloatBackend(FloatArithmetic):
         return {"kind": kind, "rest": self._literal(d.rest[d.inputs.index(c)]) if d.rest else "at_rest"}
 
     def _of_output(self, port: Port) -> dict[str, Any]:
-        if self.decoupler.drawn is not None:  # nothing is claimed of readings of no pose but that it is finite
+        if self.decoupler.drawn is not None:  # of readings of no pose nothing is claimed
             return {}
         low, high = (side[port.column] for side in (self.bounds.low, self.bounds.high))
         return {"outer_low": self._beyond(low), "outer_high": self._beyond(high)}

@@ -1,7 +1,7 @@
 """Rounding error bound of six coordinates from several arrays: by parts, then by intervals.
 
-Vectors, arctangents and logarithms are bounded as for one wave; what follows is straight, so intervals bound it, each
-step within what poses of the box can make of it.
+Vectors, arctangents and logarithms are bounded as for one wave; what follows is straight, so intervals bound
+it, each step within what poses of the box can make of it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -77,9 +77,7 @@ class Rounding:
             known[step.name] = Enclosure(max(float(made.low), low), min(float(made.high), high), made.error)
         last = [known[step.name] for step in self.steps[-6:]]
         low, high = np.array([ranges[step.name] for step in self.steps[-6:]]).T
-        return {
-            c: Enclosure(low[k], high[k], float(last[k].error)) for k, c in enumerate(pose)
-        }
+        return {c: Enclosure(low[k], high[k], float(last[k].error)) for k, c in enumerate(pose)}
 
     def _functions(self, digits: int) -> dict[str, Enclosure]:
         """Arctangents, logarithms and what leads to them, each with the rounding of its vector."""
@@ -88,16 +86,23 @@ class Rounding:
             own = _of_vector(self.steps, name)
             vector = vector_error(wave, own, self.values, digits)
             lc = group.phasor.lc
-            for step in own:  # terms of tilt take powers of the first round: as far off as the vector, at most
+            for (
+                step
+            ) in own:  # terms of tilt take powers of the first round: as far off as the vector, at most
                 made[step.name] = Enclosure(-wave.outer, wave.outer, vector)
             made |= {f"{step}_{name}": Enclosure(0.0, 0.0) for step in WITHIN}
-            made[f"log_{name}"] = Enclosure(*_sides(-np.log(wave.least)), height_error(wave, vector, digits) / lc)
+            made[f"log_{name}"] = Enclosure(
+                *_sides(-np.log(wave.least)), height_error(wave, vector, digits) / lc
+            )
             made[f"phase_{name}"] = Enclosure(*_sides(np.pi), place_error(wave, vector, digits) / lc)
         return made
 
     def _ratios(self, digits: int, ranges: Mapping[str, tuple[float, float]]) -> dict[str, Enclosure]:
-        """Quotients of parts of phasors: as a phasor turns and stretches by a share of itself, so do its powers."""
-        moved, u, made = {}, 2.0**-digits, {}
+        """Quotients of parts of phasors: as a phasor turns and stretches by a share of itself, so do its
+        powers."""
+        moved: dict[str, float] = {}
+        u = 2.0**-digits
+        made: dict[str, Enclosure] = {}
         for wave, name in zip(self.waves, self.names, strict=True):
             vector = vector_error(wave, _of_vector(self.steps, name), self.values, digits)
             moved[name] = vector / (wave.least * SHORT - vector)
@@ -137,9 +142,7 @@ class Rounding:
         return out
 
 
-def _chosen(
-    step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int
-) -> Enclosure:
+def _chosen(step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int) -> Enclosure:
     """A choice between values that are equal where it turns, or that poses of the box do not turn.
 
     No further off than either, and the least is one of the table where one is chosen for it.

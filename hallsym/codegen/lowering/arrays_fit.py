@@ -1,9 +1,10 @@
-"""What turns the phasors of several arrays into six coordinates: found by least squares on the model's own readings.
+"""What turns the phasors of several arrays into six coordinates: found by least squares on the model's own
+readings.
 
-Place and height of each array are linear in the pose but for two things. A tilted mover is nearer to one end of its
-patch of sensors, which moves them by terms that turn with the phasor: conj(u) / u, u^4, conj(u)^5 / u times rotations.
-And rotations multiply displacements. Both are found by regression over poses in the box, as few terms as leave at most
-an accuracy, largest first.
+Place and height of each array are linear in the pose but for two things. A tilted mover is nearer to one end
+of its patch of sensors, which moves them by terms that turn with the phasor: conj(u) / u, u^4, conj(u)^5 / u
+times rotations. And rotations multiply displacements. Both are found by regression over poses in the box, as
+few terms as leave at most an accuracy, largest first.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,10 +29,14 @@ KINDS = ("2", "4", "6", "-4")
 ROTATIONS = (3, 4, 5)
 MOST_TERMS = 14
 """Terms of each place, height or coordinate."""
+HARDLY = 1.1
+"""Times what all terms leave: those after the first that leave no more than this are not worth their code."""
 NEGLIGIBLE = 0.01
 """Share of an accuracy below which an entry of a matrix is left out."""
-NEWTON = 2
-"""Steps from the closed form, which is within some um: each squares what is left over a wavelength."""
+BATCH = 2048
+"""Samples that the reference decoder takes at a time."""
+NEWTON = 3
+"""Steps from the closed form: each leaves a thousandth of what the one before did, or less."""
 
 Term = tuple[str, tuple[int, ...], int]
 """Kind, numbers of the rotations that it is multiplied by, and 0 for its real or 1 for its imaginary part."""
@@ -69,14 +74,18 @@ class Arrays:
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
-        model, pose = self.model, ca.SX.sym("pose", 6)
-        readings = model.reading(self.p, np.zeros(len(model.zeros)), pose, [])
-        slopes = ca.densify(ca.vec(ca.jacobian(readings, pose)))
-        return on_arrays(ca.Function("run", [pose], [readings, slopes]))
+        return on_arrays(self.model.reading)
+
+    @cached_property
+    def _slopes(self) -> Callable[..., list[np.ndarray]]:
+        """Poses -> d readings / d pose, column by column."""
+        pose = ca.SX.sym("pose", 6)
+        readings = self.model.reading(self.p, np.zeros(len(self.model.zeros)), pose, [])
+        return on_arrays(ca.Function("slopes", [pose], [ca.densify(ca.vec(ca.jacobian(readings, pose)))]))
 
     def readings(self, pose: np.ndarray) -> np.ndarray:
         """Return readings (n, s) at poses (6, s)."""
-        return np.asarray(self._run(list(pose))[0])
+        return np.asarray(self._run(self.p, np.zeros(len(self.model.zeros)), list(pose), [])[0])
 
     def poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return random poses of the box, corners among them."""
@@ -89,18 +98,26 @@ class Arrays:
 
         `near` (2, s): places in the period that is meant; the middle of the box without it.
         """
-        n, weight = len(self.model.channels), self.weight[:, None, None]
+        parts = []
+        for first in range(0, readings.shape[1], BATCH):
+            part = slice(first, first + BATCH)
+            parts.append(self._solved(readings[:, part], None if near is None else near[:, part]))
+        return np.hstack(parts)
+
+    def _solved(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
+        """Steps with the slopes at the closed form, which is within some um of the solution."""
+        n, root = len(self.model.channels), np.sqrt(self.weight)[:, None]
         with np.errstate(all="ignore"):
             pose = np.clip(np.nan_to_num(self.decoded(readings, near)), -1e3, 1e3)
+            scaled = (np.asarray(self._slopes(list(pose))[0]).reshape(6, n, -1) * root).transpose(2, 0, 1)
+            left = scaled @ scaled.transpose(0, 2, 1)  # s, 6, 6
+            bad = ~np.isfinite(left).all(axis=(1, 2))
+            left[bad], scaled[bad] = np.eye(6), 0.0
+            left = left + np.eye(6) * 1e-14 * np.trace(left, axis1=1, axis2=2)[:, None, None]
+            inverse = np.linalg.inv(left) @ scaled  # s, 6, n
             for _ in range(NEWTON):
-                seen, slopes = self._run(list(pose))
-                jacobian = np.asarray(slopes).reshape(6, n, -1).transpose(1, 0, 2)  # n, 6, s
-                left = np.einsum("nis,njs->sij", weight * jacobian, jacobian)
-                right = np.einsum("nis,ns->si", weight * jacobian, readings - seen)
-                good = np.isfinite(left).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-                left[~good], right[~good] = np.eye(6), 0.0
-                left = left + np.eye(6) * 1e-14 * np.trace(left, axis1=1, axis2=2)[:, None, None]
-                pose = pose + np.linalg.solve(left, right[..., None])[..., 0].T
+                off = np.nan_to_num(readings - self.readings(pose), posinf=0.0, neginf=0.0)
+                pose = pose + (inverse @ (root * off).T[..., None])[..., 0].T
         return np.asarray(pose)
 
     # -- places and heights ----------------------------------------------------------------------------------
@@ -115,7 +132,8 @@ class Arrays:
         return [g.phasor.solved(readings[list(g.channels)]) for g in self.groups]
 
     def seen(self, phasors: Sequence[np.ndarray], near: np.ndarray | None = None) -> np.ndarray:
-        """Return place and height (2 arrays, s) [m]: places of an axis by their mean, in the period of `near`."""
+        """Return place and height (2 arrays, s) [m]: places of an axis by their mean, in the period of
+        `near`."""
         places: list[np.ndarray] = [np.zeros(0)] * len(self.groups)
         for axis, members in self.axes.items():
             first, lc = members[0], self.groups[members[0]].phasor.lc
@@ -154,7 +172,8 @@ class Arrays:
             ends = [self.seen(self.phasors(self.readings(self.middle[:, None] + s * move))) for s in (-1, 1)]
             slopes[:, k] = (ends[1] - ends[0])[:, 0] / (2 * STEP)
         sigma2 = [
-            float((g.phasor.weights**2 / self.weight[list(g.channels)]).sum()) * g.phasor.lc**2 for g in self.groups
+            float((g.phasor.weights**2 / self.weight[list(g.channels)]).sum()) * g.phasor.lc**2
+            for g in self.groups
         ]
         scaled = slopes.T / np.array([*sigma2, *sigma2])
         return np.asarray(np.linalg.solve(scaled @ slopes, scaled))
@@ -214,7 +233,8 @@ class Arrays:
 
     @cached_property
     def bends(self) -> tuple[Terms, ...]:
-        """Polynomial terms (numbers of coordinates) added to each coordinate, displacements from the middle."""
+        """Polynomial terms (numbers of coordinates) added to each coordinate, displacements from the
+        middle."""
         pose, phasors, seen = self.sample
         near = self.straightened(phasors, seen)
         v = near - self.middle[:, None]
@@ -245,12 +265,16 @@ def turning_of(u: np.ndarray, rotations: np.ndarray, term: Term) -> np.ndarray:
 def _fewest(terms: Sequence[tuple], columns: np.ndarray, target: np.ndarray, enough: float) -> Terms:
     """Return terms whose sum leaves at most `enough` of a target: that which explains most first."""
     sizes = np.sqrt((columns * columns).sum(axis=1)) + 1e-300
-    unit, chosen, rest = columns / sizes[:, None], [], target
-    factors = np.zeros(0)
-    while len(chosen) < MOST_TERMS and np.abs(rest).max() > enough:
+    unit, rest = columns / sizes[:, None], target
+    chosen: list[int] = []
+    left = [float(np.abs(rest).max())]
+    while len(chosen) < MOST_TERMS and left[-1] > enough:
         gain = np.abs(unit @ rest)
         gain[chosen] = 0
         chosen.append(int(gain.argmax()))
         factors, *_ = np.linalg.lstsq(unit[chosen].T, target, rcond=None)
         rest = target - factors @ unit[chosen]
+        left.append(float(np.abs(rest).max()))
+    chosen = chosen[: next(k for k, v in enumerate(left) if v <= max(enough, HARDLY * left[-1]))]
+    factors, *_ = np.linalg.lstsq(unit[chosen].T, target, rcond=None)
     return Terms(tuple(terms[k] for k in chosen), tuple((factors / sizes[chosen]).tolist()))

@@ -134,8 +134,8 @@ def phasor(
 ) -> Phasor:
     """Return the phasor of all channels of a model at parameters `p`.
 
-    `along`, `height`: its pose coordinates, others at zero; `ends`: of the heights [m]; `weight`: 1 / variance
-    of each reading. Raises `InputError` for a model that is no sum of decaying waves.
+    `along`, `height`: its pose coordinates, others at zero; `ends`: of the heights [m]; `weight`: 1 /
+    variance of each reading. Raises `InputError` for a model that is no sum of decaying waves.
     """
     columns = list(model.pose)
     sample = Sample(model, p, np.zeros(len(columns)), ends, columns.index(height))
@@ -165,7 +165,8 @@ class Sample:
         return np.asarray(self.run(self.p, np.zeros(len(self.model.zeros)), list(pose), [])[0])
 
     def lc(self, axis: int) -> float:
-        """Return the wavelength over 2 pi along a coordinate as far as the model says it, or the decay does."""
+        """Return the wavelength over 2 pi along a coordinate as far as the model says it, or the decay
+        does."""
         column = self.model.pose[axis]
         if column in self.model.period:
             return self.model.period[column] / (2 * pi)

@@ -1,7 +1,8 @@
 """Which channels see which array, and the phasor of each: found from the model's own readings.
 
-A channel follows the pose coordinate that its array repeats along. Turning the mover a little changes place and height
-of the wave under each channel by its lever, so levers say where a channel lies; those that lie together see one array.
+A channel follows the pose coordinate that its array repeats along. Turning the mover a little changes place
+and height of the wave under each channel by its lever, so levers say where a channel lies; those that lie
+together see one array.
 """
 
 from collections.abc import Sequence
@@ -51,19 +52,23 @@ def groups_of(
     along = [sum(group.axis == axis for group in found) for axis in (0, 1)]
     if min(along) < 1 or len(found) < 3:
         raise InputError(
-            f"Six coordinates are decoded from three arrays or more, along both axes; the readings of {model.name} "
+            f"Six coordinates are decoded from three arrays or more, along both axes; the readings of "
+            f"{model.name} "
             f"show {along[0]} along {model.pose[0]} and {along[1]} along {model.pose[1]}."
         )
     return tuple(found)
 
 
 def _lever(sample: Sample, own: Sequence[int], axis: int, turn: int) -> np.ndarray:
-    """Return what a rotation moves the wave by under each channel [m / rad]: the larger of place and height."""
+    """Return what a rotation moves the wave by under each channel [m / rad]: the larger of place and
+    height."""
     move = np.zeros(6)
     move[turn] = TURN
     ends = [sample.analysed(own, axis, sign * move)[2][:, 0] for sign in (-1, 1)]
     change = sample.analysed(own, axis, np.zeros(6))[0] * np.log(ends[1] / ends[0]) / (2 * TURN)
-    return np.asarray(np.where(np.abs(change.imag).max() > np.abs(change.real).max(), change.imag, change.real))
+    return np.asarray(
+        np.where(np.abs(change.imag).max() > np.abs(change.real).max(), change.imag, change.real)
+    )
 
 
 def _together(places: np.ndarray, apart: float) -> list[list[int]]:

@@ -133,6 +133,8 @@ def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, 
     g times the square of its step.
     """
     slope, bend, before, made = phasor.slope(r), phasor.bend(r), NEAR * phasor.largest(reach), 0.0
+    if before / reach * (1 + 2 * before / reach) <= share:
+        return 0, "", before / reach * (1 + 2 * before / reach)
     for k in range(1, MOST_ROUNDS + 1):
         made = slope * before
         straight = slope * made + bend / 2 * (before + made) ** 2
@@ -186,7 +188,6 @@ class Collected:
         """Add a step; returns its symbol."""
         self.steps.append(Step(name, expression, remark))
         return self.symbols.setdefault(name, ca.SX.sym(name))
-
 
     def keep(self, wanted: Sequence[str]) -> None:
         """Leave out the steps that none of the wanted ones needs."""
