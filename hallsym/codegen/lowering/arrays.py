@@ -19,7 +19,7 @@ from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
 from hallsym.codegen.lowering.arrays_bounds import Rounding
 from hallsym.codegen.lowering.arrays_fit import Arrays
-from hallsym.codegen.lowering.arrays_steps import Stages
+from hallsym.codegen.lowering.arrays_steps import Pieces
 from hallsym.codegen.lowering.wave_groups import groups_of
 from hallsym.codegen.lowering.wave_steps import Wave, logarithm_steps, wave_of
 from hallsym.errors import InputError, counted
@@ -70,7 +70,7 @@ def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
 
 
 @dataclass(eq=False)
-class _Assembly(Stages):
+class _Assembly(Pieces):
     """Collects the decoupler of one calibration over a box."""
 
     given: Box = field(default_factory=lambda: Box({}))
@@ -89,14 +89,14 @@ class _Assembly(Stages):
         )
         made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         ends = self._ends(nears)
-        stages = [self.vector(k) for k in range(len(self.waves))]
+        vectors = [self.vector(k) for k in range(len(self.waves))]
         logs = [
             logarithm_steps(made, w, u, f"_{n}")
-            for w, u, n in zip(self.waves, stages, self.names, strict=True)
+            for w, u, n in zip(self.waves, vectors, self.names, strict=True)
         ]
         inside = self.least_inside()
-        seen = [*self.places(stages), *self.heights(logs)]
-        pose = self.bent(self.pose(seen, self.turning(stages)))
+        seen = [*self.places(vectors), *self.heights(logs)]
+        pose = self.bent(self.pose(seen, self.turning(vectors)))
         for column, value in zip(model.pose, pose, strict=True):
             made.step(short(column), made.symbols[f"zero_{short(column)}"] + value, f"[{unit(column)}]")
         made.keep((*(short(c) for c in model.pose), inside, "turn_left"))

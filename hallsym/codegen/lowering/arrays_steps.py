@@ -37,8 +37,8 @@ ONE = 1e-9
 
 
 @dataclass(eq=False)
-class Stages:
-    """Adds the steps of one calibration, stage by stage."""
+class Pieces:
+    """Adds the steps of one calibration, one after the other."""
 
     found: Arrays
     waves: tuple[Wave, ...]
