@@ -48,7 +48,8 @@ def add(sub: Any) -> None:
     parser.add_argument(
         "--accuracy", metavar="COLUMN=ANGLE",
         help="encoders: what the correction of the angle may leave besides rounding, as angle_mrad=1 "
-        "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table",
+        "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table; magnet arrays: of a "
+        "place, as x_um=0.1",
     )  # fmt: skip
     parser.add_argument(
         "--correction", choices=CORRECTIONS,

@@ -98,7 +98,8 @@ def generate(
     `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
     `jacobian`: with `decoupler_jacobian()`. Models of an angle: `accuracy` is what the correction of it
     may leave besides rounding [rad], default 3e-8, of integers 1e-5; `correction` is "series", "table", or
-    "auto" for the one of fewer bytes. Raises `InputError` for a calibration that cannot be trusted on a
+    "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what harmonics and polynomials may leave
+    of a place [m]. Raises `InputError` for a calibration that cannot be trusted on a
     controller.
     """
     if arithmetic not in ARITHMETICS:

@@ -30,10 +30,11 @@ from hallsym.families.halbach import models
 CALLER = """
 int {name}(const float **arg, float **res, long long *iw, float *w, int mem);
 static const float m[] = {{{readings}}};
+static const float start[] = {{0.0f, 0.0f, 0.0075f, 1e-3f, 1e-3f, 1e-3f}};
 static float q[6], w[{work}];
 int main(void)
 {{
-    const float *arg[8] = {{m}};
+    const float *arg[8] = {{m, start}};
     float *res[4] = {{q}};
     volatile int status = {name}(arg, res, 0, w, 0);
     return status;
@@ -66,9 +67,10 @@ def main() -> int:
         for k, (name, fit, accuracy) in enumerate(rows):
             _ours(name, fit, accuracy, Path(folder) / f"ours{k}")
         _casadi(
-            "CasADi, halbach, 3 sums", one, Path(folder), lambda m, r, w: m.decoded(*_given(one, r), [], w)
+            "CasADi, halbach, 3 sums", one, Path(folder), lambda m, r, w, _: m.decoded(*_given(one, r), [], w)
         )
-        _casadi("CasADi, one step, 24 sums", rows[-1][1], Path(folder), _one_step(rows[-1][1]))
+        single = calibrated_planar(**TILTED, across=1)
+        _casadi("CasADi, one step, 24 single sensors", single, Path(folder), _one_step(single))
     print(
         "instructions: within range / worst; errors: largest met of places, its bound, largest of rotations"
     )
@@ -80,16 +82,13 @@ def _given(fit: Fit, readings: ca.SX) -> tuple:
 
 
 def _one_step(fit: Fit) -> Callable[..., ca.SX]:
-    """One weighted least-squares step from the middle of the box, as generated from the model's
-    expressions."""
+    """One weighted least-squares step from a given pose, as generated from the model's expressions."""
 
-    def step(model: hallsym.Model, readings: ca.SX, weight: np.ndarray) -> ca.SX:
-        pose = ca.SX.sym("pose", 6)
+    def step(model: hallsym.Model, readings: ca.SX, weight: np.ndarray, pose: ca.SX) -> ca.SX:
         seen = model.reading(fit.values, [], pose, [])
         slopes = ca.jacobian(seen, pose)
         scaled = slopes.T @ ca.diag(weight)
-        made = pose + ca.solve(scaled @ slopes, scaled @ (readings - seen))
-        return ca.substitute(made, pose, ca.DM([0, 0, 0.0075, 1e-3, 1e-3, 1e-3]))
+        return pose + ca.solve(scaled @ slopes, scaled @ (readings - seen))
 
     return step
 
@@ -116,7 +115,8 @@ def _ours(name: str, fit: Fit, accuracy: float | None, folder: Path) -> None:
 def _casadi(name: str, fit: Fit, folder: Path, decoded: Callable[..., ca.SX]) -> None:
     model, n = fit.model, len(fit.model.channels)
     readings, code = ca.SX.sym("readings", n), "casadi_decoded"
-    f = ca.Function(code, [readings], [ca.densify(decoded(model, readings, np.ones(n)))])
+    start = ca.SX.sym("start", 6)
+    f = ca.Function(code, [readings, start], [ca.densify(decoded(model, readings, np.ones(n), start))])
     generator = ca.CodeGenerator(f"{code}.c", {"casadi_real": "float"})
     generator.add(f)
     generator.generate(f"{folder}/")
