@@ -51,6 +51,12 @@ if TYPE_CHECKING:
     from hallsym.simulation import simulate_blocks as simulate_blocks
     from hallsym.simulation import table8_noise as table8_noise
     from hallsym.simulation import write_campaign as write_campaign
+    from hallsym.sorting import Matching as Matching
+    from hallsym.sorting import Sorting as Sorting
+    from hallsym.sorting import change_probability as change_probability
+    from hallsym.sorting import match_sensors as match_sensors
+    from hallsym.sorting import read_readings as read_readings
+    from hallsym.sorting import sort_sensors as sort_sensors
     from hallsym.trajectory import Curve as Curve
     from hallsym.trajectory import choose_curve as choose_curve
     from hallsym.trajectory import read_curve as read_curve
@@ -76,6 +82,9 @@ _PUBLIC = {
     "hallsym.simulation": (
         "Campaign", "NoiseModel", "bundled_campaign", "paper_campaign", "read_campaign", "simulate",
         "simulate_blocks", "table8_noise", "write_campaign",
+    ),
+    "hallsym.sorting": (
+        "Matching", "Sorting", "change_probability", "match_sensors", "read_readings", "sort_sensors",
     ),
     "hallsym.trajectory": ("Curve", "choose_curve", "read_curve"),
     "hallsym.uncertainty": ("Budget", "Source", "position_budget", "read_budget", "uncertainty_map"),

@@ -1,20 +1,73 @@
-"""The one exception that a user's input can cause."""
+"""The one exception that a user's input can cause, and the words of its message."""
+
+import re
+
+LONGEST = 300
+"""Characters of a message: what a terminal shows in three or four lines."""
+_LONGEST_WORD = 120
+"""Characters of one word (a path, say) of a message that would be too long with all of it."""
 
 
 class InputError(ValueError):
     """Bad input: its message is one sentence with what, where, what was expected and what to do.
 
+    The message is one line of at most `LONGEST` characters; characters that are not printable are escaped.
     The command line prints it and exits with status 2; a script catches it as `ValueError`.
     """
+
+    def __init__(self, message: object = "") -> None:
+        """Take the sentence."""
+        super().__init__(one_line(str(message)))
+
+
+def one_line(text: str) -> str:
+    r"""Return `text` on one line of at most `LONGEST` characters, its middle left out where it is longer.
+
+    >>> one_line("Log a\nb.csv does not exist.")
+    'Log a\\nb.csv does not exist.'
+    """
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[: 20 * LONGEST])
+    if len(text) <= LONGEST:
+        return text
+    text = re.sub(rf"\S{{{_LONGEST_WORD + 1},}}", lambda m: _shortened(m[0], _LONGEST_WORD, "..."), text)
+    return _shortened(text, LONGEST, " ... ")
+
+
+def _shortened(text: str, length: int, gap: str) -> str:
+    """Return both ends of a text; the longer one is that with the remedy, or the name of the file."""
+    if len(text) <= length:
+        return text
+    last = (length - len(gap)) // 2
+    return f"{text[: length - len(gap) - last].rstrip()}{gap}{text[-last:].lstrip()}"
+
+
+def quoted(name: object) -> str:
+    """Return a name for a message: as it is where it is one plain word, else in quotes.
+
+    >>> quoted("log.csv"), quoted("my log.csv")
+    ('log.csv', "'my log.csv'")
+    """
+    text = str(name)
+    return text if re.fullmatch(r"[\w./\\:~+=@%-]+", text) else f"'{text}'"
+
+
+def summary(error: BaseException, most: int = 100) -> str:
+    """Return what an exception of a library says, on one line of at most `most` characters."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return (text if len(text) <= most else f"{text[: most - 3]}...").rstrip(".")
 
 
 def nearest(name: str, known: list[str]) -> str:
     """Return `" (did you mean 'x'?)"` for the closest known name, or an empty string."""
     from difflib import get_close_matches
 
-    folded = {k.lower(): k for k in reversed(known)}
-    hit = get_close_matches(name.lower(), list(folded), n=1, cutoff=0.5)
+    folded = {k.lower(): k for k in reversed(known[:_COMPARED])}
+    hit = get_close_matches(name.lower()[:_LONGEST_WORD], list(folded), n=1, cutoff=0.5)
     return f" (did you mean '{folded[hit[0]]}'?)" if hit else ""
+
+
+_COMPARED = 2000
+"""Known names that a misspelt one is compared with: a folder may hold many more files."""
 
 
 def counted(number: int, thing: str) -> str:

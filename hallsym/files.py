@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
+import re
 import secrets
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, quoted, summary
+from hallsym.guard import check_output
 
 _REASONS = {
     errno.ENOSPC: "the disk is full; free some space or choose another folder",
@@ -25,25 +31,29 @@ _REASONS = {
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on success it is flushed to disk and renamed to `path`.
 
     On any failure the temporary is removed and an old file at `path` stays as it was. An `OSError`
     (disk full, permission, missing folder) becomes an `InputError`.
     """
+    if not os.fspath(path) or "\0" in os.fspath(path):
+        raise InputError("The name of an output must not be empty, nor hold a null character; give a file.")
+    check_output(os.fspath(path))
     target = Path(os.path.realpath(path))
-    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.tmp{target.suffix}")
+    temporary = beside(target)
     try:
         if target.is_dir():
             raise IsADirectoryError(errno.EISDIR, "is a directory")
         if target.exists() and not target.is_file():
             raise OSError(0, "it is a device or a pipe, not a file; choose a file name")
+        clean(target.parent)
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         _flush(temporary)
         os.replace(temporary, target)
     except OSError as error:
-        raise InputError(f"Cannot write {path}: {reason(error)}.") from error
+        raise InputError(f"Cannot write {quoted(path)}: {reason(error)}.") from error
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -63,10 +73,73 @@ def atomic_write(path: str | Path, content: bytes | str | Callable[[Path], None]
                 stream.write(data)
 
 
-def reason(error: OSError) -> str:
+def reason(error: Exception) -> str:
     """Return in a few words why the system refused a file, on one line."""
-    text = error.strerror or str(error) or type(error).__name__
-    return _REASONS.get(error.errno or 0, " ".join(text.split()).rstrip("."))
+    if not isinstance(error, OSError) or not error.strerror:
+        return summary(error)  # a name with a null character, say
+    return _REASONS.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
+
+
+# -- temporaries -----------------------------------------------------------------------------------------
+
+_TEMPORARY = re.compile(r"\.hallsym-([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{8}\.tmp(\..*)?")
+_LONGEST_SUFFIX = 16
+
+
+def beside(target: Path) -> Path:
+    """Return a new name in the folder of `target`, with its suffix, that says which process it belongs to."""
+    pid = os.getpid()
+    suffix = target.suffix if len(target.suffix) <= _LONGEST_SUFFIX else ""
+    owner = f"{_machine()}-{pid}-{_started(pid) or 0}"
+    return target.with_name(f".hallsym-{owner}-{secrets.token_hex(4)}.tmp{suffix}")
+
+
+def clean(folder: Path) -> None:
+    """Remove temporary files and folders in `folder` that processes of this machine left when they died.
+
+    Those of living processes and of other machines (on a shared disk) stay. Windows cannot be asked without
+    disturbing the process, so nothing is removed there.
+    """
+    if os.name != "posix":
+        return
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            match = _TEMPORARY.fullmatch(entry.name)
+            if match and match[1] == _machine() and not _lives(int(match[2]), int(match[3])):
+                with suppress(OSError):
+                    if entry.is_dir(follow_symlinks=False):
+                        shutil.rmtree(entry.path, ignore_errors=True)
+                    else:
+                        os.unlink(entry.path)
+
+
+@cache
+def _machine() -> str:
+    """Return what tells this machine's processes from those of others: its name and its set of processes."""
+    with suppress(OSError):
+        return sha256(f"{platform.node()} {os.readlink('/proc/self/ns/pid')}".encode()).hexdigest()[:8]
+    return sha256(platform.node().encode()).hexdigest()[:8]
+
+
+def _lives(pid: int, started: int) -> bool:
+    """Return whether the process with this number is still the one that started then."""
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True  # another user's
+    now = _started(pid)
+    return not (started and now) or started == now
+
+
+def _started(pid: int) -> int | None:
+    """Return when a process started, in clock ticks since the machine did; None where that is not known."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+        return int(text.rpartition(")")[2].split()[19])  # field 22; the name of the program may hold spaces
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def _flush(path: Path) -> None:

@@ -12,11 +12,12 @@ COMMANDS = {
     "codegen": "C for the controller",
     "plan": "choose what to record next, within your ranges and your time",
     "tolerances": "which tolerance of the machine is worth money, before any data",
+    "sort": "sensors by gain, in bins and in sets that an array decodes best with",
     "trajectory": "a curve through points or of an expression, with the error it makes",
     "simulate": "write the log a known machine would record",
     "info": "what a log, calibration or campaign file holds, or what a model is",
 }
 """Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 
-OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED = 0, 2, 3, 4
+OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG = 0, 2, 3, 4, 70
 """Exit codes, as `hallsym --help` explains them."""

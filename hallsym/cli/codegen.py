@@ -8,8 +8,9 @@ from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import column_numbers, column_ranges, command, noted, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.checks import sha256
-from hallsym.codegen.folder import options_of
+from hallsym.codegen.folder import name_of, options_of
 from hallsym.codegen.lowering import CORRECTIONS
+from hallsym.codegen.naming import PREFIX
 from hallsym.estimation.calibration import Fit, load_fit
 
 EPILOG = """\
@@ -55,6 +56,12 @@ def add(sub: Any) -> None:
         "--correction", choices=CORRECTIONS,
         help="encoders: a series of waves, or a table of 64 to 1024 entries (default: auto, fewer bytes)",
     )  # fmt: skip
+    parser.add_argument(
+        "--name",
+        metavar="NAME",
+        help="prefix of symbols and files, such as enc_left (default: decoupler): "
+        "several decouplers then fit in one image",
+    )
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
     parser.add_argument("--jacobian", action="store_true", help="with d pose / d reading, for Kalman filters")
     parser.add_argument(
@@ -75,7 +82,9 @@ def _made(fit: Fit, options: Namespace) -> Generated:
     digest = sha256(Path(options.calibration).read_bytes())
     columns = (*fit.model.pose, *fit.model.state, *fit.model.channels)
     ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
-    before = options_of(Path(options.output)) if options.params_only else {}
+    folder = Path(options.output)
+    before = options_of(folder) if options.params_only else {}
+    name = options.name or (name_of(folder) if options.params_only else PREFIX)
     accuracy, correction = _accuracy(options.accuracy, fit), options.correction
     if accuracy is None:
         accuracy = before.get("accuracy")
@@ -91,6 +100,7 @@ def _made(fit: Fit, options: Namespace) -> Generated:
         correction=correction,
         allow_undetermined=allow,
         calibration_sha256=digest,
+        name=name,
     )
 
 

@@ -46,11 +46,7 @@ def seed(text: str) -> int:
 
 def log_options(parser: ArgumentParser) -> None:
     """Options of every command that reads a log."""
-    group = parser.add_argument_group("reading the log")
-    group.add_argument(
-        "--column", action="append", default=[], metavar="OURS=THEIRS",
-        help="our name, ending with the unit their column is in: --column hall_a_um=HallA (repeat)",
-    )  # fmt: skip
+    group = file_options(parser, "reading the log", "hall_a_um=HallA")
     group.add_argument(
         "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
     )
@@ -58,8 +54,6 @@ def log_options(parser: ArgumentParser) -> None:
         "--counts-per-turn", type=float, metavar="N",
         help="of an angle in counts, as in --column angle_count=raw: 16384 for 14 bits",
     )  # fmt: skip
-    group.add_argument("--format", help="parquet, csv, mat or hdf5, when the suffix does not tell")
-    group.add_argument("--delimiter", help="of a CSV file, when it is not a comma")
     group.add_argument(
         "--drop-bad", action="store_true", help="leave out bad samples and runs and go on; they are counted"
     )
@@ -67,6 +61,18 @@ def log_options(parser: ArgumentParser) -> None:
         "--noise", action="append", default=[], metavar="COLUMN=SIGMA",
         help="1 sigma in SI: --noise hall_m=5e-7 (repeat); estimated from the log where not given",
     )  # fmt: skip
+
+
+def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
+    """Options of every command that reads a table, of any format; returns their group."""
+    group = parser.add_argument_group(title)
+    group.add_argument(
+        "--column", action="append", default=[], metavar="OURS=THEIRS",
+        help=f"our name, ending with the unit their column is in: --column {example} (repeat)",
+    )  # fmt: skip
+    group.add_argument("--format", help="parquet, csv, mat or hdf5, when the suffix does not tell")
+    group.add_argument("--delimiter", help="of a CSV file, when it is not a comma")
+    return group
 
 
 def model_options(parser: ArgumentParser, default: str) -> None:

@@ -1,18 +1,29 @@
 """The command line: `hallsym fit LOG --model stage31 -o calib.json`, and what belongs to it."""
 
 import argparse
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
+from typing import NoReturn, TextIO
 
 import hallsym
-from hallsym.cli import BAD_INPUT, COMMANDS, NOT_CONVERGED, OK
-from hallsym.errors import InputError
+from hallsym.cli import BAD_INPUT, BUG, COMMANDS, NOT_CONVERGED, OK
+from hallsym.errors import InputError, one_line, quoted, summary
+from hallsym.files import reason
+from hallsym.guard import announce, task
+
+DEBUG = "HALLSYM_DEBUG"
+"""Environment variable that shows the traceback behind each sentence."""
+OUTPUTS = ("output", "plots")
+"""Options of all commands that name what is written."""
 
 EPILOG = """\
 exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done, but this log leaves parameters of
 the model undetermined (they are named); 4 the solver did not converge or was interrupted (the best so far is
-written).
+written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where).
 
 examples:
   hallsym demo                                    the paper's calibration on the bundled campaign
@@ -24,8 +35,36 @@ examples:
 """
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns its exit code. Bad input gives one sentence on stderr and 2."""
+def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool] = lambda: False) -> int:
+    """Run one command; returns its exit code. Bad input gives one sentence on stderr and 2.
+
+    `interrupted`: whether Ctrl-C was pressed; a library may turn it into another exception.
+    """
+    try:
+        with task():
+            code = _run(arguments)
+            sys.stdout.flush()
+            return code
+    except InputError as error:
+        return _said(str(error), BAD_INPUT, error)
+    except BrokenPipeError:
+        _silence(sys.stdout)
+        return OK
+    except OSError as error:
+        _silence(sys.stdout)
+        where = error.filename or "standard output"
+        return _said(f"Cannot read or write {quoted(where)}: {reason(error)}.", BAD_INPUT, error)
+    except KeyboardInterrupt:
+        return _said("interrupted; nothing was written.", NOT_CONVERGED)
+    except MemoryError as error:
+        return _said("There is not enough memory; use fewer samples or a larger machine.", BAD_INPUT, error)
+    except Exception as error:
+        if interrupted():
+            return _said("interrupted; nothing was written.", NOT_CONVERGED)
+        return _said(_bug(error), BUG, error)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     parser = _parser(next((word for word in words if not word.startswith("-")), None))
     options = parser.parse_args(arguments)
@@ -35,22 +74,62 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command is None:
         parser.print_help()
         return OK
+    _check(options)
+    return options.run(options)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse empty words, which would be taken for no option, and outputs that are inputs."""
+    for name, value in vars(options).items():
+        if value == "" or (isinstance(value, list) and "" in value):
+            raise InputError(f"'{name.replace('_', '-')}' must not be empty; give a value or leave it out.")
+    for name in OUTPUTS:
+        given = getattr(options, name, None) or []
+        for path in [given] if isinstance(given, str) else given:
+            announce(path)
+
+
+def _said(sentence: str, code: int, error: BaseException | None = None) -> int:
+    """Print one sentence on stderr; with the environment variable `HALLSYM_DEBUG` after the traceback."""
+    if error is not None and os.environ.get(DEBUG):
+        import traceback
+
+        traceback.print_exception(error)
     try:
-        return options.run(options)
-    except InputError as error:
-        print(f"hallsym: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except BrokenPipeError:
-        sys.stderr.close()
-        return OK
-    except KeyboardInterrupt:
-        print("hallsym: interrupted; nothing was written.", file=sys.stderr)
-        return NOT_CONVERGED
+        print(f"hallsym: {one_line(sentence)}", file=sys.stderr)
+    except OSError:
+        _silence(sys.stderr)
+    return code
+
+
+def _bug(error: Exception) -> str:
+    frame = error.__traceback__
+    while frame is not None and frame.tb_next is not None:
+        frame = frame.tb_next
+    place = f" at {Path(frame.tb_frame.f_code.co_filename).name}:{frame.tb_lineno}" if frame else ""
+    return (
+        f"This is a mistake in hallsym, not in your input: {type(error).__name__} ({summary(error)}){place}; "
+        f"please report it with the command and what it prints with {DEBUG}=1."
+    )
+
+
+def _silence(stream: TextIO) -> None:
+    """Let the rest of what is printed go nowhere, so that nothing is raised when the interpreter ends."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong and end with 2."""
+        self.exit(BAD_INPUT, f"{one_line(f'{self.prog}: {message}; see {self.prog} --help')}\n")
 
 
 def _parser(called: str | None) -> argparse.ArgumentParser:
     """Return the parser with the options of the command that is called; the others are only listed."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="hallsym",
         description="From a log of Hall readings beside a reference to a calibrated position sensor.",
         epilog=EPILOG,

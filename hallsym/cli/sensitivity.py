@@ -51,7 +51,7 @@ def add(sub: Any) -> None:
         "--plan",
         metavar="TOML",
         nargs="?",
-        const="",
+        const=False,
         help="a campaign file instead of a log (no file: Table 6)",
     )
     own_option(parser)

@@ -19,9 +19,10 @@ import numpy as np
 from hallsym.codegen.arithmetic import Arithmetic, Port
 from hallsym.codegen.decoupler import Decoupler, flag_bit
 from hallsym.codegen.entries import short, unit
+from hallsym.codegen.naming import PREFIX, commented
 from hallsym.codegen.templates import MARK, filled, tree
 
-VERSION = 1
+VERSION = 2
 """Of the generated interface and of the head of the table."""
 BINARY = "params/decoupler_params.bin"
 REFERENCE = 1e-15
@@ -42,7 +43,7 @@ class Stored:
     def member(self) -> str:
         """Its declaration in the struct of the table."""
         size = f"[{len(self.values)}]" if self.values.ndim else ""
-        return f"{C_TYPES[self.values.dtype.str[1:]]} {self.name}{size}; /**< {self.note} */"
+        return f"{C_TYPES[self.values.dtype.str[1:]]} {self.name}{size}; /**< {commented(self.note)} */"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,25 +85,56 @@ class Backend(Arithmetic):
         """Return a number of the table in C."""
 
     @property
-    def head(self) -> tuple[tuple[str, int], ...]:
-        """Words before the entries."""
-        return ("version", VERSION), ("layout", self.layout), ("crc", self.crc)
+    def pad(self) -> int:
+        """Bytes between the CRC of the zeros and the zeros, which begin at a multiple of their own size."""
+        return 0
+
+    @property
+    def head(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        """Words before the entries, after the CRC that covers them."""
+        digest = str(self.record.get("calibration_sha256", "0" * 64))
+        identity = (int(digest[:8], 16), int(digest[8:16], 16))
+        return (
+            ("version", (VERSION,)), ("layout", (self.layout,)), ("length", (self.length,)),
+            ("calibration", identity),
+        )  # fmt: skip
+
+    @property
+    def constant(self) -> Sequence[Stored]:
+        """The entries that a reset leaves as they are."""
+        return self.entries[: -len(self.decoupler.pose)]
+
+    @property
+    def zeros(self) -> Sequence[Stored]:
+        """The entries that a reset sets."""
+        return self.entries[-len(self.decoupler.pose) :]
+
+    @property
+    def length(self) -> int:
+        """Bytes of the table: two CRC, five words, entries."""
+        return 4 * (2 + 5) + self.pad + sum(entry.values.nbytes for entry in self.entries)
 
     @cached_property
     def covered(self) -> bytes:
-        """The bytes that the CRC covers: not the zeros, which a reset changes."""
-        return b"".join(entry.values.tobytes() for entry in self.entries[: -len(self.decoupler.pose)])
+        """The bytes that the CRC of the table covers: all between it and the CRC of the zeros."""
+        words = [word for _, words in self.head for word in words]
+        return struct.pack(f"<{len(words)}I", *words) + _joined(self.constant)
 
     @property
     def crc(self) -> int:
-        """CRC-32 (IEEE 802.3, as zlib has it)."""
+        """CRC-32 (IEEE 802.3, as zlib has it) of all but the zeros."""
         return zlib.crc32(self.covered)
+
+    @property
+    def zeros_crc(self) -> int:
+        """CRC-32 of the zeros."""
+        return zlib.crc32(_joined(self.zeros))
 
     @property
     def binary(self) -> bytes:
         """The table as it lies in the flash of a little-endian controller."""
-        head = struct.pack(f"<{len(self.head)}I", *(word for _, word in self.head))
-        return head + b"".join(entry.values.tobytes() for entry in self.entries)
+        crc, zeros_crc = (struct.pack("<I", value) for value in (self.crc, self.zeros_crc))
+        return crc + self.covered + zeros_crc + bytes(self.pad) + _joined(self.zeros)
 
     def json(self) -> str:
         """Return the table as a readable record."""
@@ -120,10 +152,22 @@ class Backend(Arithmetic):
 
     def _values(self) -> list[str]:
         """The table as an initializer in C."""
+
+        def word(value: int, name: str) -> str:
+            return f"{value}UL" if name in ("version", "length") else f"0x{value:08X}UL"
+
+        rows = [f"    .crc = {word(self.crc, 'crc')},"]
+        for name, words in self.head:
+            listed = ", ".join(word(value, name) for value in words)
+            rows.append(f"    .{name} = {f'{{{listed}}}' if len(words) > 1 else listed},")
+        rows += self._listed(self.constant)
+        rows.append(f"    .zeros_crc = {word(self.zeros_crc, 'crc')},")
+        rows += ["    .reserved = 0UL,"] if self.pad else []
+        return [*rows, *self._listed(self.zeros)]
+
+    def _listed(self, entries: Sequence[Stored]) -> list[str]:
         rows = []
-        for name, word in self.head:
-            rows.append(f"    .{name} = {f'0x{word:08X}' if name in ('layout', 'crc') else word}UL,")
-        for entry in self.entries:
+        for entry in entries:
             remark = f" /* [{entry.unit}] */" if entry.unit else ""
             if entry.values.ndim:
                 text = textwrap.wrap(", ".join(map(self._literal, entry.values.tolist())), 104)
@@ -193,18 +237,23 @@ class Backend(Arithmetic):
         raised = sum(flag_bit(k) for k in range(len(d.flags)))
         return {
             "in": inputs,
-            "limited": [i for i in inputs if i["column"] in self.limited],
+            "limited": [
+                i for i, port in zip(inputs, self.inputs, strict=True) if port.column in self.limited
+            ],
             "out": outputs,
             "bounded": [o for o in outputs if "outer_low" in o],
             "flag": flags,
             "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
-            "model": d.model.name,
+            "model": commented(d.model.name),
             "family": d.model.family,
             "sha256": self.record["calibration_sha256"],
             "version": VERSION,
             "layout": f"0x{self.layout:08X}UL",
             "table_layout": f"0x{self.layout:08x}",
             "table_bytes": len(self.binary),
+            "prefix": self.record.get("name", PREFIX),
+            "first_out": f"out.{self.outputs[0].member}",
+            "type": self.type,
             "inputs": len(d.inputs),
             "pose": len(d.pose),
             "width": len(d.pose) + 1,
@@ -213,12 +262,12 @@ class Backend(Arithmetic):
             "why_no_eva": "frama-c is not installed"
             if d.evident
             else "it relates no two values, as this code needs",
-            "first": self.entries[0].name,
-            "last": self.entries[-len(d.pose)].name,
-            "table": [f"uint32_t {n}; /**< 0 */" for n, _ in self.head[3:]]
-            + [e.member for e in self.entries],
+            "table": [e.member for e in self.constant],
+            "reserved": ["uint32_t reserved; /**< 0 */"] if self.pad else [],
+            "zeros": [e.member for e in self.zeros],
+            "first_zero": self.zeros[0].name,
             "values": self._values(),
-            "without_flags": f" & ~({' | '.join(f'DECOUPLER_{f.name}' for f in d.flags)})" if d.flags else "",
+            "without_flags": f" & ~({' | '.join(status_bit(f.name) for f in d.flags)})" if d.flags else "",
             "status_or_flags": f"status == 0 || status == 0x{raised:08X}" if d.flags else "status == 0",
             "vectors": self.vectors.inputs.shape[1],
             "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
@@ -230,7 +279,8 @@ class Backend(Arithmetic):
 
 def _record(k: int, port: Port) -> dict[str, Any]:
     cast = "(uint32_t)" if port.type == "uint32_t" else ""
-    return {**vars(port), "name": short(port.column), "number": k + 1, "index": k, "cast": cast}
+    shown = {"column": commented(port.column), "name": short(port.column)}
+    return {**vars(port), **shown, "number": k + 1, "index": k, "cast": cast}
 
 
 def _small(value: float, column: str) -> str:
@@ -252,4 +302,18 @@ def of_params(text: str) -> str:
 
 def bit(column: str) -> str:
     """Return the name of an input's status bit."""
-    return f"DECOUPLER_{short(column).upper()}"
+    return status_bit(short(column).upper())
+
+
+def status_bit(name: str) -> str:
+    """Return the name of a status bit."""
+    return f"DECOUPLER_STATUS_{name}"
+
+
+def raised(condition: str, flag: str) -> list[str]:
+    """Return C that sets the bit of a flag where a condition holds."""
+    return [f"if ({condition})", "{", f"    status |= {status_bit(flag)};", "}"]
+
+
+def _joined(entries: Sequence[Stored]) -> bytes:
+    return b"".join(entry.values.tobytes() for entry in entries)

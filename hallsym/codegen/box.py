@@ -8,6 +8,7 @@ import numpy as np
 from hallsym.codegen.entries import Entry, short, unit
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
+from hallsym.log.limits import limit_of
 
 NEARLY = 0.9
 """Ends whose magnitudes differ by less than this ratio become one symmetric limit, the smaller of the two."""
@@ -42,7 +43,7 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
         if column in model.period:  # what repeats is known all round
             ends[column] = (-model.period[column], model.period[column])
         elif reference in span:
-            ends[column] = _rounded(*span[reference])
+            ends[column] = _rounded(*_recorded(reference, *span[reference]))
     for column, (low, high) in (given or {}).items():
         if column not in columns:
             raise InputError(
@@ -51,6 +52,12 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
             )
         if not (np.isfinite([low, high]).all() and low < high):
             raise InputError(f"The range of {column} must go from the lesser to the greater value, finite.")
+        limit = limit_of(column)
+        if limit and high - low > limit.span:
+            raise InputError(
+                f"The range of {column}, {low:g} to {high:g}, is wider than {limit.what} ({limit.span:g} in "
+                "SI); check its unit: --range z_um=-200:200."
+            )
         ends[column] = (float(low), float(high))
     for column in (*model.pose, *model.state):
         if column not in ends:
@@ -59,6 +66,15 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
                 f"hallsym); fit the log again, or give --range {column}=LOW:HIGH."
             )
     return Box(ends)
+
+
+def _recorded(column: str, low: float, high: float) -> tuple[float, float]:
+    if not (np.isfinite([low, high]).all() and low <= high):
+        raise InputError(
+            f"The calibration says that {column} was recorded from {low:g} to {high:g}, which is no range: "
+            "fit the log again."
+        )
+    return low, high
 
 
 def _rounded(low: float, high: float) -> tuple[float, float]:

@@ -24,6 +24,14 @@ def check(fit: Fit, allow_undetermined: bool) -> None:
         )
     if not np.all(np.isfinite(fit.values)):
         raise InputError("The calibration holds values that are not finite; fit the log again.")
+    lower, upper = fit.model.bounds
+    slack = 1e-9 * np.maximum(np.abs(lower), np.abs(upper))
+    outside = (upper > lower) & ((fit.values < lower - slack) | (fit.values > upper + slack))
+    for k in np.flatnonzero(outside)[:1]:
+        raise InputError(
+            f"Parameter {fit.model.names[k]} of the calibration is {fit.values[k]:g}, outside its bounds "
+            f"{lower[k]:g} to {upper[k]:g}: no fit ends there; fit the log again."
+        )
     if fit.undetermined_by_log and not allow_undetermined:
         names = ", ".join(fit.undetermined_by_log)
         raise InputError(

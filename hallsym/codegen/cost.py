@@ -14,8 +14,8 @@ from hallsym.model import Model
 
 TYPICAL = {"m": 5e-4, "rad": 5e-4, "degC": 10.0}
 """Reach of a column by its unit where no box is given: a fine stroke, some ten degrees of temperature."""
-HEAD = 12
-"""Bytes before the entries of a table."""
+HEAD = 28
+"""Bytes of a table beside its entries: two CRC, version, layout, length, calibration."""
 
 
 @dataclass(frozen=True)

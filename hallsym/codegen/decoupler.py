@@ -141,8 +141,6 @@ class Decoupler:
     """Rows of numbers that steps look up; in the table after the limits."""
     evident: bool = True
     """Whether an analysis that relates no two values, such as Frama-C EVA, sees that the pose is finite."""
-    by_size: bool = False
-    """Whether readings with as much room on both sides are tested by their size, as state columns are."""
     said: tuple[str, ...] = ()
     """Sentences for header and report: approximations, and what they may leave."""
 

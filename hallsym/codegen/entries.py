@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from hallsym.codegen.naming import identifier
+
 
 @dataclass(frozen=True, eq=False)
 class Entry:
@@ -14,8 +16,8 @@ class Entry:
 
 
 def short(column: str) -> str:
-    """Return `hall_a` of `hall_a_m`."""
-    return column.rpartition("_")[0] or column
+    """Return `hall_a` of `hall_a_m`, as a C identifier."""
+    return identifier(column.rpartition("_")[0] or column)
 
 
 def unit(column: str) -> str:

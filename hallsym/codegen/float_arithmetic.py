@@ -13,6 +13,7 @@ from hallsym.codegen.backend import VERSION, Backend, Stored
 from hallsym.codegen.bounds import Bounds, pose_bounds
 from hallsym.codegen.entries import Entry, unit
 from hallsym.codegen.float_c import Real, statements
+from hallsym.codegen.naming import identifier
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +53,12 @@ class FloatArithmetic(Backend):
     @cached_property
     def inputs(self) -> Sequence[Port]:
         """In SI."""
-        return [Port(c, self.type, c, unit(c)) for c in self.decoupler.inputs]
+        return [Port(c, self.type, identifier(c), unit(c)) for c in self.decoupler.inputs]
 
     @cached_property
     def outputs(self) -> Sequence[Port]:
         """In SI."""
-        return [Port(c, self.type, c, unit(c)) for c in self.decoupler.pose]
+        return [Port(c, self.type, identifier(c), unit(c)) for c in self.decoupler.pose]
 
     @property
     def span(self) -> tuple[np.ndarray, np.ndarray]:
@@ -74,6 +75,16 @@ class FloatArithmetic(Backend):
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
         return self.decoupler.on_arrays(self.real.dtype)
+
+    def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By the bits of its size where a range is symmetric: NaN goes to the end of its sign."""
+        held, status = super().hold(inputs)
+        below = np.isnan(inputs) & np.signbit(inputs) & self._symmetric
+        return np.where(below, self.ends[0], held), status
+
+    @cached_property
+    def _symmetric(self) -> np.ndarray:
+        return np.array([[self.decoupler.box.symmetric(c)] for c in self.decoupler.inputs])
 
     def run(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Operation by operation."""
@@ -148,9 +159,9 @@ class FloatArithmetic(Backend):
         return [*stored((*d.table, *d.limits)), *rows, *stored(d.zeros)]
 
     @property
-    def head(self) -> tuple[tuple[str, int], ...]:
-        """One more word before doubles, which begin at a multiple of 8 bytes."""
-        return (*super().head, ("reserved", 0)) if self.real.size == 8 else super().head
+    def pad(self) -> int:
+        """A word before the zeros in double."""
+        return self.real.size - 4
 
     @cached_property
     def layout(self) -> int:

@@ -1,21 +1,23 @@
 """The files of a decoupler in float or double."""
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from hallsym.codegen import faults
 from hallsym.codegen.arithmetic import Port
-from hallsym.codegen.backend import bit, ends
+from hallsym.codegen.backend import bit, ends, raised, status_bit
 from hallsym.codegen.bounds import LEAST_GAIN, slope_errors, spreads
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.float_arithmetic import FloatArithmetic
 from hallsym.codegen.float_c import shared_statements, statements, straight
 from hallsym.codegen.gappa import gappa
+from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.templates import lines_of
 from hallsym.model.arrays import on_arrays
 
@@ -24,6 +26,8 @@ FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
 """Compiler options of a Cortex-M4F by bytes of a number; its unit has no double."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
+UNIONS = ["misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_check.c"]
+"""Deviation: the bits of a number are read through a union, which C99 defines."""
 FRAGMENTS = "float/fragments/"
 
 
@@ -67,14 +71,14 @@ class FloatBackend(FloatArithmetic):
         work = firmware_cost(d)
         common = {
             "real": self.type,
-            "fabs": self.real.fabs,
+            "builtin_fabs": self.real.fabs,
             "zero": c(0.0),
             "out": self._outputs(errors),
             "in": self._inputs(),
             "slope": self._slope_records(),
             # build files
             "all_nan": ", all NaN",
-            "shifts": [],
+            "deviations": UNIONS if any(map(self.by_size, d.inputs)) else [],
             "cpu": f"{M4} {FPU[self.real.size]}",
             "machine": "mps2-an386",
             # proofs
@@ -83,8 +87,10 @@ class FloatBackend(FloatArithmetic):
             "any_type": self.type,
             "eva_slopes": self._if_jacobian("eva_slopes.c"),
             # report
-            "notes": "\n".join(f"- {note}" for note in (*d.said, *notes)),
-            "gain": [{"column": c, "share": f"{v:.4f}"} for c, v in self.bounds.least_gain.items()],
+            "notes": "\n".join(f"- {commented(note)}" for note in (*d.said, *notes)),
+            "gain": [
+                {"column": commented(c), "share": f"{v:.4f}"} for c, v in self.bounds.least_gain.items()
+            ],
             "arithmetic": self._arithmetic(),
             "operations": work.operations,
             "moves": work.moves,
@@ -104,7 +110,7 @@ class FloatBackend(FloatArithmetic):
             return []
         pairs = [(c, m) for c in d.pose for m in d.model.channels]
         return [
-            {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": c, "by": m}
+            {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c), "by": commented(m)}
             for k, (name, (c, m)) in enumerate(zip(d.slopes, pairs, strict=True))
         ]
 
@@ -122,7 +128,7 @@ class FloatBackend(FloatArithmetic):
         def units(columns: Sequence[str], between: str = ", ") -> str:
             return between.join(dict.fromkeys(map(unit, columns)))
 
-        flags = ", ".join(f"DECOUPLER_{f.name}" for f in d.flags)
+        flags = ", ".join(status_bit(f.name) for f in d.flags)
         return {
             "probes": len(d.model.channels),
             "all_units": units((*d.inputs, *d.pose), " and "),
@@ -137,61 +143,72 @@ class FloatBackend(FloatArithmetic):
             "jacobian_function": self._if_jacobian("jacobian.h"),
         }
 
-    def by_size(self, column: str) -> bool:
-        """State columns are tested by size, readings end by end: fewest instructions, typical and worst.
+    def _bits(self) -> dict[str, str]:
+        """The bits of a number in C: their type, those of the size, the one of the sign."""
+        if self.real.size == 4:
+            return {"word": "uint32_t", "size_mask": "0x7FFFFFFFUL", "sign_mask": "0x80000000UL"}
+        masks = {"size_mask": "0x7FFFFFFFFFFFFFFFULL", "sign_mask": "0x8000000000000000ULL"}
+        return {"word": "uint64_t", **masks}
 
-        Readings by size where the decoupler says so.
-        """
-        d = self.decoupler
-        return (d.by_size or column in d.model.state) and d.box.symmetric(column)
+    def by_size(self, column: str) -> bool:
+        """Whether the bits of its size are compared: fewest instructions, typical and worst."""
+        return self.decoupler.box.symmetric(column)
 
     def _held(self, used: ca.SX | None = None) -> list[str]:
         """Bring the inputs into their range; of those that are not `used` only the status counts."""
         d, lines = self.decoupler, []
         for c in d.inputs:
             low, high = ends(d, c)
-            call = f"limited(in->{c}, {low}, {high}, {bit(c)}, &status);"
+            call = f"limited(in->{identifier(c)}, {low}, {high}, {bit(c)}, &status);"
             if self.by_size(c):
-                call = f"within(in->{c}, {high}, {bit(c)}, &status);"
+                call = f"within(in->{identifier(c)}, {high}, {bit(c)}, &status);"
             needed = used is None or ca.depends_on(used, d.symbols[c])
             lines.append(f"const {self.type} {short(c)} = {call}" if needed else f"(void){call}")
         return lines
 
     def _step(self, common: Mapping[str, Any]) -> dict[str, Any]:
         d, real = self.decoupler, self.real
-        names = {e.name: f"p->{e.name}" for e in d.entries}
-        results = {s.name: f"out->{c}" for s, c in zip(d.steps[-len(d.pose) :], d.pose, strict=True)}
+        names = {e.name: f"p->{e.name}" for e in (*d.table, *d.limits)}
+        last = d.steps[-len(d.pose) :]
+        results = {s.name: f"out->{identifier(c)}" for s, c in zip(last, d.pose, strict=True)}
         body = statements(d.steps, names, real, results)
         used = [c for c in d.inputs if ca.depends_on(d.folded, d.symbols[c])]
-        flags = [
-            line
-            for f in d.flags
-            for line in (f"if (!({f.step} >= p->{f.least}))", "{", f"    status |= DECOUPLER_{f.name};", "}")
-        ]
-        most = {c: real.constant(d.known(c)) for c in d.pose}
-        known = [f"((pose->{c} >= -{most[c]}) && (pose->{c} <= {most[c]}))" for c in d.pose]
+        flags = [line for f in d.flags for line in raised(f"!({f.step} >= p->{f.least})", f.name)]
+        most = {identifier(c): real.constant(d.known(c)) for c in d.pose}
+        known = [f"((pose->{c} >= -{far}) && (pose->{c} <= {far}))" for c, far in most.items()]
+        whole = {**names, **{e.name: f"p->{e.name}" for e in d.zeros}}
         slopes: list[str] = []
         if self.jacobian:
             flat = ca.vertcat(*d.slopes.values())
             slopes = self._held(flat)
-            slopes += shared_statements(flat, names, real, [f"slopes->{n}" for n in d.slopes])
-        within = any(map(self.by_size, d.inputs))
-        iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, names, real, {})}
+            slopes += shared_statements(flat, whole, real, [f"slopes->{n}" for n in d.slopes])
+        magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
+        by_size = list(map(self.by_size, d.inputs))
+        within = lines_of(f"{FRAGMENTS}within.c", {**common, **self._bits()}) if any(by_size) else []
+        limited = lines_of(f"{FRAGMENTS}limited.c", common)
+        if all(by_size):
+            limited = ["#if defined(__FRAMAC__)", *limited[:-1], "#endif", ""]
+        zeros = [e.name for e in d.zeros]
+        none = {"pose": len(d.pose), "no_zeros": ", ".join(real.constant(0.0) for _ in zeros)}
+        iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, whole, real, {})}
         zero = "take_zero_iterated.c" if d.at_pose else "take_zero.c"
         return {
-            "within": lines_of(f"{FRAGMENTS}within.c", common) if within else [],
+            "limited_function": limited,
+            "within": within,
             "held": self._held(d.folded),
             "body": body,
             "flags": flags,
             "jacobian": self._if_jacobian("jacobian.c", {"slopes": slopes}),
             "known_within": "\n        && ".join(known),
-            "take_zero": lines_of(FRAGMENTS + zero, {**common, **iterated}),
-            "bare_includes": ["#include <math.h>", ""]
-            if any(f"{real.fabs}(" in line for line in body)
-            else [],
-            "bare_helpers": [],
+            "zero_parameters": ", ".join(f"{self.type} {name}" for name in zeros),
+            "zeros_of_table": ", ".join(f"p->{name}" for name in zeros),
+            "take_zero": lines_of(FRAGMENTS + zero, {**common, **none, **iterated}),
+            "bare_includes": [],
+            "magnitude": magnitude if any("MAGNITUDE(" in line for line in (*body, *within)) else [],
+            "bare_helpers": [*magnitude, ""] if any("MAGNITUDE(" in line for line in body) else [],
             "bare_body": [
-                *(f"const {self.type} {short(c)} = in->{c};" for c in used),
+                *(f"const {self.type} {short(c)} = in->{identifier(c)};" for c in used),
+                *(f"const {self.type} {name} = p->{name};" for name in zeros),
                 *body,
                 *(f"(void){flag.step};" for flag in d.flags),
             ],
@@ -199,10 +216,10 @@ class FloatBackend(FloatArithmetic):
 
     def _check(self) -> dict[str, Any]:
         d, real = self.decoupler, self.real
-        zero, share = real.constant(0.0), real.constant(round(1 - LEAST_GAIN, 6))
+        share = real.constant(round(1 - LEAST_GAIN, 6))
         gains, sides = spreads(d), {c: ends(d, c) for c in d.inputs}
         filled = [
-            f"({high} >= {zero})" if d.box.symmetric(c) else f"({low} <= {high})"
+            f"(negative({high}) == 0U)" if d.box.symmetric(c) else f"({low} <= {high})"
             for c, (low, high) in sides.items()
         ]
         remain = [
@@ -214,8 +231,14 @@ class FloatBackend(FloatArithmetic):
             if not a.integers:
                 finite += [f"for (uint32_t k = 0U; k < {len(a.values)}U; k++)", "{"]
                 finite += [f"    bad += not_finite(p->{a.name}[k]);", "}"]
+        far = {e.name: real.constant(2.0 * d.known(c)) for e, c in zip(d.zeros, d.pose, strict=True)}
+        beyond = [f"\n        || !((p->{z} >= -{most}) && (p->{z} <= {most}))" for z, most in far.items()]
         return {
-            "most": "FLT_MAX" if real.size == 4 else "DBL_MAX",
+            "zeros_beyond": "".join(beyond),
+            "negative": lines_of(f"{FRAGMENTS}negative.c", {"real": self.type, **self._bits()})
+            if any(map(self.by_size, d.inputs))
+            else [],
+            "most": self._most,
             "spreads": statements(gains, {e.name: f"p->{e.name}" for e in d.entries}, real, {}),
             "not_empty": "\n        && ".join(filled),
             "gains_remain": "\n        && ".join(remain),
@@ -248,16 +271,67 @@ class FloatBackend(FloatArithmetic):
             "slope_field": [f"double slopes[{len(d.slopes)}];"] if self.jacobian else [],
             "slope_step": self._if_jacobian("slope_step.c"),
             "slope_status": [status] if self.jacobian else [],
-            "near": c(1e-9),
-            "at_rest": [] if d.rest else [f"const {self.type} at_rest = {c(2.0**-14)};"],
+            "near": c(self._near),
             "at_known": c(2.0**-12),
-            "not_back": " || ".join(f"(near(out.{column}, at_known) == 0)" for column in d.pose),
-            "first_input": d.inputs[0],
-            "first_rest": c(d.rest[0]) if d.rest else "at_rest",
-            "first_pose": d.pose[0],
-            "too_large": c(1e30),
-            "too_far": c(2.0 * d.known(d.pose[0])),
+            **self._known(),
+            "fault_includes": ["#include <float.h>", "#include <math.h>"],
+            "faults": list(self._faults()),
         }
+
+    @property
+    def _near(self) -> float:
+        """What roundings of a pose at its largest zero, and iterations, may leave [m, rad], and some."""
+        d = self.decoupler
+        return 8 * 2.0**-self.real.digits * max(2.0 * d.known(c) for c in d.pose) + 10 * d.slack
+
+    def _known(self) -> dict[str, Any]:
+        """Poses at which the self-test takes a zero, and those at which none is taken."""
+        d, c = self.decoupler, self.real.constant
+        inside = 1 - 2.0**-7  # of a period: where it wraps itself, either end is right
+        most = [d.known(p) * (inside if p in d.model.period else 1.0) for p in d.pose]
+        ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest
+        rows = [", ".join(c(share * m) for m in most) for share in ends]
+        refused: list[str] = []
+        for port in self.outputs:
+            far = d.known(port.column) * 1.0001
+            for value in (c(far), f"-{c(far)}", self._input(np.nan)):
+                refused += [f"pose.{port.member} = {value};"]
+                refused += ["bad += not_refused(in, &pose, DECOUPLER_STATUS_KNOWN);"]
+            refused.append(f"pose.{port.member} = {c(0.0)};")
+        return {"known_poses": len(rows), "known_rows": [f"{{{row}}}," for row in rows], "refused": refused}
+
+    @property
+    def _most(self) -> str:
+        """The largest number in C."""
+        return "FLT_MAX" if self.real.size == 4 else "DBL_MAX"
+
+    def _faults(self) -> Iterator[str]:
+        """The faults of a table that the self-test makes: words, numbers, limits, gains, zeros."""
+        d, c = self.decoupler, self.real.constant
+        reach = {column: max(map(abs, d.ends(column))) for column in d.inputs}
+        values = [self._input(value) for value in (np.nan, np.inf, -np.inf)]
+        yield from faults.of_words()
+        for stored in self.entries:
+            last = f"[{len(stored.values) - 1}]" if stored.values.ndim else ""
+            also = " | DECOUPLER_BAD_ZEROS" if stored in self.zeros else ""
+            for value in values if stored.values.dtype.kind == "f" else ():
+                yield from faults.expect(
+                    [f"table.{stored.name}{last} = {value};"], f"DECOUPLER_BAD_NUMBER{also}"
+                )
+        yield from faults.of_limits(d, self.limited, c(0.0))
+        yield from faults.of_margins(d, reach, lambda name, value: f"table.{name} = {c(value)};")
+        own = {name for m in d.margins for name in (m.rest, *(entry for entry, _ in m.terms))}
+        for entry in d.table:
+            for minus in ("", "-"):
+                if entry.name not in own:  # the largest number is one
+                    yield from faults.expect([f"table.{entry.name} = {minus}{self._most};"])
+        beyond = f"table.{d.zeros[0].name} = {c(3.0 * d.known(d.pose[0]))};"
+        yield from faults.of_several(d, self.limited, beyond)
+        for zero, column in zip(d.zeros, d.pose, strict=True):
+            for sign in (1.0, -1.0):
+                for share, found in ((1.0, "0U"), (1 + faults.JUST, "DECOUPLER_BAD_ZEROS")):
+                    value = c(2.0 * sign * share * d.known(column))
+                    yield from faults.expect([f"table.{zero.name} = {value};"], found)
 
     def _slopes(self) -> tuple[np.ndarray, list[str]]:
         """Return the slopes (n_slopes, s) of the vectors in double, and the line of their bounds."""
@@ -312,9 +386,9 @@ class FloatBackend(FloatArithmetic):
             every += lines_of(f"{FRAGMENTS}every.c", {**common, **fields})
         tests = [
             f"bad += all_within({i['greatest']});"
-            if self.by_size(i["column"])
+            if self.by_size(port.column)
             else f"bad += all_limited({i['least']}, {i['greatest']});"
-            for i in common["in"]
+            for i, port in zip(common["in"], self.inputs, strict=True)
         ]
         return {"every": every, "range_tests": tests}
 

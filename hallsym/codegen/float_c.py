@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Bits, Lookup, Step, Whole
+from hallsym.codegen.naming import commented
 from hallsym.codegen.operations import BRANCHES, TESTS, Operation, graph
 from hallsym.errors import InputError
 
@@ -28,8 +29,8 @@ class Real:
 
     @property
     def fabs(self) -> str:
-        """The C function of a magnitude."""
-        return "fabsf" if self.size == 4 else "fabs"
+        """The compiler's own function of a magnitude."""
+        return "__builtin_fabsf" if self.size == 4 else "__builtin_fabs"
 
     def constant(self, value: float) -> str:
         """Return a literal that is read back as the same number."""
@@ -57,7 +58,7 @@ def statements(
         before, text = _text(step, names, real)
         lines += before
         left = results.get(step.name, f"const {real.name} {step.name}")
-        lines += [f"/* {step.remark} */"] if step.remark else []
+        lines += [f"/* {commented(step.remark)} */"] if step.remark else []
         if isinstance(step, Whole | Bits):
             left, text = f"const uint32_t {step.name}", _bits(step)
             names[step.name] = f"({real.name}){step.name}"
@@ -141,7 +142,7 @@ def _operation(op: str, a: Sequence[str], real: Real) -> str:
         "inv": f"({one} / {{0}})",
         "sign": f"(({{0}} > {none}) ? {one} : (({{0}} < {none}) ? -{one} : {none}))",
         "if_else_zero": f"({{0}} ? {{1}} : {none})",
-        "fabs": f"{real.fabs}({_bare(a[0])})",
+        "fabs": f"MAGNITUDE({_bare(a[0])})",
     }
     if op not in texts:
         raise InputError(f"Operation {op} of the model has no C without libm; write it as a polynomial.")

@@ -19,7 +19,8 @@ from hallsym.codegen.folder import replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
 from hallsym.codegen.lowering import lower, lowering_of, options_of
-from hallsym.errors import InputError
+from hallsym.codegen.naming import PREFIX, check_prefix, mapping, renamed_files
+from hallsym.errors import InputError, quoted
 from hallsym.estimation.calibration import Fit
 
 ARITHMETICS = ("float", "q31")
@@ -32,12 +33,16 @@ UNSEEN = {"accuracy": np.pi, "correction": "series:0"}
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """What `generate` made: files by path, the backend that made them, largest errors met, and notes."""
+    """What `generate` made: files by path, the backend that made them, largest errors met, and notes.
+
+    `name`: prefix of symbols and files.
+    """
 
     backend: Backend
     files: Mapping[str, str | bytes]
     errors: Mapping[str, float]
     notes: tuple[str, ...]
+    name: str = PREFIX
 
     @property
     def decoupler(self) -> Decoupler:
@@ -58,15 +63,17 @@ class Generated:
     def write(self, folder: str | Path, *, force: bool = False, params_only: bool = False) -> None:
         """Write the folder, or only its parameters. Raises `InputError` before anything is written."""
         if params_only:
-            replace_params(Path(folder), self.params, self.backend.layout)
+            replace_params(Path(folder), self.params, self.backend.layout, self.name)
         else:
-            write_folder(Path(folder), self.files, force=force)
+            write_folder(Path(folder), self.files, force=force, name=self.name)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the readable record."""
         d, backend = self.decoupler, self.backend
         return {
+            "name": self.name,
             "model": d.model.name,
+            "identifiers": mapping((*d.inputs, *d.pose)),
             "type": backend.type,
             "layout": f"0x{backend.layout:08x}",
             "table_bytes": len(backend.binary),
@@ -91,6 +98,7 @@ def generate(
     correction: str | None = None,
     allow_undetermined: bool = False,
     calibration_sha256: str | None = None,
+    name: str = PREFIX,
 ) -> Generated:
     """Generate the C decoupler of a calibration.
 
@@ -99,25 +107,30 @@ def generate(
     `jacobian`: with `decoupler_jacobian()`. Models of an angle: `accuracy` is what the correction of it
     may leave besides rounding [rad], default 3e-8, of integers 1e-5; `correction` is "series", "table", or
     "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what harmonics and polynomials may leave
-    of a place [m]. Raises `InputError` for a calibration that cannot be trusted on a
+    of a place [m]. `name`: prefix of symbols and files, so that several decouplers fit in one image. Raises
+    `InputError` for a calibration that cannot be trusted on a
     controller.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(
             f"The arithmetic is one of {', '.join(ARITHMETICS)}; instead received {arithmetic!r}."
         )
+    check_prefix(name)
     check(fit, allow_undetermined)
+    named = mapping((*fit.model.channels, *fit.model.state, *fit.model.pose))
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
+    record |= {} if name == PREFIX else {"name": name}
     given: dict[str, Any] = {"accuracy": accuracy, "correction": correction}
     if arithmetic == "q31":
-        for name, unwanted in (("double", double), ("jacobian", jacobian)):
+        for option, unwanted in (("double", double), ("jacobian", jacobian)):
             if unwanted:
-                raise InputError(f"--{name} belongs to --arithmetic float; leave it out, or the integers.")
+                raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, ranges, given)
     else:
         backend = _floats(fit, record, ranges, given, double, jacobian)
-    errors, notes = backend.errors(), notes_of(fit)
-    return Generated(backend, backend.files(errors, notes), errors, notes)
+    errors = backend.errors()
+    notes = (*notes_of(fit), *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()))
+    return Generated(backend, renamed_files(backend.files(errors, notes), name), errors, notes, name)
 
 
 def _floats(

@@ -15,6 +15,7 @@ from hallsym.codegen.bounds import Bounds
 from hallsym.codegen.decoupler import flag_bit
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.fixed_point import Program
+from hallsym.codegen.naming import identifier
 
 MOST = 2**31 - 1
 """Largest integer with a sign."""
@@ -58,7 +59,7 @@ class IntegerArithmetic(Backend):
     def _port(self, column: str, exponent: int) -> Port:
         if column in self.program.angles:
             return Port(column, "uint32_t", f"{short(column)}_bam", "2^-32 turn", UNIT)
-        return Port(column, "int32_t", column, f"2^-{exponent} {unit(column)}", 2.0**-exponent)
+        return Port(column, "int32_t", identifier(column), f"2^-{exponent} {unit(column)}", 2.0**-exponent)
 
     @cached_property
     def inputs(self) -> Sequence[Port]:

@@ -1,25 +1,29 @@
 """The files of a decoupler in 32-bit integers, for a controller without a floating-point unit."""
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, floor
 from typing import Any
 
 import numpy as np
 
+from hallsym.codegen import faults
 from hallsym.codegen.arithmetic import Port
-from hallsym.codegen.backend import bit, ends, of_params
+from hallsym.codegen.backend import bit, ends, of_params, raised
 from hallsym.codegen.binary_angle import UNIT
 from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short
 from hallsym.codegen.fixed_point import Reciprocal, helpers
 from hallsym.codegen.integer_arithmetic import MOST, IntegerArithmetic
+from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.templates import lines_of
 
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""
-KNOWN_BIT = "#define DECOUPLER_POSE 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */"
+KNOWN_BIT = "#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */"
+STEP = "misra-c2012-8.7:src/decoupler.c"
+"""Deviation: the function is external for its user, not for its library."""
 SHIFTS = "misra-c2012-10.1:src/decoupler.c"
 """Deviation: numbers with a sign are shifted right."""
 FRAGMENTS = "q31/fragments/"
@@ -65,7 +69,7 @@ class IntegerBackend(IntegerArithmetic):
             {
                 "macro": prefix[c.column] + short(c.column).upper(),
                 "exponent": e,
-                "column": c.column,
+                "column": commented(c.column),
                 "unit": c.unit,
             }
             for c in (*self.inputs, *self.outputs)
@@ -84,11 +88,11 @@ class IntegerBackend(IntegerArithmetic):
             "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files
             "all_nan": "",
-            "shifts": [SHIFTS] if p.shifts else [],
+            "deviations": [STEP, *([SHIFTS] if p.shifts else [])],
             "cpu": "-mcpu=cortex-m0 -mthumb",
             "machine": "microbit",
             # report
-            "notes": "\n".join(f"- {note}" for note in (*p.said, *notes)),
+            "notes": "\n".join(f"- {commented(note)}" for note in (*p.said, *notes)),
             "operations": len(p.lines),
             "products": sum(line.operation == "mul" for line in p.lines),
             "pose_names": ", ".join(short(c) for c in d.pose),
@@ -106,20 +110,18 @@ class IntegerBackend(IntegerArithmetic):
         for port in self.inputs:
             c, name = port.column, short(port.column)
             low, high = ends(d, c)
-            call = f"limited(in->{c}, {low}, {high}, {bit(c)}, &status);"
+            call = f"limited(in->{port.member}, {low}, {high}, {bit(c)}, &status);"
             if c in p.angles:
                 held.append(f"const uint32_t {name} = in->{port.member};")
             else:
                 held.append(f"const int32_t {name} = {call}" if name in used else f"(void){call}")
         flags = [
-            line
-            for name, (seen, least) in p.flags.items()
-            for line in (f"if ({seen} < p->{least})", "{", f"    status |= DECOUPLER_{name};", "}")
+            line for name, (seen, least) in p.flags.items() for line in raised(f"{seen} < p->{least}", name)
         ]
         names = {e.name: f"p->{e.name}" for e in self.numbers}
         given = {short(port.column): f"in->{port.member}" for port in self.inputs}
         results = [f"out->{port.member} = {p.outputs[port.column][0]};" for port in self.outputs]
-        known = [f"(pose->{c} >= -{KNOWN}) && (pose->{c} <= {KNOWN})" for c in d.pose]
+        known = [f"(pose->{c} >= -{KNOWN}) && (pose->{c} <= {KNOWN})" for c in map(identifier, d.pose)]
         zero = "take_zero_of_angle.c" if p.angles else "take_zero.c"
         can_fail = bool(self.limited or d.flags)
         return {
@@ -130,7 +132,9 @@ class IntegerBackend(IntegerArithmetic):
             "body": p.c(names),
             "flags": flags,
             "returned": "status" if can_fail else "0U",
-            "take_zero": lines_of(FRAGMENTS + zero, {**common, "known": "\n    && ".join(known)}),
+            "take_zero": lines_of(
+                FRAGMENTS + zero, {**common, "pose": len(d.pose), "known": "\n    && ".join(known)}
+            ),
             "bare_includes": [],
             "bare_helpers": helpers(p),
             "bare_body": [*p.c(names | given), *results, *(f"(void){n};" for n, _ in p.flags.values())],
@@ -158,6 +162,7 @@ class IntegerBackend(IntegerArithmetic):
             gains.append(f"(({spread}) >= ((size(p->{margin.rest}) * {share}U) >> 10U))")
         return {
             "size": lines_of(f"{FRAGMENTS}size.c", {}) if gains else [],
+            "zeros_beyond": "",
             "check_limits": _found("!(" + "\n    && ".join(within) + ")", "LIMITS") if within else [],
             "check_gains": _found("\n    || ".join(gains), "GAIN") if gains else [],
         }
@@ -172,14 +177,45 @@ class IntegerBackend(IntegerArithmetic):
             f"{{{', '.join(f'{v:.12e}' for v in found.pose[:, k])}}}, 0x{int(found.status[k]):X}UL}},"
             for k in range(found.inputs.shape[1])
         ]
-        back = [f"(out.{port.member} == {_integer(4096, port.column in p.angles)})" for port in self.outputs]
         return {
             "that_the_model_gives": "[SI] of the model",
             "vector_includes": [],
             "slope_bounds": [],
             "rows": rows,
-            "back": " && ".join(back),
+            **self._known(),
+            "fault_includes": [],
+            "faults": list(self._faults()),
         }
+
+    def _known(self) -> dict[str, Any]:
+        """Poses at which the self-test takes a zero, and those at which none is taken."""
+        angles = [port.column in self.program.angles for port in self.outputs]
+        tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
+        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
+        rows = [f"{{{', '.join(map(_integer, row, angles))}}}," for row in tried]
+        refused = ["decoupler_out_t pose = {0};"] if not all(angles) else []
+        for port, angle in zip(self.outputs, angles, strict=True):
+            for value in () if angle else (KNOWN + 1, -KNOWN - 1):
+                refused += [f"pose.{port.member} = {value};"]
+                refused += ["bad += (decoupler_zero(&table, in, &pose) == DECOUPLER_STATUS_KNOWN) ? 0U : 1U;"]
+            refused += [] if angle else [f"pose.{port.member} = 0;"]
+        return {"known_poses": len(rows), "known_rows": rows, "refused": refused}
+
+    def _faults(self) -> Iterator[str]:
+        """The faults of a table that the self-test makes: words, limits, gains."""
+        p, d = self.program, self.decoupler
+        reach = {c: max(map(abs, d.ends(c))) for c in d.inputs}
+        reach |= {c: sum(map(abs, d.ends(c))) for c in d.inputs if not d.box.symmetric(c)}  # as it is checked
+
+        def write(name: str, value: float) -> str | None:
+            q = round(value * 2.0 ** p.table[name][1]) if name in p.table else None
+            return f"table.{name} = {q};" if q is not None and abs(q) <= MOST else None
+
+        yield from faults.of_words()
+        yield from faults.of_limits(d, self.limited)
+        if not p.angles:
+            yield from faults.of_margins(d, reach, write)
+            yield from faults.of_several(d, self.limited, None)
 
     def _count(self) -> dict[str, Any]:
         """Inputs in range, all above, all below, above and below in turn."""

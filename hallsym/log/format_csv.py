@@ -14,7 +14,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.extras import available, load
-from hallsym.log.table import Source
+from hallsym.log.table import Source, label
 from hallsym.units import Array
 
 IN_MEMORY_BYTES = 250_000_000
@@ -55,6 +55,18 @@ class CsvSource(Source):
         columns = super().read(names)
         self._rows = len(next(iter(columns.values()), ())) if names else self._rows
         return columns
+
+    def labels(self, name: str) -> list[str]:
+        """Return the cells of one column as text, without quotes; numbers as `label` has them."""
+        at, header = self.names.index(name), self.header
+        with _lines(self.path) as stream:
+            rows = [
+                line.rstrip("\r\n").split(header.delimiter)
+                for line in islice(stream, header.lines, None)
+                if line.strip()
+            ]
+        cells = [row[at].strip().strip("\"'").strip() if len(row) > at else "" for row in rows]
+        return ["" if c in _MISSING else label(float(c)) if "." in c and _number(c) else c for c in cells]
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.extras import load
-from hallsym.log.table import IN_MEMORY_ROWS, Source
+from hallsym.log.table import IN_MEMORY_ROWS, Source, label
 from hallsym.units import Array
 
 _BUFFER = 1 << 20
@@ -33,6 +33,11 @@ class ParquetSource(Source):
         with self._opened() as file:
             table = file.read(columns=list(names))
             return {name: self._numbers(name, table.column(name)) for name in names}
+
+    def labels(self, name: str) -> list[str]:
+        """Return one column of text or numbers as text."""
+        with self._opened() as file:
+            return [label(value) for value in file.read(columns=[name]).column(name).to_pylist()]
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield batches of at most `size` rows."""

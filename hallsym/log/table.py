@@ -41,9 +41,24 @@ class Source(ABC):
         """Return whole columns, each of shape (rows,)."""
         return joined(list(self.chunks(names, CHUNK_ROWS)), names)
 
+    def labels(self, name: str) -> list[str]:
+        """Return a column of names, as text; whole numbers are names too: 7.0 is "7"."""
+        return [label(value) for value in self.read([name])[name].tolist()]
+
     @abstractmethod
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most about `size` rows."""
+
+
+def label(value: object) -> str:
+    """Return a name as text; a missing one is empty.
+
+    >>> label(7.0), label(" R3-17 "), label(float("nan"))
+    ('7', 'R3-17', '')
+    """
+    if isinstance(value, float):
+        return "" if value != value else str(int(value)) if value.is_integer() else repr(value)
+    return "" if value is None else str(value).strip()
 
 
 def joined(parts: Sequence[Mapping[str, Array]], names: Sequence[str]) -> Piece:
@@ -63,6 +78,10 @@ class Arrays(Source):
         self.columns = dict(columns)
         self.names = tuple(self.columns)
         self.rows = len(next(iter(self.columns.values()), ()))
+
+    def labels(self, name: str) -> list[str]:
+        """Return one column of text or numbers as text."""
+        return [label(value) for value in self.columns[name].tolist()]
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield everything at once."""

@@ -221,7 +221,7 @@ def test_the_table_of_entries_lies_in_the_parameters():
     assert len(array.values) in SIZES
     assert array.integers
     assert f"int16_t correction[{len(array.values)}];" in code.files["include/decoupler.h"]
-    assert len(code.backend.binary) == 12 + 4 * len(code.decoupler.entries) + 2 * len(array.values)
+    assert len(code.backend.binary) == 28 + 4 * len(code.decoupler.entries) + 2 * len(array.values)
     assert f"& {len(array.values) - 1}U]" in code.files["src/decoupler.c"]
     assert "entries" in code.files["doc/report.md"]
 
@@ -277,8 +277,8 @@ def test_a_damaged_entry_is_found(tmp_path):
     library = Library(tmp_path / "fw", code.decoupler, np.float32)
     assert library.check() == 0
     before = library.table.copy()
-    first = 12 + 4 * len((*code.decoupler.table, *code.decoupler.limits))
-    for byte in range(first, len(before) - 4, 37):
+    first = 24 + 4 * len((*code.decoupler.table, *code.decoupler.limits))
+    for byte in range(first, len(before) - 8, 37):
         library.table[byte] ^= 1
         assert library.check() & 0x04
         library.table[:] = before

@@ -96,7 +96,7 @@ def test_stated_bits_on_this_machine(folder, compiler):
     said = ran(folder, "make", "check", f"CC={compiler}")
     assert "table good, 0 of" in said
     assert said.count("as stated") == 2
-    assert "zero works" in said
+    assert "0 faults of a table not found, 0 zeros wrong" in said
 
 
 @pytest.mark.parametrize("case", ["four probes", pytest.param("stage15", marks=pytest.mark.slow)])
@@ -113,7 +113,8 @@ def test_stated_bits_and_instructions_on_a_cortex_m0(folder):
     counts = re.search(r"decoupler_step, \d+ bytes, instructions per call: (.*)", said)
     assert max(map(int, counts[1].split())) <= 850
     symbols = ran(folder, "arm-none-eabi-nm", "build/decoupler.o")
-    assert " U " not in symbols  # no division, no 64-bit product of a library
+    foreign = [line.split()[-1] for line in symbols.splitlines() if " U " in line]
+    assert foreign == ["decoupler_crc"]  # no division, no 64-bit product of a library
 
 
 @pytest.mark.slow
@@ -135,11 +136,11 @@ def test_any_integers_and_damaged_tables(folder):
         assert found.tolist() == expected.tolist()
     assert library.check() == 0
     before = library.table.copy()
-    for byte in range(12, len(before) - 12):
+    for byte in range(len(before) - 16):
         library.table[byte] ^= 1
         assert library.check() & 0x04
         library.table[:] = before
-    at = 12 + 4 * [e.name for e in source.entries].index("gain_hall_b")
+    at = 24 + 4 * [e.name for e in source.entries].index("gain_hall_b")
     library.table[at : at + 4] = 0
     assert library.check() == 0x24  # CRC and a gain of nothing
     library.table[:] = before
@@ -155,6 +156,6 @@ def test_every_input_and_every_divisor(folder):
     ran(
         folder, "gcc", "-std=c99", "-O3", "-fsanitize=signed-integer-overflow",
         "-fsanitize-undefined-trap-on-error", "-Iinclude", "-Iparams", "proof/exhaustive.c",
-        "params/decoupler_params.c", "-o", "exhaustive",
+        "src/decoupler_check.c", "params/decoupler_params.c", "-o", "exhaustive",
     )  # fmt: skip
     assert "exhaustive: 0 of" in ran(folder, "./exhaustive")

@@ -114,7 +114,7 @@ class _Assembly(Pieces):
             approximation=max(leaves.values()), leaves=leaves,
             bounded=Rounding(found, self.waves, self.names, tuple(made.steps), values, nears, self._drawn),
             rest=tuple(self.drawn(found.middle[:, None], np.zeros((2, 1)))[:, 0].tolist()),
-            drawn=self._drawn, said=self._said(leaves), by_size=True, evident=False,
+            drawn=self._drawn, said=self._said(leaves), evident=False,
         )  # fmt: skip
 
     # -- ranges, trials, what is said ----------------------------------------------------------------------

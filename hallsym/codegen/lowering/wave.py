@@ -149,7 +149,6 @@ class _Assembly:
             rest=tuple(readings_of(found, 0.0, found.middle).tolist()),
             listed=self._listed(),
             said=self._said(),
-            by_size=True,
             evident=False,
         )
 

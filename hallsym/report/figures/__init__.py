@@ -28,6 +28,7 @@ from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_p
 from hallsym.report.figures.profiles import ends_in_words, profiles
 from hallsym.report.figures.saving import SUFFIXES, save_figures
 from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
+from hallsym.report.figures.sorting import save_sorting
 from hallsym.report.figures.spectrum import sorts, spectrum
 from hallsym.report.figures.style import DPI, STYLE, WIDTH, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
@@ -61,6 +62,7 @@ __all__ = [
     "save_pictures",
     "save_plan_pictures",
     "save_sensitivity_pictures",
+    "save_sorting",
     "save_tolerances",
     "sorts",
     "spectrum",

@@ -1,12 +1,4 @@
-const @out.type@ before_@out.name@ = p->@out.zero@;
+@REAL@ zeros[@POSE@];
 decoupler_out_t seen;
-p->@out.zero@ = @ZERO@;
-status = decoupler_step(p, in, &seen);
-if (status == 0U)
-{
-    p->@out.zero@ = pose->@out.member@ - seen.@out.member@;
-}
-else
-{
-    p->@out.zero@ = before_@out.name@;
-}
+status = pose_of(p, in, @NO_ZEROS@, &seen);
+zeros[@out.index@] = pose->@out.member@ - seen.@out.member@;

@@ -1,10 +1,9 @@
-uint32_t status = DECOUPLER_POSE;
+uint32_t status = DECOUPLER_STATUS_KNOWN;
+int32_t zeros[@POSE@];
+zeros[@out.index@] = p->@out.zero@;
 if (@KNOWN@)
 {
     decoupler_out_t seen;
     status = decoupler_step(p, in, &seen);
-    if (status == 0U)
-    {
-        p->@out.zero@ += pose->@out.member@ - seen.@out.member@;
-    }
+    zeros[@out.index@] += pose->@out.member@ - seen.@out.member@;
 }

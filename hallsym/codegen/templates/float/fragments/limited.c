@@ -1,0 +1,20 @@
+INLINE @REAL@ limited(@REAL@ value, @REAL@ low, @REAL@ high, uint32_t bit, uint32_t *status)
+{
+    @REAL@ result = value;
+    if (UNLIKELY(!(value <= high))) /* NaN goes here too */
+    {
+        result = high;
+        *status += bit; /* each bit once */
+    }
+    else if (UNLIKELY(value < low))
+    {
+        result = low;
+        *status += bit; /* each bit once */
+    }
+    else
+    {
+        /* within its range */
+    }
+    return result;
+}
+

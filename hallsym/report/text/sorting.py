@@ -1,0 +1,212 @@
+"""What a person reads of sorted sensors and of the sets chosen for arrays, and their tables as files."""
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from hallsym.errors import counted
+from hallsym.files import atomic_write
+from hallsym.report.tables import grid
+from hallsym.sorting import Matching, Sorting
+from hallsym.units import fitting, readable
+
+MOST_BINS, MOST_REFUSED, MOST_SETS = 40, 20, 10
+"""Rows that a terminal shows; files and JSON have all."""
+
+
+def sorting_text(found: Sorting) -> str:
+    """Return what `hallsym sort` prints: gains, bins, repeats, drift, refusals."""
+    number, spread = found.expected_wrong
+    return "\n".join(
+        [
+            (
+                f"{found.source}: {counted(len(found.sensors), 'sensor')} sorted, "
+                f"{sum(r.whole for r in found.refused)} refused; {found.seconds:.2f} s"
+            ),
+            (
+                f"gain: median {np.median(found.gain):.6g} {found.unit}, from"
+                f" {100 * (found.relative.min() - 1):+.2f} to {100 * (found.relative.max() - 1):+.2f} % of"
+                f" {found.nominal:.6g}; standard uncertainty of one"
+                f" {_percent(float(np.median(found.std)) / found.nominal)}"
+            ),
+            "",
+            bin_table(found),
+            "",
+            (
+                f"in a wrong bin: {number:.0f} +- {spread:.0f} sensors expected"
+                f" ({100 * number / len(found.sensors):.1f} %)"
+            ),
+            *_drift(found),
+            *_repeats(found),
+            *_refused(found),
+        ]
+    )
+
+
+def bin_table(found: Sorting) -> str:
+    """Return the bins with what is in them; the fullest where there are many."""
+    items = sorted(found.bins.items(), key=lambda item: -item[1])[:MOST_BINS]
+    rows = [["bin", "gain [%]", "sensors", "wrong, expected"]]
+    for k, n in sorted(items):
+        middle = 100 * k * found.width
+        half = 50 * found.width
+        rows.append(
+            [
+                f"{k:+d}" if k else "0",
+                f"{middle - half:+.3g} to {middle + half:+.3g}",
+                str(n),
+                f"{found.wrong[found.bin == k].sum():.1f}",
+            ]
+        )
+    text = grid(rows)
+    rest = len(found.bins) - len(items)
+    return text + (f"\nand {counted(rest, 'bin')} with fewer sensors" if rest > 0 else "")
+
+
+def _drift(found: Sorting) -> Iterator[str]:
+    d = found.drift
+    if d.read is None:
+        return
+    how = {
+        "smooth": "the smoothed reference sensor takes it out",
+        "ratio": "each reading is divided by the reference sensor's",
+        "none": "it is left in",
+    }[d.method]
+    yield (
+        f"drift: {_percent(float(np.ptp(d.value)))} in all; the reference sensor's own noise is"
+        f" {_percent(d.noise)}; {how}"
+    )
+    if d.scatter:
+        each = ", ".join(f"{way} {_percent(value)}" for way, value in d.scatter.items())
+        yield f"  repeatability with each way to take it out: {each}"
+    if d.per_kelvin:
+        yield (
+            f"  the reference follows the temperature by {100 * d.per_kelvin[0]:+.3f} +-"
+            f" {100 * d.per_kelvin[1]:.3f} %/K"
+        )
+
+
+def _repeats(found: Sorting) -> Iterator[str]:
+    r = found.repeats
+    if r is None:
+        return
+    yield (
+        f"repeatability: {_percent(r.scatter.std)} of one measurement, from"
+        f" {counted(len(r.first), 'sensor')} measured again; drift between {100 * r.drift:+.3f} %"
+    )
+    rows = [["change of bin", "sensors", "expected"]]
+    rows += [
+        [f"{k:+d}" if k else "0", str(n), f"{e:.1f}" if np.isfinite(e) else ""]
+        for k, (n, e) in r.changes(found.width).items()
+    ]
+    yield "\n".join(["", grid(rows), ""])
+
+
+def _refused(found: Sorting) -> Iterator[str]:
+    for refusal in found.refused[:MOST_REFUSED]:
+        yield (
+            f"{'refused' if refusal.whole else 'a measurement left out of'} {refusal.sensor}:"
+            f" {refusal.reason}"
+        )
+    if len(found.refused) > MOST_REFUSED:
+        yield f"and {len(found.refused) - MOST_REFUSED} more; --json lists all"
+
+
+def matching_text(found: Matching) -> str:
+    """Return the ways of choosing sets beside each other, and the first of the chosen sets."""
+    size = len(found.places)
+    best = "optimal" if found.optimal else "improved by exchanges"
+    return "\n".join(
+        [
+            (
+                f"sets of {size} for {found.model.name}, whose decoder knows the common gain; {best};"
+                f" {found.seconds:.2f} s"
+            ),
+            way_table(found),
+            f"the uncertainty of the gains alone makes {_amount(found, found.floor)} rms; "
+            f"{_beside_bins(found)}",
+            "",
+            set_table(found),
+        ]
+    )
+
+
+def way_table(found: Matching) -> str:
+    """Return rms and peak errors of the pose by way of choosing."""
+    factor, unit = fitting(found.unit, max(w.overall for w in found.ways if len(w.sets)))
+    shown = [readable(c, found.model.period) for c in found.model.pose]
+    head = ["way", "sets", f"rms [{unit}]", f"expected [{unit}]", f"worst set [{unit}]"]
+    rows = [[*head, *(f"peak {name} [{u}]" for _, u, name in shown)]]
+    for way in found.ways:
+        if not len(way.sets):
+            rows.append([way.name, "0", *[""] * (3 + len(shown))])
+            continue
+        peaks = way.pose_peak.max(axis=0)
+        cells = [f"{value * factor:.3g}" for value in (way.overall, found.expected(way), way.worst)]
+        rows.append(
+            [
+                way.name,
+                str(len(way.sets)),
+                *cells,
+                *(f"{p * f:.3g}" for p, (f, _, _) in zip(peaks, shown, strict=True)),
+            ]
+        )
+    return grid(rows)
+
+
+def set_table(found: Matching) -> str:
+    """Return the first sets: sensor by place, common gain and rms error."""
+    way = found.matched
+    factor, unit = fitting(found.unit, way.worst)
+    places = found.places[:6]
+    more = ["..."] if len(found.places) > len(places) else []
+    rows = [["set", *places, *more, "gain", f"rms [{unit}]"]]
+    for j, (row, gain, rms) in enumerate(zip(way.sets[:MOST_SETS].tolist(), way.gain, way.rms, strict=False)):
+        names = [found.sensors[i] for i in row[: len(places)]]
+        rows.append([str(j + 1), *names, *more, f"{gain:.4f}", f"{rms * factor:.3g}"])
+    text = grid(rows)
+    rest = len(way.sets) - MOST_SETS
+    return text + (f"\nand {counted(rest, 'set')} more; -o FILE.csv lists all" if rest > 0 else "")
+
+
+def save_table(path: str, found: Sorting, matching: Matching | None = None) -> None:
+    """Write every sensor with gain, bin and, where sets were chosen, set and place; JSON holds everything."""
+    if Path(path).suffix == ".json":
+        record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
+        atomic_write(path, json.dumps(record, indent=1))
+        return
+    place: dict[int, tuple[int, str]] = {}
+    if matching:
+        for j, row in enumerate(matching.matched.sets.tolist()):
+            place |= {i: (j + 1, where) for i, where in zip(row, matching.places, strict=True)}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    head = ("sensor", "gain", "gain_std", "offset", "offset_std", "bin", "wrong_bin_probability")
+    writer.writerow([*head, *(("set", "place") if matching else ())])
+    numbers = np.column_stack([found.gain, found.std, found.offset, found.offset_std]).tolist()
+    for i, (sensor, (gain, std, offset, offset_std), k, wrong) in enumerate(
+        zip(found.sensors, numbers, found.bin.tolist(), found.wrong.tolist(), strict=True)
+    ):
+        known = f"{offset_std:.3g}" if np.isfinite(offset_std) else ""
+        cells = [sensor, f"{gain:.9g}", f"{std:.3g}", f"{offset:.9g}", known, k, f"{wrong:.4f}"]
+        writer.writerow([*cells, *(place.get(i, ("", "")) if matching else ())])
+    atomic_write(path, text.getvalue())
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.2g} %"
+
+
+def _beside_bins(found: Matching) -> str:
+    if not len(found.bins.sets):
+        return "no bin holds enough sensors for a set"
+    return f"matched sets are {found.gain_over_bins:.3g} times better than bins alone"
+
+
+def _amount(found: Matching, value: float) -> str:
+    factor, unit = fitting(found.unit, value)
+    return f"{value * factor:.3g} {unit}"

@@ -1,0 +1,116 @@
+"""`hallsym sort`: table, JSON, files and pictures; options that do not fit; sentences for bad input."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from hallsym.cli.main import main
+from tests.sorting.benches import bench, written
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    columns, *_ = bench(n=90, repeats=40)
+    columns["reference_1_v"][17] *= 1.02
+    return written(tmp_path_factory.mktemp("bench") / "bench.csv", columns)
+
+
+def run(capsys, *arguments) -> tuple[int, str, str]:
+    code = main([str(a) for a in arguments])
+    return code, *capsys.readouterr()
+
+
+def test_sensors_are_sorted_and_matched(capsys, table, tmp_path):
+    code, out, err = run(
+        capsys, "sort", table, "--model", "stage31", "--sets", 4, "-o", tmp_path / "sets.csv",
+        "--plots", tmp_path / "pictures",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    for words in (
+        "89 sensors sorted",
+        "refused R1-00017: the reference sensor",
+        "wrong bin",
+        "repeatability",
+        "matched",
+    ):
+        assert words in out
+    for name in ("gains", "drift", "sets"):
+        assert (tmp_path / "pictures" / f"sorting_{name}.png").read_bytes()[:4] == b"\x89PNG"
+    with (tmp_path / "sets.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 89
+    assert sorted(row["place"] for row in rows if row["set"] == "4") == ["hall_a_m", "hall_b_m", "hall_c_m"]
+
+
+def test_json_and_text_tell_the_same(capsys, table, tmp_path):
+    code, out, _ = run(capsys, "sort", table, "--model", "rotary", "--json")
+    record = json.loads(out)
+    assert code == 0
+    assert len(record["sensors"]) == 89
+    assert sum(entry["sensors"] for entry in record["bins"]) == 89
+    assert record["refused"][0]["sensor"] == "R1-00017"
+    assert record["matching"]["ways"][0]["way"] == "matched"
+    assert len(record["matching"]["sets"]) == 44
+    assert run(capsys, "sort", table, "--model", "rotary", "-o", tmp_path / "all.json")[0] == 0
+    saved = json.loads((tmp_path / "all.json").read_text())
+    assert saved["sensors"] == record["sensors"]
+
+
+def test_columns_are_mapped_and_fields_stated(capsys, table, tmp_path):
+    lines = table.read_text().replace("sensor,", "ID,", 1).replace("reading_1_v", "Hall", 1).splitlines()
+    kept = [0, 1, 3, 4, 6, 7]  # without the columns of the field
+    other = tmp_path / "own.csv"
+    other.write_text("\n".join(",".join(line.split(",")[k] for k in kept) for line in lines) + "\n")
+    code, out, err = run(
+        capsys,
+        "sort",
+        other,
+        "--column",
+        "sensor=ID",
+        "--column",
+        "reading_1_v=Hall",
+        "--field",
+        "0mT,475mT",
+    )
+    assert (code, err) == (0, "")
+    assert "89 sensors sorted" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--bin", "0.05"], "--bin"),
+        (["--sets", "4"], "--model"),
+        (["--per-channel", "2"], "--model"),
+        (["--model", "stage31", "--sets", "400"], "89 were sorted"),
+        (["--model", "stage3"], "did you mean"),
+        (["--seed", "3"], "--model"),
+        (["--model", "stage31", "--values", "a.json", "--effect", "quantisation"], "--effect"),
+        (["-o", "a.txt"], ".csv"),
+        (["--field", "0,475"], "unit"),
+        (["--field", "0mT,1mT,2mT"], "2 readings a row"),
+        (["--column", "sensor=Name"], "no column 'Name'"),
+        (["--column", "reading_2=Hall"], "unit"),
+    ],
+)
+def test_bad_input_is_one_sentence(capsys, table, arguments, words):
+    code, out, err = run(capsys, "sort", table, *arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_sets_for_a_calibration(capsys, table, tmp_path):
+    calibration = tmp_path / "calibration.json"
+    arguments = ("--model", "rotary", "--solver", "direct", "-o", calibration)
+    assert run(capsys, "fit", ROOT / "data" / "encoder", *arguments)[0] in (0, 3)
+    code, out, err = run(capsys, "sort", table, "--model", "rotary", "--values", calibration, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["matching"]["gain_over_bins"] > 1
+    code, _, err = run(capsys, "sort", table, "--model", "stage31", "--values", calibration)
+    assert code == 2
+    assert "--model rotary" in err

@@ -1,0 +1,265 @@
+"""Names in generated code: made from columns, several in one image, and what compilers are told."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from firmware import calibration, need, ran
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hallsym
+from hallsym.codegen import generate
+from hallsym.codegen.naming import KEYWORDS, TAKEN, commented, identifier, mapping, renamed
+from hallsym.errors import InputError
+
+STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror", "-ffp-contract=off")
+CORES = {
+    "M0": ("-mcpu=cortex-m0", "-mthumb"),
+    "M3": ("-mcpu=cortex-m3", "-mthumb"),
+    "M4F": ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"),
+    "M7": ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16"),
+}
+NAMES = ("stage", "enc_left", "enc_right")
+
+
+@given(st.text(max_size=30))
+def test_whatever_a_column_is_called_its_name_in_c_is_an_identifier(text):
+    name = identifier(text)
+    assert name.isascii()
+    assert name.isidentifier()
+    assert name not in KEYWORDS | TAKEN
+    assert "\n" not in commented(text)
+    assert "*/" not in commented(text)
+
+
+def test_columns_that_would_share_a_name_are_refused():
+    assert mapping(("hall_a_m", "z_m")) == {}
+    assert mapping(("hall_x-1_m",)) == {"hall_x-1_m": "hall_x_x2d_1_m"}
+    with pytest.raises(InputError, match="would both be hall_x_x2d_1_m"):
+        mapping(("hall_x-1_m", "hall_x_x2d_1_m"))
+
+
+def foreign(*channels):
+    """The calibration of a stage whose probes have other names."""
+    fit = calibration()
+    layout = tuple(
+        replace(probe, channel=channel)
+        for probe, channel in zip(hallsym.families.stage.models.paper_layout(), channels, strict=True)
+    )
+    model = hallsym.families.stage.models.stage31(layout)
+    sigmas = {c: fit.noise.sigmas[old] for c, old in zip(channels, fit.model.channels, strict=True)}
+    return replace(fit, model=model, noise=replace(fit.noise, sigmas=sigmas))
+
+
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+def test_probes_of_any_name_give_code_that_compiles(tmp_path, arithmetic):
+    need("gcc", "make")
+    evil = ("hall_x-1_m", "hall_a; int evil; float q_m", "hall_*/ #error \n_m")
+    made = generate(foreign(*evil), arithmetic=arithmetic)
+    assert made.to_dict()["identifiers"]["hall_x-1_m"] == "hall_x_x2d_1_m"
+    assert "Column hall_x-1_m is hall_x_x2d_1_m in C." in str(made.files["doc/report.md"])
+    assert not any(
+        "int evil" in str(text).replace("a; int evil; float q", "") for text in made.files.values()
+    )
+    made.write(tmp_path / "fw")
+    assert "0 faults of a table not found" in ran(tmp_path / "fw", "make", "check")
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory):
+    """Three decouplers with prefixes of their own, and a program that links them all."""
+    folder = tmp_path_factory.mktemp("image")
+    for name in NAMES:
+        generate(calibration(), arithmetic="q31" if name == "enc_right" else "float", name=name).write(
+            folder / name
+        )
+    uses = "".join(f"    bad |= {n}_check(&{n}_params);\n" for n in NAMES)
+    includes = "".join(f'#include "{n}.h"\n#include "{n}_params.h"\n' for n in NAMES)
+    body = f"    uint32_t bad = 0U;\n{uses}    return (int)bad;\n"
+    program = f"{includes}int main(void);\nint main(void)\n{{\n{body}}}\n"
+    (folder / "main.c").write_text(program)
+    return folder
+
+
+def sources(folder):
+    paths = [f"-I{n}/{where}" for n in NAMES for where in ("include", "params")]
+    files = [
+        f"{n}/{file}" for n in NAMES for file in (f"src/{n}.c", f"src/{n}_check.c", f"params/{n}_params.c")
+    ]
+    return (*paths, *files)
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_three_decouplers_link_into_one_image(image, compiler):
+    need(compiler)
+    ran(image, compiler, *STRICT, *sources(image), "main.c", "-o", compiler)
+    ran(image, f"./{compiler}")
+
+
+@pytest.mark.parametrize(
+    "core", [c if c == "M4F" else pytest.param(c, marks=pytest.mark.slow) for c in CORES]
+)
+def test_three_decouplers_compile_for_a_controller(image, core):
+    need("arm-none-eabi-gcc")
+    for source in sources(image):
+        if source.endswith(".c"):
+            paths = sources(image)[: 2 * len(NAMES)]
+            ran(
+                image,
+                "arm-none-eabi-gcc",
+                *STRICT,
+                *CORES[core],
+                "-ffreestanding",
+                *paths,
+                "-c",
+                source,
+                "-o",
+                "x.o",
+            )
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_arithmetic_without_nan_is_refused_by_the_compiler(image, compiler):
+    need(compiler)
+    with pytest.raises(AssertionError, match="NaN must be told from numbers"):
+        ran(
+            image,
+            compiler,
+            "-std=c99",
+            "-ffast-math",
+            "-Istage/include",
+            "-c",
+            "stage/src/stage.c",
+            "-o",
+            "x.o",
+        )
+
+
+def test_nothing_of_a_library_is_needed(image):
+    need("gcc")
+    ran(
+        image,
+        "gcc",
+        *STRICT,
+        "-ffreestanding",
+        "-fno-builtin",
+        "-Istage/include",
+        "-c",
+        "stage/src/stage.c",
+        "-o",
+        "f.o",
+    )
+    foreign = [line.split()[-1] for line in ran(image, "nm", "f.o").splitlines() if " U " in line]
+    assert foreign == ["stage_crc"]
+
+
+@pytest.mark.parametrize("name", ["", "2nd", "Left", "a__b", "_a", "float", "x" * 25, "a b", "a/../b", "a\n"])
+def test_a_prefix_that_c_does_not_take_is_refused(name):
+    with pytest.raises(InputError, match="--name"):
+        generate(calibration(), name=name)
+
+
+def test_a_prefix_renames_symbols_and_leaves_words():
+    text = 'the decoupler: decoupler_step() of "decoupler.h", DECOUPLER_H. The decoupler.'
+    assert renamed(text, "left") == 'the decoupler: left_step() of "left.h", LEFT_H. The decoupler.'
+
+
+# -- packages ------------------------------------------------------------------------------------------------
+
+ARDUINO = """
+#include <stdint.h>
+struct Port { void begin(long) {} void println(const char *) {} void println(unsigned long) {}
+              void println(double, int) {} };
+static Port Serial;
+static void delay(unsigned long) {}
+"""
+
+
+def test_an_installed_library_is_found_by_its_name(image, tmp_path):
+    need("cmake", "gcc")
+    installed = tmp_path / "installed"
+    ran(image, "cmake", "-S", "enc_left", "-B", str(tmp_path / "b"), f"-DCMAKE_INSTALL_PREFIX={installed}")
+    ran(image, "cmake", "--build", str(tmp_path / "b"), "--target", "install")
+    user = tmp_path / "user"
+    user.mkdir()
+    (user / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.13)\nproject(user C)\nfind_package(enc_left 2 REQUIRED)\n"
+        "add_executable(user main.c)\ntarget_link_libraries(user enc_left::enc_left)\n"
+    )
+    (user / "main.c").write_text(
+        '#include "enc_left.h"\n#include "enc_left_params.h"\n'
+        "int main(void) { return (int)enc_left_check(&enc_left_params); }\n"
+    )
+    ran(user, "cmake", "-S", ".", "-B", "b", f"-DCMAKE_PREFIX_PATH={installed}")
+    ran(user, "cmake", "--build", "b")
+    ran(user, "b/user")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_sketch_compiles_and_packages_name_files_that_are_there(image, name):
+    need("g++")
+    folder = image / name
+    sketch = (folder / "examples/Decouple/Decouple.ino").read_text()
+    (folder / "sketch.cpp").write_text(f"{ARDUINO}{sketch}\nint main() {{ setup(); loop(); return 0; }}\n")
+    paths = ("-Iinclude", "-Iparams")
+    ran(folder, "g++", "-std=c++11", "-Wall", "-Werror", *paths, "-c", "sketch.cpp", "-o", "sketch.o")
+    (folder / "sketch.cpp").unlink()
+    library = json.loads((folder / "library.json").read_text())
+    assert library["name"] == name
+    assert all(
+        (folder / "include" / h).exists() or (folder / "params" / h).exists() for h in library["headers"]
+    )
+    module = (folder / "zephyr/module.yml").read_text()
+    assert f"name: {name}\n" in module
+    listed = (folder / "zephyr/CMakeLists.txt").read_text()
+    for source in re.findall(r"\.\./(\S+\.c)", listed):
+        assert (folder / source).exists()
+    assert f"CONFIG_{name.upper()}_LIB" in listed
+    assert f"config {name.upper()}_LIB" in (folder / "zephyr/Kconfig").read_text()
+
+
+def test_the_update_over_a_serial_line_takes_good_tables_only(image):
+    """The C of docs/controller.md, with the table that it is about."""
+    need("gcc")
+    text = (Path(__file__).parents[2] / "docs/controller.md").read_text()
+    code = text.split("```c\n")[1].split("```")[0]
+    trial = """
+#include <stdio.h>
+int main(void)
+{
+    static uint8_t bytes[4096];
+    uint32_t identity[2];
+    FILE *file = fopen("stage/params/stage_params.bin", "rb");
+    const uint32_t count = (uint32_t)fread(bytes, 1U, sizeof(bytes), file);
+    int bad = start();
+    bad |= (take_over(bytes, count) == 0U) ? 0 : 1;
+    bad |= (live == &tables[1]) ? 0 : 2;
+    bytes[100] ^= 4U;
+    bad |= (take_over(bytes, count) == STAGE_BAD_CRC) ? 0 : 4;
+    bad |= (take_over(bytes, count - 1U) == STAGE_BAD_LAYOUT) ? 0 : 8;
+    bad |= (live == &tables[1]) ? 0 : 16;
+    running(identity);
+    printf("%08x%08x", (unsigned)identity[0], (unsigned)identity[1]);
+    return bad;
+}
+"""
+    (image / "update.c").write_text(code + trial)
+    files = ["stage/src/stage.c", "stage/src/stage_check.c", "stage/params/stage_params.c"]
+    ran(
+        image,
+        "gcc",
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        *sources(image)[:2],
+        "update.c",
+        *files,
+        "-o",
+        "update",
+    )
+    record = json.loads((image / "stage/params/stage_params.json").read_text())
+    assert ran(image, "./update") == record["calibration_sha256"][:16]

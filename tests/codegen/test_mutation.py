@@ -1,0 +1,87 @@
+"""The self-test that goes with generated C, tested: it must notice what is wrong with the code.
+
+Each mutant is the library with one operator, constant or statement changed. Mutants that compute the same
+(such as a comparison that decides between equal values) cannot be noticed; the score counts them as missed.
+"""
+
+import re
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from hallsym.codegen import generate
+from tests.firmware import calibration, need
+
+LEAST = 0.95
+"""Share of the mutants that the self-test must notice."""
+SWAPS = {
+    "<=": "<", ">=": ">", "<": "<=", ">": ">=", "==": "!=", "!=": "==", "&&": "||", "||": "&&",
+    "+": "-", "-": "+", "*": "/", "/": "*", "&": "|", "|=": "=", "^=": "|=", "+=": "=", ">>": "<<",
+}  # fmt: skip
+OPERATOR = re.compile(r" (<=|>=|==|!=|&&|\|\||\|=|\^=|\+=|>>|<|>|\+|-|\*|/|&) (?!\*)")
+CONSTANT = re.compile(r"\b(0U|1U|8U|0xFFFFFFFFUL|0xEDB88320UL|0\.0f|0\.899999976f)\b")
+STATEMENT = re.compile(r"^    +(?:p->|found|result|status|bad|crc|out->|\*status)[^=]* [|+^]?= .*;$")
+
+
+def mutants(text):
+    """Yield a source once for each change; comments and preprocessor lines stay."""
+    lines = text.split("\n")
+    for k, line in enumerate(lines):
+        if line.startswith("#") or line.lstrip().startswith(("/*", "*", "//")):
+            continue
+        code = line.split("/*")[0]
+        changed = [code[: m.start(1)] + SWAPS[m[1]] + code[m.end(1) :] for m in OPERATOR.finditer(code)]
+        changed += [code[: m.start(1)] + _other(m[1]) + code[m.end(1) :] for m in CONSTANT.finditer(code)]
+        changed += [""] if STATEMENT.match(code.rstrip()) else []
+        for new in changed:
+            yield k, "\n".join([*lines[:k], new, *lines[k + 1 :]])
+
+
+def _other(constant):
+    return {"0U": "1U", "1U": "2U", "8U": "7U", "0.0f": "1.0f"}.get(
+        constant, constant.replace("8", "9").replace("F", "E")
+    )
+
+
+def noticed(folder, number, name, source):
+    """Whether a mutant fails to compile or its self-test says that something is wrong."""
+    path, program = folder / "build" / f"{number}.c", folder / "build" / f"{number}"
+    path.write_text(source)
+    others = [p for p in ("src/decoupler.c", "src/decoupler_check.c") if p != name]
+    files = [*others, "params/decoupler_params.c", "test/selftest.c", "test/faults.c", "test/main.c"]
+    command = ["gcc", "-std=c99", "-O1", "-ffp-contract=off", "-w", "-Iinclude", "-Iparams", "-Itest"]
+    built = subprocess.run([*command, str(path), *files, "-o", str(program)], cwd=folder, capture_output=True)
+    if built.returncode:
+        return True
+    try:
+        ran = subprocess.run([str(program)], cwd=folder, capture_output=True, timeout=60)
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        program.unlink()
+    return ran.returncode != 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, arithmetic):
+    need("gcc")
+    generate(calibration(), arithmetic=arithmetic).write(tmp_path / "fw")
+    folder = tmp_path / "fw"
+    (folder / "build").mkdir()
+    tried = [
+        (number, name, line, source)
+        for name in ("src/decoupler.c", "src/decoupler_check.c")
+        for number, (line, source) in enumerate(mutants((folder / name).read_text()), 10_000 * len(name))
+    ]
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda m: noticed(folder, m[0], m[1], m[3]), tried))
+    alive = [
+        f"{name}:{line + 1}: {source.splitlines()[line].strip()}"
+        for (_, name, line, source), ok in zip(tried, found, strict=True)
+        if not ok
+    ]
+    print(f"{sum(found)} of {len(found)} mutants noticed; alive:", *alive, sep="\n")
+    assert len(found) > 60
+    assert sum(found) >= LEAST * len(found), alive

@@ -1,0 +1,239 @@
+"""`match_sensors`: the model's own error form, sets against trying all, what is predicted happens."""
+
+import time
+from itertools import combinations, permutations
+
+import numpy as np
+import pytest
+
+import hallsym
+from hallsym.errors import InputError
+from hallsym.model import on_arrays
+from hallsym.sorting import (
+    alike,
+    influence_of_gains,
+    match_sensors,
+    sort_sensors,
+    without_common,
+)
+from hallsym.uncertainty.tolerances.workspace import Workspace
+from tests.sorting.benches import bench
+from tests.trial_families import LC, PLANE, array_2dof, array_6dof
+
+MODELS = (array_2dof(), array_6dof(), hallsym.build("stage31"), hallsym.build("rotary"))
+
+
+def inventory(n, seed=0, spread=0.02):
+    gains = 1 + np.random.default_rng(seed).normal(0, spread, n)
+    return {f"s{k}": float(g) for k, g in enumerate(gains)}
+
+
+# -- the error form ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_the_form_is_the_decoders_own_error(model):
+    """Small gain errors, decoded by the nominal model, give the error that the Jacobian predicts."""
+    usual = influence_of_gains(model).where
+    influence = influence_of_gains(
+        model, where=Workspace(0.45 * usual.pose, usual.state)
+    )  # off the cut of atan2
+    d = np.random.default_rng(0).normal(0, 1e-6, len(model.channels))
+    decoded = influence.decoded_errors(1 + d[None])[:, 0]
+    predicted = influence.error @ d
+    assert np.abs(decoded - predicted).max() < 1e-4 * np.abs(predicted).max()
+    assert np.mean(np.sum((predicted * influence.weights[:, None]) ** 2, axis=0)) == pytest.approx(
+        d @ influence.square @ d
+    )
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_what_a_gain_multiplies_is_what_its_parameters_do(model):
+    """A machine whose gain parameters of a channel are 1 % larger reads what the influence says."""
+    names = {"array_2dof": ("g1",), "array_6dof": ("g1",), "rotary": ("Ax",)}.get(
+        model.name, ("eta_B", "a_B", "b_B", "c_B")
+    )
+    influence = influence_of_gains(model)
+    machine = influence.values.copy()
+    for name in names:
+        machine[model.names.index(name)] *= 1.01
+    (read,) = on_arrays(model.reading)(
+        machine, np.zeros(len(model.zeros)), influence.where.pose, influence.where.state
+    )
+    np.testing.assert_allclose(
+        read[1] - influence.reading[1], 0.01 * influence.part[1], atol=1e-12 * np.abs(read).max()
+    )
+
+
+def test_three_sums_a_third_of_a_period_apart_count_alike():
+    """x = lc / 3 sum d sin 2(t - u), z = lc / 3 sum d (1 + cos 2(t - u)): only their variance counts."""
+    influence = influence_of_gains(MODELS[0])
+    plain, weights = without_common(influence.square)
+    assert alike(plain)
+    np.testing.assert_allclose(weights, 1 / 3)
+    np.testing.assert_allclose(plain, LC**2 / 9 * (np.eye(3) - 1 / 3) * 1.5, rtol=1e-9, atol=1e-12)
+
+
+def test_the_thesis_error_of_ten_percent_is_decoded():
+    """Figure 2-6: gains 1/1.1, 1/1.1, 1/.9 of three sums a third of a period apart.
+
+    +-.3295 mm along x and .4551 mm in z, where only the first two read. Over the third (its .2243 mm) it
+    takes z from the sum of squares, least squares give lc ln((2 (1/1.1)/4 + 1/.9) 2/3).
+    """
+    x = np.linspace(-0.5, 0.5, 2001) * 2 * np.pi * LC
+    where = Workspace(np.stack([x, np.full(2001, 5e-3)]), np.zeros((0, 2001)))
+    influence = influence_of_gains(MODELS[0], where=where)
+    e = 1e3 * influence.decoded_errors(np.array([[1 / 1.1, 1 / 1.1, 1 / 0.9]]))[:, 0]
+    assert [e[0].min(), e[0].max()] == pytest.approx([-0.3295, 0.3295], abs=1e-4)
+    over = 1e3 * LC * np.log(2 / 3 * (0.5 / 1.1 + 1 / 0.9))
+    assert sorted([abs(e[1].min()), abs(e[1].max())]) == pytest.approx([over, 0.4551], abs=4e-4)
+
+
+def test_the_common_gain_is_the_best_one():
+    square = influence_of_gains(MODELS[1]).square
+    d = np.random.default_rng(1).normal(0, 0.01, len(square))
+    plain, weights = without_common(square)
+    least = min((d - c) @ square @ (d - c) for c in d @ weights + np.linspace(-1e-3, 1e-3, 2001))
+    assert d @ plain @ d == pytest.approx(least, rel=1e-6)
+
+
+# -- sets --------------------------------------------------------------------------------------------------
+
+
+def all_sets(n, size):
+    """Every way to split n sensors into sets of a size, the order within a set included."""
+    if n == ():
+        yield []
+        return
+    first, rest = n[0], n[1:]
+    for others in combinations(rest, size - 1):
+        left = tuple(k for k in rest if k not in others)
+        for order in permutations((first, *others)):
+            for more in all_sets(left, size):
+                yield [order, *more]
+
+
+@pytest.mark.parametrize("model", [MODELS[0], MODELS[2]], ids=lambda m: m.name)
+@pytest.mark.parametrize("seed", range(4))
+def test_sets_are_those_of_trying_all(model, seed):
+    gains = inventory(9 if model is MODELS[0] else 6, seed)
+    found = match_sensors(gains, model)
+    plain, _ = without_common(found.influence.square)
+    g = np.array(list(gains.values()))
+    g = g / np.median(g) - 1
+
+    def total(sets):
+        d = g[np.array(sets)]
+        return float(np.einsum("mi,ij,mj->", d, plain, d))
+
+    orders = all_sets(tuple(range(len(g))), 3)
+    best = min(map(total, orders)) if model is MODELS[2] else min(
+        total(sets) for sets in orders if all(s == tuple(sorted(s)) for s in sets)
+    )  # fmt: skip
+    assert total(found.matched.sets) <= best * (1 + 1e-9) + 1e-18
+
+
+def test_left_over_sensors_are_the_ones_that_cost_most():
+    gains = inventory(30) | {"far": 1.4, "low": 0.7}
+    found = match_sensors(gains, MODELS[0], sets=10)
+    used = {found.sensors[k] for k in found.matched.sets.ravel()}
+    assert not {"far", "low"} & used
+    assert found.optimal
+
+
+def test_a_model_with_rows_that_average_lets_high_and_low_gains_meet():
+    """Six sensors in a row a period long and again: pairs cancel, so neighbours are not the best sets."""
+    gains = inventory(240, spread=0.03)
+    found = match_sensors(gains, MODELS[0], members=2)
+    neighbours = match_sensors(gains, MODELS[0], members=1)
+    assert not found.optimal
+    assert found.matched.overall < 0.5 * neighbours.matched.overall
+    assert found.places[:3] == ("col_0_v#1", "col_0_v#2", "col_1_v#1")
+    assert len(set(found.matched.sets.ravel().tolist())) == 240
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_matched_sets_beat_bins_alone_for_every_model(model):
+    found = match_sensors(inventory(600), model, sets=20)
+    assert len(found.matched.sets) == 20
+    assert found.matched.overall < found.bins.overall < found.ways[2].overall
+    assert found.gain_over_bins > 1.2
+    assert sorted(np.unique(found.matched.sets)) == sorted(found.matched.sets.ravel())
+
+
+def test_the_error_to_expect_is_the_error_of_the_true_gains():
+    """Sets are chosen by measured gains and decoded with the true ones."""
+    expected, seen, bins = [], [], []
+    for seed in range(4):
+        table, gains, _ = bench(n=600, seed=seed, repeats=300)
+        found = match_sensors(sort_sensors(table), MODELS[0])
+        true = np.array([gains[name] for name in found.sensors])
+        plain, _ = without_common(found.influence.square)
+        for way, into in ((found.matched, seen), (found.bins, bins)):
+            d = true[way.sets] / true[way.sets].mean(axis=1, keepdims=True) - 1
+            into.append(np.sqrt(np.einsum("mi,ij,mj->m", d, plain, d).mean()))
+        expected.append((found.expected(found.matched), found.expected(found.bins)))
+    mean = np.mean(expected, axis=0)
+    assert np.mean(seen) == pytest.approx(mean[0], rel=0.1)
+    assert np.mean(bins) == pytest.approx(mean[1], rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("model", "members"),
+    [
+        (MODELS[0], 1),
+        pytest.param(MODELS[0], 12, marks=pytest.mark.slow),
+        pytest.param(MODELS[1], 1, marks=pytest.mark.slow),
+    ],
+)
+def test_a_reel_of_12700_sensors_takes_seconds(model, members):
+    started = time.process_time()
+    found = match_sensors(inventory(12_700), model, members=members)
+    assert time.process_time() - started < 10
+    assert len(found.matched.sets) == 12_700 // len(found.places)
+
+
+def test_the_same_seed_gives_the_same_sets():
+    one, two = (match_sensors(inventory(300), MODELS[1], seed=3) for _ in range(2))
+    np.testing.assert_array_equal(one.matched.sets, two.matched.sets)
+
+
+def test_other_values_and_another_workspace_count():
+    model = MODELS[0]
+    usual = influence_of_gains(model)
+    doubled = influence_of_gains(model, {"g0": 2.0, "g1": 2.0, "g2": 2.0})
+    np.testing.assert_allclose(doubled.square, usual.square)  # errors of gains are relative
+    low = hallsym.build("stage31")
+    campaign = hallsym.paper_campaign(0.05, 1.0)
+    assert not np.allclose(
+        influence_of_gains(low, {"H1x": 0.5}, campaign).square,
+        influence_of_gains(low, None, campaign).square,
+    )
+
+
+# -- bad input ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("gains", "model", "options", "words"),
+    [
+        (inventory(2), MODELS[0], {}, "2 were sorted"),
+        (inventory(30), MODELS[0], {"sets": 11}, "need 33 sensors"),
+        (inventory(30), MODELS[0], {"sets": 0}, "1 or more"),
+        (inventory(30), MODELS[0], {"members": 0}, "1 or more sensors"),
+        (inventory(30) | {"bad": -1.0}, MODELS[0], {}, "sensor bad"),
+        (inventory(30), MODELS[0], {"width": 2.0}, "width of a bin"),
+        (inventory(30), MODELS[0], {"seed": -1}, "seed"),
+        ({}, MODELS[0], {}, "0 were sorted"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_sentence(gains, model, options, words):
+    with pytest.raises(InputError) as error:
+        match_sensors(gains, model, **options)
+    assert words in str(error.value)
+    assert len(str(error.value)) <= 300
+
+
+def test_a_metric_with_angles_counts_them_by_its_arm():
+    influence = influence_of_gains(MODELS[1])
+    np.testing.assert_allclose(influence.weights, [1, 1, 1, *[PLANE.pose_metric.arm_m] * 3])
