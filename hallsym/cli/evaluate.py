@@ -11,7 +11,7 @@ from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.channel_assignment import as_read, rewired
 from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.gauss_newton import judge
-from hallsym.log import Log, check_log
+from hallsym.log import Log, usable
 from hallsym.report.tables import error_rows
 
 
@@ -34,7 +34,9 @@ def run(options: Namespace) -> int:
     known = load_fit(options.calibration, own_effects(options))
     log = open_log(options)
     columns = logged_columns(known.model)
-    notes = list(log.notes) if options.drop_bad else check_log(log, columns)
+    log, notes = usable(
+        log, columns, drop_bad=options.drop_bad, rails="saturation" not in known.model.effects
+    )
     _belongs(log, known)
     log = as_read(log, known.model, known.wiring)
     noise = noise_of(log, known.model)

@@ -22,6 +22,7 @@ from hallsym.diagnosis import model_on
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.fit import fit
 from hallsym.families.machine_file import read_machine
+from hallsym.log import Fault
 from hallsym.model import Model
 from hallsym.report.text.fit import fit_text
 
@@ -108,7 +109,10 @@ def run(options: Namespace) -> int:
 
 
 def exit_code(result: Fit) -> int:
-    """0, or 3 and 4 with one sentence on stderr that says what is missing."""
+    """0, or 3 and 4 with one sentence on stderr that says what is missing, or wrong with the recording."""
+    faults = [note for note in result.notes if isinstance(note, Fault)]
+    for fault in faults:
+        print(f"hallsym: {fault}", file=sys.stderr)
     if result.status != "converged":
         print(f"hallsym: the solver did not finish ({result.status}): {result.message}", file=sys.stderr)
         return NOT_CONVERGED
@@ -120,4 +124,4 @@ def exit_code(result: Fit) -> int:
             file=sys.stderr,
         )
         return NOT_DETERMINED
-    return OK
+    return NOT_DETERMINED if faults else OK

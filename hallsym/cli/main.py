@@ -22,8 +22,8 @@ OUTPUTS = ("output", "plots")
 
 EPILOG = """\
 exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done, but this log leaves parameters of
-the model undetermined (they are named); 4 the solver did not converge or was interrupted (the best so far is
-written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where).
+the model undetermined, or its recording is at fault (both are named); 4 the solver did not converge or was
+interrupted (the best so far is written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where).
 
 examples:
   hallsym demo                                    the paper's calibration on the bundled campaign

@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.errors import counted
 from hallsym.log import Log
-from hallsym.log.quality.findings import FEWEST_SAMPLES
+from hallsym.log.quality.runs import FEWEST_SAMPLES
 
 PIECES = 20
 """Stretches of time: every second is held out, so that ten are fitted and held against each other."""

@@ -63,6 +63,10 @@ class Policy:
     """Relative gap by which an effect with fewer parameters may be worse than the best and be preferred.
 
     Below the 5 % that are worth reporting: what it leaves out is no finding."""
+    as_good: float = 10.0
+    """Difference of BIC up to which a variant with as few parameters as another effect explains as much.
+
+    What Kass and Raftery (1995) call very strong."""
     foreseen: float = 0.75
     """Cross-validated gap, over that of the best fitting effect, below which an effect that fits alike wins.
 

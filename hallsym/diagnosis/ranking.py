@@ -145,6 +145,7 @@ def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> 
             s.effect is best.score.effect
             and s.size <= e.score.size
             and s.gain >= (1 - policy.simpler_gap) * e.score.gain
+            and s.bic <= e.score.bic + policy.as_good
             for s in scored
         )
     )

@@ -91,7 +91,7 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
         def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
             reference = np.array([data[c] for c in model.references])
-            return near(model, decode(p, zeros, readings, states), reference) - reference
+            return near(model, decode(p, zeros, readings, states), reference, p) - reference
 
         return decoded
     read, spread = on_arrays(model.reading), decoding_gain(model)

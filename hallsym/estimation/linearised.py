@@ -137,9 +137,9 @@ class TangentFeatures(Features):
         return first, lambda p, centre, weights: np.zeros((n, n))
 
     def slope_rows(self, p: np.ndarray) -> np.ndarray:
-        """Return d reading / d parameters, (rows, n), at random poses and states of size 1."""
+        """Return d reading / d parameters, (rows, n), at random poses and at states of size 1."""
         model, rng = self.model, np.random.default_rng(0)
-        pose, state = (rng.standard_normal((len(c), SAMPLES)) for c in (model.pose, model.state))
+        pose, state = model.poses(SAMPLES, rng), rng.standard_normal((len(model.state), SAMPLES))
         zeros = np.zeros((len(model.zeros), SAMPLES))
         wide = [np.asarray(v).astype(p.dtype) for v in (p, zeros, pose, state)]
         (rows,) = program(model).by_parameter(*wide)

@@ -112,6 +112,8 @@ class Task:
     def by_passes(self, first: Fit | None) -> Solved:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
         task, keep, begin = self, None, self.model.nominal
+        if self.model.guess is not None and first is None:
+            begin = self.model.vector(self.model.guess(self.model, self.log))
         if first is not None:
             task, keep = replace(self, log=first.source or self.log, known_noise=first.noise), first.keep
             known = first.model.named(first.values)

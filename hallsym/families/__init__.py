@@ -11,7 +11,7 @@ from hallsym.log.limits import is_moving
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
 
-FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, halbach.FAMILY)
+FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, halbach.FAMILY, halbach.PLANAR)
 """Families whose models and effects have names on the command line; shared code asks `Model.family`."""
 
 

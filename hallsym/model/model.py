@@ -116,6 +116,12 @@ class Model:
     """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
+    onward: "Callable[[np.ndarray, str, Mapping[str, float]], np.ndarray] | None" = None
+    """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: how a pose changes, per unit of
+    the nominal period of a coordinate, on the way to the next pose that reads the same; only that coordinate,
+    and by as much, where it is None."""
+    guess: "Callable[[Model, Any], Mapping[str, float]] | None" = None
+    """`(model, log) -> parameters` to begin from, of a model without run statistics; nominal otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
     """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
     inspect: "Callable[..., Inspection] | None" = None
@@ -179,6 +185,13 @@ class Model:
                     f"Bounds of {p.name} must have lower <= upper; instead received {p.lower:g}, {p.upper:g}."
                 )
         return model
+
+    def poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return random poses (n_pose, count): typical ones times 1 +- 0.3; of size 1 if none are stated."""
+        noise = rng.standard_normal((len(self.pose), count))
+        if not self.typical:
+            return noise
+        return np.array(self.typical)[rng.integers(len(self.typical), size=count)].T * (1 + 0.3 * noise)
 
     @cached_property
     def _remembered(self) -> dict[Hashable, Any]:

@@ -1,7 +1,7 @@
 """Halbach arrays on a mover over a board of Hall sensors: x and z of one array, six coordinates of four."""
 
-from hallsym.families.halbach import models
-from hallsym.families.halbach.effects import EFFECTS
+from hallsym.families.halbach import models, planar
+from hallsym.families.halbach.effects import EFFECTS, PLANAR_EFFECTS
 from hallsym.model import Example, Family, PoseMetric
 
 SWEEPS = tuple(
@@ -38,3 +38,18 @@ FAMILY = Family(
     ),
 )
 models.FAMILY = FAMILY
+PLANAR = Family(
+    name="halbach_planar",
+    noun="mover",
+    about="a planar mover (hall_0_0_v, ... or x1_col_0_v, ...; x_ref_m ... rz_ref_rad)",
+    readings=r"hall_\d+_\d+_v|[xy]\d+_(col|row)_\d+_v",
+    pose_metric=PoseMetric("m", arm_m=0.1),
+    models=(planar.halbach_planar,),
+    default="halbach_planar",
+    aliases={"planar_h5": "halbach_planar"},
+    from_meta=planar.from_meta,
+    tables=("arrays", "channels"),
+    effects=PLANAR_EFFECTS,
+    words={"z_ref_m": "gap z"},
+)
+planar.FAMILY = PLANAR

@@ -2,14 +2,19 @@
 
 Signals of the chain, beside the columns: `moved`: for each channel a dict of what is added to each logged
 coordinate (clock, reference); `placed`: what is added to the position (x, y, z) [m] of its sensors; `tilted`:
-the slopes (x, y) of their axes [rad]; `field`: the field that each channel sees [V]; `reading`.
+the slopes (x, y) of their axes [rad]; `mounted`: shift [m] and rotation of arrays that are not at their
+place; `stretch`: share by which wavelengths are long; `field`: what each channel sees [V]; `reading`.
+Functions: `seen(channel)`: what each of its elements sees (`Seen`), `harmonic(channel, h, a, b)`: its reading
+of a cos + b sin of harmonic h. `crest`: place [m] along an array where the first harmonic points to the
+sensors, `amplitude`: of it at the level [V].
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 
-from hallsym.families.halbach.layout import sensors
+from hallsym.families.halbach.layout import Array, sensors
 from hallsym.families.mechanisms import P, Port, port
 from hallsym.model import Model, Signals
 
@@ -24,6 +29,8 @@ def begin(s: Signals, model: Model) -> None:
     s["placed"] = [[ca.SX(0)] * 3 for _ in range(count)]
     s["tilted"] = [[ca.SX(0)] * 2 for _ in range(count)]
     s["filters"] = []
+    s["mounted"] = {}
+    s["stretch"] = ca.SX(0)
 
 
 def labels(model: Model) -> Sequence[str]:
@@ -56,11 +63,36 @@ def read(s: Signals, p: P) -> None:
     s["reading"] = s["field"]
 
 
+def scale_of(coordinate: str, values: Mapping[str, float]) -> float:
+    """Return the period of a coordinate as logged over the nominal one: of the magnets and the reference."""
+    return (1 + values.get("longer", 0.0)) / (1 - values.get(f"scale_{coordinate[0]}", 0.0))
+
+
 def turned(pair: tuple[ca.SX, ca.SX], angle: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return cos(u + angle), sin(u + angle) from the pair cos u, sin u."""
     cos, sin = ca.cos(angle), ca.sin(angle)
     return pair[0] * cos - pair[1] * sin, pair[1] * cos + pair[0] * sin
 
 
-Wave = Callable[[int, int], tuple[ca.SX, ca.SX]]
-"""`wave(channel, harmonic)`: fading cosine and sine of the place in the period, the mean of its elements."""
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What an element of a channel sees of an array: the place `u` along its period, its `height` below it.
+
+    `up`, `along`: components of the sensor's axis away from the magnets' face and along the period.
+    """
+
+    array: Array
+    u: ca.SX
+    height: ca.SX
+    up: ca.SX
+    along: ca.SX
+
+
+def rotation(rx: ca.SX, ry: ca.SX, rz: ca.SX) -> ca.SX:
+    """Return Rz Ry Rx (3, 3)."""
+    (cx, sx), (cy, sy), (cz, sz) = ((ca.cos(a), ca.sin(a)) for a in (rx, ry, rz))
+    return ca.vertcat(
+        ca.horzcat(cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx),
+        ca.horzcat(sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx),
+        ca.horzcat(-sy, cy * sx, cy * cx),
+    )

@@ -87,10 +87,16 @@ def halbach(layout: Layout | None = None) -> Model:
         closed_form=closed_form,
         period=dict.fromkeys(("x_m", "x_ref_m"), array.wavelength_m),
         begin=lambda v, p: begin(v, p, layout),
+        onward=onward,
         typical=tuple((k * array.wavelength_m / 8, array.level_m) for k in range(8)),
         inspect=inspect,
     )  # fmt: skip
     return model
+
+
+def onward(pose: np.ndarray, coordinate: str, values: Mapping[str, float]) -> np.ndarray:
+    """Return how the pose (2, samples) changes per nominal metre of x to where the field repeats."""
+    return np.array([[links.scale_of(coordinate, values)], [0.0]])
 
 
 def array_of(layout: Layout) -> Array:
@@ -110,6 +116,10 @@ def array_of(layout: Layout) -> Array:
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     """Set the field at each channel: harmonics 1 and 5, with the tilt of each sensor's axis."""
     s["wave"] = lambda k, h: wave(s, layout, k, h)
+    s["seen"] = lambda k: seen_by(s, layout, k)
+    s["amplitude"] = ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2)
+    s["crest"] = -ca.atan2(p["b1"], p["a1"]) / array_of(layout).wavenumber
+    s["harmonic"] = lambda k, h, a, b: harmonic(s, k, h, a, b)
     s["field"] = ca.vertcat(
         *(sum(harmonic(s, k, h, p[f"a{h}"], p[f"b{h}"]) for h in HARMONICS) for k in range(len(s["moved"])))
     )
@@ -138,10 +148,27 @@ def wave(s: Signals, layout: Layout, k: int, h: int) -> tuple[ca.SX, ca.SX]:
         s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin)
     )
     moved, (dx, _, dz) = s["moved"][k], s["placed"][k]
-    near = ca.exp(-q * (moved["z_m"] - dz))
-    each = [links.turned((cosine, sine), q * (moved["x_m"] - dx - x)) for x, _ in sensor.positions]
+    along, up = moved["x_m"] - dx, moved["z_m"] - dz
+    if not s["stretch"].is_zero():
+        share = 1 / (1 + s["stretch"]) - 1
+        up = up + share * (s["z_m"] + up - array.level_m)
+        each = [along - x + share * (s["x_m"] + along - x) for x, _ in sensor.positions]
+    else:
+        each = [along - x for x, _ in sensor.positions]
+    near = ca.exp(-q * up)
+    each = [links.turned((cosine, sine), q * shift) for shift in each]
     cos, sin = (sum(parts) * near / len(each) for parts in zip(*each, strict=True))
     return cos, sin
+
+
+def seen_by(s: Signals, layout: Layout, k: int) -> list[links.Seen]:
+    """Return what each element of channel k sees of the array."""
+    moved, (dx, _, dz), slope = s["moved"][k], s["placed"][k], s["tilted"][k][0]
+    gap = s["z_m"] + moved["z_m"] - dz
+    return [
+        links.Seen(array_of(layout), x + dx - s["x_m"] - moved["x_m"], gap, ca.cos(slope), ca.sin(slope))
+        for x, _ in sensors(layout)[k].positions
+    ]
 
 
 # -- starts ----------------------------------------------------------------------------------------------

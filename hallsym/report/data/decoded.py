@@ -42,7 +42,7 @@ class Decoder:
         model = self.model
         readings, state = ([block.data[c] for c in names] for names in (model.channels, model.state))
         reference = np.array([block.data[c] for c in model.references])
-        return near(model, self._run(p, zeros, readings, state), reference)
+        return near(model, self._run(p, zeros, readings, state), reference, p)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,3 +20,8 @@ EFFECTS = (
     magnets.wavelength_error,
 )  # fmt: skip
 """Effects of the model of x and z."""
+PLANAR_EFFECTS = (
+    *COMMON, mechanics.array_geometry_error, magnets.remanence_spread, magnets.magnetisation_angle_error,
+    magnets.forbidden_harmonics, magnets.wavelength_error,
+)  # fmt: skip
+"""Effects of the model of six coordinates."""

@@ -32,7 +32,7 @@ def motor_stray_field(
 ) -> Model:
     """Field of the stator's traces: in proportion to the logged currents, else to acceleration."""
     if currents == (ACCELERATION,):
-        columns: list[str | Computed] = [rate(c, 2) for c in model.references]
+        columns: list[str | Computed] = [rate(c, 2) for c in model.references if c.endswith("_m")]
     else:
         columns = list(currents)
     if any(isinstance(c, str) and c.split("_")[0] != CURRENT for c in columns):
