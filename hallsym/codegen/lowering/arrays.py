@@ -46,7 +46,8 @@ def decoupler(
     ends = np.array([box.ends[c] for c in model.pose])
     middle, half = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2
     own = replace(model, period={c: v for c, v in model.period.items() if c not in model.pose})
-    groups = groups_of(own, p, weight, middle, (ends[2, 0], ends[2, 1]))
+    groups, level = groups_of(own, p, weight, middle, (ends[2, 0], ends[2, 1]))
+    half, middle = half + np.abs(level - middle), level
     arm = model.family.pose_metric.arm_m
     leaves = np.array([aim if c.endswith("_m") else aim / arm for c in model.pose])
     found = Arrays(own, np.asarray(p, dtype=float), weight, groups, middle, half, leaves)

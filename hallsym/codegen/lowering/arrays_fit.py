@@ -212,7 +212,7 @@ class Arrays:
             terms = [
                 (kind, c, part)
                 for kind in KINDS
-                for degree in (1, 2)
+                for degree in (0, 1, 2)
                 for c in combined(range(3), degree)
                 for part in (0, 1)
             ]

@@ -308,6 +308,8 @@ class Pieces:
     ) -> ca.SX:
         """A kind times rotations: products of rotations once for all, of a kind once for its array."""
         made = self.made
+        if not turns:
+            return value
         turning = self._monomial("turns", tuple(turns), rotations)
         name = f"kind{KINDS.index(kind)}_{self.names[k]}_{'im' if side else 're'}_{''.join(map(str, turns))}"
         return made.symbols[name] if name in made.symbols else made.step(name, value * turning)

@@ -32,6 +32,10 @@ SETTLED = 1e-13
 ROUNDS = 30
 LOST = 1e-12
 """Share of the largest reading below which a harmonic is rounding of the analysis."""
+LEVELLING = 5
+"""Steps to the level pose."""
+TURN = 1e-4
+"""Rotation [rad] by which slopes and levers are measured."""
 FORM = 1e-9
 """Share of the largest reading that a model of this form may leave."""
 
@@ -186,6 +190,30 @@ class Sample:
             swings.append(seen.std(axis=1).mean(axis=1))
         return np.asarray(np.argmax(swings, axis=0))
 
+    def levelled(self, turns: Sequence[int]) -> "Sample":
+        """Turn the middle to where waves are periodic: the mover level, whatever its reference says.
+
+        Gauss-Newton steps on what the form leaves, of the coordinates `turns`.
+        """
+        axes = self.axes()
+        owns = [(a, np.flatnonzero(axes == a)) for a in (0, 1) if (axes == a).any()]
+
+        def left(move: np.ndarray) -> np.ndarray:
+            out = []
+            for axis, own in owns:
+                self.analysed(own.tolist(), axis, move)
+                out.append(self.rest.ravel())
+            return np.concatenate(out)
+
+        for _ in range(LEVELLING):
+            at = left(np.zeros(len(self.at)))
+            if np.abs(at).max() < FORM:
+                break
+            moves = TURN * np.eye(len(self.at))[list(turns)]
+            slopes = np.array([(left(move) - at) / TURN for move in moves]).T
+            self.at[list(turns)] -= np.linalg.lstsq(slopes, at, rcond=None)[0]
+        return self
+
     def rising(self, axis: int) -> float:
         """1 where the field grows with the height, -1 where it falls."""
         x = np.repeat(np.arange(PLACES) * (2 * pi * self.lc(axis) / PLACES), HEIGHTS)
@@ -215,6 +243,7 @@ class Sample:
             if np.abs(rest).max() <= 1e-13 * scale or abs(move_lc) < SETTLED:
                 break
             lc *= float(np.exp(np.clip(move_lc, -0.1, 0.1)))
+        self.rest = rest / scale
         if exact and not np.abs(rest).max() <= FORM * scale:
             raise InputError(
                 f"C is generated for sums of waves that decay as they are short; what {self.model.name} with "
@@ -236,13 +265,19 @@ def _basis(u: np.ndarray, lc: float) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack([one, powers.real, -powers.imag]).T, np.vstack([0 * one, slopes.real, -slopes.imag]).T
 
 
-def phasor_of(sample: Sample, channels: Sequence[int], axis: int, weight: np.ndarray) -> Phasor:
-    """Return the phasor of some channels along a coordinate; `weight`: 1 / variance of all readings."""
+def phasor_of(
+    sample: Sample, channels: Sequence[int], axis: int, weight: np.ndarray, exact: bool = True
+) -> Phasor:
+    """Return the phasor of some channels along a coordinate; `weight`: 1 / variance of all readings.
+
+    `exact`: refuse readings that have another form.
+    """
     model = sample.model
-    lc, offset, factor = sample.analysed(channels, axis, np.zeros(len(sample.at)), exact=True)
+    lc, offset, factor = sample.analysed(channels, axis, np.zeros(len(sample.at)), exact=exact)
     strongest = np.exp(sample.half / lc) ** np.arange(1, HARMONICS + 1)
     size = np.abs(factor).max(axis=0) * strongest
-    harmonics = tuple(n for n in range(2, HARMONICS + 1) if size[n - 1] > LOST * size[0])
+    lost = max(LOST, 10 * float(np.abs(sample.rest).max()))
+    harmonics = tuple(n for n in range(2, HARMONICS + 1) if size[n - 1] > lost * size[0])
     matrix = np.stack([factor[:, 0].real, -factor[:, 0].imag], axis=1)
     scaled = matrix.T * weight[list(channels)]
     if np.linalg.matrix_rank(matrix, 1e-6 * np.abs(matrix).max()) < 2:

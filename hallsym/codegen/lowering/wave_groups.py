@@ -11,12 +11,10 @@ from math import pi
 
 import numpy as np
 
-from hallsym.codegen.lowering.phasors import Phasor, Sample, phasor_of
+from hallsym.codegen.lowering.phasors import TURN, Phasor, Sample, phasor_of
 from hallsym.errors import InputError
 from hallsym.model import Model
 
-TURN = 1e-4
-"""Rotation [rad] by which levers are measured."""
 APART = 1.0
 """Wavelengths that two arrays are at least apart on the board."""
 
@@ -32,12 +30,12 @@ class Group:
 
 def groups_of(
     model: Model, p: np.ndarray, weight: np.ndarray, middle: np.ndarray, heights: tuple[float, float]
-) -> tuple[Group, ...]:
-    """Return the arrays, those along the first coordinate first.
+) -> tuple[tuple[Group, ...], np.ndarray]:
+    """Return the arrays, those along the first coordinate first, and the middle (6,) made level.
 
     `middle` (6,): pose in the middle of the box; `heights`: range of the third coordinate [m].
     """
-    sample = Sample(model, p, middle, heights)
+    sample = Sample(model, p, middle, heights).levelled((3, 4, 5))
     axes = sample.axes()
     found: list[Group] = []
     for axis in (0, 1):
@@ -48,7 +46,7 @@ def groups_of(
         lc = sample.analysed(own, axis, np.zeros(6))[0]
         for members in _together(places, APART * 2 * pi * lc):
             channels = tuple(own[k] for k in members)
-            found.append(Group(channels, axis, phasor_of(sample, channels, axis, weight)))
+            found.append(Group(channels, axis, phasor_of(sample, channels, axis, weight, exact=False)))
     along = [sum(group.axis == axis for group in found) for axis in (0, 1)]
     if min(along) < 1 or len(found) < 3:
         raise InputError(
@@ -56,7 +54,7 @@ def groups_of(
             f"{model.name} "
             f"show {along[0]} along {model.pose[0]} and {along[1]} along {model.pose[1]}."
         )
-    return tuple(found)
+    return tuple(found), sample.at
 
 
 def _lever(sample: Sample, own: Sequence[int], axis: int, turn: int) -> np.ndarray:
