@@ -49,6 +49,7 @@ PLANAR = Family(
     aliases={"planar_h5": "halbach_planar"},
     from_meta=planar.from_meta,
     tables=("arrays", "channels"),
+    decoder="wave",
     effects=PLANAR_EFFECTS,
     words={"z_ref_m": "gap z"},
 )
