@@ -16,6 +16,7 @@ from waves import LENGTH, SIX, calibrated, calibrated_planar
 
 import hallsym
 from hallsym.errors import InputError
+from hallsym.families.halbach import planar
 from hallsym.model import on_arrays
 
 LEVEL = {"count": 3, "gaps": (0.0065, 0.0085), "tilt": 0.003, "travel": 0.0135, "across": 3}
@@ -183,3 +184,19 @@ def test_same_bits_on_a_cortex_m4f_and_no_misra_violation_that_is_not_listed(cas
     made(case).write(tmp_path / "fw")
     assert ran(tmp_path / "fw", "make", "qemu").count("as stated") == 2
     ran(tmp_path / "fw", "make", "misra")
+
+
+@pytest.mark.slow
+def test_the_family_of_movers_is_decoded_so_whatever_its_reference_calls_level():
+    model = planar.halbach_planar()
+    values = {"a1": 0.62, "a5": -0.01, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3, "y0": -5e-4}
+    fit = calibrated(model, values)
+    fit = replace(fit, log={**fit.log, "span": fit_of(QUICK).log["span"]})
+    code = hallsym.generate(fit, accuracy=2e-6)
+    assert code.decoupler.inputs[-2:] == ("x_near_m", "y_near_m")  # the model's own box is two periods wide
+    pose = poses(QUICK, 500)
+    inputs = np.vstack([on_arrays(model.reading)(fit.values, [], list(pose), [])[0], pose[:2] + 0.008])
+    found, status = code.backend.step(inputs.astype(np.float32))
+    assert not status.any()
+    assert np.abs(found - pose)[:3].max() < 4e-6
+    assert np.abs(found - pose)[3:].max() < 4e-5

@@ -100,7 +100,7 @@ class _Assembly(Pieces):
         pose = self.bent(self.pose(seen, self.turning(vectors)))
         for column, value in zip(model.pose, pose, strict=True):
             made.step(short(column), made.symbols[f"zero_{short(column)}"] + value, f"[{unit(column)}]")
-        made.keep((*(short(c) for c in model.pose), inside, "turn_left"))
+        made.keep((*(short(c) for c in model.pose), inside, "turns"))
         values: dict[str, float | tuple[float, float]] = {e.name: e.value for e in made.table}
         values |= {short(c): ends.ends[c] for c in inputs}
         leaves = self._leaves()
@@ -110,7 +110,7 @@ class _Assembly(Pieces):
             box=ends, exact=self._exact, symbols=made.symbols,
             flags=(
                 Flag("FIELD", inside, "least_inside", FIELD),
-                Flag("TILT", "turn_left", "least_turn_left", TILTED),
+                Flag("TILT", "turns", "least_turns", TILTED),
             ),
             approximation=max(leaves.values()), leaves=leaves,
             bounded=Rounding(found, self.waves, self.names, tuple(made.steps), values, nears, self._drawn),

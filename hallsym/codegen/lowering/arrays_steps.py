@@ -334,11 +334,9 @@ class Pieces:
             name = f"linear_{short(self.found.model.pose[i])}"
             straight[name] = linear[i] = made.step(name, self._sum(i, straight), "from the middle of the box")
         out = [linear[i] for i in range(6)]
-        left = sum(x * x for x in out[3:])
         most = float(((TILT * self.found.half[3:]) ** 2).sum())
-        made.entry("most_turn", most, "rad2", "largest sum of the squares of the rotations")
-        made.entry("least_turn_left", 0.0, "rad2", "what must be left of it")
-        made.step("turn_left", made.symbols["most_turn"] - left)
+        made.entry("least_turns", -most, "rad2", "less the largest sum of the squares of the rotations")
+        made.step("turns", -(out[3] * out[3] + out[4] * out[4] + out[5] * out[5]))
         return out
 
     def bent(self, linear: Sequence[ca.SX]) -> list[ca.SX]:
