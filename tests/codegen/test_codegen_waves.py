@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from waves import LC, LENGTH, VALUES, calibrated, sums
 
 import hallsym
-from hallsym.codegen import pose_bounds
+from hallsym.codegen import cost_of, pose_bounds
 from hallsym.codegen.lowering import Odd, shortest
 from hallsym.errors import InputError
 from hallsym.families import halbach
@@ -288,3 +288,9 @@ def test_the_wavelength_is_found_from_the_readings():
     assert d.model.period["x_m"] == pytest.approx(0.03017, rel=1e-12)
     values = {e.name: e.value for e in d.table}
     assert values["lc"] == pytest.approx(0.03017 / (2 * pi), rel=1e-12)
+
+
+def test_its_cost_is_counted_without_a_compiler_about_its_typical_gap():
+    model = halbach.models.halbach()
+    cost = cost_of(model, model.vector({"a1": 0.62, "a5": -6e-4}))  # at a gap of 0 it would not converge
+    assert 100 < cost.instructions < 160
