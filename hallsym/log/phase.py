@@ -65,7 +65,8 @@ def continuous(log: Log, model: Model) -> Log:
     References are unwrapped along each run. A channel that repeats is brought next to its reference, less the
     circular mean of their difference over the log.
     """
-    references = {c: model.period[c] for c in model.references if c in model.period}
+    wraps = [c for c in model.references if c in model.period and c not in model.absolute]
+    references = {c: model.period[c] for c in wraps}
     channels = {c: model.period[c] for c in model.channels if c in model.period}
     if (not references and not channels) or isinstance(log.table, _Continuous):
         return log

@@ -112,14 +112,17 @@ class Model:
     """What an effect is saved as where its name does not say all: `hysteresis:half_width_m=6e-05`."""
     period: Mapping[str, float] = field(default_factory=dict)
     """Pose coordinates, channels, references and parameters that repeat, each with its period [its unit]."""
+    absolute: tuple[str, ...] = ()
+    """References among them that are logged as they are, such as an interferometer's beside a periodic field: a
+    step of more than half a period is a step."""
     homes: Mapping[str, str] = field(default_factory=dict)
     """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
     onward: "Callable[[np.ndarray, str, Mapping[str, float]], np.ndarray] | None" = None
-    """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: how a pose changes, per unit of
-    the nominal period of a coordinate, on the way to the next pose that reads the same; only that coordinate,
-    and by as much, where it is None."""
+    """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: how a pose changes, per unit
+    of the nominal period of a coordinate, on the way to the next pose that reads the same; only that
+    coordinate, and by as much, where it is None."""
     guess: "Callable[[Model, Any], Mapping[str, float]] | None" = None
     """`(model, log) -> parameters` to begin from, of a model without run statistics; nominal otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()

@@ -73,7 +73,7 @@ def period_error(
     q = plain.vector(known)
     still = np.zeros((len(model.state), samples))
     (read,) = on_arrays(model.reading)(p, [], [x, z], still)
-    if closed_form:
+    if closed_form and plain.begin is not None:
         v = ca.SX.sym("v", len(plain.channels))
         named = {n: ca.SX(a) for n, a in zip(plain.names, q, strict=True)}
         found = on_arrays(ca.Function("closed", [v], [ca.densify(plain.begin(v, named))]))(read)[0]

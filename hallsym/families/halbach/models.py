@@ -86,6 +86,7 @@ def halbach(layout: Layout | None = None) -> Model:
         layout=layout,
         closed_form=closed_form,
         period=dict.fromkeys(("x_m", "x_ref_m"), array.wavelength_m),
+        absolute=("x_ref_m",),
         begin=lambda v, p: begin(v, p, layout),
         onward=onward,
         typical=tuple((k * array.wavelength_m / 8, array.level_m) for k in range(8)),

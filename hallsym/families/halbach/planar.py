@@ -69,6 +69,7 @@ def halbach_planar(layout: Layout | None = None) -> Model:
         ),
         layout=layout,
         period=dict.fromkeys(("x_m", "y_m", "x_ref_m", "y_ref_m"), wave),
+        absolute=("x_ref_m", "y_ref_m"),
         begin=lambda v, p: begin(v, p, layout),
         onward=onward,
         guess=guess,
