@@ -191,11 +191,11 @@ def test_the_family_of_movers_is_decoded_so_whatever_its_reference_calls_level()
     model = planar.halbach_planar()
     values = {"a1": 0.62, "a5": -0.01, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3, "y0": -5e-4}
     fit = calibrated(model, values)
-    fit = replace(fit, log={**fit.log, "span": fit_of(QUICK).log["span"]})
+    fit = replace(fit, log={**fit.log, "span": {**fit_of(QUICK).log["span"], "x_ref_m": [-0.04, 0.04]}})
     code = hallsym.generate(fit, accuracy=2e-6)
-    assert code.decoupler.inputs[-2:] == ("x_near_m", "y_near_m")  # the model's own box is two periods wide
+    assert code.decoupler.inputs[-1] == "x_near_m"  # what the log recorded of y lies within a period
     pose = poses(QUICK, 500)
-    inputs = np.vstack([on_arrays(model.reading)(fit.values, [], list(pose), [])[0], pose[:2] + 0.008])
+    inputs = np.vstack([on_arrays(model.reading)(fit.values, [], list(pose), [])[0], pose[:1] + 0.008])
     found, status = code.backend.step(inputs.astype(np.float32))
     assert not status.any()
     assert np.abs(found - pose)[:3].max() < 4e-6
