@@ -126,11 +126,10 @@ class Pieces:
         per = made.entry(f"per_wave_{name}", 1 / (2 * pi * lc), "1/m", "periods per metre")
         center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
         near = made.symbols[f"{column}_near_m"]
-        count = made.step(
-            f"periods_{name}",
-            ((near - center) - from_middle) * per + (PERIODS + 0.5),
-            "periods to the known place",
-        )
+        count = made.step(f"periods_{name}", ((near - center) - from_middle) * per + (PERIODS + 0.5))
+        most = 2.0 * PERIODS  # of readings of no pose it could be anything
+        held = ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count))
+        count = made.step(f"counted_{name}", held, "periods to the known place")
         made.steps.append(Whole(f"whole_{name}", count))
         number = made.symbols.setdefault(f"whole_{name}", ca.SX.sym(f"whole_{name}"))
         return made.step(f"along_{name}", from_middle + whole * (number - float(PERIODS)), "[m]")
