@@ -149,7 +149,7 @@ def test_the_folder_passes_its_self_test_without_undefined_behaviour(case, tmp_p
     need("gcc")
     made(case).write(tmp_path / "fw")
     out = str(tmp_path / "selftest")
-    sanitize = ("-fsanitize=undefined,float-divide-by-zero", "-fno-sanitize-recover=all")
+    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
     ran(tmp_path / "fw", "gcc", *STRICT, "-pedantic", *sanitize, *PATHS, *TESTED, "-o", out)
     said = ran(tmp_path / "fw", out)
     assert "table good, 0 of" in said

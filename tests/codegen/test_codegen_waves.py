@@ -237,7 +237,7 @@ PATHS = ("-Iinclude", "-Iparams", "-Itest")
 def test_it_passes_its_self_test_without_undefined_behaviour(folder, tmp_path):
     need("gcc")
     out = str(tmp_path / "selftest")
-    sanitize = ("-fsanitize=undefined,float-divide-by-zero", "-fno-sanitize-recover=all")
+    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
     ran(folder, "gcc", *STRICT, "-pedantic", *sanitize, *PATHS, *TESTED, "-o", out)
     said = ran(folder, out)
     assert "table good, 0 of" in said

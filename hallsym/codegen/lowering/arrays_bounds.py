@@ -24,7 +24,7 @@ ROOM = 1.5
 TRIALS = 2000
 WITHIN = ("across", "up", "turned", "turned_square", "quadrant", "beyond", "half")
 """Steps of an arctangent, whose bound is of the whole."""
-CROSS = ("cross_real", "cross_imaginary", "cross", "cross_square", "held_cross")
+CROSS = ("cross_real", "cross_imaginary", "cross", "cross_square", "held_cross", "bound")
 """Steps of the turn of one phasor from another."""
 TURNED = 64
 """Roundings of that turn, each a share of it: two products, their sums, quotient and polynomial."""

@@ -28,6 +28,8 @@ TILT = 1.1
 """Times the largest rotation of the box beyond which the flag of the pose is set."""
 WITHIN = 0.98
 """Share of a period that a box may span where no input says which period it is."""
+ROOMY = 1.1
+"""Times the largest tangent of the box: end of the polynomial of a turn."""
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
 LOST = 1e-12
@@ -139,16 +141,23 @@ class Pieces:
         made, (a, b), (c, d), name = self.made, vectors[first], vectors[k], self.names[k]
         real = made.step(f"cross_real_{name}", c * a + d * b)
         imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
-        floor = made.entry(
-            f"least_cross_{name}", self._floor(first, k), "1", "least product of two phasors of the box"
-        )
-        held = made.step(f"held_cross_{name}", ca.if_else(real > floor, real, floor))
+        steep, floor = self._cone(first, k)
+        cone = made.entry(f"cone_{name}", steep, "1", "cotangent of the largest turn of two phasors")
+        least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
+        bound = made.step(f"bound_{name}", cone * ca.fabs(imaginary) + least)
+        held = made.step(f"held_cross_{name}", ca.if_else(real > bound, real, bound))
         tangent = made.step(f"cross_{name}", imaginary / held)
         square = made.step(f"cross_square_{name}", tangent * tangent)
         return made.step(f"turn_{name}", odd(self.series(first, k).coefficients, tangent, square), "[rad]")
 
-    def _floor(self, first: int, k: int) -> float:
-        return 0.5 * self.waves[first].least * self.waves[k].least * float(np.cos(self._angle(first, k)))
+    def _cone(self, first: int, k: int) -> tuple[float, float]:
+        """Cotangent of the end of the polynomial, and the least that real - cotangent |imaginary| is, halved.
+
+        So no reading whatever turns two phasors beyond that end.
+        """
+        angle, steep = self._angle(first, k), 1.0 / self.series(first, k).end
+        least = self.waves[first].least * self.waves[k].least
+        return steep, 0.5 * least * (float(np.cos(angle)) - steep * float(np.sin(angle)))
 
     def _angle(self, first: int, k: int) -> float:
         """Largest turn of two phasors of an axis over the box [rad]."""
@@ -158,7 +167,7 @@ class Pieces:
 
     def series(self, first: int, k: int) -> Odd:
         """Return the polynomial of that angle."""
-        end = np.ceil(20 * tan(min(self._angle(first, k), 1.4))) / 20
+        end = np.ceil(20 * ROOMY * tan(min(self._angle(first, k), 1.4))) / 20
         share = POLYNOMIALS * float(self.found.accuracy[0]) / self.found.groups[k].phasor.lc
         series = shortest("atan", float(end), share)
         if series is None:

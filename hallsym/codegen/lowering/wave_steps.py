@@ -28,8 +28,8 @@ MOST_ROUNDS = 6
 LADDER = 20
 """Ends of the polynomial of the logarithm are whole multiples of 1 / LADDER: so code outlasts a
 calibration."""
-POLYNOMIALS = 0.12
-"""Share of an accuracy that arctangent and logarithm may take each; the rounds take the rest."""
+POLYNOMIALS = 0.25
+"""Share of an accuracy that arctangent and logarithm may take each; the rounds take what these leave."""
 NEGLIGIBLE = 0.02
 """Share of an accuracy that harmonics left out may sum to."""
 CONTRACTING = 0.5
@@ -97,19 +97,19 @@ def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
             f"--range."
         )
     harmonics, out = _counting(phasor, outer, NEGLIGIBLE * share)
-    rounds, last, left = _rounds(phasor, outer, reach, (1 - POLYNOMIALS - NEGLIGIBLE) * share)
-    if not harmonics:
-        rounds, last, left = 0, "", 0.0
     end = ceil(tanh(log(reach)) * LADDER * (1 + 1e-6)) / LADDER
     logarithm = shortest("artanh", end, POLYNOMIALS * share) if end < 1 else None
     arctangent = shortest("atan", 1.0, POLYNOMIALS * share)
     if logarithm is None or arctangent is None:
         raise InputError(
             f"Heights that span {1e3 * abs(ends[1] - ends[0]):.3g} mm are too many for one logarithm of a "
-            f"wavelength of "
-            f"{2e3 * pi * phasor.lc:.3g} mm, or the accuracy of {accuracy:.2g} m is too fine; give fewer "
-            f"with --range."
+            f"wavelength of {2e3 * pi * phasor.lc:.3g} mm, or the accuracy of {accuracy:.2g} m is too fine; "
+            "give fewer with --range."
         )
+    rest = (1 - NEGLIGIBLE) * share - max(logarithm.error, arctangent.error)
+    rounds, last, left = _rounds(phasor, outer, reach, rest)
+    if not harmonics:
+        rounds, last, left = 0, "", 0.0
     return Wave(phasor, harmonics, rounds, last, 1 / reach, logarithm, arctangent, left + out)
 
 
