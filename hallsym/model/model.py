@@ -113,8 +113,8 @@ class Model:
     period: Mapping[str, float] = field(default_factory=dict)
     """Pose coordinates, channels, references and parameters that repeat, each with its period [its unit]."""
     absolute: tuple[str, ...] = ()
-    """References among them that are logged as they are, such as an interferometer's beside a periodic field: a
-    step of more than half a period is a step."""
+    """References among them that are logged as they are, such as an interferometer's beside a periodic field:
+    a step of more than half a period is a step."""
     homes: Mapping[str, str] = field(default_factory=dict)
     """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None

@@ -16,6 +16,22 @@ SWEEPS = tuple(
     )
 )  # fmt: skip
 """Sweeps of x at the gaps of the thesis and one more, then with the gap moving."""
+MOTIONS = tuple(
+    {
+        "duration_s": 2.0,
+        "z_m": {"kind": "sine", "amplitude": 1.5e-3, "frequency_hz": 2.3 * f, "about": 6e-3},
+        **{
+            c: {"kind": "sine", "amplitude": size, "frequency_hz": n * f}
+            for n, (c, size) in zip(
+                (1.0, 1.4, 1.9, 2.9, 3.1),
+                (("x_m", 0.015), ("y_m", 0.015), ("rx_rad", 6e-3), ("ry_rad", 6e-3), ("rz_rad", 6e-3)),
+                strict=True,
+            )
+        },
+    }
+    for f in (0.5, 0.6, 0.75, 0.9, 1.1)
+)
+"""All six coordinates at once, at frequencies that do not come back together."""
 
 FAMILY = Family(
     name="halbach",
@@ -52,5 +68,11 @@ PLANAR = Family(
     decoder="wave",
     effects=PLANAR_EFFECTS,
     words={"z_ref_m": "gap z"},
+    example=Example(
+        campaign={"step_s": 8e-3, "run": list(MOTIONS)},
+        values={"a1": 0.62, "a5": -2e-3, "x0": 1e-4, "y0": -5e-5, "rx0": 3e-4, "ry0": -2e-4, "rz0": 5e-4},
+        noise={"x1_col_v": 1e-3, "x2_col_v": 1e-3, "y1_row_v": 1e-3, "y2_row_v": 1e-3}
+        | {c: 1e-7 if c.endswith("_m") else 1e-6 for c in planar.REFERENCES},
+    ),
 )
 planar.FAMILY = PLANAR

@@ -77,7 +77,6 @@ def halbach(layout: Layout | None = None) -> Model:
             ("electronics", links.read),
         ),
         combinations=(
-            Combination("hypot(a1, b1)", "V", ("a1", "b1"), lambda p: ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2)),
             Combination(
                 "atan2(b1, a1)/k", "m", ("a1", "b1"),
                 lambda p: ca.atan2(p["b1"], p["a1"]) / array.wavenumber,
@@ -97,7 +96,9 @@ def halbach(layout: Layout | None = None) -> Model:
 
 def onward(pose: np.ndarray, coordinate: str, values: Mapping[str, float]) -> np.ndarray:
     """Return how the pose (2, samples) changes per nominal metre of x to where the field repeats."""
-    return np.array([[links.scale_of(coordinate, values)], [0.0]])
+    out = np.zeros_like(pose)
+    out[0] = links.scale_of(coordinate, values)
+    return out
 
 
 def array_of(layout: Layout) -> Array:
