@@ -77,6 +77,11 @@ def missing(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     return own[0] - all_[0], own[1] - all_[1]
 
 
-def nearest(array: Array, u: ca.SX) -> ca.SX:
-    """Return the place from the middle [m] of the sensor that reads for one at u: within half a wavelength."""
-    return u - array.wavelength_m * ca.floor(u / array.wavelength_m + 0.5)
+def nearest(array: Array, u: ca.SX, elements: int = 1) -> ca.SX:
+    """Return the place from the middle [m] of the sensor that reads for one at u.
+
+    Of the sensors at whole wavelengths from it, a channel of several elements takes as many, those within
+    as many half wavelengths on both sides of the middle.
+    """
+    window = elements * array.wavelength_m
+    return u - window * ca.floor(u / window + 0.5)
