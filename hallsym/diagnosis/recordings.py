@@ -164,7 +164,8 @@ def _strokes(r: Range) -> list[Recording]:
 
     def add(text: str, motion: dict[str, AtTimes], setting: dict[str, float] | None = None,
             temperature: AtTimes | None = None) -> None:  # fmt: skip
-        level = {c: r.centre[c] for c in r.vertical} | (setting or {})
+        away = [c for c in r.pose if abs(r.centre[c]) > r.amplitude[c]]  # a gap never comes to 0
+        level = {c: r.centre[c] for c in (*r.vertical, *away)} | (setting or {})
         out.append(Recording(f"{text} ({seconds:.3g} s)", Run(seconds, level, motion), temperature))
 
     all_axes = _names(r.pose)
