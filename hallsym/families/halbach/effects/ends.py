@@ -1,8 +1,10 @@
 """Effects of the ends of a Halbach array: its field fades near them, also where sensors are chosen anew."""
 
+from dataclasses import replace
+
 import casadi as ca
 
-from hallsym.families.halbach import links
+from hallsym.families.halbach import links, travel
 from hallsym.families.halbach.effects.magnets import HEIGHT, LONGER
 from hallsym.families.halbach.ends import missing, nearest
 from hallsym.families.halbach.layout import sensors
@@ -35,7 +37,8 @@ def array_edges(
 
     `edges` is 1 for the array that the layout states, negative where it is half a wavelength longer. Of an
     unknown choice, and so of ends of unknown shape, the wave that moves a position is fitted: it repeats
-    every wavelength and does not fade with the gap as a harmonic of the magnets does.
+    every wavelength and does not fade with the gap as a harmonic of the magnets does. With fixed sensors on
+    a board that is longer than the array by a wavelength, x is decoded over all periods, with no reference.
     """
     if reads == "unknown":
         return _unknown(model)
@@ -48,7 +51,14 @@ def array_edges(
         s["field"] = s["field"] + p["edges"] * ca.vertcat(*added)
 
     new = Parameter("edges", 0.0, -MOST, MOST, "1", "share of what the ends of the stated array take")
-    return model.with_step("field", step, effect="array_edges", parameters=(new,))
+    wide = model.with_step("field", step, effect="array_edges", parameters=(new,))
+    if reads == "nearest" or not travel.resolves(array_of(model.layout), model.layout):
+        return wide
+    return replace(
+        wide,
+        begin=lambda v, p: travel.begin(v, p, array_of(model.layout), model.layout),
+        period={}, absolute=(), onward=None,
+    )  # fmt: skip
 
 
 def _missing_at(s: Signals, model: Model, k: int, reads: str) -> list[tuple[ca.SX, ca.SX]]:
