@@ -68,7 +68,8 @@ def endless(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the same as `finite` of the endless array: its harmonics."""
     q = array.wavenumber
     terms = [(strength(array, h) * ca.exp(-h * q * (gap - array.level_m)), h * q * u) for h in HARMONICS]
-    return sum(a * ca.cos(t) for a, t in terms), sum(-a * ca.sin(t) for a, t in terms)
+    cos, sin = (sum((a * f(t) for a, t in terms), ca.SX(0)) for f in (ca.cos, ca.sin))
+    return cos, -sin
 
 
 def missing(array: Array, u: ca.SX, gap: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -45,7 +45,7 @@ def begin(v: ca.SX, p: Mapping[str, ca.SX], array: Array, layout: Layout) -> ca.
     q, places = array.wavenumber, board(layout)
     read = ca.vertsplit(v)
     size = 2 / len(places)
-    re, im = (size * sum(r * float(f(q * x)) for r, x in zip(read, places, strict=True))
+    re, im = (size * sum((r * float(f(q * x)) for r, x in zip(read, places, strict=True)), ca.SX(0))
               for f in (np.cos, np.sin))  # fmt: skip
     x = _resolved(array, places, read, _phase(p, re, im) / q)
     weights = [seen(array, place - x) + NEVER for place in places]

@@ -4,7 +4,15 @@ One file per link of the chain; mechanisms that other families share are in `hal
 The same effects serve the model of x and z and that of six coordinates: they act on what `links` passes on.
 """
 
-from hallsym.families.halbach.effects import electronics, ends, field, magnets, mechanics, reference, transducer
+from hallsym.families.halbach.effects import (
+    electronics,
+    ends,
+    field,
+    magnets,
+    mechanics,
+    reference,
+    transducer,
+)
 
 COMMON = (
     transducer.offset_error, transducer.gain_mismatch, mechanics.sensor_position_error,

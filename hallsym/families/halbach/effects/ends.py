@@ -29,8 +29,8 @@ def array_edges(
             "nearest": "those next to the middle",
             "unknown": "an unknown choice of sensors",
         },
-        "which sensors a channel reads: always its own, those a wavelength apart that are next to the middle, "
-        "or an unknown choice of them",
+        "which sensors a channel reads: always its own, of those a wavelength apart the ones next to the "
+        "middle, or an unknown choice of them",
     ),
 ) -> Model:
     """The array has ends, near which its field fades; sensors chosen anew as it travels see them in turn.
@@ -62,7 +62,7 @@ def array_edges(
 
 
 def _missing_at(s: Signals, model: Model, k: int, reads: str) -> list[tuple[ca.SX, ca.SX]]:
-    """Vertical field at each element of channel k; of the columns alone where nothing has moved the sensor."""
+    """Vertical field at each element of channel k; of the columns alone where nothing moves the sensor."""
     array, places = array_of(model.layout), [x for x, _ in sensors(model.layout)[k].positions]
     moved, (dx, _, dz) = s["moved"][k], s["placed"][k]
     still = all(v.is_zero() for v in (dx, dz, moved["x_m"], moved["z_m"]))
@@ -84,11 +84,11 @@ def _unknown(model: Model) -> Model:
     q, seen = ORDER * array_of(model.layout).wavenumber, sensors(model.layout)
 
     def step(s: Signals, p: P) -> None:
-        here = tuple(s.derive(f"{f.__name__} {ORDER}kx", f(q * s["x_m"])) for f in (ca.cos, ca.sin))
+        cos, sin = (s.derive(f"{f.__name__} {ORDER}kx", f(q * s["x_m"])) for f in (ca.cos, ca.sin))
         added = []
         for k, sensor in enumerate(seen):
             shift = s["moved"][k]["x_m"] - s["placed"][k][0]
-            waves = [links.turned(here, q * (shift - x)) for x, _ in sensor.positions]
+            waves = [links.turned((cos, sin), q * (shift - x)) for x, _ in sensor.positions]
             added.append(sum(p["ends_cos"] * c + p["ends_sin"] * v for c, v in waves) / len(waves))
         s["field"] = s["field"] + ca.vertcat(*added)
 
