@@ -21,6 +21,10 @@ FOLLOWS = 0.5
 OFF = 0.02
 """Relative difference of the wavelength in a log from the nominal one that is refused: the fifth harmonic of
 a board of three periods is then half a radian off."""
+COVERED = 0.5
+"""Share of the samples in which the array must be over a channel, where the model takes it for endless."""
+LEAST_UNDER = 10
+"""Samples at which the array must be over a channel for it to have an amplitude and a phase."""
 TRIED = np.geomspace(0.5, 2.0, 401)
 """Wavelengths, over the nominal one, at which the field of a log is looked for."""
 
@@ -50,7 +54,9 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
             f"wavelength ({1e3 * array.wavelength_m:g} mm); amplitude and phase need a quarter at least, and "
             "gains, offsets and places a whole one."
         )
-    share, silent = _explained(array, x, z, v, array.wavelength_m)
+    under = _under(model, array, x)
+    _covered(model, array, under, log.name)
+    share, silent = _explained(array, x, z, v, array.wavelength_m, under)
     if silent.any() and not silent.all():
         name = model.channels[int(np.flatnonzero(silent)[0])]
         raise InputError(
@@ -58,7 +64,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
             f"{100 * SILENT:.0f} % of the others'): it lies outside the array, or is not "
             "connected; leave it out of the layout."
         )
-    _wavelength(array, x, z, v, float(np.median(share)), stroke, log.name)
+    _wavelength(array, x, z, v, under, float(np.median(share)), stroke, log.name)
     notes = []
     if stroke < WHOLE:
         notes.append(
@@ -82,26 +88,54 @@ def _inside(model: Model, array: Array, x: np.ndarray, name: str) -> None:
         )
 
 
+def _under(model: Model, array: Array, x: np.ndarray) -> np.ndarray:
+    """Whether each channel (K, n) is under the array."""
+    places = np.array([s.middle[0] for s in sensors(model.layout)])
+    return np.asarray(np.abs(places[:, None] - x) < array.length_m / 2)
+
+
+def _covered(model: Model, array: Array, under: np.ndarray, name: str) -> None:
+    """Refuse sensors that the array hardly is over, unless the model knows the ends of the array."""
+    share = under.mean(axis=1)
+    least = int(np.argmin(share))
+    if share[least] < COVERED and "edges" not in model.names:
+        sensor = sensors(model.layout)[least]
+        raise InputError(
+            f"Channel {sensor.channel} of {name}, at {1e3 * sensor.middle[0]:.4g} mm, is outside the field "
+            f"in {100 * (1 - share[least]):.0f} % of the samples, beyond the ends of an array of "
+            f"{1e3 * array.length_m:g} mm; fit with --effect array_edges, correct 'periods' (length_m), or "
+            "leave it out."
+        )
+
+
 def _explained(
-    array: Array, x: np.ndarray, z: np.ndarray, v: np.ndarray, wavelength: float
+    array: Array, x: np.ndarray, z: np.ndarray, v: np.ndarray, wavelength: float, under: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Share of each channel's variation that one harmonic explains, and which channels see hardly any."""
+    """Share of each channel's variation that one harmonic explains, and which channels see hardly any.
+
+    Of the samples at which the array is over a channel.
+    """
     k = 2 * np.pi / wavelength
     fade = np.exp(-k * (z - array.level_m))
     basis = np.array([np.ones_like(x), fade * np.cos(k * x), fade * np.sin(k * x)]).T
-    found, *_ = np.linalg.lstsq(basis, v.T, rcond=None)
-    left = np.var(v.T - basis @ found, axis=0)
-    size = np.hypot(*found[1:])
-    return 1 - left / np.maximum(np.var(v, axis=1), 1e-300), size < SILENT * np.median(size)
+    share, size = np.zeros(len(v)), np.full(len(v), np.nan)
+    for k, at in enumerate(under):
+        if at.sum() < LEAST_UNDER:
+            continue
+        found, *_ = np.linalg.lstsq(basis[at], v[k, at], rcond=None)
+        share[k] = 1 - np.var(v[k, at] - basis[at] @ found) / max(np.var(v[k, at]), 1e-300)
+        size[k] = np.hypot(*found[1:])
+    return share, size < SILENT * np.nanmedian(size)
 
 
 def _wavelength(
-    array: Array, x: np.ndarray, z: np.ndarray, v: np.ndarray, share: float, stroke: float, name: str
-) -> None:
+    array: Array, x: np.ndarray, z: np.ndarray, v: np.ndarray, under: np.ndarray, share: float,
+    stroke: float, name: str,
+) -> None:  # fmt: skip
     """Refuse readings that repeat at another wavelength, or at none."""
     if stroke < WHOLE / 2:
         return
-    shares = [float(np.median(_explained(array, x, z, v, w * array.wavelength_m)[0])) for w in TRIED]
+    shares = [float(np.median(_explained(array, x, z, v, w * array.wavelength_m, under)[0])) for w in TRIED]
     best = int(np.argmax(shares))
     found = float(TRIED[best]) * array.wavelength_m
     if shares[best] < FOLLOWS:
