@@ -2,7 +2,8 @@
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -11,19 +12,24 @@ import numpy as np
 from hallsym.codegen import faults
 from hallsym.codegen.arithmetic import Port
 from hallsym.codegen.backend import bit, ends, raised, status_bit
-from hallsym.codegen.bounds import LEAST_GAIN, slope_errors, spreads
+from hallsym.codegen.bounds import LEAST_GAIN, spreads, step_errors
 from hallsym.codegen.cost import firmware_cost
+from hallsym.codegen.decoupler import Step
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.float_arithmetic import FloatArithmetic
-from hallsym.codegen.float_c import shared_statements, statements, straight
+from hallsym.codegen.float_c import shared_steps, statements, straight
 from hallsym.codegen.gappa import gappa
-from hallsym.codegen.naming import commented, identifier
+from hallsym.codegen.naming import PREFIX, commented, identifier
 from hallsym.codegen.templates import lines_of
 from hallsym.model.arrays import on_arrays
 
-M4 = "-mcpu=cortex-m4 -mthumb"
+M4 = ("-mcpu=cortex-m4 -mthumb", "mps2-an386")
+"""Compiler options and QEMU's machine of a Cortex-M4F."""
 FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
-"""Compiler options of a Cortex-M4F by bytes of a number; its unit has no double."""
+"""Compiler options of its floating-point unit by bytes of a number; it has no double."""
+M7 = ("-mcpu=cortex-m7 -mthumb", "mps2-an500")
+DOUBLE_FPU = "-mfloat-abi=hard -mfpu=fpv5-d16"
+"""Of a Cortex-M7 whose unit has double, fused multiply-add too."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
 UNIONS = ["misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_check.c"]
@@ -64,7 +70,7 @@ class FloatBackend(FloatArithmetic):
 
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         d, c = self.decoupler, self.real.constant
-        work = firmware_cost(d)
+        work = firmware_cost(d, self.real.fused)
         common = {
             "real": self.type,
             "builtin_fabs": self.real.fabs,
@@ -74,9 +80,9 @@ class FloatBackend(FloatArithmetic):
             "slope": self._slope_records(),
             # build files
             "all_nan": ", all NaN",
-            "deviations": UNIONS if any(map(self.by_size, d.inputs)) else [],
-            "cpu": f"{M4} {FPU[self.real.size]}",
-            "machine": "mps2-an386",
+            "deviations": self._deviations(),
+            **self._core(),
+            **self._fused(),
             # proofs
             "nan_included": ", NaN and infinity included",
             "any": self.type,
@@ -96,6 +102,36 @@ class FloatBackend(FloatArithmetic):
         for part in (*parts, self._range_tests(common)):
             common |= part
         return common
+
+    def _core(self) -> dict[str, str]:
+        """Return the Cortex-M that runs the self-test in QEMU."""
+        if self.real.fused and self.real.size == 8:
+            (core, machine), unit_options = M7, DOUBLE_FPU
+        else:
+            (core, machine), unit_options = M4, FPU[self.real.size]
+        return {"cpu": f"{core} {unit_options}", "machine": machine}
+
+    def _fused(self) -> dict[str, Any]:
+        """Return what is said and defined of fused multiply-add."""
+        if not self.real.fused:
+            return {"fused": [], "with_fused": "", "fused_bits": [], "libraries": "", "linked": []}
+        linked, elsewhere = "", " by double"
+        if self.real.size == 8:
+            linked, elsewhere = " -lm", " through the library of its compiler, or does not compile"
+        return {
+            "fused": lines_of(f"{FRAGMENTS}fused_{self.type}.c", {}),
+            "with_fused": " with fused multiply-add",
+            "fused_bits": lines_of(f"{FRAGMENTS}fused_bits.md", {"elsewhere": elsewhere}),
+            "libraries": linked,
+            "linked": [f"target_link_libraries({PREFIX} PUBLIC $<$<NOT:$<PLATFORM_ID:Windows>>:m>)"]
+            if linked
+            else [],
+        }
+
+    def _deviations(self) -> list[str]:
+        by_size = any(map(self.by_size, self.decoupler.inputs))
+        step, check = UNIONS
+        return [step] * (by_size or (self.real.fused and self.real.size == 4)) + [check] * by_size
 
     def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
         return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []
@@ -175,15 +211,16 @@ class FloatBackend(FloatArithmetic):
         whole = {**names, **{e.name: f"p->{e.name}" for e in d.zeros}}
         slopes: list[str] = []
         if self.jacobian:
-            flat = ca.vertcat(*d.slopes.values())
-            slopes = self._held(flat)
-            slopes += shared_statements(flat, whole, real, [f"slopes->{n}" for n in d.slopes])
+            slopes = self._held(ca.vertcat(*d.slopes.values()))
+            stored = {f"result_{k}": f"slopes->{n}" for k, n in enumerate(d.slopes)}
+            slopes += statements(self._slope_steps, whole, real, stored)
         magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
         by_size = list(map(self.by_size, d.inputs))
         within = lines_of(f"{FRAGMENTS}within.c", {**common, **self._bits()}) if any(by_size) else []
         limited = lines_of(f"{FRAGMENTS}limited.c", common)
         if all(by_size):
             limited = ["#if defined(__FRAMAC__)", *limited[:-1], "#endif", ""]
+        helpers = [*(magnitude if any("MAGNITUDE(" in line for line in body) else []), *common["fused"]]
         zeros = [e.name for e in d.zeros]
         none = {"pose": len(d.pose), "no_zeros": ", ".join(real.constant(0.0) for _ in zeros)}
         iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, whole, real, {})}
@@ -201,7 +238,7 @@ class FloatBackend(FloatArithmetic):
             "take_zero": lines_of(FRAGMENTS + zero, {**common, **none, **iterated}),
             "bare_includes": [],
             "magnitude": magnitude if any("MAGNITUDE(" in line for line in (*body, *within)) else [],
-            "bare_helpers": [*magnitude, ""] if any("MAGNITUDE(" in line for line in body) else [],
+            "bare_helpers": [*helpers, ""] if helpers else [],
             "bare_body": [
                 *(f"const {self.type} {short(c)} = in->{identifier(c)};" for c in used),
                 *(f"const {self.type} {name} = p->{name};" for name in zeros),
@@ -211,7 +248,7 @@ class FloatBackend(FloatArithmetic):
         }
 
     def _check(self) -> dict[str, Any]:
-        d, real = self.decoupler, self.real
+        d, real = self.decoupler, replace(self.real, fused=False)
         share = real.constant(round(1 - LEAST_GAIN, 6))
         gains, sides = spreads(d), {c: ends(d, c) for c in d.inputs}
         filled = [
@@ -329,6 +366,10 @@ class FloatBackend(FloatArithmetic):
                     value = c(2.0 * sign * share * d.known(column))
                     yield from faults.expect([f"table.{zero.name} = {value};"], found)
 
+    @cached_property
+    def _slope_steps(self) -> list[Step]:
+        return shared_steps(ca.vertcat(*self.decoupler.slopes.values()))
+
     def _slopes(self) -> tuple[np.ndarray, list[str]]:
         """Return the slopes (n_slopes, s) of the vectors in double, and the line of their bounds."""
         d = self.decoupler
@@ -336,7 +377,7 @@ class FloatBackend(FloatArithmetic):
         given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.zeros))))
         run = on_arrays(ca.Function("slopes", given, [ca.vertcat(*d.slopes.values())]))
         slopes = run(list(self.vectors.held), d.constants)[0]
-        errors = slope_errors(d, self.real.digits).values()
+        errors = step_errors(d, self._slope_steps, self.real.digits, self.real.fused)[-len(d.slopes) :]
         # the reference is computed in double and written with 13 digits
         limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors, slopes, strict=True)]
         listed = ", ".join(f"{limit:.3e}" for limit in limits)

@@ -1,7 +1,7 @@
 """From a calibration to the files of a decoupler."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from hallsym.codegen.box import box_of
 from hallsym.codegen.checks import check, check_bounds, check_gains, check_same, digest_of, notes_of
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.float_backend import FloatBackend
-from hallsym.codegen.float_c import DOUBLE, FLOAT
+from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
 from hallsym.codegen.folder import replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
@@ -94,6 +94,7 @@ def generate(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     double: bool = False,
     jacobian: bool = False,
+    fma: bool = False,
     accuracy: float | None = None,
     correction: str | None = None,
     allow_undetermined: bool = False,
@@ -104,7 +105,8 @@ def generate(
 
     `arithmetic`: "float", or "q31" for 32-bit integers, where a controller has no floating-point unit.
     `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
-    `jacobian`: with `decoupler_jacobian()`. Models of an angle: `accuracy` is what the correction of it
+    `jacobian`: with `decoupler_jacobian()`. `fma`: products and the sums that take them rounded once, by an
+    instruction where the core has it. Models of an angle: `accuracy` is what the correction of it
     may leave besides rounding [rad], default 3e-8, of integers 1e-5; `correction` is "series", "table", or
     "auto" for the one of fewer bytes. `name`: prefix of symbols and files, so that several decouplers fit in
     one image. Raises `InputError` for a calibration that cannot be trusted on a
@@ -120,12 +122,13 @@ def generate(
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
     given: dict[str, Any] = {"accuracy": accuracy, "correction": correction}
     if arithmetic == "q31":
-        for option, unwanted in (("double", double), ("jacobian", jacobian)):
+        for option, unwanted in (("double", double), ("jacobian", jacobian), ("fma", fma)):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, ranges, given)
     else:
-        backend = _floats(fit, record, ranges, given, double, jacobian)
+        real = replace(DOUBLE if double else FLOAT, fused=fma)
+        backend = _floats(fit, record, ranges, given, real, jacobian)
     errors = backend.errors()
     notes = (*notes_of(fit), *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()))
     return Generated(backend, renamed_files(backend.files(errors, notes), name), errors, notes, name)
@@ -136,7 +139,7 @@ def _floats(
     record: Mapping[str, Any],
     ranges: Mapping[str, tuple[float, float]] | None,
     given: Mapping[str, Any],
-    double: bool,
+    real: Real,
     jacobian: bool,
 ) -> FloatBackend:
     found = lower(fit, box_of(fit, ranges), **given)
@@ -145,8 +148,9 @@ def _floats(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
             "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
         )
-    record = {**record, **_recorded(found.options, given)}
-    backend = FloatBackend(found, record, DOUBLE if double else FLOAT, jacobian)
+    variant = {"fma": True} if real.fused else {}
+    record = {**record, **_recorded({**found.options, **variant}, given)}
+    backend = FloatBackend(found, record, real, jacobian)
     check_gains(backend.bounds)
     check_bounds(found, backend.bounds)
     check_same(found)
