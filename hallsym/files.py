@@ -39,7 +39,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     if not os.fspath(path) or "\0" in os.fspath(path):
         raise InputError("The name of an output must not be empty, nor hold a null character; give a file.")
-    check_output(path)
+    check_output(os.fspath(path))
     target = Path(os.path.realpath(path))
     temporary = beside(target)
     try:

@@ -11,6 +11,8 @@ import io
 import json
 import re
 import shlex
+import shutil
+import subprocess
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -128,6 +130,15 @@ def run(command: str, expected: int) -> None:
         pytest.fail(f"do not know how to check {command!r}")
 
 
+def compiles(code: str, folder: Path) -> None:
+    """Compile a C example against the folders that the page generated; nothing to do without a compiler."""
+    if compiler := shutil.which("gcc"):
+        paths = [f"-I{path}" for where in ("include", "params") for path in folder.glob(f"*/{where}")]
+        command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", *paths, "-fsyntax-only", "-xc", "-"]
+        found = subprocess.run(command, input=code, capture_output=True, text=True)
+        assert found.returncode == 0, found.stderr
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_examples_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -147,6 +158,8 @@ def test_examples_run(page, tmp_path, monkeypatch):
             (tomllib if block.kind == "toml" else json).loads(block.text)
             Path(block.name).parent.mkdir(exist_ok=True)
             Path(block.name).write_text(block.text, encoding="utf-8")
+        elif block.kind == "c":
+            compiles(block.text, tmp_path)
         else:
             assert block.kind in ("text", "math"), f"{where}: a block of {block.kind} is not checked"
 

@@ -209,6 +209,17 @@ def save_fit_pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:
     return save_pictures(log, result, Path(folder), keep=result.keep)
 
 
+def reading_words(options: Namespace) -> list[str]:
+    """Words of a command that its next step needs too: how the log is read, and the machine."""
+    words = [word for column in options.column for word in ("--column", column)]
+    words += [word for noise in options.noise for word in ("--noise", noise)]
+    for option in ("counts_per_turn", "column_file", "format", "delimiter", "machine", "effects"):
+        value = getattr(options, option, None)
+        if value is not None:
+            words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
+    return [*words, *(["--drop-bad"] if options.drop_bad else [])]
+
+
 def noted(notes: Sequence[str]) -> list[str]:
     """Return the lines that say the notes."""
     return [f"note: {note}" for note in notes]

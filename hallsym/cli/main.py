@@ -21,9 +21,10 @@ OUTPUTS = ("output", "plots")
 """Options of all commands that name what is written."""
 
 EPILOG = """\
-exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done, but this log leaves parameters of
-the model undetermined (they are named); 4 the solver did not converge or was interrupted (the best so far is
-written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where).
+exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done and written, but the log leaves
+parameters of the model undetermined or its recording is at fault (both are named), or the model does not
+describe the log (the report of 'fit' or 'evaluate' begins with that); 4 the solver did not converge or was
+interrupted (the best so far is written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where).
 
 examples:
   hallsym demo                                    the paper's calibration on the bundled campaign

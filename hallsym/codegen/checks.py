@@ -68,7 +68,8 @@ def check_gains(found: Bounds) -> None:
 
 def notes_of(fit: Fit) -> tuple[str, ...]:
     """Return what a user of the code should know of the calibration."""
-    notes = []
+    amiss = fit.goodness and fit.goodness.said("The model of this calibration does not describe its log")
+    notes = [f"{amiss}: the decoder inherits that error."] if amiss else []
     if fit.structural:
         notes.append(
             f"No recording tells {', '.join(fit.structural)} apart; only the combinations that readings "

@@ -120,6 +120,7 @@ def generate(
     check(fit, allow_undetermined)
     named = mapping((*fit.model.channels, *fit.model.state, *fit.model.pose))
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
+    record |= {} if name == PREFIX else {"name": name}
     given: dict[str, Any] = {"accuracy": accuracy, "correction": correction}
     if arithmetic == "q31":
         for option, unwanted in (("double", double), ("jacobian", jacobian), ("fma", fma)):

@@ -81,7 +81,7 @@ def renamed(text: str, prefix: str) -> str:
     if prefix == PREFIX:
         return text
     text = re.sub(rf"\b{PREFIX}(?=_[a-z]|\.[a-z])", prefix, text)
-    return re.sub(rf"\b{PREFIX.upper()}(?=_[A-Z])", prefix.upper(), text)
+    return re.sub(rf"(?<![A-Za-z0-9]){PREFIX.upper()}(?=_[A-Z])", prefix.upper(), text)
 
 
 def renamed_files(files: Mapping[str, str | bytes], prefix: str) -> dict[str, str | bytes]:

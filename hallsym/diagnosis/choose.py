@@ -1,17 +1,15 @@
 """Effects by name alone: what a log says of their numbers (a width, an instant, a frequency, a rail)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.ranking import refitted
 from hallsym.diagnosis.scores import candidates, scores
-from hallsym.diagnosis.setup import base_of
+from hallsym.diagnosis.setup import base_of, fitted
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
-from hallsym.estimation import fit
 from hallsym.estimation.calibration import Fit
 from hallsym.families import adapted, build, default_model, effect_named
 from hallsym.log import Log
@@ -44,11 +42,9 @@ def model_on(
         if ":" in text or not effect.lacking(text):
             model = effect.added(model, text)
             continue
-        known = fit(
-            log, model, solver="direct", holdout=holdout, drop_bad=drop_bad, resolve_wiring=True,
-            on_progress=on_progress,
-        )  # fmt: skip
-        model = _shown(known.source or log, replace(known, wiring=None), effect)
+        held, say = None if holdout is None else tuple(holdout), on_progress or (lambda _: None)
+        seen, known = fitted(log, model, held, drop_bad, say)
+        model = _shown(seen, known, effect)
     return adapted(model, (), parameters or {}, own)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.diagnosis.record import Waves
 from hallsym.diagnosis.residuals import Base
-from hallsym.estimation.decoding import columns_of, pose_errors
+from hallsym.estimation.decoding import columns_of, nominal_variance, pose_errors
 from hallsym.log import Block
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
@@ -118,7 +118,8 @@ def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
     `model`, `after`: without and with what was found.
     """
     pose, known = model.model.pose, model.model.family.waves
-    plain = replace(model, p=designed(model.model, model.p))
+    alike = np.diag(nominal_variance(model.model, np.diag(model.covariance)))
+    plain = replace(model, p=designed(model.model, model.p), covariance=alike)
     bases = [base for base in (plain, model, after) if base is not None]
     orders = [n for n in sorted({*range(1, FIRST + 1), *known}) if PER_WAVE * n <= model.log.rows]
     periodic = [k for k, c in enumerate(pose) if c in model.model.period]

@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.errors import counted
 from hallsym.log import Log
-from hallsym.log.quality.findings import FEWEST_SAMPLES
+from hallsym.log.quality.runs import FEWEST_SAMPLES
 
 PIECES = 20
 """Stretches of time: every second is held out, so that ten are fitted and held against each other."""
@@ -45,11 +45,17 @@ def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, .
         notes.append(f"{gone} of {n} knots {are} left out.")
     columns = {c: log.array(c)[order] for c in log.columns if c != "run"}
     columns = {TIME: at[: len(order)].astype(float)} | columns | {"run": piece[order]}
-    how = f"{count} {'stretches of time' if timed else 'groups of single knots, each round the turn'}"
+    how = f"{count} {'slices of time' if timed else 'groups of single knots, each round the turn'}"
     short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
-    many = counted(len(log.runs), "run")
-    notes.append(f"{many} cannot be held out whole: taken as {how}, every second held out.")
+    what = counted(len(log.runs), "run") if timed or len(log.runs) > 1 else "A table of knots"
+    notes.append(f"{what} cannot be held out whole: taken as {how}, every second held out.")
     return replace(short, notes=(*log.notes, *notes), path=log.path), held
+
+
+def counted_off(log: Log) -> Log:
+    """Return a log without time with a counter in its place; its runs stay."""
+    columns = {TIME: np.arange(log.rows, dtype=float)} | {c: log.array(c) for c in log.columns}
+    return replace(Log.from_arrays(columns, log.noise, log.meta, log.name), notes=log.notes, path=log.path)
 
 
 def _pieces(n: int, timed: bool) -> int:

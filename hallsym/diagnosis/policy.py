@@ -7,6 +7,8 @@ stays beside the code that uses it.
 
 from dataclasses import dataclass
 
+from hallsym.estimation import UNSTRUCTURED
+
 
 @dataclass(frozen=True)
 class Policy:
@@ -110,7 +112,7 @@ class Policy:
     """P-value of one shape below which it supports an excess over a stated floor.
 
     The excess is evidence too, so the shape need not be certain."""
-    unstructured: float = 0.15
+    unstructured: float = UNSTRUCTURED
     """Relative excess over a stated floor above which it is a gap although nothing in it has a shape; by
     which an estimated floor must exceed what the effects leave to be lowered to that.
 

@@ -315,6 +315,8 @@ class Diagnosis:
     shares: tuple[Share, ...] = ()
     next_step: tuple[str, ...] = ()
     waves: tuple[Waves, ...] = ()
+    held_out: str = "holdout run"
+    """What judges: a run, or a piece of a recording of too few."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as plain JSON data."""
@@ -324,6 +326,8 @@ class Diagnosis:
         for wave in data["waves"]:
             if not wave["coordinate"]:
                 del wave["coordinate"]
+        if self.held_out == "holdout run":
+            del data["held_out"]
         for statement in (*data["where"], *data["remaining"]):
             for name in IN_WORDS:
                 del statement[name]

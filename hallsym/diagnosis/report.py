@@ -47,7 +47,10 @@ def report(
     where, rest = _located(setup, selection, found, verdict)
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence(verdict, named, alike.groups, metric, gap_unit(setup.fit.model.pose)),
+        sentence=sentence(
+            verdict, named, alike.groups, metric, gap_unit(setup.fit.model.pose), setup.held_out
+        ),
+        held_out=setup.held_out,
         noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
         gap_before=Gap(**found.before.gap()),
         gap_after=Gap(**found.before.gap()) if quiet else _gap_after(found),
@@ -166,17 +169,22 @@ def sentence(
     groups: Sequence[tuple[str, ...]],
     gap: Metric,
     unit: tuple[float, str],
+    held_out: str = "holdout run",
 ) -> str:
-    """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads."""
+    """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
+
+    `held_out`: what judges.
+    """
+    judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
     if verdict == "no gap":
         small = gap.before <= gap.floor * (1 + POLICY.floor_known)
         alone = f"noise alone gives {floor}"
-        return f"No gap. The error on the holdout runs is {before}; {alone}" + (
+        return f"No gap. The error on the {judges} is {before}; {alone}" + (
             "." if small else ", and the difference is not worth reporting."
         )
     times = gap.before / max(gap.floor, 1e-300)
-    said = f"The error on the holdout runs is {before}, {times:.3g} x the noise floor"
+    said = f"The error on the {judges} is {before}, {times:.3g} x the noise floor"
     if not effects:
         return f"{said}; no known effect explains it."
     named = " and ".join(_with_group(e.name, groups) for e in effects)

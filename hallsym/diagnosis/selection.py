@@ -48,10 +48,19 @@ def _alone(fit: Refitted, names: Sequence[str]) -> float:
 
 
 def moved(fit: Refitted, by: np.ndarray) -> float:
-    """Return the gap metric, to first order, of moving the parameters (n,) of `fit` by this much."""
-    units = fit.fitted
-    step = by[list(fit.base.free)]
+    """Return the gap metric, to first order, of moving the parameters (n,) of `fit` by this much.
+
+    What repeats follows as far as it lowers the metric: a zero is mounting, and another one undoes no cause.
+    """
+    units, model = fit.fitted, fit.base.model
+    free = list(fit.base.free)
+    step = by[free]
     O = fit.tangents.output[units].sum(axis=0)[: len(step), : len(step)]
+    mounting = np.array([model.names[k] in model.period for k in free], dtype=bool)
+    if mounting.any():
+        follow = np.linalg.lstsq(O[np.ix_(mounting, mounting)], O[mounting] @ step, rcond=None)[0]
+        step = step.copy()
+        step[mounting] -= follow
     return float(np.sqrt(max(step @ O @ step, 0.0) / max(fit.tangents.count[units].sum(), 1.0)))
 
 

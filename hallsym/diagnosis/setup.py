@@ -62,9 +62,20 @@ class Setup:
         return len(self.catalogue) + KINDS
 
     @property
+    def held_out(self) -> str:
+        """What judges: holdout runs, or pieces of a recording of too few."""
+        pieces = "time slice" if self.base.timed else "knot group"
+        return f"held-out {pieces}" if self.split else "holdout run"
+
+    @property
     def miswired(self) -> Wiring | None:
-        """The channel assignment that was found, where channels are exchanged or inverted; else None."""
+        """The channel assignment that was found, where channels are exchanged or inverted; else None.
+
+        On which side a sensor is mounted is no fault, unless the log states its model, which has a side.
+        """
         model, wiring = self.fit.model, self.fit.wiring
+        if self.fit.turned and not self.log.meta.base_model:
+            return None
         if wiring is None or len(model.channels) == 1:  # the sign of one channel is a direction, not a wire
             return None
         wrong = any(source != c or sign < 0 for c, (source, sign) in zip(model.channels, wiring, strict=True))
@@ -122,10 +133,12 @@ def prepare(
     pieces = None
     if holdout is None:
         log, pieces = _pieces(log, model, policy)
+    if holdout_pieces.TIME not in log.columns:
+        log = holdout_pieces.counted_off(log)
     held = pieces or _holdout(log, holdout, policy)
     say("fitting the model")
     loss = "auto" if timed or not pieces else "none"
-    log, result = _fitted(log, _inspecting(model, whole) if pieces else model, held, drop_bad, say, loss)
+    log, result = fitted(log, _inspecting(model, whole) if pieces else model, held, drop_bad, say, loss)
     result = replace(result, model=model)
     base = base_of(log, result)
     return Setup(
@@ -179,12 +192,15 @@ def _inspecting(model: Model, whole: Log) -> Model:
     return replace(model, inspect=lambda m, log: replace(inspect(m, log), notes=inspect(m, whole).notes))
 
 
-def _fitted(
-    log: Log, model: Model, held: tuple[int, ...], drop_bad: bool, say: Say, loss: str
+def fitted(
+    log: Log, model: Model, held: tuple[int, ...] | None, drop_bad: bool, say: Say, loss: str = "auto"
 ) -> tuple[Log, Fit]:
-    """Fit the model; samples that no fit can use are left out, and a note says so."""
+    """Fit the model; samples that no fit can use are left out, and a note says so.
 
-    def fitted(drop: bool) -> Fit:
+    The log that is returned has readings at their rails: they calibrate nothing, but show the rail.
+    """
+
+    def without(drop: bool) -> Fit:
         return fit(
             log, model, solver="direct", holdout=held, loss=loss, resolve_wiring=True, drop_bad=drop,
             on_progress=say,
@@ -192,12 +208,11 @@ def _fitted(
 
     if not drop_bad:
         try:
-            return log, fitted(False)
+            return log, without(False)
         except InputError:
             if clean_log(log, logged_columns(model)).rows == log.rows:
                 raise
-    # a reading at its rail calibrates nothing, but shows the rail
-    return clean_log(log, logged_columns(model), rails=False), fitted(True)
+    return clean_log(log, logged_columns(model), rails=False), without(True)
 
 
 def _holdout(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[int, ...]:

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError
 from hallsym.estimation.decoding import ErrorTable
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import build, known_effect, plain
@@ -20,11 +22,26 @@ from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
 
 FORMAT = "hallsym calibration 1"
+INTERVAL = 0.95
+"""Probability that an interval holds the true value."""
+MANY = 200.0
+"""Degrees of freedom from which on Student's interval is a normal one, to 1 %."""
+
+
+def coverage_factor(degrees_of_freedom: float | np.ndarray) -> np.ndarray:
+    """Return half of a 95 % interval over the standard uncertainty: Student's t, 1.96 for infinite ones."""
+    half = 0.5 + 0.5 * INTERVAL
+    dof = np.asarray(degrees_of_freedom, dtype=float)
+    finite = np.isfinite(dof)
+    return np.where(finite, stdtrit(np.where(finite, dof, 1.0), half), ndtri(half))
 
 
 @dataclass(frozen=True)
 class CombinationEstimate:
-    """A combination that the data determine although its parameters are not: value and 1 sigma in `unit`."""
+    """A combination that the data determine although its parameters are not: value and 1 sigma in `unit`.
+
+    `degrees_of_freedom`: of `std`; infinite where the noise is as stated.
+    """
 
     expression: str
     value: float
@@ -32,10 +49,23 @@ class CombinationEstimate:
     unit: str
     factors: Mapping[str, float] | None = None
     """Of a linear combination: factor by parameter."""
+    degrees_of_freedom: float = np.inf
+
+    @property
+    def half_width(self) -> float:
+        """Half of the 95 % interval."""
+        return float(coverage_factor(self.degrees_of_freedom)) * self.std
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record; infinite degrees of freedom are None."""
+        return {**vars(self), "degrees_of_freedom": _number(self.degrees_of_freedom)}
 
 
 class SolverRecord(TypedDict):
-    """How the optimum was found; `share_at_optimum`: of the starts that were refined."""
+    """How the optimum was found; `share_at_optimum`: of the starts that were refined.
+
+    `lower_bound`: the record of `lower_bound.LowerBound`, None for a model that has no exact run statistics.
+    """
 
     name: str
     loss: str
@@ -45,6 +75,7 @@ class SolverRecord(TypedDict):
     starts: int
     share_at_optimum: float
     seed: int
+    lower_bound: dict[str, Any] | None
 
 
 class LogRecord(TypedDict):
@@ -80,10 +111,11 @@ class Errors:
 class Fit:
     """What `fit` returns and `calib.json` holds.
 
-    `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do not
-    determine the parameter. `covariance`: (n, n), zero rows for held parameters. `held` stayed at nominal,
-    `at_bound` ended at a bound. `zeros`: run -> zero deviations delta [m] in reading space.
-    `noise_floor`: RMSE that the stated noise alone would leave, by pose coordinate.
+    `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do
+    not determine the parameter. `covariance`: (n, n), zero rows for held parameters. `degrees_of_freedom`:
+    (n,) of `std`, for Student's t; infinite where the noise is as stated. `held` stayed at nominal,
+    `at_bound` ended at a bound. `zeros`: run -> zero deviations delta [m] in reading space. `noise_floor`:
+    RMSE that the stated noise alone would leave, by pose coordinate.
     """
 
     model: Model
@@ -93,6 +125,7 @@ class Fit:
     covariance: np.ndarray
     covariance_method: str
     covariance_reason: str
+    degrees_of_freedom: np.ndarray
     held: tuple[str, ...]
     structural: tuple[str, ...]
     at_bound: tuple[str, ...]
@@ -105,6 +138,8 @@ class Fit:
     solver: SolverRecord
     log: LogRecord
     seconds: float
+    goodness: GoodnessOfFit | None = None
+    """None only for a calibration that an earlier version saved."""
     notes: tuple[str, ...] = ()
     errors: Errors | None = None
     keep: Weigh | None = None
@@ -117,8 +152,15 @@ class Fit:
     """What those runs determine; not saved."""
     undetermined_by_log: tuple[str, ...] = ()
     wiring: tuple[tuple[str, int], ...] | None = None
+    turned: bool = False
+    """Whether `wiring` is what an inspection of the log found before the fit: a side to mount; not saved."""
     versions: Mapping[str, str] = field(default_factory=dict)
     error_rows: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half of the 95 % interval of every parameter, (n,); nan where the data do not determine it."""
+        return coverage_factor(self.degrees_of_freedom) * self.std
 
     def value(self, name: str) -> float:
         """Return one parameter's value in SI."""
@@ -135,6 +177,7 @@ class Fit:
                 "value": float(self.values[k]),
                 "unit": model.parameters[k].unit,
                 "std": _number(self.std[k]),
+                "degrees_of_freedom": _number(self.degrees_of_freedom[k]),
                 "determined": bool(self.determined[k]),
                 "held": name in self.held,
                 "at_bound": name in self.at_bound,
@@ -146,12 +189,13 @@ class Fit:
         }
         return {
             "format": FORMAT,
+            "goodness_of_fit": None if self.goodness is None else self.goodness.to_dict(),
             "model": model.name,
             "effects": list(model.effects),
             "added": list(added_effects(model)),
             "own_effects": [e for e in added_effects(model) if not known_effect(e, model.family)],
             "parameters": parameters,
-            "combinations": [vars(c) for c in self.combinations],
+            "combinations": [c.to_dict() for c in self.combinations],
             "errors": dict(self.error_rows),
             "noise": {c: {"value": s.value, "source": s.source} for c, s in self.noise.sigmas.items()},
             "noise_floor": dict(self.noise_floor),
@@ -250,10 +294,11 @@ def _from_dict(
         covariance=np.array(raw["covariance"]["matrix"], dtype=float),
         covariance_method=raw["covariance"]["method"],
         covariance_reason=raw["covariance"]["reason"],
+        degrees_of_freedom=np.array([_unlimited(entries[n].get("degrees_of_freedom")) for n in names]),
         held=tuple(n for n in names if entries[n]["held"]),
         structural=tuple(raw["structural"]),
         at_bound=tuple(n for n in names if entries[n]["at_bound"]),
-        combinations=tuple(CombinationEstimate(**c) for c in raw["combinations"]),
+        combinations=tuple(_combination(c) for c in raw["combinations"]),
         zeros={
             int(run): np.array([d[z.name] for z in model.zeros]) for run, d in raw["zero_deviations"].items()
         },
@@ -261,6 +306,7 @@ def _from_dict(
         noise_floor=raw["noise_floor"],
         status=raw["status"],
         message=raw["message"],
+        goodness=GoodnessOfFit.from_dict(raw["goodness_of_fit"]) if raw.get("goodness_of_fit") else None,
         solver=raw["solver"],
         log=raw["log"],
         seconds=raw["seconds"],
@@ -284,6 +330,14 @@ def _number(value: float) -> float | None:
 
 def _bound(value: float | None, sign: int) -> float:
     return sign * float("inf") if value is None else float(value)
+
+
+def _unlimited(value: float | None) -> float:
+    return float("inf") if value is None else float(value)
+
+
+def _combination(raw: Mapping[str, Any]) -> CombinationEstimate:
+    return CombinationEstimate(**{**raw, "degrees_of_freedom": _unlimited(raw.get("degrees_of_freedom"))})
 
 
 def _float(value: float | None) -> float:

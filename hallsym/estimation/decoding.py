@@ -8,7 +8,6 @@ import numpy as np
 from hallsym.log import Log
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
-from hallsym.log.phase import near
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 
@@ -42,6 +41,13 @@ class ErrorTable:
         }
 
 
+def nominal_variance(model: Model, reading_variance: np.ndarray) -> np.ndarray:
+    """Return by which variance of each reading (K,) nominal parameters decode: readings of one unit are
+    alike, since a nominal decoder knows of no noise; else what is known."""
+    units = {channel.rpartition("_")[2] for channel in model.channels}
+    return np.ones(len(model.channels)) if len(units) == 1 else np.asarray(reading_variance)
+
+
 def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
     """Return `decode(p, zeros, readings, states) -> (n_pose, samples)`, compiled once for arrays."""
     run = model.remember("decoded, on arrays", lambda: on_arrays(model.decoded))
@@ -52,6 +58,23 @@ def decoder(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndar
             return run(p, zeros, readings, states, weight)[0]
 
     return decode
+
+
+def decoder_near(model: Model, reading_variance: np.ndarray) -> Callable[..., np.ndarray]:
+    """Return `decode(p, zeros, readings, states, reference) -> (n_pose, samples)`, near the reference."""
+    if not set(model.pose) & set(model.period):
+        decode = decoder(model, reading_variance)
+        return lambda p, zeros, readings, states, reference: decode(p, zeros, readings, states)
+    run = model.remember("decoded near, on arrays", lambda: on_arrays(model.decoded_near))
+    weight = 1.0 / np.asarray(reading_variance)
+
+    def near(
+        p: np.ndarray, zeros: np.ndarray, readings: list, states: list, reference: np.ndarray
+    ) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            return run(p, zeros, readings, states, weight, reference)[0]
+
+    return near
 
 
 def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
@@ -75,6 +98,11 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     return same
 
 
+def knows_rails(model: Model) -> bool:
+    """Return whether a model says what a reading does at its rail."""
+    return "saturation" in model.effects
+
+
 Errors = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
 
 
@@ -85,13 +113,13 @@ def pose_errors(model: Model, reading_variance: np.ndarray) -> Errors:
     the pose to first order.
     """
     weight = 1.0 / np.asarray(reading_variance)
-    if "saturation" not in model.effects:
-        decode = decoder(model, reading_variance)
+    if not knows_rails(model):
+        decode = decoder_near(model, reading_variance)
 
         def decoded(p: np.ndarray, zeros: np.ndarray, data: Mapping[str, np.ndarray]) -> np.ndarray:
             readings, states = ([data[c] for c in names] for names in (model.channels, model.state))
             reference = np.array([data[c] for c in model.references])
-            return near(model, decode(p, zeros, readings, states), reference) - reference
+            return decode(p, zeros, readings, states, reference) - reference
 
         return decoded
     read, spread = on_arrays(model.reading), decoding_gain(model)
@@ -116,10 +144,12 @@ def error_tables(
 ) -> list[ErrorTable]:
     """Return one error table per version `(parameters, zeros by run)`, from one pass over the log.
 
+    `reading_variance`: (K,), or (versions, K) where each version weighs readings in its own way.
     `keep(block) -> (samples,)` weights; samples of weight 0 (outliers) take no part. `sigma`: noise by
     column, for the columns that are computed; those of parameters are taken at the last version's.
     """
-    errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
+    variances = np.broadcast_to(reading_variance, (len(versions), len(model.channels)))
+    errors_of, none = [pose_errors(model, v) for v in variances], np.zeros(len(model.zeros))
     runs: list[int] = []
     sums: list[list[tuple[int, np.ndarray, np.ndarray]]] = [[] for _ in versions]
     span: dict[str, tuple[float, float]] = {}
@@ -132,14 +162,45 @@ def error_tables(
             if used.size:
                 low, high = span.get(column, (np.inf, -np.inf))
                 span[column] = (min(low, float(used.min())), max(high, float(used.max())))
-        for (p, zeros), total in zip(versions, sums, strict=True):
+        for (p, zeros), errors, total in zip(versions, errors_of, sums, strict=True):
             own = np.array([zeros.get(block.run, none) for block in batch.blocks])
-            error = errors_of(p, np.repeat(own, lengths, axis=0).T, batch.data)
+            error = errors(p, np.repeat(own, lengths, axis=0).T, batch.data)
             for _, at in batch.parts():
                 e = error[:, at] if weights is None else error[:, at][:, weights[at] > 0]
                 peak = np.maximum(e.max(axis=1, initial=0.0), -e.min(axis=1, initial=0.0))
                 total.append((e.shape[1], np.einsum("ij,ij->i", e, e), peak))
     return [_table(model, runs, total, span) for total in sums]
+
+
+def zero_shifts(
+    log: Log,
+    model: Model,
+    p: np.ndarray,
+    zeros: Mapping[int, np.ndarray],
+    reading_variance: np.ndarray,
+    sigma: Mapping[str, float] | None = None,
+) -> dict[str, dict[int, float]]:
+    """Return by reference that repeats and run the circular mean of the decoded error, in its unit.
+
+    That is by how much the zero of the reference differs from the calibration's. Other arguments as for
+    `error_tables`.
+    """
+    own = {c: model.period[c] for c in model.references if c in model.period}
+    if not own:
+        return {}
+    errors_of, none = pose_errors(model, reading_variance), np.zeros(len(model.zeros))
+    sums: dict[str, dict[int, complex]] = {c: {} for c in own}
+    wide = extended(log, model, sigma, model.named(p))
+    for batch in batches(wide, columns_of(model)):
+        for block, _ in batch.parts():
+            error = errors_of(p, zeros.get(block.run, none), block.data)
+            for column, period in own.items():
+                turn = np.exp(2j * np.pi / period * error[model.references.index(column)])
+                sums[column][block.run] = sums[column].get(block.run, 0j) + complex(np.nansum(turn))
+    return {
+        column: {run: float(np.angle(total)) * own[column] / (2 * np.pi) for run, total in runs.items()}
+        for column, runs in sums.items()
+    }
 
 
 def _table(

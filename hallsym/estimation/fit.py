@@ -12,13 +12,13 @@ import numpy as np
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import as_read
-from hallsym.estimation.decoding import logged_columns
+from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import SOLVERS
 from hallsym.estimation.result import result_of, zero_notes
 from hallsym.estimation.task import Progress, Task
 from hallsym.families import adapted, build, default_model, plain
-from hallsym.log import Log, check_log, clean_log
+from hallsym.log import Log, clean_log, usable
 from hallsym.model import Inspection, Model
 
 LOSSES = ("auto", "none", "reject", "tukey")
@@ -67,8 +67,8 @@ def fit(
         model = build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
     say("checking the log")
     columns = logged_columns(model)
-    log = clean_log(log, columns) if drop_bad else log
-    notes = list(log.notes) if drop_bad else check_log(log, columns)
+    explains_rails = knows_rails(model)
+    log, notes = usable(log, columns, drop_bad=drop_bad, rails=not explains_rails)
     mounted = model.inspect(model, log) if model.inspect else Inspection()
     notes += mounted.notes
     log = as_read(log, model, mounted.wiring)
@@ -76,18 +76,21 @@ def fit(
     task = Task(log, model, held_out, solver, loss, seed, say, start)
     if exact(model):
         solved = task.by_statistics(resolve_wiring)
-        return result_of(solved, (*notes, *solved.notes), solved.wiring or mounted.wiring, began)
+        return result_of(solved, (*notes, *solved.notes), mounted.wiring, began)
     first = None
     if exact(base := plain(model)):
+        # the model without effects has no rails: it is fitted to the samples off them
+        free = clean_log(log, columns) if explains_rails else log
         first = fit(
-            log, base, solver=solver, holdout=held_out, loss=loss, resolve_wiring=resolve_wiring, seed=seed,
+            free, base, solver=solver, holdout=held_out, loss=loss, resolve_wiring=resolve_wiring,
+            drop_bad=explains_rails, seed=seed,
             on_progress=on_progress,
         )  # fmt: skip
         zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
-        notes = [note for note in first.notes if note not in zeros]
+        notes += [note for note in first.notes if note not in (*zeros, *free.notes)]
     solved = task.by_passes(first)
     told = dict.fromkeys((*mounted.notes, *notes))
-    return result_of(solved, tuple(told), solved.wiring or mounted.wiring, began)
+    return result_of(solved, tuple(told), mounted.wiring, began)
 
 
 def _choice(name: str, known: Sequence[str], what: str) -> None:

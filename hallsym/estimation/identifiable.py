@@ -132,8 +132,10 @@ def structural_null(
     rows = coefficients.features.slope_rows(np.asarray(at, dtype=float))
     if rows is None:
         slope = coefficients.first(at)[1][0] * feature_scale[:, None, None]
-        rows = np.swapaxes(slope, 1, 2).reshape(-1, len(scale))
-    jacobian = (rows * scale)[:, open_]
+        jacobian = (np.swapaxes(slope, 1, 2).reshape(-1, len(scale)) * scale)[:, open_]
+    else:  # large poses and small ones are heard alike
+        jacobian = (rows * scale)[:, open_]
+        jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=1, keepdims=True), 1e-300)
     null = np.zeros((len(scale), int(open_.sum()) - rank))
     null[open_] = np.linalg.svd(jacobian)[2][rank:].T
     return null
@@ -152,11 +154,14 @@ def structural_rank(
 ) -> tuple[int, np.ndarray]:
     """Rank of d coefficients / d parameters, the largest at random points, and the pivots that decided it.
 
+    A tangent is asked at its own point too: at a random one a rail may cut off all of a reading, or nothing.
     Gaussian elimination with full pivoting in extended precision (where the machine has it), every row scaled
     to 1: a pivot that is zero comes out as rounding, some 16 decades below those that are not.
     """
     model = features.model
-    at = _random_points(model, points, seed).astype(np.longdouble)
+    at = _random_points(model, points, seed)
+    at = at if features.point is None else np.vstack([at, features.point])
+    at = at.astype(np.longdouble)
     sampled = [rows for point in at if (rows := features.slope_rows(point)) is not None]
     if sampled:
         rows = np.array(sampled) * scales(model)
@@ -165,10 +170,15 @@ def structural_rank(
         shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, points)
         rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, points).T * scales(model)
     tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]
-    floor = rows.shape[1] * 1e3 * float(np.finfo(np.longdouble).eps)
-    ranks = [int(np.sum(pivots > floor * pivots.max(initial=0.0))) for pivots in tried]
+    ranks = [_rank(pivots, rows.shape[1]) for pivots in tried]
     best = int(np.argmax(ranks))
     return ranks[best], tried[best]
+
+
+def _rank(pivots: np.ndarray, rows: int) -> int:
+    """How many pivots are not rounding."""
+    floor = rows * 1e3 * float(np.finfo(np.longdouble).eps)
+    return int(np.sum(pivots > floor * pivots.max(initial=0.0)))
 
 
 def _pivots(matrix: np.ndarray) -> np.ndarray:

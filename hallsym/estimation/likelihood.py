@@ -127,6 +127,16 @@ class Point:
         return self._joined([part.covariance for part in self._parts])
 
     @property
+    def squares(self) -> np.ndarray:
+        """Sum of the products of a run's residuals, channel by channel, (r, K, K)."""
+        return self._joined([part.S for part in self._parts])
+
+    @property
+    def feature_products(self) -> np.ndarray:
+        """Sum of the products of each feature with each channel's residual, (r, f, K)."""
+        return self._joined([np.swapaxes(part.R_f, 1, 2) @ part.A for part in self._parts])
+
+    @property
     def W(self) -> np.ndarray:
         """Inverse of `covariance`."""
         return self._joined([part.W for part in self._parts])

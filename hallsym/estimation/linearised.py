@@ -27,8 +27,9 @@ from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features, find_features
 
-SAMPLES = 60
-"""Random poses and states at which it is asked what no recording can determine."""
+SAMPLES, SMALLEST = 120, 5.0
+"""Random poses and states at which it is asked what no recording can determine, and decades below 1 [SI] that
+every second of them may be smaller by: a stage moves by 1e-4 m."""
 
 
 @lru_cache(maxsize=64)
@@ -136,10 +137,20 @@ class TangentFeatures(Features):
 
         return first, lambda p, centre, weights: np.zeros((n, n))
 
+    @property
+    def point(self) -> np.ndarray:
+        """Parameters of the tangent, (n,)."""
+        return self.at
+
     def slope_rows(self, p: np.ndarray) -> np.ndarray:
-        """Return d reading / d parameters, (rows, n), at random poses and states of size 1."""
+        """Return d reading / d parameters, (rows, n), at random poses and states of all sizes up to 1.
+
+        Large ones tell curvature apart; of a reading that a rail cuts off there, small ones tell the rest.
+        """
         model, rng = self.model, np.random.default_rng(0)
         pose, state = (rng.standard_normal((len(c), SAMPLES)) for c in (model.pose, model.state))
+        size = np.where(np.arange(SAMPLES) % 2, 10.0 ** -(SMALLEST * rng.random(SAMPLES)), 1.0)
+        pose, state = pose * size, state * size
         zeros = np.zeros((len(model.zeros), SAMPLES))
         wide = [np.asarray(v).astype(p.dtype) for v in (p, zeros, pose, state)]
         (rows,) = program(model).by_parameter(*wide)

@@ -1,6 +1,7 @@
 """Gross outliers: samples that neither the motion nor the noise explains."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
@@ -19,6 +20,9 @@ smaller ones: at 7 the turning points of a raster would count."""
 ABOUND, ODDS = 0.02, 100.0
 """Share of a block's samples that are spikes from which on they tell of smaller ones, and the odds that a
 smaller jump must have to be one. Where there are few, the smaller ones do no harm."""
+MADE_FOR, CLEARLY = 0.1, 5.0
+"""Share of spikes in a column that the filter is made for, and standard deviations of their count beyond it
+from which on what it finds are no spikes: steps, corners and rounding of a smooth column look like many."""
 EXTRAPOLATED = 0.5
 """Weight of what the two samples at either end are off: lines that end before a sample miss a curve by more
 than lines through it."""
@@ -50,19 +54,45 @@ def residuals(model: Model, p: np.ndarray, zeros: Mapping[int, np.ndarray]) -> C
     return residual
 
 
-def column_spikes(columns: Sequence[str]) -> Weigh:
+@dataclass(eq=False)
+class Filter:
+    """Weights of a block's samples, 0 for an outlier. `wrong_for`: columns in which too many seem spikes."""
+
+    weigh: Callable[[Block, set[str]], np.ndarray]
+    wrong_for: set[str] = field(default_factory=set)
+
+    def __call__(self, block: Block) -> np.ndarray:
+        """Return the weights (samples,)."""
+        return self.weigh(block, self.wrong_for)
+
+
+def column_spikes(columns: Sequence[str]) -> Filter:
     """Return weights 0 where any column leaves its own neighbourhood: a first guess without a model.
 
     Each sample is compared with the median of six linear predictions from its four neighbours. The worst of
     each neighbourhood is replaced by it and the comparison repeated, so that a spike neither hides the next
-    one nor accuses a good one.
+    one nor accuses a good one. A column in which too many do (`MADE_FOR`) accuses none.
     """
 
-    def weigh(block: Block) -> np.ndarray:
-        values = np.array([block.data[name] for name in columns])
-        return (~_leaves_neighbourhood(values).any(axis=0)).astype(float)
+    def weigh(block: Block, wrong_for: set[str]) -> np.ndarray:
+        found = _leaves_neighbourhood(np.array([block.data[name] for name in columns]))
+        return _believed(found, columns, wrong_for)
 
-    return weigh
+    return Filter(weigh)
+
+
+def _believed(
+    found: np.ndarray, columns: Sequence[str], wrong_for: set[str], expected: float = 0.0
+) -> np.ndarray:
+    """Return weights without what was found (columns, samples) where it is too much to be spikes.
+
+    `expected`: share of samples that are known to be bad by other columns.
+    """
+    n, share = found.shape[1], min(expected + MADE_FOR, 1.0)
+    most = n * share + CLEARLY * np.sqrt(n * share * (1 - share))
+    wrong = found.sum(axis=1) > most
+    wrong_for |= {name for name, many in zip(columns, wrong, strict=True) if many}
+    return (~found[~wrong].any(axis=0)).astype(float)
 
 
 def _leaves_neighbourhood(values: np.ndarray) -> np.ndarray:
@@ -144,18 +174,25 @@ def _from_inside(x: np.ndarray) -> np.ndarray:
     return np.sort(near + middle * _REACH, axis=2)[..., 2]
 
 
-def reject_spikes(residual: Callable[[Block], np.ndarray], covariance: np.ndarray, suspects: Weigh) -> Weigh:
+def reject_spikes(
+    residual: Callable[[Block], np.ndarray],
+    covariance: np.ndarray,
+    suspects: Weigh,
+    channels: Sequence[str] = (),
+) -> Filter:
     """Return weights 0 for isolated spikes of any channel's residual against a running median, else 1.
 
     What the model cannot explain but changes smoothly is kept: it is a gap, not an outlier. `covariance`:
     (n_channels, n_channels) of one sample's residual by the stated noise; the scale is the larger of it and
     of what the block itself shows. `suspects`: samples of weight 0 take no part in median and scale (those of
-    `column_spikes`, which do not change from one fit to the next).
+    `column_spikes`, which do not change from one fit to the next). A channel in which spikes are many more
+    than suspects accuses none; `channels` names it.
     """
     stated = np.sqrt(np.diag(covariance))[:, None]
 
-    def weigh(block: Block) -> np.ndarray:
+    def weigh(block: Block, wrong_for: set[str]) -> np.ndarray:
         r, good = residual(block), suspects(block) > 0
+        suspected = 1.0 - float(good.mean())
         spike = np.zeros_like(r, dtype=bool)
         for _ in range(ROUNDS):
             before, (jump, scale, side) = spike, _jumps(r, good, stated)
@@ -169,9 +206,9 @@ def reject_spikes(residual: Callable[[Block], np.ndarray], covariance: np.ndarra
                 break
             if _abound(side, spike):  # what turned out to be a spike speaks for nobody else
                 good = good & ~spike.any(axis=0)
-        return np.all(~spike, axis=0).astype(float)
+        return _believed(spike, channels or [str(k) for k in range(len(r))], wrong_for, suspected)
 
-    return weigh
+    return Filter(weigh)
 
 
 def _abound(side: np.ndarray, spike: np.ndarray) -> bool:
@@ -232,7 +269,15 @@ def _expected(r: np.ndarray, median: np.ndarray, good: np.ndarray) -> tuple[np.n
     return median, left, right, cubic
 
 
-def tukey(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> Weigh:
+def too_many_note(columns: Sequence[str]) -> tuple[str, ...]:
+    """Return what to say of columns in which more samples seem spikes than the filter is made for."""
+    return (
+        f"More than {100 * MADE_FOR:.0f} % of {' and '.join(columns)} seem spikes, which steps, corners and "
+        "rounding do too: none of them was left out for that (--loss tukey weighs samples by their error).",
+    )
+
+
+def tukey(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> Filter:
     """Return Tukey's biweight of the residual's Mahalanobis distance, its scale robust over each block.
 
     `covariance`: (n_channels, n_channels) of one sample's residual.
@@ -243,10 +288,10 @@ def tukey(residual: Callable[[Block], np.ndarray], covariance: np.ndarray) -> We
         np.sqrt(2 * scipy.special.gammaincinv(channels / 2, 0.5) / channels)
     )  # median of Gaussian noise
 
-    def weigh(block: Block) -> np.ndarray:
+    def weigh(block: Block, _: set[str]) -> np.ndarray:
         distance = np.linalg.norm(whiten @ residual(block), axis=0) / np.sqrt(channels)
         scale = max(float(np.median(distance)) / typical, 1.0)
         u = np.minimum(distance / (TUKEY * scale), 1.0)
         return (1 - u**2) ** 2
 
-    return weigh
+    return Filter(weigh)

@@ -7,6 +7,7 @@ deviations. QR, not Gram and Cholesky: it keeps the digits (docs/theory.md gives
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -79,14 +80,19 @@ class RunStatistics:
             places=tuple(self.places[k] for k in index) if self.places else (),
         )
 
+    @cached_property
+    def projected(self) -> np.ndarray:
+        """Rows of each triangle, the features that carry zeros projected out: (runs, n, n - n_zero)."""
+        k = self.features.n_zero
+        return self.triangles if k == 0 else projected(self.triangles, k)
+
     def merged(self) -> "RunStatistics":
         """Return one run for all, the features that carry zeros projected out.
 
         For constant vertical state within each run this is exactly the cost with the zeros eliminated; for
         moving state it gives up a little information, so it serves starts and global searches, not the fit.
         """
-        k = self.features.n_zero
-        rows = self.triangles if k == 0 else _projected(self.triangles, k)
+        rows = self.projected
         share = self.counts / self.counts.sum()
         return RunStatistics(
             features=self.features.without_zeros,
@@ -237,7 +243,7 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
     return _r(rows)
 
 
-def _projected(triangles: np.ndarray, k: int) -> np.ndarray:
+def projected(triangles: np.ndarray, k: int) -> np.ndarray:
     """Rows of each triangle with its first k columns projected out, the k columns left out.
 
     Where the vertical state is still, those columns are multiples of each other: only their rank counts.

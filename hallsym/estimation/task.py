@@ -8,13 +8,21 @@ import numpy as np
 
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
-from hallsym.estimation.channel_assignment import Wiring, check_wiring, find_wiring, rewired
+from hallsym.estimation.channel_assignment import Wiring, rewired, wiring_of
 from hallsym.estimation.covariance import noise_floor
-from hallsym.estimation.decoding import columns_of, error_tables, logged_columns
-from hallsym.estimation.gauss_newton import optimum
+from hallsym.estimation.decoding import (
+    columns_of,
+    error_tables,
+    knows_rails,
+    logged_columns,
+    nominal_variance,
+)
+from hallsym.estimation.gauss_newton import DROP, optimum
 from hallsym.estimation.identifiable import determine
+from hallsym.estimation.lateness import lateness
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
+from hallsym.estimation.plausible import Judgement, judge
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.log import Log, Noise, estimate_noise
 from hallsym.log.batches import Weigh, remembered
@@ -27,6 +35,11 @@ LEAST_SIGMA = 1e-13
 """Standard deviation [m] given to a reading that shows no noise at all (a noise-free simulation)."""
 SUSPECT = 6.5
 """Peak error in noise floors above which outliers are looked for."""
+BEGIN = (2 / 3, 1 / 3)
+"""Where a parameter begins that did nothing at its nominal value: parts of the way to its upper bound. Two
+thirds of a share of up to 1.5 is all of it."""
+SPIKY = 1e-3
+"""Share of samples that are spikes from which on slopes are judged after the fit, without them."""
 ROUNDS = 12
 """Of taking outliers out and fitting again, at most."""
 
@@ -52,9 +65,18 @@ def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = ()) -> Nois
 class Started(Solution):
     """A solved fit of run statistics, with what it was started and is checked with."""
 
-    linear: start.LinearFit
     merged: Cost
-    closed_form: np.ndarray
+    linear: start.LinearFit
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """The costs of all runs, of the fitted ones and of these merged, and the linear fit of the last."""
+
+    everything: Cost
+    fitted: Cost
+    merged: Cost
+    linear: start.LinearFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +98,7 @@ class Solved:
 class Task:
     """What stays the same while a fit goes round.
 
-    `holdout`: runs that take no part. `begin`: (n,) values to begin from, None for the closed form.
+    `holdout`: runs that take no part. `begin_at`: (n,) values to begin from, None for the closed form.
     `known_noise`: of columns that the log neither states nor shows.
     """
 
@@ -87,7 +109,7 @@ class Task:
     loss: str
     seed: int
     say: Progress
-    begin: np.ndarray | None
+    begin_at: np.ndarray | None
     known_noise: Noise = field(default_factory=Noise)
 
     @cached_property
@@ -97,28 +119,66 @@ class Task:
 
     def by_statistics(self, resolve_wiring: bool) -> Solved:
         """Fit run statistics, which hold all that the cost can ask of the log."""
-        task, state = self, self.solve(self.summary())
-        wiring, gain = find_wiring(state.merged, state.linear) if resolve_wiring else (None, 0.0)
-        if gain > 0:
+        task, begun = self, self.begin(self.summary())
+        judged = self.judged(begun)
+        wiring = wiring_of(judged.whole) if resolve_wiring else None
+        if wiring is not None:
             task = replace(self, log=rewired(self.log, self.model.channels, wiring))
-            state = task.solve(task.summary())
-        errors, keep, notes = task.errors(state, None), None, tuple[str, ...]()
+            begun = task.begin(task.summary())
+            judged = task.judged(begun).resolved(judged)
+        judged.refuse()
+        state = task.solve(begun)
+        errors, keep, notes = task.errors(state, None), None, judged.notes
         if task.suspicious(state, errors) if self.loss == "auto" else self.loss != "none":
-            state, keep, notes = task.without_outliers(state)
+            state, keep, said = task.without_outliers(state)
+            notes += said
             errors = task.errors(state, keep) if keep else errors
+        if judged.spiky:
+            again = task.judge(state)
+            again.refuse()
+            notes += again.notes
+        late = lateness(task.log, task.model, state.p, state.zeros(), state.fitted)
+        notes += () if late is None else (late,)
         task.check(state)
-        return Solved(task, state, errors, keep, wiring if gain > 0 else None, notes)
+        return Solved(task, state, errors, keep, wiring, notes)
 
     def by_passes(self, first: Fit | None) -> Solved:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
         task, keep, begin = self, None, self.model.nominal
         if first is not None:
-            task, keep = replace(self, log=first.source or self.log, known_noise=first.noise), first.keep
+            log = rewired(self.log, self.model.channels, first.wiring)
+            task = replace(self, log=log, known_noise=first.noise)
+            # the corners that a rail cuts look like spikes to a model that knows of none
+            keep = None if knows_rails(self.model) else first.keep
             known = first.model.named(first.values)
             begin = self.model.vector({n: v for n, v in known.items() if n in self.model.names})
-        begin = begin if self.begin is None else self.begin
-        state = optimum(task.log, task.model, task.noise.std, begin, task.holdout, keep, task.say)
+        begin = begin if self.begin_at is None else self.begin_at
+        state = task.passes(begin, keep)
+        if first is not None:
+            state = task.elsewhere(state, first.model.names, keep)
         return Solved(task, state, task.errors(state, keep), keep, first.wiring if first else None)
+
+    def passes(self, begin: np.ndarray, keep: Weigh | None) -> Solution:
+        """Return the optimum that passes over the log reach from `begin` (n,)."""
+        return optimum(self.log, self.model, self.noise.std, begin, self.holdout, keep, self.say)
+
+    def elsewhere(self, state: Solution, known: Sequence[str], keep: Weigh | None) -> Solution:
+        """Return a better optimum that begins where parameters of effects that seemed to do nothing act.
+
+        A rail that the model does not reach is not felt: what it cuts has no slope where nothing is cut.
+        `known`: parameters of the model without its effects.
+        """
+        lower, upper = self.model.bounds
+        free = [
+            k for k in state.determination.held if self.model.names[k] not in known and lower[k] < upper[k]
+        ]
+        for share in BEGIN if free else ():
+            begin = state.p.copy()
+            begin[free] = self.model.nominal[free] + share * (upper - self.model.nominal)[free]
+            other = self.passes(begin, keep)
+            if other.search.cost < state.search.cost - DROP * abs(state.search.cost):
+                return other
+        return state
 
     def counting(self, what: str) -> Callable[[int], None]:
         """Return a progress callback that says which share of the log is done."""
@@ -130,14 +190,32 @@ class Task:
         """Return the run statistics of the log."""
         return summarise(self.log, self.model, weigh, self.counting("summarising runs"))
 
-    def solve(self, summary: RunStatistics, solver: str | None = None) -> Started:
-        """Find the optimum of one set of run statistics."""
+    def begin(self, summary: RunStatistics) -> "Begun":
+        """Return what linear least squares says of one set of run statistics."""
         everything = cost_of(summary, self.noise.std)
         fitted = everything.without(self.holdout)
         merged = cost_of(fitted.summary.merged(), self.noise.std)
-        linear = start.linear_fit(merged)
+        return Begun(everything, fitted, merged, start.linear_fit(merged))
+
+    def judged(self, begun: "Begun") -> Judgement:
+        """Judge units, signs and runs before the fit; spikes bend slopes: where there are any, after it."""
+        found = self.judge(begun)
+        if not found.findings or self.loss == "none":
+            return found
+        columns = (*self.model.references, *self.model.channels)
+        again = self.begin(self.summary(outliers.column_spikes(columns)))
+        left, total = (float(b.everything.summary.counts.sum()) for b in (again, begun))
+        return Judgement(spiky=True) if left < (1 - SPIKY) * total else found
+
+    def judge(self, begun: "Begun | Started") -> Judgement:
+        """Judge units, signs and runs by what linear least squares says."""
+        return judge(self.log, begun.everything, begun.merged, begun.linear, self.holdout)
+
+    def solve(self, begun: "Begun", solver: str | None = None) -> Started:
+        """Find the optimum from what linear least squares says."""
+        fitted, merged, linear = begun.fitted, begun.merged, begun.linear
         closed_form = start.closed_form(merged, linear)
-        first = np.clip(closed_form if self.begin is None else self.begin, *self.model.bounds)
+        first = np.clip(closed_form if self.begin_at is None else self.begin_at, *self.model.bounds)
         determination = determine(fitted, first)
         held = list(determination.held)
         first[held] = np.clip(self.model.nominal, *self.model.bounds)[held]
@@ -145,12 +223,13 @@ class Task:
         self.say(f"solving with {solver}")
         found = search(fitted, merged, first, determination, solver=solver, seed=self.seed)
         found = replace(found, p=nearest_turn(self.model, found.p))
-        return Started(everything, fitted, determination, found, linear, merged, closed_form)
+        return Started(begun.everything, fitted, determination, found, merged, linear)
 
     def errors(self, state: Solution, keep: Weigh | None) -> Errors:
         """Return the errors before and after; `keep`: weight of each sample."""
         versions = [(designed(self.model, state.p), {}), (state.p, state.zeros())]
         variance = state.fitted.reading_variance
+        variance = np.array([nominal_variance(self.model, variance), variance])
         before, after = error_tables(
             self.log, self.model, versions, variance, keep, self.counting("tabulating errors"), self.noise.std
         )
@@ -165,21 +244,23 @@ class Task:
         """Take outliers out, refit, until the same samples are left."""
         total, before, whole = float(state.everything.summary.counts.sum()), -1.0, state
         columns = (*self.model.references, *self.model.channels)
-        suspects = remembered(outliers.column_spikes(columns), self.log.rows, columns)
-        weigh = suspects
+        rule = outliers.column_spikes(columns)
+        weigh = suspects = remembered(rule, self.log.rows, columns)
         for _ in range(ROUNDS):
             summary = self.summary(weigh)
             left = float(summary.counts.sum())
             if left < total:
                 self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
-                state = self.solve(summary, solver="direct")
+                state = self.solve(self.begin(summary), solver="direct")
             self.check(state)
             if abs(left - before) <= 1e-6 * total:
                 break
-            before, weigh = left, self.weigh(state, suspects)
+            before, rule = left, self.weigh(state, suspects)
+            weigh = remembered(rule, self.log.rows, columns_of(self.model))
+        kept = outliers.too_many_note(sorted(rule.wrong_for, key=columns.index)) if rule.wrong_for else ()
         if left == total:
-            return whole, None, ()
-        state = self.solve(summary)
+            return whole, None, kept
+        state = self.solve(self.begin(summary))
         gone = total - left
         said = (
             f"{gone:.0f} of {total:.0f} samples ({100 * gone / total:.2g} %) are isolated spikes and were "
@@ -187,23 +268,16 @@ class Task:
             if self.loss != "tukey"
             else f"Tukey's biweight took {100 * gone / total:.2g} % of the weight."
         )
-        return state, weigh, (said,)
+        return state, weigh, (said, *kept)
 
-    def weigh(self, state: Solution, suspects: Weigh) -> Weigh:
-        """Return what takes outliers out, judged by the residuals of the fit so far; each block once."""
+    def weigh(self, state: Solution, suspects: Weigh) -> outliers.Filter:
+        """Return what takes outliers out, judged by the residuals of the fit so far."""
         residual = outliers.residuals(self.model, state.p, state.zeros())
         covariance = state.fitted.at(state.p).covariance.mean(axis=0)
         if self.loss == "tukey":
-            weigh = outliers.tukey(residual, covariance)
-        else:
-            weigh = outliers.reject_spikes(residual, covariance, suspects)
-        return remembered(weigh, self.log.rows, columns_of(self.model))
+            return outliers.tukey(residual, covariance)
+        return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
 
     def check(self, state: Started) -> None:
-        """Refuse a reference that does not belong, and channels that no value in the bounds explains."""
+        """Refuse a reference that does not belong."""
         start.check_reference(self.model, state.linear.unexplained, self.log.name)
-        lower, upper = self.model.bounds
-        slack = 0.05 * state.determination.scale
-        inside = (lower - slack <= state.closed_form) & (state.closed_form <= upper + slack)
-        if not inside.all():
-            check_wiring(state.merged, state.linear, self.log.name)

@@ -9,7 +9,8 @@ from hallsym.log.estimate import estimate_noise
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, Sigma, check_noise_keys
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
-from hallsym.log.quality.check import check_log, clean_log, spans
+from hallsym.log.quality.check import check_log, clean_log, spans, usable
+from hallsym.log.quality.findings import Fault
 from hallsym.log.quality.scan import Span, Spans
 from hallsym.log.read import read_log
 from hallsym.log.write import LogWriter, write_log
@@ -18,6 +19,7 @@ __all__ = [
     "Batch",
     "Block",
     "Drop",
+    "Fault",
     "Foreign",
     "Log",
     "LogWriter",
@@ -41,6 +43,7 @@ __all__ = [
     "remembered",
     "spans",
     "unwrapped",
+    "usable",
     "without",
     "wrapped",
     "write_log",

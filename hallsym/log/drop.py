@@ -15,31 +15,36 @@ from hallsym.units import Array
 
 @dataclass(frozen=True)
 class Drop:
-    """Samples to leave out: not finite in a column, with time that does not advance, at a level, of a run."""
+    """Samples to leave out: not finite in a column, with time that does not advance, of a run.
+
+    `between`: columns with the values that samples to keep lie between; `rows`: (start, stop) in the log.
+    """
 
     finite: tuple[str, ...] = ()
     forward: bool = False
-    levels: tuple[tuple[str, float], ...] = ()
+    between: tuple[tuple[str, float, float], ...] = ()
     runs: frozenset[int] = field(default_factory=frozenset)
+    rows: tuple[tuple[int, int], ...] = ()
 
     def __or__(self, other: Drop) -> Drop:
         """Leave out what either leaves out."""
         return Drop(
             tuple(dict.fromkeys(self.finite + other.finite)),
             self.forward or other.forward,
-            self.levels + other.levels,
+            self.between + other.between,
             self.runs | other.runs,
+            self.rows + other.rows,
         )
 
     def __bool__(self) -> bool:
         """Say whether anything is left out."""
-        return bool(self.finite or self.forward or self.levels or self.runs)
+        return bool(self.finite or self.forward or self.between or self.runs or self.rows)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns that decide."""
         time = ("t_s",) if self.forward else ()
-        return tuple(dict.fromkeys((RUN, *self.finite, *time, *(name for name, _ in self.levels))))
+        return tuple(dict.fromkeys((RUN, *self.finite, *time, *(name for name, _, _ in self.between))))
 
 
 class Keep:
@@ -50,14 +55,18 @@ class Keep:
         self.drop = drop
         self._run: int | None = None
         self._latest = -np.inf
+        self._row = 0
 
     def __call__(self, piece: Piece) -> Array:
         """Return a boolean mask of shape (rows,)."""
         keep = np.ones(len(piece[RUN]), bool)
         for name in self.drop.finite:
             keep &= np.isfinite(piece[name])
-        for name, level in self.drop.levels:
-            keep &= piece[name] != level
+        for name, low, high in self.drop.between:
+            keep &= (piece[name] > low) & (piece[name] < high)
+        for start, stop in self.drop.rows:
+            keep[max(0, start - self._row) : max(0, stop - self._row)] = False
+        self._row += len(keep)
         if self.drop.runs:
             keep &= ~np.isin(piece[RUN], list(self.drop.runs))
         if self.drop.forward:

@@ -6,8 +6,9 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
-from hallsym.units import UNITS
+from hallsym.units import UNITS, split_unit
 
 
 @dataclass(frozen=True)
@@ -35,24 +36,35 @@ LIMITS = (
     Limit(r"temperature\w*_degc", 500.0, "a machine warms", ("k",), 200.0, 200.0),
 )
 
+_FASTEST = {"m": 100.0, "rad": 1e5}
+"""m/s and rad/s that no reference moves at: a thousand times a stage, a million revolutions a minute."""
+
 _READING = re.compile(r"(hall|col|v)_\w+_(m|v|t|count)|angle_rad")
 _REFERENCE = re.compile(r"([xyz]|r[xyz]|angle)_ref_(m|rad)")
 _POSE = re.compile(r"(z|r[xy])_(m|rad)")
 
 
+@cache
 def is_reading(column: str) -> bool:
     """Say whether a column is a sensor's reading (`hall_a_m`, `col_3_v`, `v_sin_v`, `angle_rad`)."""
     return bool(_READING.fullmatch(column))
 
 
+@cache
 def is_reference(column: str) -> bool:
     """Say whether a column is a reference of motion (`x_ref_m`, `angle_ref_rad`)."""
     return bool(_REFERENCE.fullmatch(column))
 
 
+@cache
 def is_moving(column: str) -> bool:
     """Say whether a column follows the motion sample by sample: readings, references, vertical pose."""
     return is_reading(column) or is_reference(column) or bool(_POSE.fullmatch(column))
+
+
+def tells(column: str, of: str) -> bool:
+    """Say whether a column follows the motion that another one follows, and so tells of it."""
+    return (is_reading(column) and is_reference(of)) or (is_reference(column) and is_reading(of))
 
 
 def has_meaning(column: str) -> bool:
@@ -64,6 +76,12 @@ def has_meaning(column: str) -> bool:
 def limit_of(column: str) -> Limit | None:
     """Return the limit of a column's span, if there is one."""
     return next((limit for limit in LIMITS if re.fullmatch(limit.pattern, column)), None)
+
+
+def fastest(column: str) -> float:
+    """Return the speed, in the column's SI unit per second, that no motion has."""
+    unit = split_unit(column)[1]
+    return _FASTEST.get(unit.si, math.inf) if unit else math.inf
 
 
 def likely_unit(limit: Limit, span: float) -> str | None:

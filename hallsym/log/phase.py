@@ -37,8 +37,15 @@ def nearest_turn(model: Model, p: np.ndarray) -> np.ndarray:
 
 
 def designed(model: Model, p: np.ndarray) -> np.ndarray:
-    """Return nominal parameters (n,), what repeats as in `p`: a zero is mounting, which no drawing states."""
-    return np.where([name in model.period for name in model.names], p, model.nominal)
+    """Return nominal parameters (n,) with what no drawing states as in `p`.
+
+    That is what repeats (a zero is mounting), and the common factor of amplitudes (`Model.amplitudes`).
+    """
+    out = np.where([name in model.period for name in model.names], p, model.nominal)
+    these = np.isin(model.names, model.amplitudes)
+    if these.any() and (p[these] * out[these] > 0).all():
+        out[these] *= np.exp(np.log(p[these] / out[these]).mean())
+    return out
 
 
 def near(model: Model, pose: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -68,6 +75,12 @@ def continuous(log: Log, model: Model) -> Log:
         for c, along in beside.items()
     }
     table: Any = _Continuous(log.table, references, branches, apart)
+    return replace(log, table=table)
+
+
+def rehomed(log: Log, shifts: Mapping[str, Mapping[int, float]], model: Model) -> Log:
+    """Return a log whose references that repeat begin elsewhere: `shifts` by column and run are added."""
+    table: Any = _Continuous(log.table, {c: model.period[c] for c in shifts}, {}, shifts)
     return replace(log, table=table)
 
 
@@ -193,6 +206,10 @@ class _Continuous:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.table, name)
+
+    def counts_per_turn(self, column: str) -> float | None:
+        """Return the counts of a turn of a column that stays within one; None of one made continuous."""
+        return None if column in self.channels else self.table.counts_per_turn(column)
 
     def pieces(self, columns: Sequence[str], size: int) -> Iterator[dict[str, np.ndarray]]:
         along = [self.channels[c].along for c in columns if c in self.channels]

@@ -17,6 +17,7 @@ from hallsym.model.model import (
     Signals,
     Step,
     Symbols,
+    Tie,
 )
 from hallsym.model.quantities import Quantity, combination, linear, parameter
 
@@ -36,6 +37,7 @@ __all__ = [
     "Signals",
     "Step",
     "Symbols",
+    "Tie",
     "Variant",
     "Way",
     "as_effect",

@@ -138,6 +138,11 @@ class Features:
         first = ca.Function("coefficients", [p, centre], [stacked, ca.densify(ca.jacobian(flat, p))])
         return first, ca.Function("curvature", [p, centre, weights], [ca.densify(hessian)])
 
+    @property
+    def point(self) -> np.ndarray | None:
+        """Parameters (n,) that the features were taken at, if they depend on them."""
+        return None
+
     def slope_rows(self, p: np.ndarray) -> np.ndarray | None:
         """Return rows (m, n) that show what no recording determines at `p`; None: the coefficients do."""
         return None

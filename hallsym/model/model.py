@@ -73,6 +73,20 @@ class Combination:
 
 
 @dataclass(frozen=True)
+class Tie:
+    """What a rigid body ties together: how gains follow two columns of the state.
+
+    For each channel, (d gain / d `column`) / (d gain / d `other`) is a place of the machine less an origin
+    that all channels share. `places`: its bounds for each channel, `origin`: those of the origin.
+    """
+
+    column: str
+    other: str
+    places: tuple[tuple[float, float], ...]
+    origin: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Inspection:
     """What a family finds in a log before a fit: notes, and for each channel its source and sign.
 
@@ -114,10 +128,15 @@ class Model:
     """Pose coordinates, channels, references and parameters that repeat, each with its period [its unit]."""
     homes: Mapping[str, str] = field(default_factory=dict)
     """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
+    amplitudes: tuple[str, ...] = ()
+    """Parameters whose common factor scales all readings and moves no decoded pose: an air gap sets it, no
+    drawing."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
     """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
+    ties: tuple[Tie, ...] = ()
+    """What is known of how gains follow the state: by this units and signs of its columns are judged."""
     inspect: "Callable[..., Inspection] | None" = None
     """`(model, log, fitted=True)`: what the family says of a log before it is fitted, or judged. Raises
     `InputError`."""
@@ -291,6 +310,17 @@ class Model:
         channels than coordinates each step is the weighted least-squares one; `weight` is 1/variance per
         channel.
         """
+        return self._decoder("decoded", None)
+
+    @cached_property
+    def decoded_near(self) -> ca.Function:
+        """`decoded` with a pose `(n_pose,)` as last input, on whose branch a coordinate that repeats lies.
+
+        Readings repeat with the pose; errors of the reference, such as its scale, do not.
+        """
+        return self._decoder("decoded_near", ca.SX.sym("near", len(self.pose)))
+
+    def _decoder(self, name: str, near: ca.SX | None) -> ca.Function:
         s = self.symbols
         reading = s.full(s.reading)
         jacobian = ca.jacobian(reading, s.pose)
@@ -300,15 +330,29 @@ class Model:
         pose: ca.SX = ca.SX.zeros(len(self.pose))
         if self.begin is not None:
             pose = self.begin(measured, dict(zip(self.names, ca.vertsplit(s.parameters), strict=True)))
+        if near is not None:
+            pose = near + self._within_half(pose - near, self.pose)
         for _ in range(1 if linear else 4):
             residual, slope = ca.substitute([measured - reading, jacobian], [s.pose], [pose])
+            residual = residual if near is None else self._within_half(residual, self.channels)
             pose = pose + _solve(slope, residual, weight)
+        branch = [] if near is None else [near]
         return ca.Function(
-            "decoded",
-            [s.parameters, s.zeros, measured, s.state, weight],
+            name,
+            [s.parameters, s.zeros, measured, s.state, weight, *branch],
             [ca.densify(pose)],
-            ["parameters", "zeros", "reading", "state", "weight"],
+            ["parameters", "zeros", "reading", "state", "weight", "near"][: 5 + len(branch)],
             ["pose"],
+        )
+
+    def _within_half(self, values: ca.SX, columns: tuple[str, ...]) -> ca.SX:
+        """Return values of columns, those that repeat within half a period of zero."""
+        periods = [self.period.get(c) for c in columns]
+        return ca.vertcat(
+            *(
+                v - p * ca.floor(v / p + 0.5) if p else v
+                for v, p in zip(ca.vertsplit(values), periods, strict=True)
+            )
         )
 
     @cached_property

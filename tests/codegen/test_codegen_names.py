@@ -1,6 +1,9 @@
 """Names in generated code: made from columns, several in one image, and what compilers are told."""
 
+import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from firmware import calibration, need, ran
@@ -162,3 +165,100 @@ def test_a_prefix_that_c_does_not_take_is_refused(name):
 def test_a_prefix_renames_symbols_and_leaves_words():
     text = 'the decoupler: decoupler_step() of "decoupler.h", DECOUPLER_H. The decoupler.'
     assert renamed(text, "left") == 'the decoupler: left_step() of "left.h", LEFT_H. The decoupler.'
+
+
+# -- packages ------------------------------------------------------------------------------------------------
+
+ARDUINO = """
+#include <stdint.h>
+struct Port { void begin(long) {} void println(const char *) {} void println(unsigned long) {}
+              void println(double, int) {} };
+static Port Serial;
+static void delay(unsigned long) {}
+"""
+
+
+def test_an_installed_library_is_found_by_its_name(image, tmp_path):
+    need("cmake", "gcc")
+    installed = tmp_path / "installed"
+    ran(image, "cmake", "-S", "enc_left", "-B", str(tmp_path / "b"), f"-DCMAKE_INSTALL_PREFIX={installed}")
+    ran(image, "cmake", "--build", str(tmp_path / "b"), "--target", "install")
+    user = tmp_path / "user"
+    user.mkdir()
+    (user / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.13)\nproject(user C)\nfind_package(enc_left 2 REQUIRED)\n"
+        "add_executable(user main.c)\ntarget_link_libraries(user enc_left::enc_left)\n"
+    )
+    (user / "main.c").write_text(
+        '#include "enc_left.h"\n#include "enc_left_params.h"\n'
+        "int main(void) { return (int)enc_left_check(&enc_left_params); }\n"
+    )
+    ran(user, "cmake", "-S", ".", "-B", "b", f"-DCMAKE_PREFIX_PATH={installed}")
+    ran(user, "cmake", "--build", "b")
+    ran(user, "b/user")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_sketch_compiles_and_packages_name_files_that_are_there(image, name):
+    need("g++")
+    folder = image / name
+    sketch = (folder / "examples/Decouple/Decouple.ino").read_text()
+    (folder / "sketch.cpp").write_text(f"{ARDUINO}{sketch}\nint main() {{ setup(); loop(); return 0; }}\n")
+    paths = ("-Iinclude", "-Iparams")
+    ran(folder, "g++", "-std=c++11", "-Wall", "-Werror", *paths, "-c", "sketch.cpp", "-o", "sketch.o")
+    (folder / "sketch.cpp").unlink()
+    library = json.loads((folder / "library.json").read_text())
+    assert library["name"] == name
+    headers = {path.name for path in (*folder.glob("include/*.h"), *folder.glob("params/*.h"))}
+    assert headers == set(library["headers"])
+    module = (folder / "zephyr/module.yml").read_text()
+    assert f"name: {name}\n" in module
+    listed = (folder / "zephyr/CMakeLists.txt").read_text()
+    for source in re.findall(r"\.\./(\S+\.c)", listed):
+        assert (folder / source).exists()
+    assert f"CONFIG_{name.upper()}_LIB" in listed
+    assert f"config {name.upper()}_LIB" in (folder / "zephyr/Kconfig").read_text()
+
+
+def test_the_update_over_a_serial_line_takes_good_tables_only(image):
+    """The C of docs/controller.md, with the table that it is about."""
+    need("gcc")
+    text = (Path(__file__).parents[2] / "docs/controller.md").read_text()
+    code = text.split("```c\n")[1].split("```")[0]
+    trial = """
+#include <stdio.h>
+int main(void)
+{
+    static uint8_t bytes[4096];
+    uint32_t identity[2];
+    FILE *file = fopen("stage/params/stage_params.bin", "rb");
+    const uint32_t count = (uint32_t)fread(bytes, 1U, sizeof(bytes), file);
+    int bad = start();
+    bad |= (take_over(bytes, count) == 0U) ? 0 : 1;
+    bad |= (live == &tables[1]) ? 0 : 2;
+    bytes[100] ^= 4U;
+    bad |= (take_over(bytes, count) == STAGE_BAD_CRC) ? 0 : 4;
+    bad |= (take_over(bytes, count - 1U) == STAGE_BAD_LAYOUT) ? 0 : 8;
+    bad |= (live == &tables[1]) ? 0 : 16;
+    running(identity);
+    printf("%08x%08x", (unsigned)identity[0], (unsigned)identity[1]);
+    return bad;
+}
+"""
+    (image / "update.c").write_text(code + trial)
+    files = ["stage/src/stage.c", "stage/src/stage_check.c", "stage/params/stage_params.c"]
+    ran(
+        image,
+        "gcc",
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        *sources(image)[:2],
+        "update.c",
+        *files,
+        "-o",
+        "update",
+    )
+    record = json.loads((image / "stage/params/stage_params.json").read_text())
+    assert ran(image, "./update") == record["calibration_sha256"][:16]

@@ -76,6 +76,33 @@ def test_a_smooth_gap_is_no_outlier(seed, size, periods):
     assert np.all(spikes()(block(noise(seed) + gap)) == 1.0)
 
 
+def test_a_column_that_is_exact_but_for_its_digits_has_no_spikes():
+    """A slope of 3.43 deg per row, five decimals: most steps are the same to 1e-14, others off by 1e-5."""
+    slope = np.round(-3428.57143 + 3.4285714285 * np.arange(2001), 5)
+    weigh = column_spikes(("slope",))
+    assert np.all(weigh(Block(0, {"slope": slope})) == 1.0)
+    assert weigh.wrong_for == {"slope"}
+    slope[700] += 5.0  # which hides a spike there, that its residual shows
+    assert np.all(weigh(Block(0, {"slope": slope})) == 1.0)
+
+
+def test_too_many_to_be_spikes_are_none():
+    """A reading that jumps at a quarter of its samples does something else; at a twentieth it has spikes."""
+    rng = np.random.default_rng(0)
+    for share, kept in ((0.25, True), (0.05, False)):
+        r = noise(3, 2000)
+        hit = rng.random(2000) < share
+        r[1, hit] += rng.choice([-1, 1], hit.sum()) * rng.uniform(50, 500, hit.sum()) * SIGMA
+        weigh = reject_spikes(
+            lambda b: np.array([b.data[c] for c in HALL]), COVARIANCE, lambda b: np.ones(2000), HALL
+        )
+        weight = weigh(block(r))
+        assert np.all(weight == 1.0) == kept
+        assert weigh.wrong_for == ({HALL[1]} if kept else set())
+        if not kept:
+            assert np.all(weight[hit] == 0.0)
+
+
 def test_more_noise_than_stated_is_no_outlier():
     for factor in (3.0, 30.0):
         assert np.all(spikes()(block(factor * noise(1))) == 1.0)

@@ -1,6 +1,7 @@
 """Logs of encoders: both forms, wraps, directions, counts, and one clear sentence for each bad one."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from hallsym.report.text.fit import circumstances
 V = {"Vx": 0.01, "Vy": -0.02, "Ax": 1.01, "Ay": 0.98, "beta": 0.004, "zero": 3.1}
 FORTH = np.linspace(0, 3 * TURN, 500)
 BOTH = np.r_[FORTH, FORTH[::-1]]
-BESIDE = Path(__file__).resolve().parents[3] / "shared"
+HERE = Path(__file__).resolve().parents[2]
+BESIDE = Path(os.environ.get("HALLSYM_CASES", HERE.parent / "shared" / "cases")).parent
 
 
 def fitted(log: Log, **options):
@@ -144,6 +146,40 @@ def test_an_angle_that_is_in_degrees_is_said():
             fitted(Log.from_arrays(table))
 
 
+@pytest.mark.parametrize(
+    ("turn", "said"),
+    [
+        ({"angle_rad": 400.0}, "if angle_rad were in gradians; .*--column angle_grad="),
+        ({"angle_rad": 1.0}, "if angle_rad were in turns; .*--column angle_rev="),
+        ({"angle_rad": 2000 * np.pi}, "if angle_rad were in mrad"),
+        (
+            {"angle_rad": 400.0, "angle_ref_rad": 400.0},
+            "if angle_rad were in gradians and angle_ref_rad were in",
+        ),
+        (
+            {"angle_rad": 1.0, "angle_ref_rad": 360.0},
+            "angle_rad were in turns and angle_ref_rad were in degrees",
+        ),
+        ({"angle_rad": TURN / 4}, "makes 1/4 of a turn while angle_ref_rad makes one"),
+    ],
+)
+def test_an_angle_in_any_other_unit_is_said(turn, said):
+    """`turn`: what a turn is in the unit of each column."""
+    log = angle_log(V, BOTH, 1e-4)
+    table = {c: np.mod(log.array(c), TURN) / TURN * t for c, t in turn.items()}
+    with pytest.raises(InputError, match=said):
+        fitted(Log.from_arrays({c: log.array(c) for c in log.columns if c != "run"} | table))
+
+
+def test_one_run_of_the_other_direction_is_named():
+    parts = [angle_log(V, BOTH, 1e-4, seed=k) for k in range(4)]
+    columns = {c: np.concatenate([p.array(c) for p in parts]) for c in ("angle_rad", "angle_ref_rad")}
+    run = np.repeat(np.arange(4), len(BOTH))
+    columns["angle_rad"] = np.where(run == 2, TURN - columns["angle_rad"], columns["angle_rad"])
+    with pytest.raises(InputError, match=r"In run 2 .* the other way .*: angle_rad or angle_ref_rad is"):
+        fitted(Log.from_arrays({"run": run, **columns}))
+
+
 def test_a_reference_of_another_scale_is_said_and_not_called_homed():
     """Half a percent over six turns: 11 deg, which zeros of runs would differ by too."""
     rng, parts = np.random.default_rng(3), []
@@ -225,7 +261,7 @@ def test_one_direction_and_a_gap_are_said():
 def test_a_constant_channel_is_refused():
     y, x = plates(V, BOTH)
     for columns in ({"v_sin_v": y, "v_cos_v": 0 * x}, {"angle_rad": 0 * x + 1}):
-        with pytest.raises(InputError, match=r"never changes; .*check the probe and its wiring"):
+        with pytest.raises(InputError, match=r"never changes; .*check the probe.* wiring"):
             fitted(Log.from_arrays({"angle_ref_rad": BOTH, **columns}))
 
 
@@ -282,7 +318,7 @@ def test_signed_counts_are_a_turn_too():
     a = np.linspace(-np.pi, np.pi, 200)
     raw = np.round(a / TURN * 4096)
     file = {"angle_rad": raw / 4096 * TURN, "angle_ref_rad": a}
-    assert check_log(Log.from_arrays(file))
+    assert check_log(Log.from_arrays(file)) == []  # and a table without time lacks no runs
 
 
 # -- the command line ------------------------------------------------------------------------------------

@@ -439,7 +439,7 @@ LOGS: dict[str, Recorded] = {
         lambda: encoder(37, voltages_warmed), (*DIRECT, "--effect", "gain_temperature_drift:mean_degc=25")
     ),
     "rotary_bearing": Recorded(lambda: encoder(38, bearing), DIRECT, "always"),
-    "rotary_rails": Recorded(lambda: encoder(39, plates_at_rails), DIRECT),
+    "rotary_rails": Recorded(lambda: encoder(39, plates_at_rails), (*DIRECT, "--drop-bad")),
     "meng_volts": Recorded(lambda: concentrator(40), DIRECT),
     "meng_angle": Recorded(lambda: concentrator(41, angle=True), DIRECT),
     # an independent plant, where it stands beside the project

@@ -5,15 +5,19 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.families.rotary.seen import BINS, UNITS, Seen, seen_of
+from hallsym.families.rotary.causes import TOGETHER, Cause, cause
+from hallsym.families.rotary.seen import BINS, Seen, seen_of
 from hallsym.model import Inspection, Model
 
 GAP_NOTE, GAP_REFUSE = 30.0, 120.0
 """Widest part of a turn [deg] without a sample: what is worth a note, and what no harmonics survive."""
 FOLLOWS = 0.5
 """An encoder follows its reference if the mean of exp(i (angle - reference)) is longer than this."""
-TOGETHER = 0.75
-"""The same within runs of a full turn: 43 deg, far beyond any offset, gain or clipping."""
+ALIKE = 0.2
+"""Angles [rad] by which zeros of runs are the same, where one channel of a run may be inverted."""
+WORDS = {"deg": "degrees", "grad": "gradians", "rev": "turns"}
+MILLI = 1e3
+"""Factor between volts and millivolts."""
 CLEARLY, LEAST_ZERO = 3.0, 1.0
 """What zeros of runs must differ by for a note: times the scatter of the angle within a run, and deg."""
 SURE, TURNS, LEAST_DRIFT, MOST_DRIFT = 0.8, 1.9, 1.0, 30.0
@@ -36,26 +40,25 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     not belong to the readings.
     """
     seen, (column,) = seen_of(model, log), model.references
-    if model.zeros:  # each run has a zero of its own
-        for k in (1.0, -1.0):
-            seen.follows[k] = sum(abs(own[k]) for own in seen.runs.values())
-    _refuse(seen, log.name, model, fitted)
+    own = bool(model.zeros)  # each run has a zero of its own
+    forward = seen.follows(1.0, each=own) >= seen.follows(-1.0, each=own)
+    sign = 1.0 if forward else -1.0
+    _refuse(seen, log, model, sign, fitted)
     guessed = fitted and "t_s" not in log.columns and column not in log.noise
     if guessed and abs(seen.even) < ORDERED * (seen.samples - len(seen.runs)):
         raise InputError(
             f"Rows of {log.name} are in no order ({column} moves by anything from one to the next), so the "
             f"noise cannot be estimated: sort them by {column}, or state the noise with --noise."
         )
-    forward = abs(seen.follows[1.0]) >= abs(seen.follows[-1.0])
     notes = _notes(seen, column)
-    slope = _scale(seen, LEAST_DRIFT)
+    slope = _scale(seen, sign, LEAST_DRIFT)
     if slope and "reference_scale_error" not in model.effects:
         notes.append(
             f"The encoder makes {1 + slope:.5g} turns while {column} makes one: --effect "
             "reference_scale_error fits that, or scale the reference in a column file."
         )
     if not slope:
-        notes += _homed(seen, column, 1.0 if forward else -1.0, bool(model.zeros))
+        notes += _homed(seen, column, sign, own)
     if not forward:
         channel = model.channels[0]
         swapped = ", or the two voltages are swapped" if len(model.channels) == 2 else ""
@@ -67,32 +70,32 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     return Inspection(tuple(notes), wiring)
 
 
-def _refuse(seen: Seen, name: str, model: Model, fitted: bool) -> None:
-    gap, other, (column,) = _gap(seen.reference), _gap(seen.angle), model.references
-    length = {k: abs(v) / max(seen.samples, 1) for k, v in seen.follows.items()}
+def _refuse(seen: Seen, log: Any, model: Model, sign: float, fitted: bool) -> None:
+    gap, other, (column,), name = _gap(seen.reference), _gap(seen.angle), model.references, log.name
     if fitted and gap > GAP_REFUSE and other > GAP_REFUSE:
         raise InputError(
             f"Column {column} of {name} covers only {360 - gap:.0f} deg of a turn; offset, gain and phase of "
             "an encoder show once and twice per turn, so record at least one full turn, or check its unit."
         )
-    best = max(length, key=lambda k: (round(length[k], 3), -abs(k)))
-    straight = max(length[1.0], length[-1.0])
-    if straight < FOLLOWS and length[best] > FOLLOWS:
-        many = f"{abs(best):g} turns" if abs(best) > 1 else f"1/{1 / abs(best):.0f} of a turn"
-        raise _other_scale(name, column, many, abs(best))
+    _check_runs(seen, name, model, sign)
+    own = bool(model.zeros)
+    straight, alone = (max(seen.follows(k, each=each) for k in (1.0, -1.0)) for each in (own, True))
+    best = cause(seen, model) if alone < TOGETHER else None
+    if best and best.turns and straight < FOLLOWS:
+        raise _other_scale(name, column, _turns(best.turns), best.turns, log)
     if gap < GAP_REFUSE:
         _check_wraps(seen, name, model)
-    alone = seen.together
     astray = max(straight, alone) < (TOGETHER if gap < GAP_REFUSE else FOLLOWS)
-    if astray and (why := _unit(seen, model) or _dead(seen, model)):
+    if astray and (why := _unit(best, model) or _dead(seen, model)):
         raise InputError(f"{why[0]} of {name} {why[1]}")
-    slope = _scale(seen, MOST_DRIFT)
+    slope = _scale(seen, sign, MOST_DRIFT)
     if slope and min(straight, alone) < TOGETHER:
-        raise _other_scale(name, column, f"{1 + slope:.4g} turns", 1 + slope)
+        raise _other_scale(name, column, f"{1 + slope:.4g} turns", 1 + slope, log)
     if straight < FOLLOWS < alone and len(seen.runs) > 1:
         raise InputError(
             f"The encoder in {name} follows {column} in each run, but each from another zero: the reference "
-            "was homed anew between runs. Fit with --effect zero_deviation, which gives each run its own."
+            f"was homed anew between runs. {_half_turn(seen, sign)}Fit with --effect zero_deviation, which "
+            "gives each run its own."
         )
     if astray:
         raise InputError(
@@ -101,6 +104,47 @@ def _refuse(seen: Seen, name: str, model: Model, fitted: bool) -> None:
         )
     if fitted:
         _check_swing(seen, name, model)
+
+
+def _check_runs(seen: Seen, name: str, model: Model, sign: float) -> None:
+    """Refuse runs in which the encoder turns the other way, or does not follow, while it does in most."""
+    (column,) = model.references
+    good = [run for run in seen.runs if seen.length(run, sign) > TOGETHER]
+    far = [run for run in seen.runs if seen.length(run, sign) < FOLLOWS]
+    if not far or len(good) <= len(far):
+        return
+    which = f"run {far[0]}" + (f" (and {len(far) - 1} more)" if len(far) > 1 else "")
+    turned = [run for run in far if seen.length(run, -sign) > TOGETHER]
+    if turned == far:
+        zero = np.angle(sum(seen.runs[run][sign] for run in good))
+        at = float(np.angle(seen.runs[far[0]][-sign]))
+        raise InputError(
+            f"In {which} of {name} the encoder turns the other way than in the others: "
+            f"{_wired(model, sign * zero, at)}; put that right, or leave the run out."
+        )
+    why = _unit(cause(seen, model, far), model)
+    raise InputError(
+        f"Column {why[0].split()[1]} in {which} of {name} {why[1]}"
+        if why
+        else f"In {which} of {name} the encoder does not follow {column}, in the others it does: the "
+        "reference stands, or belongs to another recording; repair it, or leave the run out."
+    )
+
+
+def _wired(model: Model, zero: float, at: float) -> str:
+    """Which columns of a run seem inverted or exchanged; `zero`: of other runs, `at`: of this one [rad]."""
+    (column,) = model.references
+    if len(model.channels) == 1:
+        return f"{model.channels[0]} or {column} is inverted there"
+    sine, cosine = model.channels
+    known = {
+        f"{sine} is inverted there": -zero,
+        f"{cosine} is inverted there": np.pi - zero,
+        f"{sine} and {cosine} are exchanged there": np.pi / 2 - zero,
+        f"{column} is inverted there": zero,
+    }
+    fitting = [text for text, angle in known.items() if abs(np.angle(np.exp(1j * (at - angle)))) < ALIKE]
+    return ", or ".join(fitting) or f"a voltage or {column} is inverted there, or another run's"
 
 
 def _check_wraps(seen: Seen, name: str, model: Model) -> None:
@@ -115,43 +159,61 @@ def _check_wraps(seen: Seen, name: str, model: Model) -> None:
 
 
 def _check_swing(seen: Seen, name: str, model: Model) -> None:
-    """Refuse voltages of an amplitude that the model cannot have."""
+    """Refuse voltages of an amplitude that the model cannot have, or that cannot be of one sensor."""
     known = {p.name: p for p in model.parameters}
-    for channel, (_, half), own in zip(model.channels, seen.scales, ("Ay", "Ax"), strict=False):
+    halves = [half for _, half in seen.scales]
+    for k, (channel, own) in enumerate(zip(model.channels, ("Ay", "Ax"), strict=False)):
         amplitude = known.get(own) or known.get("A")
-        if amplitude and not amplitude.lower <= half <= amplitude.upper:
+        if not amplitude or not halves:
+            continue
+        half, other = halves[k], halves[1 - k]
+        factor = next((f for f in (1 / MILLI, MILLI) if abs(np.log10(other / half / f)) < 1), None)
+        unit = channel.rpartition("_")[0] + ("_mv" if factor == 1 / MILLI else "_kv")
+        if factor and (factor < 1 or not amplitude.lower <= half <= amplitude.upper):
+            raise InputError(
+                f"Column {channel} of {name} swings by +-{half:.3g} V and the other by +-{other:.3g} V: "
+                f"it seems to be in another unit, so say --column {unit}=ITS_NAME."
+            )
+        if not amplitude.lower <= half <= amplitude.upper:
+            looks = f", such as --column {unit_of(channel, half)}=ITS_NAME" if half > amplitude.upper else ""
             raise InputError(
                 f"Column {channel} of {name} swings by +-{half:.3g} V, beyond the bounds of its amplitude "
-                f"{amplitude.name} ({amplitude.lower:g} to {amplitude.upper:g} V): check its unit, or give "
-                "lower, upper and nominal of amplitudes and offsets of that size in a machine file."
+                f"{amplitude.name} ({amplitude.lower:g} to {amplitude.upper:g} V): check its unit{looks}, or "
+                "give lower, upper and nominal of amplitudes and offsets of that size in a machine file."
             )
 
 
-def _other_scale(name: str, column: str, many: str, factor: float) -> InputError:
+def unit_of(channel: str, half: float) -> str:
+    """Return the column's name in mV or uV, as its swing would have it."""
+    return channel.rpartition("_")[0] + ("_mv" if half < 20 * MILLI else "_uv")
+
+
+def _turns(many: float) -> str:
+    return f"{many:g} turns" if many > 1 else f"1/{1 / many:.0f} of a turn"
+
+
+def _other_scale(name: str, column: str, many: str, factor: float, log: Any) -> InputError:
+    counts = any(log.table.counts_per_turn(c) for c in log.columns)
+    unit = "its counts per turn" if counts else "its unit"
     return InputError(
         f"In {name} the encoder makes {many} while {column} makes one; both must be angles of one shaft: "
-        f"scale the reference by {factor:.6g} in a column file, or check its unit."
+        f"scale the reference by {factor:.6g} in a column file, or check {unit}."
     )
 
 
-def _unit(seen: Seen, model: Model) -> tuple[str, str] | None:
+def _unit(found: Cause | None, model: Model) -> tuple[str, str] | None:
     """Which column looks like another unit than its name says, and what to do."""
-    (column,), spans = model.references, seen.spans
-    for (mine, theirs, _), total in sorted(seen.units.items(), key=lambda entry: -abs(entry[1])):
-        if abs(total) < TOGETHER * seen.tried:
-            return None
-        if min(mine * spans[0], theirs * spans[1]) < np.radians(360.0 - GAP_REFUSE):
-            continue  # all angles are near each other then
-        pairs = ((model.channels[0], mine), (column, theirs))
-        other = [(c, UNITS[factor]) for c, factor in pairs if UNITS[factor]]
-        if other:
-            looks = " and ".join(f"{c} were in {unit}" for c, unit in other)
-            return (
-                f"Column {other[0][0]}",
-                f"seems to be in another unit: the encoder would follow its reference if {looks}; say so by "
-                "the ending of the name, _deg or _rad, in the file or with --column.",
-            )
-    return None
+    if not found or not (found.angle or found.reference):
+        return None
+    pairs = ((model.channels[0], found.angle), (model.references[0], found.reference))
+    other = [(c, unit) for c, unit in pairs if unit]
+    (first, unit), stem = other[0], other[0][0].rpartition("_")[0]
+    looks = " and ".join(f"{c} were in {WORDS.get(u, u)}" for c, u in other)
+    return (
+        f"Column {first}",
+        f"seems to be in another unit: the encoder would follow its reference if {looks}; say so by the "
+        f"ending of the name, in the file or with --column {stem}_{unit}=ITS_NAME.",
+    )
 
 
 def _dead(seen: Seen, model: Model) -> tuple[str, str] | None:
@@ -170,12 +232,11 @@ def _dead(seen: Seen, model: Model) -> tuple[str, str] | None:
     )
 
 
-def _scale(seen: Seen, least: float) -> float:
+def _scale(seen: Seen, sign: float, least: float) -> float:
     """Turns more that the encoder makes per turn of the reference; 0 where none are seen or they do no harm.
 
-    `least`: drift [deg] over the longest run that counts.
+    `least`: drift [deg] over the longest run that counts. `sign`: -1 where the encoder turns against it.
     """
-    sign = 1.0 if abs(seen.follows[1.0]) >= abs(seen.follows[-1.0]) else -1.0
     line = seen.lines[sign].found()
     clear = line.share > SURE and line.longest > TURNS * 2 * np.pi and line.left < MOST_LEFT
     drift = abs(line.slope) * line.longest
@@ -207,11 +268,20 @@ def _homed(seen: Seen, column: str, sign: float, own: bool) -> list[str]:
     far = max(zeros, key=lambda run: abs(zeros[run]))
     if abs(zeros[far]) < max(CLEARLY * spread, np.radians(LEAST_ZERO)):
         return []
-    most = np.degrees(abs(zeros[far]))
+    most, half = np.degrees(abs(zeros[far])), _half_turn(seen, sign)
     return [
-        f"The zero of {column} differs between runs, by {most:.3g} deg in run {far} beside run {first}. If "
-        "it was homed anew, --effect zero_deviation gives each run its own; latency makes differences too."
+        f"The zero of {column} differs between runs, by {most:.3g} deg in run {far} beside run {first}. "
+        f"{half}If it was homed anew, --effect zero_deviation gives each run its own; latency "
+        "makes differences too."
     ]
+
+
+def _half_turn(seen: Seen, sign: float) -> str:
+    """Say which run is half a turn off the first one, as an encoder of inverted readings is."""
+    first, *others = ((run, np.angle(own[sign])) for run, own in seen.runs.items())
+    apart = {run: np.pi - abs(np.angle(np.exp(1j * (zero - first[1])))) for run, zero in others}
+    off = [run for run, left in apart.items() if left < ALIKE]
+    return f"In run {off[0]} it is half a turn: are both voltages inverted there? " if off else ""
 
 
 def _gap(bins: np.ndarray) -> float:

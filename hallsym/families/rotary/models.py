@@ -148,6 +148,7 @@ def _encoder(
             f"{', '.join(channels) or 'nothing'}."
         )
     decoded = channels == ANGLE
+    amplitudes = tuple(p.name for p in parameters if p.name in ("A", "Ax", "Ay"))
     return Model(
         name=name,
         family=FAMILY,
@@ -165,6 +166,7 @@ def _encoder(
         layout=outputs,
         closed_form=closed_form,
         period=dict.fromkeys((*POSE, *REFERENCES, "zero"), TURN),
+        amplitudes=() if decoded else amplitudes,
         begin=(lambda v, p: v[0] - p["zero"]) if decoded else begin,
         typical=tuple((k * TURN / 16,) for k in range(16)),
         inspect=inspect,

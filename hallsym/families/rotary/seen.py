@@ -9,13 +9,6 @@ from hallsym.model import Model
 
 BINS = 72
 """Sectors of a turn that are looked at: 5 deg each."""
-RATIOS = tuple(range(2, 13))
-"""Other counts of turns that are tried: pole pairs and gears."""
-DEGREES = np.pi / 180
-UNITS = {1.0: "", DEGREES: "degrees", 1 / DEGREES: "rad"}
-"""Factor that would put right an angle whose unit is not the one that is said -> what it looks like."""
-THIN = 4096
-"""Samples of a block that units are tried on, at least."""
 RARE, BESIDE = 0.1, 0.1
 """Wraps per step, at most, and how far from whole turns they are [rad] at least, to say so."""
 MANY = 65536
@@ -152,15 +145,13 @@ class Jumps:
 
 @dataclass
 class Seen:
-    """Sums over a log. `follows[k]`: of exp(i (angle - k reference)); 1/k stands for k angle - reference."""
+    """Sums over a log. `runs[r][k]`: of exp(i (angle - k reference)) in run r, k = 1, and -1: against it."""
 
     samples: int = 0
-    follows: dict[float, complex] = field(default_factory=dict)
-    units: dict[tuple[float, float, float], complex] = field(default_factory=dict)
-    tried: int = 0
-    """Samples that units were tried on."""
     runs: dict[int, dict[float, complex]] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
+    some: Some = field(default_factory=lambda: Some(np.empty((3, 0))))
+    """Run, angle and reference of some samples."""
     reference: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
     angle: np.ndarray = field(default_factory=lambda: np.zeros(BINS, dtype=bool))
     up: float = 0.0
@@ -173,21 +164,16 @@ class Seen:
     """Of angle and reference."""
     scales: list[tuple[float, float]] = field(default_factory=list)
     """Middle and half of the extent of each voltage [V]."""
-    low: list[float] = field(default_factory=lambda: [np.inf, np.inf])
-    high: list[float] = field(default_factory=lambda: [-np.inf, -np.inf])
 
     def add(self, run: int, angle: np.ndarray, reference: np.ndarray) -> None:
         """Take a block of a run, (n,) each [rad]."""
         self.samples += len(angle)
         self.counts[run] = self.counts.get(run, 0) + len(angle)
+        self.some.add(np.array([np.full(len(angle), run), angle, reference]))
         own = self.runs.setdefault(run, {})
         for k, line in self.lines.items():
             own[k] = own.get(k, 0j) + np.exp(1j * (angle - k * reference)).sum()
             line.add(run, angle, reference, k)
-        for k in (1, -1, *RATIOS, *(-k for k in RATIOS)):
-            self._follow(float(k), angle - k * reference)
-            if abs(k) > 1:
-                self._follow(1.0 / k, k * angle - reference)
         for bins, values in ((self.reference, reference), (self.angle, angle)):
             bins[(np.mod(values, 2 * np.pi) / (2 * np.pi) * BINS).astype(int) % BINS] = True
         for jumps, values in zip(self.jumps, (angle, reference), strict=True):
@@ -197,34 +183,14 @@ class Seen:
         self.up += float(moved[moved > 0].sum())
         self.down -= float(moved[moved < 0].sum())
 
-    def try_units(self, angle: np.ndarray, reference: np.ndarray, *, read: bool) -> None:
-        """Take a block as if units were others: the reference's, and that of an angle that is `read`."""
-        for k, values in enumerate((angle, reference)):
-            if len(values):
-                self.low[k] = min(self.low[k], float(values.min()))
-                self.high[k] = max(self.high[k], float(values.max()))
-        every = slice(None, None, max(1, len(angle) // THIN))
-        angle, reference = angle[every], reference[every]
-        self.tried += len(angle)
-        for mine in UNITS if read else (1.0,):
-            for theirs in UNITS:
-                for sign in (1.0, -1.0):
-                    key = mine, theirs, sign
-                    total = np.exp(1j * (mine * angle - sign * theirs * reference)).sum()
-                    self.units[key] = self.units.get(key, 0j) + total
+    def follows(self, k: float, *, each: bool) -> float:
+        """Return the length of the mean of exp(i (angle - k reference)), of runs by themselves or of all."""
+        sums = [own[k] for own in self.runs.values()]
+        return float(sum(map(abs, sums)) if each else abs(sum(sums))) / max(self.samples, 1)
 
-    def _follow(self, k: float, difference: np.ndarray) -> None:
-        self.follows[k] = self.follows.get(k, 0j) + np.exp(1j * difference).sum()
-
-    @property
-    def spans(self) -> tuple[float, float]:
-        """Extent of the values of angle and reference [rad, if that is their unit]."""
-        return self.high[0] - self.low[0], self.high[1] - self.low[1]
-
-    @property
-    def together(self) -> float:
-        """Length of the mean of exp(i (angle - reference)), each run by itself; the better direction."""
-        return max(sum(abs(own[k]) for own in self.runs.values()) for k in (1.0, -1.0)) / max(self.samples, 1)
+    def length(self, run: int, k: float) -> float:
+        """Return that of one run."""
+        return abs(self.runs[run][k]) / max(self.counts[run], 1)
 
 
 def seen_of(model: Model, log: Any) -> Seen:
@@ -242,7 +208,6 @@ def seen_of(model: Model, log: Any) -> Seen:
         else:
             angle = values[0]
         seen.add(block.run, angle, reference)
-        seen.try_units(angle, reference, read=not scales)
     return seen
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.families import published
+from hallsym.families.stage.ties import ORIGIN, vertical_ties
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
 
@@ -158,7 +159,8 @@ def vertical_coupling(model: Model) -> Model:
         ]
         s["gain"] = s["gain"] + ca.vertcat(*rows)
 
-    return model.with_step("transducer", step, effect="vertical_coupling", parameters=parameters)
+    wider = model.with_step("transducer", step, effect="vertical_coupling", parameters=parameters)
+    return replace(wider, ties=vertical_ties(model))
 
 
 @effect(link="transducer", diagnosed=False, unless=("vertical_coupling",))
@@ -176,8 +178,8 @@ def tied_vertical_coupling(model: Model) -> Model:
         for p in model.layout
     )
     point = (
-        Parameter("x0", 0.0, -0.5, 0.5, "m", "x of the point where Z is measured"),
-        Parameter("y0", 0.0, -0.5, 0.5, "m", "y of the point where Z is measured"),
+        Parameter("x0", 0.0, *ORIGIN, "m", "x of the point where Z is measured"),
+        Parameter("y0", 0.0, *ORIGIN, "m", "y of the point where Z is measured"),
     )
 
     def step(s: Signals, p: Mapping[str, ca.SX]) -> None:
@@ -188,7 +190,8 @@ def tied_vertical_coupling(model: Model) -> Model:
             rows.append(p[f"a_{probe.label}"] * lift)
         s["gain"] = s["gain"] + ca.vertcat(*rows)
 
-    return model.with_step("transducer", step, effect="tied_vertical_coupling", parameters=slopes + point)
+    wider = model.with_step("transducer", step, effect="tied_vertical_coupling", parameters=slopes + point)
+    return replace(wider, ties=vertical_ties(model))
 
 
 @effect(link="mechanics", diagnosed=False)

@@ -9,11 +9,18 @@ from hallsym.errors import InputError
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.drop import Drop, without
-from hallsym.log.quality import findings
+from hallsym.log.quality.clock import ticks, time
+from hallsym.log.quality.copies import copied
 from hallsym.log.quality.findings import Finding
+from hallsym.log.quality.frozen import held
+from hallsym.log.quality.levels import dead, few_levels, stale
+from hallsym.log.quality.missing import finite
+from hallsym.log.quality.rails import saturated
+from hallsym.log.quality.runs import short_runs
+from hallsym.log.quality.scales import clock_unit, counts, speeds, units
 from hallsym.log.quality.scan import Scan, Spans, scan
 
-_PASSES = 4
+_PASSES = 6
 
 
 def check_log(log: Log, required: Sequence[str] = (), *, drop_bad: bool = False) -> list[str]:
@@ -22,36 +29,58 @@ def check_log(log: Log, required: Sequence[str] = (), *, drop_bad: bool = False)
     `required` names the columns that will be used (none: all of them); only these are judged. With `drop_bad`
     samples and runs that can be left out are no reason to refuse; `clean_log` returns the log without them.
     """
-    return list(clean_log(log, required).notes) if drop_bad else [*log.notes, *_notes(log, required)]
+    if drop_bad:
+        return usable(log, required, drop_bad=True)[1]
+    found = list(_judge(log, required))
+    for finding in found:
+        if finding.refuse:
+            raise InputError(finding.sentence)
+    return [*log.notes, *(finding.sentence for finding in found)]
 
 
 def clean_log(log: Log, required: Sequence[str] = (), *, rails: bool = True) -> Log:
     """Return the log without its bad samples and runs; its `notes` say what was left out.
 
-    Left out: samples with NaN or infinity, with time that does not advance, at a level where a reading is
-    saturated (unless not `rails`), runs that are too short or in which a reading is dead. A log that streams
-    goes on streaming.
+    Left out: samples with NaN or infinity, with time that does not advance, on a rail (unless not `rails`),
+    of a column that is frozen, copies of others, runs that are too short or in which a reading is dead.
+    A log that streams goes on streaming.
     """
-    dropped: list[str] = []
+    log, notes = usable(log, required, drop_bad=True, rails=rails)
+    return replace(log, notes=tuple(notes))
+
+
+def usable(
+    log: Log, required: Sequence[str] = (), *, drop_bad: bool = False, rails: bool = True
+) -> tuple[Log, list[str]]:
+    """Return the log to compute from, and what is worth knowing about it; refuse one that cannot be used.
+
+    A few samples on a rail or in a frozen stretch are left out unasked; the log itself is returned where
+    nothing is. With `drop_bad` everything that can be left out is no reason to refuse. Without `rails`
+    samples on a rail are kept: for what explains them.
+    """
+    notes, began = list(log.notes), log
     for _ in range(_PASSES):
-        notes, drop = [], Drop()
-        for finding in _judge(log, required):
-            if finding.drop and finding.drop.levels and not rails:
-                notes.append(f"{finding.text}.")
-            elif finding.refuse and finding.drop:
+        told, drop = [], Drop()
+        for finding in _judge(log, required, thinned=log is not began):
+            on_rails = finding.drop is not None and bool(finding.drop.between)
+            leave_out = finding.drop is not None and not (on_rails and not rails)
+            if finding.refuse and not drop_bad and not (on_rails and not rails):
+                raise InputError(finding.sentence)
+            if leave_out and finding.drop:
                 drop |= finding.drop
-                dropped.append(f"{finding.text}; left out.")
-            elif finding.refuse and not finding.bear:
-                before = f" ({dropped[-1][:-1]})" if dropped else ""
-                raise InputError(f"{finding.sentence[:-1]}{before}.")
+                notes.append(finding.left_out)
+            elif finding.refuse and not finding.bear and not on_rails:
+                raise InputError(_after(finding, notes[len(log.notes) :]))
             else:
-                notes.append(f"{finding.text}.")
+                told.append(finding.borne if finding.refuse else finding.sentence)
         if not drop:
             break
         log = without(log, drop)
         if log.rows == 0:
-            raise InputError(f"Nothing is left of {log.name} without its bad samples ({dropped[-1][:-1]}).")
-    return replace(log, notes=(*log.notes, *dropped, *notes))
+            raise InputError(f"Nothing is left of {log.name} without its bad samples ({notes[-1][:-1]}).")
+        if not drop_bad:
+            break
+    return log, [*notes, *told]
 
 
 def spans(log: Log, columns: Sequence[str] | None = None) -> Spans:
@@ -59,15 +88,16 @@ def spans(log: Log, columns: Sequence[str] | None = None) -> Spans:
     return scan(log, log.columns if columns is None else columns).spans()
 
 
-def _notes(log: Log, required: Sequence[str]) -> Iterator[str]:
-    for finding in _judge(log, required):
-        if finding.refuse:
-            raise InputError(finding.sentence)
-        yield finding.sentence
+def _after(finding: Finding, dropped: Sequence[str]) -> str:
+    before = f" ({dropped[-1][:-1]})" if dropped else ""
+    return f"{finding.sentence[:-1]}{before}."
 
 
-def _judge(log: Log, required: Sequence[str]) -> Iterator[Finding]:
-    """Yield findings in the order in which to put them right; a later one may be due to an earlier."""
+def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Iterator[Finding]:
+    """Yield findings in the order in which to put them right; a later one may be due to an earlier.
+
+    `thinned`: samples were left out of the log already, which are no missing ticks.
+    """
     log.table.require(required)
     columns = tuple(required) or log.columns
     if "t_s" in log.columns:
@@ -76,9 +106,9 @@ def _judge(log: Log, required: Sequence[str]) -> Iterator[Finding]:
     if seen.rows == 0:
         raise InputError(f"Log {log.name} has no samples; record it again.")
     rounds: tuple[Callable[[], Iterator[Finding]], ...] = (
-        lambda: findings.finite(log, seen, required),
-        lambda: findings.time(log, seen),
-        lambda: findings.short_runs(log, seen),
+        lambda: finite(log, seen, required),
+        lambda: _clock(log, seen, thinned),
+        lambda: short_runs(log, seen),
         lambda: _values(log, seen),
     )
     for judge in rounds:
@@ -90,10 +120,25 @@ def _judge(log: Log, required: Sequence[str]) -> Iterator[Finding]:
             return
 
 
+def _clock(log: Log, seen: Scan, thinned: bool) -> Iterator[Finding]:
+    if seen.clock is not None:
+        yield from time(log, seen.clock)
+        yield from clock_unit(log, seen)
+        if not thinned:
+            yield from ticks(log, seen.clock)
+
+
 def _values(log: Log, seen: Scan) -> Iterator[Finding]:
     spans = seen.spans()
-    yield from findings.units(log, spans)
-    yield from findings.counts(log, spans)
-    yield from findings.dead(log, seen, spans)
-    yield from findings.saturated(log, seen)
-    yield from findings.stale(log, seen, spans)
+    yield from units(log, spans)
+    yield from speeds(log, seen, spans)
+    yield from counts(log, spans)
+    yield from dead(log, seen, spans)
+    yield from copied(log, seen, spans)
+    rails = Drop()
+    for finding in saturated(log, seen):
+        yield finding
+        rails |= finding.drop or Drop()
+    yield from held(log, seen, spans, rails)
+    yield from few_levels(log, seen, spans)
+    yield from stale(log, seen, spans, rails)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from hallsym.log.clock import Clock
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log, RunOrder
 from hallsym.log.limits import is_moving, is_reading
+from hallsym.log.quality.clock import Clock
+from hallsym.log.quality.marks import Marks
+from hallsym.log.quality.sample import Sample
 from hallsym.log.table import CHUNK_ROWS, Piece
 from hallsym.units import Array
 
@@ -39,10 +42,15 @@ class Spans:
 
 @dataclass
 class Trace:
-    """What one pass saw of one column. `parts` holds arrays (segments, 4): min, max, sum, sum of squares."""
+    """What one pass saw of one column.
+
+    `parts` holds arrays (segments, 4): min, max, sum, sum of squares; `sums` arrays (segments,) of what the
+    samples' bits come to, whatever pieces they came in: equal for runs that hold the same samples.
+    """
 
     pivot: float | None = None
     parts: list[Array] = field(default_factory=list)
+    sums: list[Array] = field(default_factory=list)
     nonfinite: int = 0
     first_nonfinite: int = -1
     repeats: int = 0
@@ -86,6 +94,10 @@ class Trace:
             four = two[2:] & two[:-2]
             self.held = bool((four[3:] & four[:-3]).any())
 
+    def summed(self, values: Array, starts: Array, places: Array) -> None:
+        """Sum the bits of the samples times their `places` in the run, which is exact in any order."""
+        self.sums.append(np.add.reduceat(values.view(np.uint64) * places, starts))
+
     def bad(self, values: Array, row: int) -> None:
         """Count NaN and infinity."""
         wrong = ~np.isfinite(values)
@@ -100,6 +112,8 @@ class Scan:
 
     traces: dict[str, Trace]
     clock: Clock | None
+    sample: Sample
+    marks: Marks
     segments: list[tuple[int, int]] = field(default_factory=list)
     rows: int = 0
 
@@ -111,6 +125,19 @@ class Scan:
             counts[run] = counts.get(run, 0) + n
         return counts
 
+    def bit_sums(self, column: str) -> list[int]:
+        """Return what the bits of a column come to in each run, modulo 2^64; [] where it is not finite."""
+        trace = self.traces[column]
+        if trace.nonfinite or not trace.sums:
+            return []
+        return np.add.reduceat(np.concatenate(trace.sums), self.starts).tolist()
+
+    @cached_property
+    def starts(self) -> Array:
+        """The first segment of each run, at the end of the pass."""
+        runs = np.array([run for run, _ in self.segments])
+        return np.flatnonzero(np.r_[True, runs[1:] != runs[:-1]]) if len(runs) else np.empty(0, int)
+
     def run_of(self, row: int) -> int:
         """Return the run that a row belongs to."""
         ends = np.cumsum([n for _, n in self.segments])
@@ -120,7 +147,7 @@ class Scan:
         """Return extents overall and per run; a column with NaN or infinity has none."""
         runs = np.array([run for run, _ in self.segments])
         counts = np.array([n for _, n in self.segments], float)
-        starts = np.flatnonzero(np.r_[True, runs[1:] != runs[:-1]]) if len(runs) else np.empty(0, int)
+        starts = self.starts
         overall: dict[str, Span] = {}
         per_run: dict[int, dict[str, Span]] = {int(run): {} for run in runs[starts]}
         for name, trace in self.traces.items():
@@ -138,22 +165,41 @@ class Scan:
 def scan(log: Log, columns: Sequence[str]) -> Scan:
     """Read the columns once and return what was seen; `run` and `t_s` are included where the log has them."""
     clock = Clock() if "t_s" in log.columns and "t_s" in columns else None
-    result = Scan({name: Trace() for name in columns if name != RUN}, clock)
+    own = tuple(name for name in columns if name != RUN)
+    moving = tuple(filter(is_moving, own))
+    result = Scan({name: Trace() for name in own}, clock, Sample(moving), Marks(moving))
     order = RunOrder(log.name)
     scratch = np.empty(_CACHE_ROWS)
     for piece in _small_pieces(log, columns):
         found = order.segments(piece[RUN])
         starts = np.array([start for _, start, _ in found])
+        places = _places(found, result.segments)
         result.segments += [(run, stop - start) for run, start, stop in found]
         for name, trace in result.traces.items():
-            _observe(name, trace, piece[name], starts, result.rows, scratch)
+            _observe(name, trace, piece[name], starts, places, result.rows, scratch)
         if clock is not None:
             clock.add(piece["t_s"], found, result.rows)
+        result.sample.add(piece, result.rows)
+        result.marks.add(piece, result.rows)
         result.rows += len(piece[RUN])
     return result
 
 
-def _observe(name: str, trace: Trace, values: Array, starts: Array, row: int, scratch: Array) -> None:
+def _places(found: list[tuple[int, int, int]], before: list[tuple[int, int]]) -> Array:
+    """Return the places of a piece's samples in their runs as odd numbers; `before`: segments so far."""
+    first = 0
+    for run, n in reversed(before):
+        if run != found[0][0]:
+            break
+        first += n
+    parts = [np.arange(stop - start, dtype=np.uint64) for _, start, stop in found]
+    parts[0] = parts[0] + np.uint64(first)
+    return np.uint64(2) * np.concatenate(parts) + np.uint64(1)
+
+
+def _observe(
+    name: str, trace: Trace, values: Array, starts: Array, places: Array, row: int, scratch: Array
+) -> None:
     if not trace.statistics(values, starts, scratch):
         trace.bad(values, row)
         return
@@ -161,6 +207,7 @@ def _observe(name: str, trace: Trace, values: Array, starts: Array, row: int, sc
         trace.extremes(values)
     if is_moving(name):
         trace.repeated(values)
+        trace.summed(values, starts, places)
 
 
 def _small_pieces(log: Log, columns: Sequence[str]) -> Iterator[Piece]:

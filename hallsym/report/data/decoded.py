@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from hallsym.estimation import Fit, columns_of, decoder
+from hallsym.estimation import Fit, columns_of, decoder_near, nominal_variance
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
-from hallsym.log.phase import designed, near
+from hallsym.log.phase import designed
 
 
 class Decoder:
@@ -21,7 +21,9 @@ class Decoder:
         """Compile the decoder of the fit's model."""
         self.fit, self.model = fit, fit.model
         self._nominal = designed(fit.model, fit.values)
-        self._run = decoder(fit.model, np.array([fit.noise[c].value ** 2 for c in fit.model.channels]))
+        variance = np.array([fit.noise[c].value ** 2 for c in fit.model.channels])
+        self._decode_nominal = decoder_near(fit.model, nominal_variance(fit.model, variance))
+        self._decode = decoder_near(fit.model, variance)
 
     def zeros(self, run: int, first_state: np.ndarray) -> np.ndarray:
         """Return the displacements delta / phi(0) of one run, Eq. (31)."""
@@ -32,17 +34,19 @@ class Decoder:
 
     def nominal(self, block: Block) -> np.ndarray:
         """Return the pose by the nominal parameters, without zero deviations."""
-        return self._pose(block, self._nominal, np.zeros(len(self.model.zeros)))
+        return self._pose(self._decode_nominal, block, self._nominal, np.zeros(len(self.model.zeros)))
 
     def fitted(self, block: Block, zeros: np.ndarray) -> np.ndarray:
         """Return the pose by the fitted parameters; `zeros` of the block's run."""
-        return self._pose(block, self.fit.values, zeros)
+        return self._pose(self._decode, block, self.fit.values, zeros)
 
-    def _pose(self, block: Block, p: np.ndarray, zeros: np.ndarray) -> np.ndarray:
+    def _pose(
+        self, decode: Callable[..., np.ndarray], block: Block, p: np.ndarray, zeros: np.ndarray
+    ) -> np.ndarray:
         model = self.model
         readings, state = ([block.data[c] for c in names] for names in (model.channels, model.state))
         reference = np.array([block.data[c] for c in model.references])
-        return near(model, self._run(p, zeros, readings, state), reference)
+        return decode(p, zeros, readings, state, reference)
 
 
 @dataclass(frozen=True, eq=False)

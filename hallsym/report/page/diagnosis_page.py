@@ -66,10 +66,10 @@ def _input(d: Diagnosis) -> Markup:
             ("log", tag("code", d.log.path or "a log in memory")),
             (
                 "samples",
-                f"{d.log.rows} in {d.log.runs} runs" if d.log.rows else None,
+                f"{d.log.rows} in {d.log.runs} {d.held_out.rpartition(' ')[2]}s" if d.log.rows else None,
             ),
             ("model", d.model),
-            ("holdout runs", f"{len(d.validation_runs)} ({parts.numbers(d.validation_runs)}), {judging}"),
+            (f"{d.held_out}s", f"{len(d.validation_runs)} ({parts.numbers(d.validation_runs)}), {judging}"),
             ("noise floor", f"{parts.each(d.noise_floor.outputs)}; {d.noise_floor.source}"),
             ("worth reporting", f"a decrease of the gap by at least {100 * d.threshold:g} %"),
         ]

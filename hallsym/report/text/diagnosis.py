@@ -52,8 +52,12 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     for s in d.separate_by:
         parts += ["", separation_text(s)]
     above = "where the excess over the noise lies" if d.verdict == "no gap" else "where the gap lies"
-    parts += _statements(above, d.where)
-    parts += _statements("where the unexplained rest lies", d.remaining) if d.remaining != d.where else []
+    parts += _statements(above, d.where, d.held_out)
+    parts += (
+        _statements("where the unexplained rest lies", d.remaining, d.held_out)
+        if d.remaining != d.where
+        else []
+    )
     parts += _curve(d.unexplained)
     if d.smaller_findings:
         parts += [
@@ -80,7 +84,7 @@ def _wrapped(text: str, indent: str = "") -> str:
 def _basis(d: Diagnosis) -> str:
     return (
         f"verdict: {d.verdict}. Model {d.model}; errors are on "
-        f"{counted(len(d.validation_runs), 'holdout run')}, which took part in neither the fit nor the "
+        f"{counted(len(d.validation_runs), d.held_out)}, which took part in neither the fit nor the "
         f"choice of effects; a decrease of {100 * d.threshold:g} % is worth reporting; the noise floor is "
         f"{d.noise_floor.source}; {d.seconds:.1f} s."
     )
@@ -186,14 +190,15 @@ def separation_text(s: Separation) -> str:
     return _wrapped(f"{text}{none} Record {s.recording}.{more}", "  ")
 
 
-def _statements(title: str, statements: tuple[Statement, ...]) -> list[str]:
+def _statements(title: str, statements: tuple[Statement, ...], held_out: str) -> list[str]:
     if not statements:
         return []
-    return ["", f"{title}:", *(_wrapped(f"  {_statement(s)}", "    ") for s in statements[:MOST])]
+    shown = (_statement(s, held_out) for s in statements[:MOST])
+    return ["", f"{title}:", *(_wrapped(f"  {text}", "    ") for text in shown)]
 
 
-def _statement(s: Statement) -> str:
-    held = "" if s.held_out is None else f"; holdout runs {100 * max(s.held_out, 0.0):.0f} %"
+def _statement(s: Statement, held_out: str) -> str:
+    held = "" if s.held_out is None else f"; {held_out}s {100 * max(s.held_out, 0.0):.0f} %"
     p = p_text(s.p_value)
     return f"{s.text} (p {p if s.p_value < LEAST_P else f'= {p}'}{held})"
 

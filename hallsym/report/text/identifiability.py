@@ -21,10 +21,10 @@ from hallsym.units import parameter_unit, readable
 def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     """Return the report; `zeros`: list the zero deviation of every run too."""
     cost = report.evidence.cost
-    what = "will determine" if cost.planned else "determine"
-    runs = len(cost.summary.runs)
+    runs, recorded = len(cost.summary.runs), report.evidence.recorded
+    what = "will determine" if cost.planned else "determine" if runs > 1 else "determines"
     parts = [
-        f"{report.model.name}: what {runs} runs of {report.evidence.recorded} {what}",
+        f"{report.model.name}: what {f'{runs} runs of ' if runs > 1 else ''}{recorded} {what}",
         "",
         parameters_text(report.parameters, {p.name: p.meaning for p in report.model.parameters}),
     ]
@@ -65,7 +65,7 @@ def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
         return ""
     digits = max(1, 2 - int(np.floor(np.log10(max(entry.std * factor, 1e-300)))))
     ends = (f"{v * factor:.{min(digits, 9)}f}" for v in (entry.interval.low, entry.interval.high))
-    mark = {"normal": "", "profile": " p", "block bootstrap": " b"}[entry.interval.how]
+    mark = {"normal": "", "student": " t", "profile": " p", "block bootstrap": " b"}[entry.interval.how]
     return " .. ".join(ends) + mark
 
 

@@ -1,12 +1,19 @@
-"""Judges the time column along one pass: running backwards, standing still, and missing ticks."""
+"""The time column along one pass: running backwards, standing still, and missing ticks."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from hallsym.log.core import Log
+from hallsym.log.drop import Drop
+from hallsym.log.quality.findings import Finding, the
 from hallsym.units import Array
+
+_MISSING_REFUSE = 0.02
+"""Share of missing ticks from which a log is refused: below, a logger was late now and then."""
 
 _LATE = 1.8  # a step longer than this many ticks means that samples are missing
 
@@ -73,3 +80,28 @@ class Clock:
         if self.first_missing is None:
             i = int(late[0])
             self.first_missing = (row + i, run, float(t[i] - step[i]), float(step[i]))
+
+
+def time(log: Log, clock: Clock) -> Iterator[Finding]:
+    """Time that runs backwards or repeats."""
+    if clock.first_backward:
+        row, run, t, step = clock.first_backward
+        how = "repeats" if step == 0 else "runs backwards"
+        yield Finding(
+            f"{the(log, 't_s')} must increase within a run; it {how} {clock.backward} times, first in row"
+            f" {row + 1} (run {run}) at {t:.6g} s",
+            True, Drop(forward=True), remedy="sort the samples by time or number the runs",
+        )  # fmt: skip
+
+
+def ticks(log: Log, clock: Clock) -> Iterator[Finding]:
+    """Samples that are missing."""
+    if clock.first_missing and not clock.first_backward:
+        row, run, t, step = clock.first_missing
+        share = clock.missing / max(1, clock.missing + clock.steps)
+        refuse = share > _MISSING_REFUSE
+        yield Finding(
+            f"{the(log, 't_s')} misses {clock.missing} ticks ({share:.2%}), first after {t:.6g} s in row"
+            f" {row + 1} (run {run}), a step of {step:.4g} s",
+            refuse, bear=True, remedy="number the stretches around a pause as runs" if refuse else "",
+        )  # fmt: skip

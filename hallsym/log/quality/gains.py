@@ -1,0 +1,229 @@
+"""Units, signs and order of columns, in a log and in single runs, by what readings answer to references."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hallsym.log.quality.explain import BEYOND, Explanation, Slopes, Units, explanations, widened
+from hallsym.log.quality.findings import Finding
+from hallsym.log.quality.responses import Responses
+from hallsym.log.quality.units import option, other_units
+from hallsym.model import Model
+from hallsym.model.response import Response, response_of
+
+VARIES = 0.2
+"""Share of the largest slope of a reference by which slopes of one run may differ from those of the others:
+height, tilts and temperature move gains that far."""
+ALIEN, USUAL = 0.5, 0.1
+"""Share of a reading's variance that its reference leaves: in a run to which it does not belong, and in the
+others at most for that to say anything."""
+WEAK = 0.1
+"""Share of the variance of a run's strongest reading below which a channel hears too little to judge."""
+OFF = 0.05
+"""Share of the variance of a run's strongest reading that slopes of the other runs must leave: an effect
+moves slopes of what is hardly heard."""
+NAMED, OPTIONS = 3, 2
+"""Runs and options that a sentence names."""
+LONGEST = 300
+"""Characters of a sentence."""
+SEARCHED = 6
+"""Runs for which everything is tried, at most; further ones are compared with what was found there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Findings on a log, and the columns that explain slopes of the whole log, the best explanation first."""
+
+    findings: tuple[Finding, ...] = ()
+    whole: tuple[Explanation, ...] = ()
+
+
+def judge_gains(log: Any, seen: Responses, holdout: Collection[int] = ()) -> Judged:
+    """Judge what the readings of a log answered to its references; no run in `holdout` is a refusal."""
+    possible = response_of(seen.model)
+    if possible is None or not seen.moved.any():
+        return Judged()
+    if np.median(_worst(seen)) > ALIEN:  # slopes of what the references do not explain mean nothing
+        return Judged()
+    usual = _usual(seen, possible)
+    model = seen.model
+    if not usual.possible():
+        found = explanations(usual, model.references, model.channels, _units(log, model))
+        return Judged(tuple(_whole(log, model, found)), tuple(found))
+    return Judged(tuple(_by_run(log, seen, usual, holdout)))
+
+
+def _units(log: Any, model: Model) -> Units:
+    return {c: other_units(log.table, c) for c in (*model.references, *model.channels)}
+
+
+def _usual(seen: Responses, possible: Response) -> Slopes:
+    """Slopes of the whole log: the median over runs, of those that are possible if most are."""
+    low, high = widened(possible.lower, possible.upper, BEYOND)
+    told = np.broadcast_to(seen.moved[:, :, None], seen.slopes.shape)
+    good = told & (seen.slopes >= low) & (seen.slopes <= high)
+    kept = np.where(2 * good.sum(axis=0) >= told.sum(axis=0), good, told)
+    moved = np.asarray(seen.moved.any(axis=0))
+    slopes, std = _medians(seen.slopes, kept), _medians(seen.std, kept)
+    return Slopes(slopes, std, moved, possible.lower, possible.upper)
+
+
+def _medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Median over runs of the values that are kept; 0 where none is."""
+    ordered, count = np.sort(np.where(kept, values, np.inf), axis=0), kept.sum(axis=0)
+    middle = np.maximum(np.array([(count - 1) // 2, count // 2]), 0)
+    found = np.take_along_axis(ordered, middle, axis=0).mean(axis=0)
+    return np.where(count > 0, found, 0.0)
+
+
+# -- the whole log ---------------------------------------------------------------------------------------
+
+
+def _whole(log: Any, model: Model, found: Sequence[Explanation]) -> Iterator[Finding]:
+    if found:
+        text = "; or ".join(said(e) for e in found)
+        ways = dict.fromkeys(r for e in found for r in remedies(log, e))
+        yield sentence(f"In {log.name} {text} against the layout of {model.name}", ways)
+
+
+def sentence(text: str, ways: Iterable[str]) -> Finding:
+    """Return a refusal with as many remedies as one line holds."""
+    kept: list[str] = []
+    for way in ways:
+        if not kept or len(text) + len(", or ".join([*kept, way])) + 3 <= LONGEST:
+            kept.append(way)
+    return Finding(text, True, remedy=", or ".join(kept))
+
+
+def said(found: Explanation) -> str:
+    """Return what is wrong, in words: order, signs, units."""
+    parts: list[str] = []
+    for what, changes in (("columns", found.references), ("channels", found.channels)):
+        moved = [c.column for c in changes if c.source != c.column]
+        if moved:
+            parts.append(f"{what} {listed(moved)} look swapped")
+    flipped = [c.source for c in found.changes if c.sign < 0]
+    if flipped:
+        parts.append(f"the sign of {listed(flipped)} looks inverted")
+    for factor in dict.fromkeys(c.factor for c in found.changes if c.factor != 1):
+        columns = [c for c in found.changes if c.factor == factor]
+        for unit in dict.fromkeys(c.unit for c in columns):
+            names = [c.source for c in columns if c.unit == unit]
+            many = "s" if len(names) == 1 else ""
+            parts.append(
+                f"{listed(names)} look{many} like {unit}"
+                if unit
+                else f"{listed(names)} look{many} {1 / factor:.4g} times too small (converted twice?)"
+            )
+    return " and ".join(parts)
+
+
+def remedies(log: Any, found: Explanation) -> Iterator[str]:
+    """Yield what to do about an explanation."""
+    units = [option(log.table, c.source, c.unit) for c in found.changes if c.unit]
+    if units:
+        yield f"say {' '.join(units[:OPTIONS])}{' and so on' * (len(units) > OPTIONS)}"
+    if any(c.sign < 0 or c.source != c.column for c in found.references):
+        yield "state sign and order of columns in a column file"
+    if any(c.sign < 0 or c.source != c.column for c in found.channels):
+        yield "check the wiring, give the machine's probes in meta.json"
+        if found.only_channels and not units:
+            yield "resolve it with --resolve-wiring"
+
+
+# -- single runs -----------------------------------------------------------------------------------------
+
+
+def _by_run(log: Any, seen: Responses, usual: Slopes, holdout: Collection[int]) -> Iterator[Finding]:
+    """Runs whose slopes are not those of the others, each way of being wrong in one sentence."""
+    if len(seen.runs) < 2:
+        return
+    groups: dict[str, list[int]] = {}
+    known: list[tuple[Explanation, str]] = []
+    foreign, model, searched = _foreign(seen), seen.model, 0
+    strength = seen.signal / np.maximum(seen.signal.max(axis=1, keepdims=True), 1e-300)
+    off = (seen.misfit(usual.found) * strength).max(axis=1) > OFF
+    for r in np.flatnonzero(foreign | off):
+        near = _near(seen, usual, int(r))
+        if not foreign[r] and near.possible():
+            continue
+        text = ""
+        if not near.possible():
+            text = next((t for e, t in known if near.explained(e, model.references, model.channels)), "")
+        if not text and searched < SEARCHED and not near.possible():
+            searched += 1
+            found = explanations(near, model.references, model.channels, _units(log, model))
+            if found and found[0].simple:
+                text = "; or ".join(said(e) for e in found if e.simple)
+                known.append((found[0], text))
+        if not text:
+            text = "the references explain less than half of the readings: one of them is another run's"
+            text = text if foreign[r] else _odd(near, model)
+        groups.setdefault(text, []).append(seen.runs[r])
+    for text, runs in groups.items():
+        yield run_finding(log, runs, text, holdout)
+
+
+def run_finding(
+    log: Any, runs: Sequence[int], text: str, holdout: Collection[int], refuse: bool = True
+) -> Finding:
+    """Return what is wrong with runs: a refusal unless all of them are held out."""
+    them, used = "it" if len(runs) == 1 else "them", [run for run in runs if run not in holdout]
+    leave = f"leave {them} out with --holdout {','.join(map(str, used[:NAMED]))}"
+    remedy = f"correct {them}, or {leave}" if used else f"correct {them} before judging a fit by {them}"
+    whole, short = (f"In {few(runs)}{of} {text}, beside the other runs" for of in (f" of {log.name}", ""))
+    fits = len(whole) + len(remedy) + len(": .") <= LONGEST
+    return Finding(whole if fits else short, refuse and bool(used), remedy=remedy)
+
+
+def _near(seen: Responses, usual: Slopes, r: int) -> Slopes:
+    """Slopes of run r beside those of the others."""
+    room = VARIES * np.abs(usual.found).max(axis=1, keepdims=True)
+    return Slopes(seen.slopes[r], seen.std[r], seen.moved[r], usual.found - room, usual.found + room)
+
+
+def _odd(near: Slopes, model: Model) -> str:
+    """Return how slopes of a run are unlike those of the others."""
+    low, high = near.lower, near.upper
+    size = np.maximum(high - low, 1e-300)
+    off = np.where(near.moved[:, None], np.maximum(low - near.found, near.found - high) / size, -1.0)
+    j, k = np.unravel_index(int(off.argmax()), off.shape)
+    middle = 0.5 * (low + high)[j, k]
+    return (
+        f"{model.channels[k]} changes by {near.found[j, k]:.3g} per {model.references[j]} where {middle:.3g} "
+        "is usual: references, readings or machine of another run"
+    )
+
+
+def _foreign(seen: Responses) -> np.ndarray:
+    """Return which runs (runs,) have a reference that leaves most of a strong reading unexplained."""
+    worst = _worst(seen)
+    return np.asarray((worst > ALIEN) & (np.median(worst) < USUAL))
+
+
+def _worst(seen: Responses) -> np.ndarray:
+    """Return the largest share of a strong reading that is left unexplained, (runs,)."""
+    strong = (seen.signal > WEAK * seen.signal.max(axis=1, keepdims=True)) & (seen.signal > 1 / WEAK)
+    return np.asarray(np.where(strong, seen.unexplained, 0.0).max(axis=1))
+
+
+def few(runs: Sequence[int]) -> str:
+    """Return runs by number, the first of many.
+
+    >>> few([5]), few([3, 4]), few([1, 2, 3, 4, 5])
+    ('run 5', 'runs 3 and 4', 'runs 1, 2, 3 and 2 more')
+    """
+    if len(runs) == 1:
+        return f"run {runs[0]}"
+    if len(runs) <= NAMED:
+        return f"runs {listed(list(map(str, runs)))}"
+    return f"runs {', '.join(map(str, runs[:NAMED]))} and {len(runs) - NAMED} more"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names with commas and an and."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

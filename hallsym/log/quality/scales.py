@@ -1,0 +1,80 @@
+"""Values that no machine reaches: a unit that cannot be, counts beyond a turn, a clock in another unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from hallsym.log.core import Log
+from hallsym.log.limits import fastest, is_reading, is_reference, likely_unit, limit_of
+from hallsym.log.quality.findings import Finding, the
+from hallsym.log.quality.scan import Scan, Spans
+from hallsym.units import split_unit
+
+_LONGEST_TICK_S = 100.0
+
+
+def units(log: Log, spans: Spans) -> Iterator[Finding]:
+    """Columns that span more than their unit allows."""
+    for name, span in spans.overall.items():
+        limit = limit_of(name)
+        if limit is None:
+            continue
+        extent = span.max - span.min
+        unit = split_unit(name)[1]
+        symbol = unit.si if unit else ""
+        if extent > limit.span:
+            what = f"it spans {extent:.4g} {symbol}, more than {limit.what} ({limit.span:g} {symbol})"
+        elif span.max > limit.level:
+            what = f"it reaches {span.max:.4g} {symbol}, beyond {limit.level:g} {symbol}"
+        else:
+            continue
+        yield _unit(log, name, what, likely_unit(limit, extent))
+
+
+def clock_unit(log: Log, seen: Scan) -> Iterator[Finding]:
+    """A clock that ticks too slowly for a recording."""
+    tick = seen.clock.tick if seen.clock else 0.0
+    if tick > _LONGEST_TICK_S:
+        yield _unit(log, "t_s", f"its usual step is {tick:.4g} s", "ms" if tick < 1e4 else "us")
+
+
+def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
+    """A clock in which the references cross their range within a run faster than any machine."""
+    if "t_s" not in spans.overall:
+        return
+    for name in filter(is_reference, spans.overall):
+        limit, unit = fastest(name), split_unit(name)[1]
+        for run, columns in spans.runs.items():
+            lasts, covers = (columns[c].max - columns[c].min for c in ("t_s", name))
+            if unit and lasts > 0 and covers > limit * lasts:
+                yield _unit(
+                    log, "t_s", f"in run {run} {name} covers {covers:.3g} {unit.si} in {lasts:.3g} s",
+                    "s" if log.table.source_name("t_s") != "t_s" else None,
+                )  # fmt: skip
+                return
+
+
+def counts(log: Log, spans: Spans) -> Iterator[Finding]:
+    """Readings in counts beyond what a turn has."""
+    for name, span in spans.overall.items():
+        turn = log.table.counts_per_turn(name)
+        if turn is None or not is_reading(name):
+            continue
+        low, high = (value * turn / (2 * math.pi) for value in (span.min, span.max))
+        one_sided, signed = (
+            low >= -0.5 and high <= turn + 0.5,
+            -0.5 * turn - 0.5 <= low and high <= 0.5 * turn + 0.5,
+        )
+        if not one_sided and not signed:
+            yield Finding(
+                f"{the(log, name)} holds counts from {low:.6g} to {high:.6g} where a turn has {turn:.6g}",
+                True, remedy="check --counts-per-turn, and samples that are not readings",
+            )  # fmt: skip
+
+
+def _unit(log: Log, name: str, what: str, unit: str | None) -> Finding:
+    stem = split_unit(name)[0]
+    source = log.table.source_name(name)
+    guess = f"it looks like {unit}, so say --column {stem}_{unit}={source}" if unit else "check its unit"
+    return Finding(f"{the(log, name)} cannot be in that unit; {what}", True, remedy=guess)

@@ -1,0 +1,640 @@
+"""The table of mistakes that a lab makes: what each does to a log, what must be said, and how it ends.
+
+A row is added where a mistake is learnt; `test_mistakes.py` makes each of them in every log it applies to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hallsym.families import build, published
+from hallsym.log import Log, Noise, Sigma
+from hallsym.simulation import Campaign, NoiseModel, Run, paper_campaign, read_campaign, simulate
+from hallsym.simulation.paper import VERTICAL_NOISE
+from hallsym.simulation.signals import multi_sine
+
+Arrays = dict[str, np.ndarray]
+Make = Callable[[Arrays], Arrays | None]
+"""Make the mistake in a copy of a log's arrays: in place, or return the arrays of another log."""
+
+STAGE = ("57 runs", "6 runs")
+ENCODER = ("encoder",)
+SIGMA = {"hall_a_m": 5e-7, "hall_b_m": 5e-7, "hall_c_m": 5e-7, "x_ref_m": 1e-6, "y_ref_m": 1.4e-6}
+SIGMA |= {"rz_ref_rad": 5e-7} | VERTICAL_NOISE
+ENCODER_SIGMA = {"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_ref_rad": 2e-5}
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake. `says`: a regular expression that one sentence must match; it names column, run, remedy.
+
+    `ends`: "refusal" (exit 2) or "note" (exit 0 or 3). `found`: from the "log" alone, or by the "fit" of its
+    model. `on`: the base logs in which it is made.
+    """
+
+    name: str
+    make: Make
+    says: str
+    ends: Literal["refusal", "note"]
+    found: Literal["log", "fit"] = "log"
+    on: tuple[str, ...] = STAGE
+
+
+def base(name: str) -> tuple[Arrays, Noise]:
+    """Return the arrays of a base log without a mistake, which may be changed, and its stated noise."""
+    arrays, noise = _base(name)
+    return {column: values.copy() for column, values in arrays.items()}, noise
+
+
+def made(mistake: Mistake, name: str) -> Log:
+    """Return a base log in which the mistake was made."""
+    arrays, noise = base(name)
+    changed = mistake.make(arrays)
+    return Log.from_arrays(arrays if changed is None else changed, noise, name="bench.csv")
+
+
+@cache
+def _base(name: str) -> tuple[Arrays, Noise]:
+    if name in ENCODER:
+        folder = Path(__file__).resolve().parents[2] / "data" / "encoder"
+        campaign, model, sigma = read_campaign(folder / "campaign.toml"), build("rotary"), ENCODER_SIGMA
+        arrays = simulate(model, {"zero": 0.6}, campaign, NoiseModel(sigma), seed=1)
+    else:
+        campaign = paper_campaign() if name == "57 runs" else six_runs()
+        model, sigma = build("stage31"), SIGMA
+        truth = published.values("table7_estimates")
+        arrays = simulate(model, truth, campaign, NoiseModel(sigma), seed=1)
+    return arrays, Noise({column: Sigma(value, "given") for column, value in sigma.items()})
+
+
+def six_runs() -> Campaign:
+    """Return six runs in which all axes move together, each at another vertical setting of Table 6."""
+    settings = published.table("table6_settings")
+    motion = {
+        "x_m": multi_sine(300e-6, [1.0, 4.0]),
+        "y_m": multi_sine(500e-6, [2.0, 5.0]),
+        "rz_rad": multi_sine(300e-6, [3.0, 7.0]),
+    }
+    at = [{axis: settings[axis][k] for axis in ("z_m", "rx_rad", "ry_rad")} for k in (0, 4, 8, 12, 15, 18)]
+    return Campaign(2e-3, tuple(Run(1.0, setting, motion) for setting in at))
+
+
+# -- what a log reveals by itself ------------------------------------------------------------------------
+
+READINGS = ("hall_a_m", "hall_b_m", "hall_c_m")
+REFERENCES = ("x_ref_m", "y_ref_m", "rz_ref_rad")
+VERTICAL = ("z_m", "rx_rad", "ry_rad")
+MOVING = (*READINGS, *REFERENCES, *VERTICAL)
+
+
+def put(column: str, rows: object, value: object) -> Make:
+    """Put a value into rows of a column."""
+
+    def make(arrays: Arrays) -> None:
+        arrays[column][rows] = value  # type: ignore[index]
+
+    return make
+
+
+def scale(column: str, factor: float) -> Make:
+    """Record a column in another unit."""
+    return lambda arrays: {**arrays, column: arrays[column] * factor}
+
+
+def keep(rows: Callable[[Arrays], np.ndarray]) -> Make:
+    """Keep the rows that a function chooses, by a mask or in an order."""
+    return lambda arrays: {name: values[rows(arrays)] for name, values in arrays.items()}
+
+
+def without_rows(run: int, first: int) -> Make:
+    """End a run after its first samples."""
+
+    def rows(arrays: Arrays) -> np.ndarray:
+        here = np.flatnonzero(arrays["run"] == run)
+        return np.delete(np.arange(len(arrays["run"])), here[first:])
+
+    return keep(rows)
+
+
+def rails(
+    columns: tuple[str, ...], share: float, noise: float = 0.0, thin: int = 1, high_only: bool = False
+) -> Make:
+    """Cut readings off so that a share of the samples lies on the rails; `noise` is added behind them."""
+
+    def make(arrays: Arrays) -> Arrays:
+        for name in columns:
+            x = arrays[name]
+            low, high = np.quantile(x, [share / 2, 1 - share / 2])
+            low, high = (-np.inf, np.quantile(x, 1 - share)) if high_only else (low, high)
+            arrays[name] = np.clip(x, low, high) + noise * np.random.default_rng(0).standard_normal(len(x))
+        return {name: values[::thin] for name, values in arrays.items()}
+
+    return make
+
+
+def coarse(columns: tuple[str, ...], step: float) -> Make:
+    """Convert readings with a coarse converter."""
+    return lambda arrays: {**arrays, **{name: step * np.round(arrays[name] / step) for name in columns}}
+
+
+def both(*makes: Make) -> Make:
+    """Make several mistakes, one after the other."""
+
+    def make(arrays: Arrays) -> Arrays:
+        for one in makes:
+            changed = one(arrays)
+            arrays = arrays if changed is None else changed
+        return arrays
+
+    return make
+
+
+def of_run(run: int, start: int | None = None, stop: int | None = None) -> Callable[[Arrays], slice]:
+    """Return rows of one run: from its sample `start` to `stop`, counted as a slice counts."""
+
+    def rows(arrays: Arrays) -> slice:
+        here = np.flatnonzero(arrays["run"] == run)[start:stop]
+        return slice(int(here[0]), int(here[-1]) + 1)
+
+    return rows
+
+
+def hold(columns: tuple[str, ...], where: Callable[[Arrays], slice], value: float | None = None) -> Make:
+    """Repeat the first value of a stretch, or another value, through it."""
+
+    def make(arrays: Arrays) -> None:
+        rows = where(arrays)
+        for name in columns:
+            arrays[name][rows] = arrays[name][rows.start] if value is None else value
+
+    return make
+
+
+def pasted(columns: tuple[str, ...], source: int, to: int) -> Make:
+    """Put columns of one run in the place of another run's."""
+
+    def make(arrays: Arrays) -> None:
+        for name in columns:
+            arrays[name][of_run(to)(arrays)] = arrays[name][of_run(source)(arrays)]
+
+    return make
+
+
+def appended(share: float, renumbered: bool = True) -> Make:
+    """Append the beginning of a log to it, at a later time."""
+
+    def make(arrays: Arrays) -> Arrays:
+        n = int(share * len(arrays["run"]))
+        again = {name: values[:n].copy() for name, values in arrays.items()}
+        again["t_s"] += arrays["t_s"][-1] + 1.0
+        again["run"] += arrays["run"].max() + 1
+        if not renumbered:
+            again["run"][:] = arrays["run"][-1]
+            again["t_s"] = arrays["t_s"][-1] + 2e-3 * (1 + np.arange(n))
+        return {name: np.concatenate([arrays[name], again[name]]) for name in arrays}
+
+    return make
+
+
+def clock_step(run: int, seconds: float) -> Make:
+    """Set the clock in the middle of a run."""
+
+    def make(arrays: Arrays) -> None:
+        arrays["t_s"][of_run(run, 250)(arrays).start :] += seconds
+
+    return make
+
+
+def one_number_for(first: int, second: int) -> Make:
+    """Give two runs one number, each of them with a clock that begins at 0."""
+
+    def make(arrays: Arrays) -> None:
+        for run in np.unique(arrays["run"]).tolist():
+            arrays["t_s"][of_run(run)(arrays)] -= arrays["t_s"][of_run(run)(arrays).start]
+        arrays["run"][arrays["run"] == second] = first
+
+    return make
+
+
+def shuffled(arrays: Arrays) -> Arrays:
+    """Write the samples of a log in another order, run by run."""
+    order = np.random.default_rng(0).permutation(len(arrays["run"]))
+    order = order[np.argsort(arrays["run"][order], kind="stable")]
+    return {name: values[order] for name, values in arrays.items()}
+
+
+def slower(column: str, times: int) -> Make:
+    """Record a column at a lower rate than the others."""
+    return lambda arrays: {
+        **arrays, column: np.repeat(arrays[column][::times], times)[: len(arrays[column])]
+    }  # fmt: skip
+
+
+def now_and_then(column: str, share: float) -> Make:
+    """Repeat the value before in a share of the samples, each by itself."""
+
+    def make(arrays: Arrays) -> None:
+        x = arrays[column]
+        late = np.flatnonzero(np.random.default_rng(0).random(len(x)) < share)
+        x[late[late > 0]] = x[late[late > 0] - 1]
+
+    return make
+
+
+_FIRST = of_run(2, 0, 100)
+_MIDDLE = of_run(2, 200, 300)
+_LAST = of_run(2, -100)
+_REPAIR = r".*--drop-bad"
+_LEFT_OUT = r".*left out: "
+
+
+def of_stage(name: str, make: Make, says: str, ends: Literal["refusal", "note"]) -> Mistake:
+    return Mistake(name, make, says, ends)
+
+
+def of_encoder(name: str, make: Make, says: str, ends: Literal["refusal", "note"]) -> Mistake:
+    return Mistake(f"encoder: {name}", make, says, ends, on=ENCODER)
+
+
+RECORDING = (
+    of_stage(
+        "NaN in two samples",
+        put("hall_a_m", [450, 900], np.nan),
+        r"hall_a_m .* 2 of \d+ values are NaN .* row 451 \(run 0\): repair" + _REPAIR,
+        "refusal",
+    ),
+    of_stage(
+        "infinity",
+        put("y_ref_m", 1200, np.inf),
+        r"y_ref_m .* 1 of \d+ .* row 1201 \(run 2\): repair",
+        "refusal",
+    ),
+    of_stage(
+        "a column of NaN", put("hall_b_m", slice(None), np.nan), r"hall_b_m .*no finite.*record", "refusal"
+    ),
+    # the clock
+    of_stage(
+        "two recordings under one number",
+        one_number_for(1, 2),
+        r"t_s .* runs backwards 1 times, first in row 1001 \(run 1\).*number the runs",
+        "refusal",
+    ),
+    of_stage("samples in another order", shuffled, r"t_s .* runs backwards .*sort the samples", "refusal"),
+    of_stage(
+        "a sample written twice",
+        keep(lambda a: np.sort(np.r_[np.arange(len(a["run"])), 1700])),
+        r"t_s .* repeats 1 times, first in row 1702 \(run 3\).*sort",
+        "refusal",
+    ),
+    of_stage("time in us", scale("t_s", 1e6), r"t_s .* step is 2000 s: it looks like ms", "refusal"),
+    of_stage(
+        "time in ms, said to be us", scale("t_s", 1e-6), r"t_s .* in run \d .* covers .*unit", "refusal"
+    ),
+    of_stage(
+        "a clock set forward", clock_step(2, 10.0), r"t_s .* misses 5000 ticks.*\(run 2\).*as runs", "refusal"
+    ),
+    of_stage(
+        "a clock set back", clock_step(2, -0.1), r"t_s .* backwards 1 times, .*\(run 2\).*sort", "refusal"
+    ),
+    of_stage(
+        "a tenth of the samples lost",
+        keep(lambda a: np.random.default_rng(0).random(len(a["run"])) > 0.1),
+        r"t_s .* misses \d+ ticks .*accept",
+        "refusal",
+    ),
+    # runs
+    of_stage("a run of 5 samples", without_rows(3, 5), r"run 3 has 5: record longer" + _REPAIR, "refusal"),
+    of_stage("a run of 10 samples", without_rows(3, 10), r"Run 3 .* has 10 samples .* cut short", "note"),
+    of_stage(
+        "runs of 10 samples",
+        keep(lambda a: np.concatenate([np.flatnonzero(a["run"] == r)[::50] for r in np.unique(a["run"])])),
+        r"usual run .* has 10 samples: .*record longer",
+        "note",
+    ),
+    of_stage(
+        "a run that comes back",
+        lambda a: {**a, "run": np.where(a["run"] == 4, 1, a["run"])},
+        r"Run 1 .*comes back after run 3.*sort",
+        "refusal",
+    ),
+    # dead and coarse channels
+    of_stage(
+        "a dead channel", put("hall_c_m", slice(None), 1e-4), r"hall_c_m .* never changes; .*probe", "refusal"
+    ),
+    of_stage(
+        "a channel dead in a run",
+        lambda a: put("hall_b_m", of_run(4)(a), 1e-4)(a),
+        r"hall_b_m .* never changes in run 4 .*wiring" + _REPAIR,
+        "refusal",
+    ),
+    of_stage(
+        "a reading of few values",
+        coarse(("hall_a_m",), 2e-4),
+        r"hall_a_m .* takes \d values only.*gain",
+        "note",
+    ),
+    of_stage(
+        "a channel logged twice",
+        lambda a: {**a, "hall_b_m": a["hall_a_m"]},
+        r"hall_a_m and hall_b_m .*",
+        "refusal",
+    ),
+    # rails
+    of_stage(
+        "20 % on the rails",
+        rails(READINGS, 0.2),
+        r"hall_a_m .* saturated: \d+ .*\(2\d\.\d%\).*rails at -",
+        "refusal",
+    ),
+    of_stage(
+        "20 % on the rails, coarse clock",
+        rails(READINGS, 0.2, thin=10),
+        r"hall_a_m .* saturated: \d+ samples \((19|2\d)\.\d%\) lie on its rails at -",
+        "refusal",
+    ),
+    of_stage(
+        "20 % on the rails, with noise",
+        rails(READINGS, 0.2, noise=5e-7),
+        r"hall_a_m .* saturated: \d+ samples \((19|2\d)\.\d%\) lie on its rails at -",
+        "refusal",
+    ),
+    of_stage(
+        "12 % on one rail",
+        rails(("hall_c_m",), 0.12, high_only=True),
+        r"hall_c_m .* \(1\d\.\d%\) .* rail at",
+        "refusal",
+    ),
+    of_stage(
+        "20 % on a few codes of a coarse converter",
+        both(rails(("hall_a_m",), 0.2, noise=3e-6), coarse(("hall_a_m",), 4e-6)),
+        r"hall_a_m .* saturated: \d+ samples \((19|2\d)\.\d%\) lie on its rails at -",
+        "refusal",
+    ),
+    of_stage(
+        "4 % on the rails", rails(("hall_a_m",), 0.04), r"hall_a_m .* saturated: .*gain or the travel", "note"
+    ),
+    of_stage(
+        "4 % on the rails, with noise",
+        rails(("hall_a_m",), 0.04, noise=5e-7),
+        r"hall_a_m .* saturated: .*gain or the travel",
+        "note",
+    ),
+    # old samples and dropped channels
+    of_stage(
+        "a reading frozen to the end of a run",
+        hold(("hall_a_m",), _LAST),
+        r"hall_a_m .* 100 .* run 2,.*old",
+        "note",
+    ),
+    of_stage(
+        "a reading frozen from the beginning",
+        hold(("hall_a_m",), _FIRST),
+        r"hall_a_m .* 100 .* run 2,.*old",
+        "note",
+    ),
+    of_stage(
+        "a reading frozen for a while",
+        hold(("hall_b_m",), _MIDDLE),
+        r"hall_b_m .* 100 .* run 2,.*old",
+        "note",
+    ),
+    of_stage(
+        "a reference frozen to the end of a run",
+        hold(("y_ref_m",), _LAST),
+        r"y_ref_m .* 100 .* run 2,.*old",
+        "note",
+    ),
+    of_stage(
+        "all references frozen from the beginning",
+        hold(REFERENCES, _FIRST),
+        r"x_ref_m .* 100 .* run 2,",
+        "note",
+    ),
+    of_stage(
+        "a height frozen to the end of a run", hold(("z_m",), _LAST), r"z_m .* 100 .* run 2,.*look", "note"
+    ),
+    of_stage(
+        "a channel that drops out",
+        hold(("hall_c_m",), _MIDDLE, 0.0),
+        r"hall_c_m .* run 2, 0 m.*dropped",
+        "note",
+    ),
+    of_stage(
+        "a channel that drops out at the end",
+        hold(("hall_c_m",), _LAST, 0.0),
+        r"hall_c_m .* run 2, 0 m.*dropped",
+        "note",
+    ),
+    of_stage(
+        "a reading frozen for a fifth of the log",
+        hold(("hall_a_m",), lambda a: slice(600, 600 + len(a["run"]) // 5)),
+        r"hall_a_m .* (holds one value|never changes)",
+        "refusal",
+    ),
+    of_stage(
+        "a reference at a tenth of the rate",
+        slower("x_ref_m", 10),
+        r"x_ref_m .* about 10 times.*one rate",
+        "note",
+    ),
+    of_stage(
+        "a logger that reads old values",
+        now_and_then("hall_a_m", 0.05),
+        r"hall_a_m .* in [45]\.\d%.*channel",
+        "note",
+    ),
+    # the same samples twice
+    of_stage(
+        "a log appended to itself",
+        appended(1.0),
+        r"Run \d+ .* is run 0 again.*\d+ more runs.*copies",
+        "refusal",
+    ),
+    of_stage(
+        "a third of a log appended to it", appended(0.35), r"Run \d+ .* is run 0 again.*copies", "refusal"
+    ),
+    of_stage(
+        "a log that goes on with its beginning",
+        appended(0.1, False),
+        r"\d+ samples .* twice: from row .* row 1 \(run 0\)",
+        "refusal",
+    ),
+    of_stage(
+        "another run's reference",
+        pasted(REFERENCES, 1, 4),
+        r"x_ref_m, y_ref_m, rz_ref_rad .* runs 1 and 4",
+        "refusal",
+    ),
+    of_stage(
+        "another run's heights",
+        pasted(VERTICAL, 0, 5),
+        r"z_m, rx_rad, ry_rad .* runs 0 and 5.*recorded with",
+        "refusal",
+    ),
+    of_stage(
+        "another run's reading",
+        pasted(("hall_b_m",), 1, 4),
+        r"hall_b_m .* runs 1 and 4.*recorded with",
+        "refusal",
+    ),
+    of_stage("another run's everything", pasted(MOVING, 1, 4), r"Run 4 .* is run 1 again.*remove", "refusal"),
+    # units
+    of_stage("a reading in um", scale("hall_a_m", 1e6), r"hall_a_m .* looks like um.*hall_a_um", "refusal"),
+    of_stage("a height in um", scale("z_m", 1e6), r"z_m .*--column z_um=z_m", "refusal"),
+    # encoders
+    of_encoder(
+        "NaN", put("v_sin_v", 700, np.nan), r"v_sin_v .* 1 of \d+ .* row 701 \(run 1\): repair", "refusal"
+    ),
+    of_encoder("a dead plate", put("v_cos_v", slice(None), 0.0), r"v_cos_v .* never changes", "refusal"),
+    of_encoder(
+        "a plate dead in a run",
+        lambda a: put("v_cos_v", of_run(2)(a), 0.0)(a),
+        r"v_cos_v .* in run 2 ",
+        "refusal",
+    ),
+    of_encoder(
+        "20 % on the rails",
+        rails(("v_sin_v", "v_cos_v"), 0.2),
+        r"v_sin_v .* saturated: .*\(\d\d.*rails",
+        "refusal",
+    ),
+    of_encoder(
+        "20 % on the rails, with noise",
+        rails(("v_sin_v", "v_cos_v"), 0.2, noise=3.5e-4),
+        r"v_sin_v .* saturated: .*\((19|2\d)\.\d%\) lie on its rails at -",
+        "refusal",
+    ),
+    of_encoder(
+        "12 % on one rail",
+        rails(("v_cos_v",), 0.12, high_only=True),
+        r"v_cos_v .* \(1\d\.\d%\) .* rail at",
+        "refusal",
+    ),
+    of_encoder(
+        "a reference frozen to the end",
+        hold(("angle_ref_rad",), of_run(2, -60)),
+        r"angle_ref_rad .* 60 .* run 2,",
+        "note",
+    ),
+    of_encoder(
+        "a plate that drops out",
+        hold(("v_sin_v",), of_run(2, 100, 150), 0.0),
+        r"v_sin_v .* run 2, 0 v.*dropped",
+        "note",
+    ),
+    of_encoder("a log appended to itself", appended(1.0), r"Run 4 .* is run 0 again.*3 more runs", "refusal"),
+    of_encoder(
+        "another run's reference",
+        pasted(("angle_ref_rad",), 0, 1),
+        r"angle_ref_rad .* runs 0 and 1",
+        "refusal",
+    ),
+    of_encoder(
+        "one plate logged twice", lambda a: {**a, "v_cos_v": a["v_sin_v"]}, r"v_sin_v and v_cos_v", "refusal"
+    ),
+)
+
+# -- what only the fit of an encoder reveals -------------------------------------------------------------
+
+
+def turned(change: Callable[[np.ndarray], np.ndarray], *columns: str, run: int | None = None) -> Make:
+    """Change columns, in one run or in all."""
+
+    def make(arrays: Arrays) -> None:
+        at = slice(None) if run is None else arrays["run"] == run
+        for column in columns:
+            arrays[column][at] = change(arrays[column][at])
+
+    return make
+
+
+def exchanged(run: int | None = None) -> Make:
+    """Exchange both voltages, in one run or in all."""
+
+    def make(arrays: Arrays) -> None:
+        at = slice(None) if run is None else arrays["run"] == run
+        sine = arrays["v_sin_v"][at].copy()
+        arrays["v_sin_v"][at] = arrays["v_cos_v"][at]
+        arrays["v_cos_v"][at] = sine
+
+    return make
+
+
+def times(factor: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what multiplies by a factor."""
+    return lambda values: factor * values
+
+
+def of_fit(name: str, make: Make, says: str, ends: Literal["refusal", "note"] = "refusal") -> Mistake:
+    return Mistake(f"encoder: {name}", make, says, ends, found="fit", on=ENCODER)
+
+
+_TURN, _PLATES = 2 * np.pi, ("v_sin_v", "v_cos_v")
+_UNIT = r"angle_ref_rad .* another unit: .* if angle_ref_rad were in {}; .*--column angle_ref_{}="
+_OTHER_WAY = r"In run 2 .* turns the other way than in the others: {} there"
+_REVERSED = r"turns against angle_ref_rad .*; v_sin_v is taken with its sign reversed"
+
+ENCODERS = (
+    of_fit("degrees for rad", turned(np.degrees, "angle_ref_rad"), _UNIT.format("degrees", "deg")),
+    of_fit("rad for degrees", turned(np.radians, "angle_ref_rad"), _UNIT.format("rad", "rad")),
+    of_fit("turns for rad", turned(times(1 / _TURN), "angle_ref_rad"), _UNIT.format("turns", "rev")),
+    of_fit("gradians for rad", turned(times(400 / _TURN), "angle_ref_rad"), _UNIT.format("gradians", "grad")),
+    of_fit("mrad for rad", turned(times(1e3), "angle_ref_rad"), _UNIT.format("mrad", "mrad")),
+    of_fit(
+        "degrees for rad in one run",
+        turned(np.degrees, "angle_ref_rad", run=1),
+        r"angle_ref_rad in run 1 .* if angle_ref_rad were in degrees",
+    ),
+    of_fit(
+        "counts of another resolution",
+        turned(lambda a: np.mod(a, _TURN) / 4, "angle_ref_rad"),
+        r"makes 4 turns while angle_ref_rad makes one; .*scale the reference by 4",
+    ),
+    of_fit("mV for V", turned(times(1e3), *_PLATES), r"v_sin_v .*--column v_sin_mv="),
+    of_fit("mV for V in one column", turned(times(1e3), "v_cos_v"), r"v_cos_v .*--column v_cos_mv="),
+    of_fit(
+        "mV for V, less swing", turned(times(300.0), *_PLATES), r"v_sin_v .* check its unit, such as .*_mv="
+    ),
+    of_fit("mV for V in one column, less swing", turned(times(300.0), "v_cos_v"), r"v_cos_v .*v_cos_mv="),
+    of_fit("an inverted plate", turned(np.negative, "v_cos_v"), _REVERSED, "note"),
+    of_fit("exchanged plates", exchanged(), _REVERSED, "note"),
+    of_fit("an inverted reference", turned(np.negative, "angle_ref_rad"), _REVERSED, "note"),
+    of_fit(
+        "the sine inverted in one run",
+        turned(np.negative, "v_sin_v", run=2),
+        _OTHER_WAY.format("v_sin_v is inverted"),
+    ),
+    of_fit(
+        "the cosine inverted in one run",
+        turned(np.negative, "v_cos_v", run=2),
+        _OTHER_WAY.format("v_cos_v is inverted"),
+    ),
+    of_fit(
+        "plates exchanged in one run",
+        exchanged(run=2),
+        _OTHER_WAY.format("v_sin_v and v_cos_v are exchanged"),
+    ),
+    of_fit(
+        "the reference inverted in one run",
+        turned(np.negative, "angle_ref_rad", run=2),
+        _OTHER_WAY.format("angle_ref_rad is inverted"),
+    ),
+    of_fit(
+        "both plates inverted in one run",
+        turned(np.negative, *_PLATES, run=2),
+        r"In run 2 it is half a turn: are both voltages inverted there\? .*--effect zero_deviation",
+    ),
+    of_fit(
+        "a reference that stands in one run",
+        turned(times(0.0), "angle_ref_rad", run=1),
+        r"In run 1 .* does not follow angle_ref_rad, in the others it does: the reference stands",
+    ),
+)
+
+MISTAKES = (*RECORDING, *ENCODERS)

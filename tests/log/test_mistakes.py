@@ -1,0 +1,102 @@
+"""Each mistake of the table is named in every log it is made in; the same logs without it pass silently."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mistaken_columns import COLUMNS
+from mistakes import ENCODER, MISTAKES, STAGE, Mistake, base, made
+
+from hallsym import build
+from hallsym.cli.main import main
+from hallsym.errors import InputError
+from hallsym.estimation import fit
+from hallsym.families import published
+from hallsym.log import Log, check_log, clean_log, write_log
+
+CASES = [pytest.param(m, name, id=f"{m.name}, {name}") for m in (*MISTAKES, *COLUMNS) for name in m.on]
+LONGEST = 300
+MODELS = {**dict.fromkeys(STAGE, "stage31"), **dict.fromkeys(ENCODER, "rotary")}
+
+
+def test_the_table_is_as_long_as_the_mistakes_of_a_lab() -> None:
+    assert len({mistake.name for mistake in MISTAKES if set(mistake.on) >= set(STAGE)}) >= 40
+
+
+def columns_of(log: Log) -> list[str]:
+    """Return the columns that a fit of the log uses."""
+    return [name for name in log.columns if name not in ("run", "t_s")]
+
+
+def sentences(mistake: Mistake, log: Log) -> tuple[str, list[str]]:
+    """How it ends, and everything that is said."""
+    try:
+        notes = (
+            check_log(log, columns_of(log))
+            if mistake.found == "log"
+            else list(fit(log, solver="direct").notes)
+        )
+    except InputError as error:
+        return "refusal", [str(error)]
+    return "note", notes
+
+
+@pytest.mark.parametrize(("mistake", "name"), CASES)
+def test_each_mistake_is_named(mistake: Mistake, name: str) -> None:
+    ends, said = sentences(mistake, made(mistake, name))
+    assert any(re.search(mistake.says, text) for text in said), said
+    assert ends == mistake.ends
+    assert all(len(text) <= LONGEST and "\n" not in text for text in said), said
+
+
+@pytest.mark.parametrize("name", [*STAGE, *ENCODER])
+def test_the_logs_without_a_mistake_pass_silently(name: str) -> None:
+    arrays, noise = base(name)
+    assert check_log(Log.from_arrays(arrays, noise)) == []
+
+
+@pytest.mark.parametrize("name", STAGE)
+def test_a_fit_of_a_log_without_a_mistake_says_nothing(name: str) -> None:
+    assert fit(Log.from_arrays(*base(name)), solver="direct").notes == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mistake", "name"), CASES)
+def test_fit_names_each_mistake_and_ends_with_its_code(
+    mistake: Mistake, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """2 for a refusal; 3 for a note, with the sentence on stderr too."""
+    log = made(mistake, name)
+    held = log.table.pieces(log.columns, log.rows)
+    write_log(next(iter(held)), tmp_path / "log.parquet")
+    noise = {column: sigma.value for column, sigma in log.noise.sigmas.items()}
+    (tmp_path / "meta.json").write_text(json.dumps({"base_model": MODELS[name], "noise_1sigma": noise}))
+    code = main(["fit", str(tmp_path)])
+    out, err = capsys.readouterr()
+    assert code == (2 if mistake.ends == "refusal" else 3), err
+    assert re.search(mistake.says, err), err
+    assert all(len(line) <= LONGEST + len("hallsym: ") for line in err.splitlines()), err
+    assert (out == "") == (mistake.ends == "refusal")
+
+
+HEALED = [m for m in MISTAKES if "on the rails" in m.name or "frozen" in m.name or "drops out" in m.name]
+
+
+@pytest.mark.parametrize(
+    ("mistake", "name"),
+    [pytest.param(m, n, id=f"{m.name}, {n}") for m in HEALED for n in m.on if n in STAGE],
+)
+def test_gains_are_right_without_the_bad_samples(mistake: Mistake, name: str) -> None:
+    """Within five standard uncertainties; with them eta is up to hundreds off."""
+    model, truth = build("stage31"), published.values("table7_estimates")
+    found = fit(
+        clean_log(made(mistake, name), columns_of(made(mistake, name))), model, solver="direct", drop_bad=True
+    )
+    for parameter in ("eta_A", "eta_B", "eta_C"):
+        k = model.names.index(parameter)
+        if np.isfinite(found.std[k]):
+            assert abs(found.values[k] - truth[parameter]) < 5 * found.std[k], parameter
