@@ -67,7 +67,10 @@ def add(sub: Any) -> None:
         action="store_true",
         help="fused multiply-add, where the core has it (Cortex-M4F, M7): fewer instructions and roundings",
     )
-    parser.add_argument("--jacobian", action="store_true", help="with d pose / d reading, for Kalman filters")
+    parser.add_argument(
+        "--jacobian", nargs="?", const="reading", metavar="reading,state",
+        help="with d pose / d reading (default), d pose / d state, or both, for Kalman filters and observers",
+    )  # fmt: skip
     parser.add_argument(
         "--allow-undetermined", action="store_true", help="use values that the log does not determine"
     )
@@ -99,7 +102,7 @@ def _made(fit: Fit, options: Namespace) -> Generated:
         arithmetic=options.arithmetic,
         ranges=ranges,
         double=options.double,
-        jacobian=options.jacobian,
+        jacobian=options.jacobian or str(before.get("jacobian", "")) or False,
         fma=options.fma or bool(before.get("fma")),
         accuracy=accuracy,
         correction=correction,

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.box import Box
-from hallsym.codegen.entries import Entry, short
+from hallsym.codegen.entries import Entry, unit
 from hallsym.codegen.intervals import Enclosure
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
@@ -144,6 +144,12 @@ class Decoupler:
         """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
         return ENOUGH if self.at_pose else self.approximation
 
+    @property
+    def quantity(self) -> str:
+        """What its output is: a pose, or an angle or a position where that is all of it."""
+        names = {"rad": "angle", "m": "position"}
+        return names.get(unit(self.pose[0]), "pose") if len(self.pose) == 1 else "pose"
+
     def known(self, column: str) -> float:
         """Return the largest magnitude of a known pose coordinate, for a zero: half its period, or 1."""
         return self.model.period.get(column, 2.0) / 2
@@ -181,15 +187,6 @@ class Decoupler:
             made = _replaced(step.expression, earlier)
             done[step.name] = _whole(step, made)
         return done
-
-    @cached_property
-    def slopes(self) -> dict[str, ca.SX]:
-        """d pose / d reading by CasADi's differentiation of the printed expressions, by name: `x_hall_a`."""
-        channels, n = self.model.channels, len(self.model.channels)
-        jacobian = ca.jacobian(self.folded, ca.vertcat(*(self.symbols[c] for c in channels)))
-        flat = ca.cse(ca.vertcat(*(jacobian[i, k] for i in range(len(self.pose)) for k in range(n))))
-        names = [f"{short(c)}_{short(m)}" for c in self.pose for m in channels]
-        return dict(zip(names, ca.vertsplit(ca.densify(flat)), strict=True))
 
     def raised(self, seen: np.ndarray, dtype: type = float) -> np.ndarray:
         """Return the bits (s,) of the flags that their values (n_flags, s) raise."""

@@ -21,11 +21,12 @@ from hallsym.codegen.naming import identifier
 class FloatArithmetic(Backend):
     """IEEE 754 leaves no freedom to +, -, *, / and comparisons that round to nearest one by one.
 
-    So numpy computes the same bits as C. `jacobian` adds d pose / d reading.
+    So numpy computes the same bits as C. `jacobian`: kinds of input by which the pose is differentiated, of
+    `slopes.KINDS`.
     """
 
     real: Real
-    jacobian: bool = False
+    jacobian: tuple[str, ...] = ()
 
     tree: ClassVar[str] = "float"
     hashed: ClassVar[tuple[int, int]] = (4096, 1_000_000)

@@ -12,16 +12,15 @@ import numpy as np
 from hallsym.codegen import faults
 from hallsym.codegen.arithmetic import Port
 from hallsym.codegen.backend import bit, ends, raised, status_bit
-from hallsym.codegen.bounds import LEAST_GAIN, spreads, step_errors
+from hallsym.codegen.bounds import LEAST_GAIN, spreads
 from hallsym.codegen.cost import firmware_cost
-from hallsym.codegen.decoupler import Step
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.float_arithmetic import FloatArithmetic
-from hallsym.codegen.float_c import shared_steps, statements, straight
+from hallsym.codegen.float_c import statements, straight
 from hallsym.codegen.gappa import gappa
 from hallsym.codegen.naming import PREFIX, commented, identifier
+from hallsym.codegen.slopes import Slopes
 from hallsym.codegen.templates import lines_of
-from hallsym.model.arrays import on_arrays
 
 M4 = ("-mcpu=cortex-m4 -mthumb", "mps2-an386")
 """Compiler options and QEMU's machine of a Cortex-M4F."""
@@ -77,7 +76,8 @@ class FloatBackend(FloatArithmetic):
             "zero": c(0.0),
             "out": self._outputs(errors),
             "in": self._inputs(),
-            "slope": self._slope_records(),
+            "slope": self.slopes.records() if self.jacobian else [],
+            **(self.slopes.fields() if self.jacobian else {}),
             # build files
             "all_nan": ", all NaN",
             "deviations": self._deviations(),
@@ -102,6 +102,11 @@ class FloatBackend(FloatArithmetic):
         for part in (*parts, self._range_tests(common)):
             common |= part
         return common
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """The slopes that `decoupler_jacobian()` gives."""
+        return Slopes(self.decoupler, self.jacobian)
 
     def _core(self) -> dict[str, str]:
         """Return the Cortex-M that runs the self-test in QEMU."""
@@ -136,16 +141,6 @@ class FloatBackend(FloatArithmetic):
     def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
         return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []
 
-    def _slope_records(self) -> list[dict[str, Any]]:
-        d = self.decoupler
-        if not self.jacobian:
-            return []
-        pairs = [(c, m) for c in d.pose for m in d.model.channels]
-        return [
-            {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c), "by": commented(m)}
-            for k, (name, (c, m)) in enumerate(zip(d.slopes, pairs, strict=True))
-        ]
-
     def _arithmetic(self) -> list[str]:
         steps = self.decoupler.steps
         if len(steps) > MOST_STEPS:
@@ -172,7 +167,7 @@ class FloatBackend(FloatArithmetic):
             "least_gain": f"{LEAST_GAIN:g}",
             "and_flags": [f" *         (and {flags})"] if flags else [],
             "jacobian_type": self._if_jacobian("jacobian_type.h", common),
-            "jacobian_function": self._if_jacobian("jacobian.h"),
+            "jacobian_function": self._if_jacobian("jacobian.h", common),
         }
 
     def _bits(self) -> dict[str, str]:
@@ -211,9 +206,8 @@ class FloatBackend(FloatArithmetic):
         whole = {**names, **{e.name: f"p->{e.name}" for e in d.zeros}}
         slopes: list[str] = []
         if self.jacobian:
-            slopes = self._held(ca.vertcat(*d.slopes.values()))
-            stored = {f"result_{k}": f"slopes->{n}" for k, n in enumerate(d.slopes)}
-            slopes += statements(self._slope_steps, whole, real, stored)
+            slopes = self._held(self.slopes.whole)
+            slopes += statements(self.slopes.steps, whole, real, self.slopes.stored)
         magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
         by_size = list(map(self.by_size, d.inputs))
         within = lines_of(f"{FRAGMENTS}within.c", {**common, **self._bits()}) if any(by_size) else []
@@ -281,8 +275,8 @@ class FloatBackend(FloatArithmetic):
     # -- self-test and proofs ------------------------------------------------------------------------------
 
     def _selftest(self) -> dict[str, Any]:
-        d, found, c = self.decoupler, self.vectors, self.real.constant
-        slopes, slope_bounds = self._slopes() if self.jacobian else (found.pose, [])
+        found, c = self.vectors, self.real.constant
+        slopes, slope_bounds = self._slope_vectors() if self.jacobian else (found.pose, [])
         rows = []
         for k in range(found.inputs.shape[1]):
             inputs = ", ".join(self._input(float(v)) for v in found.inputs[:, k])
@@ -301,7 +295,7 @@ class FloatBackend(FloatArithmetic):
             "wild": lines_of(f"{FRAGMENTS}wild_{size}.c", {}),
             "scale": c(2.0**-24),
             "four": c(4.0),
-            "slope_field": [f"double slopes[{len(d.slopes)}];"] if self.jacobian else [],
+            "slope_field": [f"double slopes[{len(self.slopes.expressions)}];"] if self.jacobian else [],
             "slope_step": self._if_jacobian("slope_step.c"),
             "slope_status": [status] if self.jacobian else [],
             "near": c(self._near),
@@ -366,18 +360,10 @@ class FloatBackend(FloatArithmetic):
                     value = c(2.0 * sign * share * d.known(column))
                     yield from faults.expect([f"table.{zero.name} = {value};"], found)
 
-    @cached_property
-    def _slope_steps(self) -> list[Step]:
-        return shared_steps(ca.vertcat(*self.decoupler.slopes.values()))
-
-    def _slopes(self) -> tuple[np.ndarray, list[str]]:
+    def _slope_vectors(self) -> tuple[np.ndarray, list[str]]:
         """Return the slopes (n_slopes, s) of the vectors in double, and the line of their bounds."""
-        d = self.decoupler
-        given = [ca.vertcat(*(d.symbols[n] for n in d.inputs))]
-        given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.zeros))))
-        run = on_arrays(ca.Function("slopes", given, [ca.vertcat(*d.slopes.values())]))
-        slopes = run(list(self.vectors.held), d.constants)[0]
-        errors = step_errors(d, self._slope_steps, self.real.digits, self.real.fused)[-len(d.slopes) :]
+        slopes = self.slopes.of(self.vectors.held)
+        errors = self.slopes.errors(self.real)
         # the reference is computed in double and written with 13 digits
         limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors, slopes, strict=True)]
         listed = ", ".join(f"{limit:.3e}" for limit in limits)

@@ -1,6 +1,6 @@
 """From a calibration to the files of a decoupler."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
 from hallsym.codegen.lowering import lower, lowering_of, options_of
 from hallsym.codegen.naming import PREFIX, check_prefix, mapping, renamed_files
+from hallsym.codegen.slopes import kinds_of
 from hallsym.errors import InputError, quoted
 from hallsym.estimation.calibration import Fit
 
@@ -93,7 +94,7 @@ def generate(
     arithmetic: str = "float",
     ranges: Mapping[str, tuple[float, float]] | None = None,
     double: bool = False,
-    jacobian: bool = False,
+    jacobian: bool | str | Sequence[str] = False,
     fma: bool = False,
     accuracy: float | None = None,
     correction: str | None = None,
@@ -105,12 +106,12 @@ def generate(
 
     `arithmetic`: "float", or "q31" for 32-bit integers, where a controller has no floating-point unit.
     `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
-    `jacobian`: with `decoupler_jacobian()`. `fma`: products and the sums that take them rounded once, by an
-    instruction where the core has it. Models of an angle: `accuracy` is what the correction of it
-    may leave besides rounding [rad], default 3e-8, of integers 1e-5; `correction` is "series", "table", or
-    "auto" for the one of fewer bytes. `name`: prefix of symbols and files, so that several decouplers fit in
-    one image. Raises `InputError` for a calibration that cannot be trusted on a
-    controller.
+    `jacobian`: with `decoupler_jacobian()`, by "reading" (True), "state", or "reading,state". `fma`: products
+    and the sums that take them rounded once, by an instruction where the core has it. Models of an angle:
+    `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of integers 1e-5;
+    `correction` is "series", "table", or "auto" for the one of fewer bytes. `name`: prefix of symbols and
+    files, so that several decouplers fit in one image. Raises `InputError` for a calibration that cannot be
+    trusted on a controller.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(
@@ -123,13 +124,13 @@ def generate(
     record |= {} if name == PREFIX else {"name": name}
     given: dict[str, Any] = {"accuracy": accuracy, "correction": correction}
     if arithmetic == "q31":
-        for option, unwanted in (("double", double), ("jacobian", jacobian), ("fma", fma)):
+        for option, unwanted in (("double", double), ("jacobian", bool(jacobian)), ("fma", fma)):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, ranges, given)
     else:
         real = replace(DOUBLE if double else FLOAT, fused=fma)
-        backend = _floats(fit, record, ranges, given, real, jacobian)
+        backend = _floats(fit, record, ranges, given, real, kinds_of(jacobian, fit.model))
     errors = backend.errors()
     notes = (*notes_of(fit), *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()))
     return Generated(backend, renamed_files(backend.files(errors, notes), name), errors, notes, name)
@@ -141,7 +142,7 @@ def _floats(
     ranges: Mapping[str, tuple[float, float]] | None,
     given: Mapping[str, Any],
     real: Real,
-    jacobian: bool,
+    jacobian: tuple[str, ...],
 ) -> FloatBackend:
     found = lower(fit, box_of(fit, ranges), **given)
     if jacobian and found.bounded is not None:
@@ -149,7 +150,9 @@ def _floats(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
             "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
         )
-    variant = {"fma": True} if real.fused else {}
+    variant: dict[str, Any] = {"fma": True} if real.fused else {}
+    if jacobian:
+        variant["jacobian"] = ",".join(jacobian)
     record = {**record, **_recorded({**found.options, **variant}, given)}
     backend = FloatBackend(found, record, real, jacobian)
     check_gains(backend.bounds)

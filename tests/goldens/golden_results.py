@@ -195,6 +195,7 @@ CODE: dict[str, tuple[str, tuple[str, ...]]] = {
     "stage31": ("stage31", ()),
     "stage31_double": ("stage31", ("--double",)),
     "stage31_jacobian": ("stage31", ("--jacobian",)),
+    "stage31_slopes": ("stage31", ("--jacobian", "reading,state")),
     "stage31_fma": ("stage31", ("--fma",)),
     "stage31_q31": ("stage31", ("--arithmetic", "q31")),
     "stage31_range": ("stage31", ("--range", "z_um=-200:200", "--range", "x_um=-250:250")),

@@ -115,7 +115,7 @@ match($0, /\[[0-9a-f]+\/[0-9a-f]+\//) {
 END {
     printf "%s, %d bytes, instructions per call:", name, hex(size)
     for (k = 1; k <= calls; k++) printf " %d", count[k]
-    printf "\n%s, cycles per call on a Cortex-%s without wait states:", name, toupper(core)
+    printf "\ncycles of %s per call, Cortex-%s without wait states:", name, toupper(core)
     for (k = 1; stated && k <= calls; k++) printf (least[k] == most[k]) ? " %d" : " %d-%d", least[k], most[k]
     print stated ? "" : " not stated for this core"
 }
