@@ -17,7 +17,7 @@ from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
-from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
+from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
@@ -165,19 +165,24 @@ def column_ranges(given: Sequence[str], columns: Sequence[str]) -> dict[str, tup
     return ranges
 
 
+MOST_RUNS = 1_000_000
+"""Runs that a range of run numbers may hold: more than any campaign has."""
+
+
 def run_numbers(text: str) -> list[int]:
     """`2,7,12` or `40-45` as run numbers."""
     runs: list[int] = []
     try:
         for part in filter(None, text.split(",")):
             first, _, last = part.strip().partition("-")
-            span = range(int(first), int(last or first) + 1)
-            if not span:
+            low, high = int(first), int(last or first)
+            if not low <= high <= min(low + MOST_RUNS, MOST_RUN):
                 raise ValueError(part)
-            runs += span
+            runs += range(low, high + 1)
     except ValueError:
         raise InputError(
-            f"--holdout must be run numbers such as 2,7,12 or 40-45; instead received {text!r}."
+            f"--holdout must be run numbers such as 2,7,12 or 40-45, {MOST_RUNS} in a row at most; instead "
+            f"received {text!r}."
         ) from None
     return runs
 

@@ -28,11 +28,12 @@ class Limit:
 
 
 LIMITS = (
-    Limit(r"(hall_\w+|[xyz](_ref)?)_m", 1.0, "a machine travels", ("mm", "um", "nm"), 0.01),
-    Limit(r"r[xyz](_ref)?_rad", 0.5, "a machine turns", ("mrad", "urad", "nrad"), 0.01),
+    Limit(r"(hall_\w+|[xyz](_ref)?)_m", 1.0, "a machine travels", ("mm", "um", "nm"), 0.01, 1e3),
+    Limit(r"r[xyz](_ref)?_rad", 0.5, "a machine turns", ("mrad", "urad", "nrad"), 0.01, 1e3),
     Limit(r"(col|v|hall)_\w+_v", 1e3, "a sensor puts out", ("mv", "uv"), 10.0),
     Limit(r"hall_\w+_t", 100.0, "a magnet makes", ("mt", "ut"), 3.0),
     Limit(r"current\w*_a", 1e3, "a coil carries", ("ma",), 100.0),
+    Limit("t_s", 1e9, "a recording lasts", ("ms", "us", "ns"), 1e6),
     Limit(r"temperature\w*_degc", 500.0, "a machine warms", ("k",), 200.0, 200.0),
 )
 
