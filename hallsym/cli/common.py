@@ -284,11 +284,11 @@ def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dic
     """
     own = model.family.example.noise if model.family.example else None
     if not campaign.noise and own:
-        return {c: s for c, s in own.items() if c in (*model.channels, *model.references)}
+        return Noise.given(own, (*model.channels, *model.references)).std
     if not campaign.noise:
         return dict(table8_noise(model, values).sigma)
     columns = (*model.channels, *model.state, *model.references)
-    other = [c for c in campaign.noise if c in (own or {}) and c not in columns]
+    other = [c for c in campaign.noise if c in (own or {}) and not Noise.given({c: 1.0}, columns)]
     stated = {c: s for c, s in campaign.noise.items() if c not in other}
     check_noise_keys(stated, columns, "the campaign's [noise]")
     found = Noise.given(stated, columns).std

@@ -95,14 +95,14 @@ def check_same(d: Decoupler) -> None:
     low, high = np.array([d.ends(c) for c in d.inputs]).T[:, :, None]
     rng = np.random.default_rng(0)
     share = np.hstack([rng.choice([0.0, 1.0], (len(low), 256)), rng.random((len(low), 2048))])
-    inputs = low + (high - low) * share
+    inputs = low + (high - low) * share if d.drawn is None else d.drawn(rng, 2304)
     printed, *seen = on_arrays(d)(inputs, d.constants)
     if seen:
         clear = d.raised(seen[0]) == 0
         printed, inputs = printed[:, clear], inputs[:, clear]
     off = np.abs(d.difference(printed, d.exact(inputs))).max(axis=1, initial=0.0)
     for column, error in zip(d.pose, off, strict=True):
-        if not error <= d.slack + d.cut + SAME:
+        if not error <= d.left(column) + d.cut + SAME:
             raise InputError(
                 f"The generated {column} differs by {error:.3g} from model {d.model.name}: its readings are "
                 "no polynomial of pose and state times a gain, and C cannot be generated for it."

@@ -48,7 +48,7 @@ class CombinationRecord(_Record):
 class NoiseRecord(_Record):
     """One standard deviation of a column, in its SI unit."""
 
-    value: Positive
+    value: NotNegative
     source: Literal["given", "estimated"]
 
 
@@ -111,11 +111,11 @@ class SolverRecord(_Record):
 class LogRecord(_Record):
     """The log that was fitted; `span`: least and greatest value by column."""
 
-    path: str | None
-    sha256: str | None
-    rows: Count
-    runs: Count
-    holdout: list[int]
+    rows: Count = 0
+    runs: Count = 0
+    holdout: list[int] = []
+    path: str | None = None
+    sha256: str | None = None
     span: dict[str, tuple[float, float]] = {}
 
 

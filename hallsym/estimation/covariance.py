@@ -255,8 +255,7 @@ def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
     gain = model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
     weight = 1.0 / cost.reading_variance
     share = cost.weights * summary.counts / (cost.weights @ summary.counts)
-    poses = model.typical or (np.zeros(len(model.pose)),)
-    variance = np.zeros(len(model.pose))
+    variance, poses = np.zeros(len(model.pose)), _poses(cost)
     for pose in poses:
         (flat,) = gain(p, pose, summary.mean_state.T, weight)
         D = np.transpose(flat.reshape(len(model.channels), len(model.pose), -1), (2, 1, 0))  # (r, pose, K)
@@ -265,8 +264,24 @@ def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
     return dict(zip(model.pose, np.sqrt(variance).tolist(), strict=True))
 
 
-def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Covariance of a residual (r, K, K) at one pose, where it is not the same all over a run."""
+def _poses(cost: Cost) -> list[list[np.ndarray]]:
+    """Poses over which noise is averaged, each coordinate (r,): typical ones, the zero pose without any.
+
+    A coordinate that does not repeat, such as a gap on which the noise depends, is where each run was.
+    """
+    summary, model = cost.summary, cost.summary.model
+    typical = model.typical or (tuple(np.zeros(len(model.pose))),)
+    out = [[np.full(len(summary.runs), v) for v in pose] for pose in typical]
+    for k, coordinate in enumerate(model.pose):
+        if summary.places and coordinate not in model.period:
+            for j, pose in enumerate(out):
+                share = (j + 0.5) / len(out)
+                pose[k] = np.array([np.quantile(place[k], share) for place in summary.places])
+    return out
+
+
+def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float | np.ndarray]) -> np.ndarray:
+    """Covariance of a residual (r, K, K) at one pose of each run, where it is not the same all over a run."""
     summary, model = cost.summary, cost.summary.model
     run = model.remember("slopes by column", lambda: _slopes_by_column(model))
     (flat,) = run(p, pose, summary.mean_state.T)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import rotary, stage
+from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
 from hallsym.log import Meta
 from hallsym.log.limits import is_moving
@@ -12,7 +12,7 @@ from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
 from hallsym.reading import MOST_NUMBER
 
-FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY)
+FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, halbach.FAMILY, halbach.PLANAR)
 """Families whose models and effects have names on the command line; shared code asks `Model.family`."""
 
 

@@ -169,9 +169,8 @@ def measured(rival: rivals.Rival, made: Generated, folder: Path) -> Row:
     }
     (folder / "caller.c").write_text(CALLER.format(**fields))
     (folder / "batch.c").write_text(BATCH.format(**fields))
-    for name in ("startup.c", "cortex_m.ld"):
-        (folder / name).write_text(template(f"common/test/{name}"))
-    size, counts, cycles = counted(in_qemu(rival.name, folder), rival.name)
+    _, counts, cycles = counted(in_qemu(rival.name, folder), rival.name)
+    size = code_of(rival.name, folder)
     stack = max(int(line.split("\t")[1]) for line in (folder / "function.su").read_text().splitlines())
     table = f"{rival.table} B" if rival.table else ""
     errors = tuple(errors_of(rival, made, folder))
@@ -179,8 +178,10 @@ def measured(rival: rivals.Rival, made: Generated, folder: Path) -> Row:
 
 
 def in_qemu(name: str, folder: Path) -> str:
-    """Run a program on a Cortex-M4F; what the script says of the instructions of one function."""
+    """Run function.c and caller.c of a folder on a Cortex-M4F; what the script says of one function."""
     elf, log = folder / "program.elf", folder / "program.log"
+    for part in ("startup.c", "cortex_m.ld"):
+        (folder / part).write_text(template(f"common/test/{part}"))
     compiler = ("arm-none-eabi-gcc", *FLAGS, *CORE)
     run(*compiler, "-fstack-usage", "-c", str(folder / "function.c"), "-o", str(folder / "function.o"))
     link = ("-nostartfiles", "--specs=rdimon.specs", "-T", str(folder / "cortex_m.ld"))
@@ -206,6 +207,15 @@ def in_qemu(name: str, folder: Path) -> str:
     options = [text for pair in of.items() for text in ("-v", "=".join(pair))]
     script = str(ROOT / "common/test/cycles.awk")
     return run("awk", *options, "-f", script, str(folder / "listing"), str(log))
+
+
+def code_of(name: str, folder: Path) -> int:
+    """Return the bytes of a function and of the static ones that it calls."""
+    listed = (line.split() for line in run("arm-none-eabi-nm", "-S", str(folder / "function.o")).splitlines())
+    sized = [parts for parts in listed if len(parts) == 4]
+    return sum(
+        int(size, 16) for _, size, kind, symbol in sized if kind == "t" or (kind == "T" and symbol == name)
+    )
 
 
 def errors_of(rival: rivals.Rival, made: Generated, folder: Path) -> np.ndarray:
