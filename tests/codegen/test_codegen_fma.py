@@ -7,6 +7,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+import waves
 from firmware import CASES, GOLDEN, STRICT, Library, made, need, proved_by_eva, ran
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -223,6 +224,20 @@ def test_every_model_with_slopes(tmp_path, case):
     need("gcc", "make")
     made(case, fma=True, jacobian=True).write(tmp_path / "fw")
     assert "0 of" in ran(tmp_path / "fw", "make", "check")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axes", [1, 6])
+def test_magnet_arrays(tmp_path, axes):
+    need("gcc", "make")
+    tilted = {"count": 3, "gaps": (0.0065, 0.0085), "tilt": 0.003, "travel": 0.0135}
+    fit = waves.calibrated() if axes == 1 else waves.calibrated_planar(**tilted)
+    code = hallsym.generate(fit, fma=True, accuracy=None if axes == 1 else 5e-6)
+    code.write(tmp_path / "fw")
+    assert ran(tmp_path / "fw", "make", "check").count("as stated") == 2
+    for column, bound in code.backend.error_bound.items():
+        assert code.errors[column] <= bound
+    assert firmware_cost(code.decoupler, fused=True).operations < firmware_cost(code.decoupler).operations
 
 
 @pytest.mark.slow
