@@ -56,6 +56,7 @@ def test_ends_are_nothing_in_the_middle_of_a_long_array():
 
 def travelling(count=24, stroke=0.1):
     """A log of an array of four periods over a board of eight, and the model that made it."""
+    places = [(j - (count - 1) / 2) * 0.01 for j in range(count)]
     wide = ends.array_edges(halbach(columns(places, length_m=0.12)))
     runs = [
         {
@@ -137,9 +138,9 @@ def test_the_puzzle_of_the_thesis(cause, gaps):
         assert (found.ranked, found.groups) == ((cause,), ())
         return
     assert [set(group) for group in found.groups] == [{"forbidden_harmonics", "array_edges"}]
-    assert (
-        "another gap" in found.separate_by[0].recording and "a longer array" in found.separate_by[0].recording
-    )
+    recording = found.separate_by[0].recording
+    assert "another gap" in recording
+    assert "a longer array" in recording
 
 
 def test_steps_where_sensors_change_are_no_harmonic():
