@@ -8,7 +8,7 @@ from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import column_numbers, column_ranges, command, noted, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.checks import sha256
-from hallsym.codegen.folder import name_of, options_of
+from hallsym.codegen.folder import name_of
 from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.codegen.naming import PREFIX
 from hallsym.estimation.calibration import Fit, load_fit
@@ -82,24 +82,19 @@ def _made(fit: Fit, options: Namespace) -> Generated:
     columns = (*fit.model.pose, *fit.model.state, *fit.model.channels)
     ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
     folder = Path(options.output)
-    before = options_of(folder) if options.params_only else {}
     name = options.name or (name_of(folder) if options.params_only else PREFIX)
-    accuracy, correction = _accuracy(options.accuracy, fit), options.correction
-    if accuracy is None:
-        accuracy = before.get("accuracy")
-    if correction is None:
-        correction = before.get("correction")
     return generate(
         fit,
         arithmetic=options.arithmetic,
         ranges=ranges,
         double=options.double,
         jacobian=options.jacobian,
-        accuracy=accuracy,
-        correction=correction,
+        accuracy=_accuracy(options.accuracy, fit),
+        correction=options.correction,
         allow_undetermined=allow,
         calibration_sha256=digest,
         name=name,
+        like=folder if options.params_only else None,
     )
 
 

@@ -112,6 +112,9 @@ class Program:
     """Name of the line and exponent, by pose column."""
     bounds: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """Least and greatest exact value and error [SI], by pose column."""
+    plan: list[int] = field(default_factory=list)
+    """Exponents and counts of steps in the order in which they were chosen: given again, they make the same
+    code."""
     reciprocals: list[Reciprocal] = field(default_factory=list)
     angles: frozenset[str] = frozenset()
     """Columns that are binary angles: 2^32 to a turn, unsigned."""

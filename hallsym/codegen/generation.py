@@ -1,6 +1,6 @@
 """From a calibration to the files of a decoupler."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from hallsym.codegen.checks import check, check_bounds, check_gains, check_same,
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT
+from hallsym.codegen.folder import options_of as options_before
 from hallsym.codegen.folder import replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
@@ -99,6 +100,7 @@ def generate(
     allow_undetermined: bool = False,
     calibration_sha256: str | None = None,
     name: str = PREFIX,
+    like: str | Path | None = None,
 ) -> Generated:
     """Generate the C decoupler of a calibration.
 
@@ -107,8 +109,9 @@ def generate(
     `jacobian`: with `decoupler_jacobian()`. Models of an angle: `accuracy` is what the correction of it
     may leave besides rounding [rad], default 3e-8, of integers 1e-5; `correction` is "series", "table", or
     "auto" for the one of fewer bytes. `name`: prefix of symbols and files, so that several decouplers fit in
-    one image. Raises `InputError` for a calibration that cannot be trusted on a
-    controller.
+    one image. `like`: a generated folder whose code it shall have, for a recalibration: what was chosen
+    there, such as exponents and the form of a table, is taken where it is not given. Raises `InputError` for
+    a calibration that cannot be trusted on a controller.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(
@@ -119,12 +122,16 @@ def generate(
     named = mapping((*fit.model.channels, *fit.model.state, *fit.model.pose))
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
     record |= {} if name == PREFIX else {"name": name}
-    given: dict[str, Any] = {"accuracy": accuracy, "correction": correction}
+    before = {} if like is None else options_before(Path(like))
+    given: dict[str, Any] = {
+        "accuracy": before.get("accuracy") if accuracy is None else accuracy,
+        "correction": before.get("correction") if correction is None else correction,
+    }
     if arithmetic == "q31":
         for option, unwanted in (("double", double), ("jacobian", jacobian)):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
-        backend: Backend = _integers(fit, record, ranges, given)
+        backend: Backend = _integers(fit, record, ranges, given, before.get("plan"))
     else:
         backend = _floats(fit, record, ranges, given, double, jacobian)
     errors = backend.errors()
@@ -159,6 +166,7 @@ def _integers(
     record: Mapping[str, Any],
     ranges: Mapping[str, tuple[float, float]] | None,
     given: Mapping[str, Any],
+    plan: Sequence[int] | None,
 ) -> IntegerBackend:
     has_options = bool(options_of(lowering_of(fit.model)))
     for column in (ranges or {}) if has_options else ():
@@ -170,8 +178,8 @@ def _integers(
     found = lower(fit, box_of(fit, ranges), **(UNSEEN if has_options else given))
     check_gains(pose_bounds(found))
     check_same(found)
-    made = integer_program(found, **{name: value for name, value in given.items() if value is not None})
-    return IntegerBackend(found, {**record, **_recorded(made.options, given)}, made)
+    made = integer_program(found, plan, **{name: value for name, value in given.items() if value is not None})
+    return IntegerBackend(found, {**record, **_recorded({**made.options, "plan": made.plan}, given)}, made)
 
 
 def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
