@@ -23,7 +23,7 @@ import numpy as np
 
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.entries import short, unit
-from hallsym.codegen.fixed_point import Fixed, Line, Program, Reciprocal
+from hallsym.codegen.fixed_point import LARGEST, Fixed, Line, Program, Reciprocal
 from hallsym.codegen.float_c import straight
 from hallsym.codegen.operations import graph
 from hallsym.errors import InputError
@@ -189,7 +189,7 @@ class Compiler:
 
     def _checked(self, v: Fixed) -> Fixed:
         """Refuse what does not fit into 31 bits and a sign."""
-        if not v.most * 2.0**v.e < 2**31:
+        if not v.most * 2.0**v.e < LARGEST:
             if self.given is not None:
                 raise InputError(f"The calibration's {v.text} {DOES_NOT_FIT}")
             raise InputError(
