@@ -12,7 +12,7 @@ from hallsym.codegen.templates import lines_of
 
 FRAGMENTS = "q31/fragments/"
 LARGEST = 2**31 - 128
-"""Largest integer of a value or an end of a range: the largest float below 2^31, where conversions saturate."""
+"""Largest integer of a value or an end of a range: the largest float below 2^31, where conversions end."""
 UNSIGNED = ("angle", "turn")
 """Operations whose result is a binary angle."""
 

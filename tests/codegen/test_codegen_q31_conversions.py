@@ -174,7 +174,8 @@ def test_angles_are_converted_round_and_round(tmp_path):
         " DECOUPLER_BAM_FROM_COUNTS(5, 32)};\n"
         'int main(void)\n{\n printf("[");\n for (unsigned k = 0U; k < sizeof(made) / sizeof(made[0]); k++)'
         ' { printf("%lu,", (unsigned long)made[k]); }\n unsigned bad = 0U;\n'
-        " for (int64_t q = 0; q < 4294967296; q += 9973) { const double si = DECOUPLER_BAM_TO_SI((uint32_t)q);"
+        " for (int64_t q = 0; q < 4294967296; q += 9973)\n {\n"
+        " const double si = DECOUPLER_BAM_TO_SI((uint32_t)q);\n"
         " bad += (DECOUPLER_BAM_FROM_SI(si) == (uint32_t)q) ? 0U : 1U; }\n"
         ' printf("%u]\\n", bad);\n return 0;\n}\n'
     )

@@ -9,9 +9,10 @@ import subprocess
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from firmware import calibration, need
+from test_codegen_correction import fit_of
 
 from hallsym.codegen import generate
-from tests.firmware import calibration, need
 
 LEAST = 0.95
 """Share of the mutants that the self-test must notice."""
@@ -63,11 +64,21 @@ def noticed(folder, number, name, source):
     return ran.returncode != 0
 
 
+CASES = {
+    "stage31": lambda: generate(calibration()),
+    "stage31 in integers": lambda: generate(calibration(), arithmetic="q31"),
+    "encoder of two voltages, table": lambda: generate(fit_of("clipped"), accuracy=5e-3),
+    "encoder of a decoded angle": lambda: generate(fit_of("meng angle")),
+    "encoder of two voltages in integers": lambda: generate(fit_of("meng volts"), arithmetic="q31"),
+    "encoder of a decoded angle in integers": lambda: generate(fit_of("meng angle"), arithmetic="q31"),
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("arithmetic", ["float", "q31"])
-def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, arithmetic):
+@pytest.mark.parametrize("case", CASES)
+def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, case):
     need("gcc")
-    generate(calibration(), arithmetic=arithmetic).write(tmp_path / "fw")
+    CASES[case]().write(tmp_path / "fw")
     folder = tmp_path / "fw"
     (folder / "build").mkdir()
     tried = [
