@@ -104,6 +104,11 @@ def options_of(folder: Path) -> dict[str, Any]:
     return found
 
 
+def type_of(folder: Path) -> str:
+    """Return the type of the numbers of a generated folder: float, double or q31; float where it says none."""
+    return str(_record(folder / "params" / f"{name_of(folder)}_params.json").get("type", "float"))
+
+
 # -- the manifest ------------------------------------------------------------------------------------------
 
 

@@ -13,6 +13,7 @@ from hallsym.codegen.bounds import Bounds, pose_bounds
 from hallsym.codegen.box import box_of
 from hallsym.codegen.checks import check, check_bounds, check_gains, check_same, digest_of, notes_of
 from hallsym.codegen.decoupler import Decoupler
+from hallsym.codegen.entries import short
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT
 from hallsym.codegen.folder import options_of as options_before
@@ -20,7 +21,7 @@ from hallsym.codegen.folder import replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
 from hallsym.codegen.lowering import lower, lowering_of, options_of
-from hallsym.codegen.naming import PREFIX, check_prefix, mapping, renamed_files
+from hallsym.codegen.naming import PREFIX, check_distinct, check_prefix, mapping, renamed_files
 from hallsym.errors import InputError, quoted
 from hallsym.estimation.calibration import Fit
 
@@ -120,6 +121,8 @@ def generate(
     check_prefix(name)
     check(fit, allow_undetermined)
     named = mapping((*fit.model.channels, *fit.model.state, *fit.model.pose))
+    columns = [(c, short(c)) for c in (*fit.model.channels, *fit.model.state)]
+    check_distinct(columns, map(short, fit.model.pose), ())
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
     record |= {} if name == PREFIX else {"name": name}
     before = {} if like is None else options_before(Path(like))
@@ -134,9 +137,17 @@ def generate(
         backend: Backend = _integers(fit, record, ranges, given, before.get("plan"))
     else:
         backend = _floats(fit, record, ranges, given, double, jacobian)
+    _check_names(backend.decoupler)
     errors = backend.errors()
     notes = (*notes_of(fit), *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()))
     return Generated(backend, renamed_files(backend.files(errors, notes), name), errors, notes, name)
+
+
+def _check_names(d: Decoupler) -> None:
+    """Refuse columns that are called like an entry, a step or a flag of the code."""
+    others = [step.name for step in (*d.steps[: -len(d.pose)], *d.at_pose)] + [e.name for e in d.entries]
+    others += [array.name for array in d.arrays] + [flag.name for flag in d.flags]
+    check_distinct([(c, short(c)) for c in d.inputs], map(short, d.pose), others)
 
 
 def _floats(

@@ -221,7 +221,7 @@ class IntegerBackend(IntegerArithmetic):
         yield from faults.of_limits(d, self.limited)
         if not p.angles:
             yield from faults.of_margins(d, reach, write)
-            yield from faults.of_several(d, self.limited, None)
+        yield from faults.of_several(d, self.limited, None, gains=not p.angles)
 
     def _count(self) -> dict[str, Any]:
         """Inputs in range, all above, all below, above and below in turn."""

@@ -148,3 +148,13 @@ def test_a_probe_of_another_range_keeps_its_own_exponent():
     small = {"hall_b_m": (-1e-6, 1e-6)}
     found = generate(calibration(), arithmetic="q31", ranges=small).backend.exponents
     assert found["hall_a_m"] == found["hall_c_m"] < found["hall_b_m"] - 4
+
+
+@pytest.mark.parametrize("options", [["--arithmetic", "q31"], ["--double"]])
+def test_a_recalibration_takes_the_numbers_of_the_folder(options, tmp_path):
+    calibration().save(tmp_path / "calib.json")
+    base = ["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw")]
+    assert main([*base, *options]) == 0
+    before = (tmp_path / "fw/params/decoupler_params.bin").read_bytes()
+    assert main([*base, "--params-only"]) == 0
+    assert (tmp_path / "fw/params/decoupler_params.bin").read_bytes() == before
