@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
-import platform
 import re
-import secrets
-import shutil
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 
 from hallsym.errors import InputError, quoted, summary
@@ -73,11 +70,18 @@ def atomic_write(path: str | Path, content: bytes | str | Callable[[Path], None]
                 stream.write(data)
 
 
-def reason(error: Exception) -> str:
-    """Return in a few words why the system refused a file, on one line."""
+_READING = {
+    errno.EACCES: "permission is denied; ask for the right to read it",
+    errno.EPERM: "permission is denied; ask for the right to read it",
+}
+
+
+def reason(error: Exception, *, reading: bool = False) -> str:
+    """Return in a few words why the system refused to write (or read) a file, on one line."""
     if not isinstance(error, OSError) or not error.strerror:
         return summary(error)  # a name with a null character, say
-    return _REASONS.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
+    known = _REASONS | _READING if reading else _REASONS
+    return known.get(error.errno or 0, " ".join(error.strerror.split()).rstrip("."))
 
 
 # -- temporaries -----------------------------------------------------------------------------------------
@@ -91,7 +95,7 @@ def beside(target: Path) -> Path:
     pid = os.getpid()
     suffix = target.suffix if len(target.suffix) <= _LONGEST_SUFFIX else ""
     owner = f"{_machine()}-{pid}-{_started(pid) or 0}"
-    return target.with_name(f".hallsym-{owner}-{secrets.token_hex(4)}.tmp{suffix}")
+    return target.with_name(f".hallsym-{owner}-{os.urandom(4).hex()}.tmp{suffix}")
 
 
 def clean(folder: Path) -> None:
@@ -108,6 +112,8 @@ def clean(folder: Path) -> None:
             if match and match[1] == _machine() and not _lives(int(match[2]), int(match[3])):
                 with suppress(OSError):
                     if entry.is_dir(follow_symlinks=False):
+                        import shutil  # here, because every command loads this module
+
                         shutil.rmtree(entry.path, ignore_errors=True)
                     else:
                         os.unlink(entry.path)
@@ -116,9 +122,10 @@ def clean(folder: Path) -> None:
 @cache
 def _machine() -> str:
     """Return what tells this machine's processes from those of others: its name and its set of processes."""
+    name = os.uname().nodename if hasattr(os, "uname") else ""
     with suppress(OSError):
-        return sha256(f"{platform.node()} {os.readlink('/proc/self/ns/pid')}".encode()).hexdigest()[:8]
-    return sha256(platform.node().encode()).hexdigest()[:8]
+        name += os.readlink("/proc/self/ns/pid")
+    return f"{zlib.crc32(name.encode('utf-8', 'replace')):08x}"
 
 
 def _lives(pid: int, started: int) -> bool:

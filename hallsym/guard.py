@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from hallsym.errors import InputError, quoted
@@ -15,12 +14,13 @@ Identity = tuple[int, int]
 """Device and inode: what two names of one file share, through symbolic and hard links."""
 
 
-@dataclass
 class Task:
     """The files of one command, by identity; the values are the names they were given."""
 
-    inputs: dict[Identity, str] = field(default_factory=dict)
-    outputs: dict[Identity, str] = field(default_factory=dict)
+    def __init__(self) -> None:
+        """Begin without files."""
+        self.inputs: dict[Identity, str] = {}
+        self.outputs: dict[Identity, str] = {}
 
 
 _TASK: ContextVar[Task | None] = ContextVar("hallsym_task", default=None)
@@ -54,7 +54,7 @@ def note_input(path: str | Path) -> None:
         known.inputs[identity] = str(path)
 
 
-def check_output(path: str | Path) -> None:
+def check_output(path: str | os.PathLike[str]) -> None:
     """Refuse to write `path` where it is an input, or a folder that holds one."""
     known = _TASK.get()
     if known is None:
@@ -72,13 +72,13 @@ def check_output(path: str | Path) -> None:
                 )
 
 
-def _refused(output: str | Path, source: str) -> InputError:
+def _refused(output: str | os.PathLike[str], source: str) -> InputError:
     return InputError(
         f"Output {quoted(output)} is the input {quoted(source)}, which would be lost; give another name."
     )
 
 
-def _identity(path: str | Path) -> Identity | None:
+def _identity(path: str | os.PathLike[str]) -> Identity | None:
     try:
         found = os.stat(path)
     except (OSError, ValueError):

@@ -6,6 +6,7 @@ outside, so that a mistake of ours is not taken for a damaged file.
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 import warnings
@@ -18,16 +19,19 @@ from hallsym.errors import InputError, nearest, quoted, summary
 from hallsym.files import reason
 from hallsym.guard import note_input
 
+NO_JSON = "cannot be read as JSON"
+MOST_NUMBER = 1e50
+"""Magnitude of a number in any file: powers up to the sixth of it are still numbers."""
 MOST_TEXT_BYTES = 256_000_000
 """Bytes of a file that is read whole as text: a calibration of 10,000 runs has 2e6."""
 
 
 @contextmanager
-def reading(path: str | Path, what: str, expected: str, remedy: str = "copy it again") -> Iterator[None]:
+def reading(path: str | Path, what: str, fault: str, remedy: str = "copy it again") -> Iterator[None]:
     """Turn whatever is raised inside into an `InputError`, and keep warnings of libraries quiet.
 
-    `what` names the file in messages ("Calibration"), `expected` is what it must be ("a JSON file"), `remedy`
-    what to do. An `InputError` passes through.
+    `what` names the file in messages ("Calibration"), `fault` is what is wrong with one that cannot be read
+    ("is not valid TOML"), `remedy` what to do. An `InputError` passes through.
     """
     name = f"{what} {quoted(path)}"
     try:
@@ -37,15 +41,15 @@ def reading(path: str | Path, what: str, expected: str, remedy: str = "copy it a
     except InputError:
         raise
     except MemoryError as error:
-        raise InputError(f"{name} needs more memory than there is; split it, or {remedy}.") from error
+        raise InputError(f"{name} needs more memory than there is; make it smaller, or {remedy}.") from error
     except RecursionError as error:
-        raise InputError(f"{name} must be {expected}; it is nested too deeply, so {remedy}.") from error
+        raise InputError(f"{name} {fault} (it is nested too deeply); {remedy}.") from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno:
-            raise InputError(f"{name} cannot be read: {reason(error)}.") from error
-        raise InputError(
-            f"{name} must be {expected}; it is cut short or damaged, so {remedy} ({summary(error)})."
-        ) from error
+            raise InputError(
+                f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
+            ) from error
+        raise InputError(f"{name} {fault} ({summary(error)}); {remedy}.") from error
 
 
 def regular(path: str | Path, what: str, make: str = "") -> Path:
@@ -60,7 +64,9 @@ def regular(path: str | Path, what: str, make: str = "") -> Path:
     except FileNotFoundError:
         raise InputError(f"{name} does not exist{_neighbour(Path(path))}{make and f'; {make}'}.") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{name} cannot be read: {reason(error)}.") from None
+        raise InputError(
+            f"Cannot read {what.lower()} {quoted(path)}: {reason(error, reading=True)}."
+        ) from None
     if stat.S_ISDIR(mode):
         raise InputError(f"{name} is a folder; give the path of a file.")
     if not stat.S_ISREG(mode):
@@ -69,25 +75,56 @@ def regular(path: str | Path, what: str, make: str = "") -> Path:
     return Path(path)
 
 
-def read_text(path: str | Path, what: str, expected: str, remedy: str, make: str = "") -> str:
+def read_text(path: str | Path, what: str, fault: str, remedy: str, make: str = "") -> str:
     """Return the text of a small UTF-8 file; `make` as in `regular`, the rest as in `reading`."""
     file = regular(path, what, make)
-    with reading(path, what, expected, remedy):
+    with reading(path, what, fault, remedy):
         if file.stat().st_size > MOST_TEXT_BYTES:
             raise InputError(
-                f"{what} {quoted(path)} has {file.stat().st_size} bytes; {expected} of at most "
-                f"{MOST_TEXT_BYTES} is expected, so {remedy}."
+                f"{what} {quoted(path)} must have at most {MOST_TEXT_BYTES} bytes of text; it has "
+                f"{file.stat().st_size}, so it is something else: give another file."
             )
         return file.read_text(encoding="utf-8-sig")
 
 
 def read_json(path: str | Path, what: str, remedy: str, make: str = "") -> Any:
-    """Return what a JSON file holds; NaN, infinities and numbers beyond a double's range are refused."""
-    text = read_text(path, what, "a JSON file", remedy, make)
-    with reading(path, what, "a JSON file", remedy):
-        import msgspec  # here, because not every command reads JSON
+    """Return what a JSON file holds; NaN, infinities and numbers beyond `MOST_NUMBER` are refused."""
+    text = read_text(path, what, NO_JSON, remedy, make)
+    with reading(path, what, NO_JSON, remedy):
+        data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
+    place = _too_large(data)
+    if place is not None:
+        raise InputError(
+            f"{what} {quoted(path)} must hold numbers of magnitude {MOST_NUMBER:g} at most; "
+            f"'{place.lstrip('.')}' is larger, so {remedy}."
+        )
+    return data
 
-        return msgspec.json.decode(text)
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the keys of an object; of one that stands there twice, JSON does not say which is meant."""
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r} is given twice")
+    return found
+
+
+def _no_number(text: str) -> Any:
+    raise ValueError(f"{text} is no number")
+
+
+def _too_large(data: Any) -> str | None:
+    """Return the place of a number whose square is none any more; None where there is no such number."""
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            if isinstance(value, str | bool) or value is None:
+                continue
+            if (place := _too_large(value)) is not None:
+                return f".{key}{place}"
+    elif isinstance(data, int | float) and abs(data) > MOST_NUMBER:
+        return ""
+    return None
 
 
 def _neighbour(path: Path) -> str:

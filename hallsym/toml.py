@@ -9,21 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
-from hallsym.files import reason
+from hallsym.errors import InputError, nearest, quoted
+from hallsym.reading import MOST_NUMBER, read_text, reading
 from hallsym.units import UNITS, split_unit
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Return what a TOML file holds; `what` names it in errors, such as "Campaign file"."""
-    try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{what} {path} does not exist; give the path of a TOML file.") from None
-    except OSError as error:
-        raise InputError(f"{what} {path} cannot be read: {reason(error)}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{what} {path} is not valid TOML: {' '.join(str(error).split())}.") from None
+    fault, remedy = "is not valid TOML", "correct that place"
+    text = read_text(path, what, fault, remedy, "give the path of a TOML file")
+    with reading(path, what, fault, remedy):
+        return tomllib.loads(text)
+
+
+MOST_WHOLE = 2**53
 
 
 class Table:
@@ -46,7 +45,7 @@ class Table:
     @classmethod
     def read(cls, path: str | Path, what: str, keys: Sequence[str] | None = None) -> Table:
         """Read a file; `what` as in `read_toml`; messages about keys say `campaign file next.toml`."""
-        return cls(read_toml(path, what), f"{what.lower()} {Path(path).name}", keys)
+        return cls(read_toml(path, what), f"{what.lower()} {quoted(Path(path).name)}", keys)
 
     def __contains__(self, key: str) -> bool:
         """Return whether the file states this key."""
@@ -143,7 +142,7 @@ class Table:
 
 def number(value: Any, key: str, where: str, least: float = -np.inf) -> float:
     """Return a finite number, at least `least`."""
-    if not (_is_number(value) and abs(value) < np.inf):
+    if not (_is_number(value) and abs(value) <= MOST_NUMBER):
         raise InputError(f"'{key}' of {where} must be a finite number; instead received {value!r}.")
     if value < least:
         raise InputError(f"'{key}' of {where} must be a number >= {least:g}; instead received {value!r}.")
@@ -152,14 +151,15 @@ def number(value: Any, key: str, where: str, least: float = -np.inf) -> float:
 
 def positive(value: Any, key: str, where: str) -> float:
     """Return a finite number above 0."""
-    if not (_is_number(value) and 0 < value < np.inf):
+    if not (_is_number(value) and 0 < value <= MOST_NUMBER):
         raise InputError(f"'{key}' of {where} must be a positive number; instead received {value!r}.")
     return float(value)
 
 
 def whole(value: Any, key: str, where: str, least: int = 1) -> int:
     """Return a whole number, at least `least`."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+    known = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not (known and least <= value <= MOST_WHOLE):
         raise InputError(
             f"'{key}' of {where} must be a whole number, {least} or more; instead received {value!r}."
         )

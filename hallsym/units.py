@@ -62,14 +62,14 @@ _QUANTITIES: tuple[tuple[str, tuple[str, ...]], ...] = (
 def split_unit(column: str) -> tuple[str, Unit | None]:
     """Split `x_ref_um` into its stem `x_ref` and its unit; the unit is None where none is stated.
 
-    `hall_a` has no unit: the `a` names the probe, not amperes.
+    `hall_a` has no unit: the `a` names the probe, not amperes; in `current_a` it is amperes.
     """
-    if quantity(column):
-        return column, None
+    known = bool(quantity(column))
     for parts in (2, 1):
         pieces = column.rsplit("_", parts)
         suffix = "_".join(pieces[1:]).lower()
-        if len(pieces) == parts + 1 and pieces[0] and suffix in UNITS:
+        whole = len(pieces) == parts + 1 and pieces[0] and suffix in UNITS
+        if whole and (not known or UNITS[suffix].si in quantity(pieces[0])):
             return pieces[0], UNITS[suffix]
     return column, None
 

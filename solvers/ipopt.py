@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solvers.callbacks import Callbacks, Recent
-from solvers.newton import NEGLIGIBLE, inside, local_result
+from solvers.newton import NEGLIGIBLE, inside, local_result, newton
 from solvers.problem import INTERRUPTED, FloatArray, Problem, Result, Status
-from solvers.quadratic import what_is_left
+from solvers.quadratic import curves_down, what_is_left
 
 QUIET = {"print_time": False, "show_eval_warnings": False, "error_on_fail": False}
 STRICT = {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0}  # never a step outside the bounds
 ROUNDS = 4
+CURVED = "the cost curves down there"
+SATISFIED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
 CTRL_C = ("NonIpopt_Exception_Thrown", "User_Requested_Stop")  # what CasADi >= 3.8 makes of it
 
 
@@ -33,6 +35,9 @@ def ipopt(
     """Refine one point; never returns a worse one than `x0` clipped into the box.
 
     Needs `problem.expression` or `problem.derivatives`. For many starts of one problem build `Ipopt` once.
+    IPOPT calls a flat stretch far from any optimum solved. So its point is judged by a Newton step: where the
+    Hessian is not positive definite, or the step promises more than rounding, Newton's method goes on from
+    there; the message says so, and the status is what that ends with.
     tolerance, max_iterations: of each round of IPOPT, relative as said above; there are at most four, and
         one is the rule. options: further options of IPOPT itself.
     """
@@ -49,6 +54,7 @@ class Ipopt:
         self.problem = problem
         width = np.where(np.isfinite(problem.width) & (problem.width > 0.0), problem.width, 1.0)
         self.unit = 2.0 ** np.rint(np.log2(width))  # powers of two: dividing by them is exact
+        self.max_iterations = max_iterations
         inner = {"max_iter": max_iterations, "tol": tolerance} | STRICT | options
         self.recent: Recent | None = None
         extra: dict[str, Any] = {}
@@ -98,19 +104,34 @@ class _Attempt:
             return "failed", "The cost is not finite at the start: choose another start."
         if (self.lower == self.upper).all():
             return "converged", "Every variable is fixed: there is nothing to refine."
+        warned = ""
         for _ in range(ROUNDS):
             before = self.f
             said = self.round(abs(self.f) + float(np.abs(slope).max()))
-            slope, left, settled = self.left()
-            done = settled or said != "Solve_Succeeded" or self.f == before
-            if done:
+            slope, left, doubt = self.left()
+            if doubt == CURVED and said in SATISFIED:
+                warned = f" It was satisfied at a cost of {self.f:.6e} too, which is no optimum: {CURVED}."
+            if not doubt or said != "Solve_Succeeded" or self.f == before:
                 break
         found = f"IPOPT: {said}; the quadratic model promises {left:.1e} below a cost of {self.f:.6e}."
-        if settled or (done and said == "Solve_Succeeded"):
-            return "converged", found
-        if not done or said.startswith("Maximum"):
+        if not doubt:
+            return "converged", found + warned
+        if said in SATISFIED:
+            return self.go_on(
+                f"IPOPT: {said} at a cost of {self.f:.6e}, but {doubt}; Newton's method went on."
+            )
+        if said.startswith("Maximum"):
             return "budget", found + " Raise max_iterations, or go on from here."
         return "failed", found + " Try another start, or check that the derivatives belong to the cost."
+
+    def go_on(self, found: str) -> tuple[Status, str]:
+        """Newton's method from a point that satisfies IPOPT and is no optimum."""
+        further = newton(self.ipopt.problem, self.x, max_iterations=self.ipopt.max_iterations)
+        self.calls += further.evaluations
+        if further.cost < self.f:
+            self.x, self.f = further.x, further.cost
+        self.history.append((self.calls, self.f))
+        return further.status, f"{found} {further.message}"
 
     def round(self, scale: float) -> str:
         """One call of IPOPT from the best point; what it says is data, not the verdict."""
@@ -147,13 +168,17 @@ class _Attempt:
                 self.history.append((recent.calls, self.f))
             raise recent.error
 
-    def left(self) -> tuple[FloatArray, float, bool]:
-        """The slope, how much lower the cost could still be, and whether that is negligible."""
+    def left(self) -> tuple[FloatArray, float, str]:
+        """The slope, how much lower the cost could still be, and why this is no optimum ("" if it is one)."""
         u, low, high = self.x / self.unit, self.lower / self.unit, self.upper / self.unit
         slope = np.array(self.ipopt.gradient(u, 1.0)[1]).ravel()
         triangle = np.array(casadi.DM(self.ipopt.triangle(u, 1.0, 1.0, [])))
-        left, rounding = what_is_left(slope, triangle + np.triu(triangle, 1).T, u, low, high)
-        return slope, left, rounding or abs(left) <= NEGLIGIBLE * abs(self.f)
+        hessian = triangle + np.triu(triangle, 1).T
+        left, rounding = what_is_left(slope, hessian, u, low, high)
+        if curves_down(hessian, u, low, high):
+            return slope, left, CURVED
+        negligible = rounding or abs(left) <= NEGLIGIBLE * abs(self.f)
+        return slope, left, "" if negligible else f"a Newton step promises {left:.1e} less"
 
 
 def _from_expression(expression: casadi.Function, unit: FloatArray) -> dict[str, Any]:

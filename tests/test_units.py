@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from hallsym.units import fitting, parameter_unit, readable, scaled, si_unit, typeset
+from hallsym.units import fitting, parameter_unit, readable, scaled, si_unit, split_unit, typeset
 
 
 @pytest.mark.parametrize(
@@ -45,3 +45,13 @@ def test_words_of_units():
     assert parameter_unit("m", millimetres=True) == (1e3, "mm")
     assert [typeset(u) for u in ("um", "urad", "degC", "rpm")] == ["µm", "µrad", "°C", "rpm"]
     assert [si_unit(c) for c in ("hall_a_m", "speed_rad_s", "hall_a")] == ["m", "rad_s", ""]
+
+
+@pytest.mark.parametrize(
+    ("column", "stem", "unit"),
+    [("current_a", "current", "a"), ("current_a_a", "current_a", "a"), ("current_ma", "current", "ma"),
+     ("hall_a", "hall_a", None), ("v_v", "v_v", None), ("hall_a_m", "hall_a", "m")],
+)  # fmt: skip
+def test_a_last_letter_is_a_unit_where_the_quantity_has_it(column, stem, unit):
+    found, stated = split_unit(column)
+    assert (found, stated.name if stated else None) == (stem, unit)

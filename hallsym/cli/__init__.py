@@ -20,4 +20,5 @@ COMMANDS = {
 """Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 
 OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG = 0, 2, 3, 4, 70
-"""Exit codes, as `hallsym --help` explains them."""
+NOT_DESCRIBED = NOT_DETERMINED
+"""Exit codes, as `hallsym --help` explains them: 3 is done, but not to be used without a second look."""

@@ -49,7 +49,8 @@ def add(sub: Any) -> None:
     parser.add_argument(
         "--accuracy", metavar="COLUMN=ANGLE",
         help="encoders: what the correction of the angle may leave besides rounding, as angle_mrad=1 "
-        "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table",
+        "(default: angle_nrad=30); a coarser one takes fewer waves or a smaller table; magnet arrays: of a "
+        "place, as x_um=0.1",
     )  # fmt: skip
     parser.add_argument(
         "--correction", choices=CORRECTIONS,
@@ -100,12 +101,12 @@ def _made(fit: Fit, options: Namespace) -> Generated:
 
 
 def _text(made: Generated, options: Namespace) -> list[str]:
-    record = made.to_dict()
+    record, tried = made.to_dict(), made.decoupler.tried
     lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
     for c, met in record["error_met"].items():
         unit, bound = c.rpartition("_")[2], record.get("error_bound", {}).get(c)
         most = "" if bound is None else f"error at most {1e9 * bound:.3g} n{unit} over the box, "
-        lines.append(f"  {c}: {most}{1e9 * met:.3g} n{unit} met over 100000 random inputs")
+        lines.append(f"  {c}: {most}{1e9 * met:.3g} n{unit} met over {tried} random inputs")
     lines += [f"  {c}: {low:g} to {high:g}" for c, (low, high) in record["box"].items()]
     wrote = sorted(made.params) if options.params_only else sorted(made.files)
     lines += [f"wrote {Path(options.output) / name}" for name in wrote]

@@ -17,7 +17,7 @@ from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
-from hallsym.log import Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
+from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
@@ -165,19 +165,24 @@ def column_ranges(given: Sequence[str], columns: Sequence[str]) -> dict[str, tup
     return ranges
 
 
+MOST_RUNS = 1_000_000
+"""Runs that a range of run numbers may hold: more than any campaign has."""
+
+
 def run_numbers(text: str) -> list[int]:
     """`2,7,12` or `40-45` as run numbers."""
     runs: list[int] = []
     try:
         for part in filter(None, text.split(",")):
             first, _, last = part.strip().partition("-")
-            span = range(int(first), int(last or first) + 1)
-            if not span:
+            low, high = int(first), int(last or first)
+            if not low <= high <= min(low + MOST_RUNS, MOST_RUN):
                 raise ValueError(part)
-            runs += span
+            runs += range(low, high + 1)
     except ValueError:
         raise InputError(
-            f"--holdout must be run numbers such as 2,7,12 or 40-45; instead received {text!r}."
+            f"--holdout must be run numbers such as 2,7,12 or 40-45, {MOST_RUNS} in a row at most; instead "
+            f"received {text!r}."
         ) from None
     return runs
 
@@ -207,6 +212,17 @@ def save_fit_pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:
     from hallsym.report.figures import save_pictures
 
     return save_pictures(log, result, Path(folder), keep=result.keep)
+
+
+def reading_words(options: Namespace) -> list[str]:
+    """Words of a command that its next step needs too: how the log is read, and the machine."""
+    words = [word for column in options.column for word in ("--column", column)]
+    words += [word for noise in options.noise for word in ("--noise", noise)]
+    for option in ("counts_per_turn", "column_file", "format", "delimiter", "machine", "effects"):
+        value = getattr(options, option, None)
+        if value is not None:
+            words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
+    return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 
 def noted(notes: Sequence[str]) -> list[str]:
@@ -268,11 +284,11 @@ def levels(campaign: Campaign, model: Model, values: Mapping[str, float]) -> dic
     """
     own = model.family.example.noise if model.family.example else None
     if not campaign.noise and own:
-        return {c: s for c, s in own.items() if c in (*model.channels, *model.references)}
+        return Noise.given(own, (*model.channels, *model.references)).std
     if not campaign.noise:
         return dict(table8_noise(model, values).sigma)
     columns = (*model.channels, *model.state, *model.references)
-    other = [c for c in campaign.noise if c in (own or {}) and c not in columns]
+    other = [c for c in campaign.noise if c in (own or {}) and not Noise.given({c: 1.0}, columns)]
     stated = {c: s for c, s in campaign.noise.items() if c not in other}
     check_noise_keys(stated, columns, "the campaign's [noise]")
     found = Noise.given(stated, columns).std

@@ -14,6 +14,7 @@ from hallsym.cli.common import (
     own_effects,
     own_option,
     progress_of,
+    reading_words,
     run_numbers,
     say,
 )
@@ -104,19 +105,10 @@ def run(options: Namespace) -> int:
         else:
             _save(path, found.to_dict())
     written = [f"wrote {path}" for path in options.output]
-    say(options, found.to_dict(), lambda: "\n".join([diagnosis_text(found, _reading(options)), *written]))
+    say(
+        options, found.to_dict(), lambda: "\n".join([diagnosis_text(found, reading_words(options)), *written])
+    )
     return OK
-
-
-def _reading(options: Namespace) -> list[str]:
-    """Words of this command that its next step needs too: how the log is read, and the machine."""
-    words = [word for column in options.column for word in ("--column", column)]
-    words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("counts_per_turn", "column_file", "format", "delimiter", "machine", "effects"):
-        value = getattr(options, option)
-        if value is not None:
-            words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]
-    return [*words, *(["--drop-bad"] if options.drop_bad else [])]
 
 
 def _save(path: str, record: dict[str, Any]) -> None:

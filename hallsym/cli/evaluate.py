@@ -1,10 +1,22 @@
 """`hallsym evaluate`: errors of a saved calibration on another log."""
 
+import shlex
+import sys
 from argparse import Namespace
+from dataclasses import replace
 from typing import Any
 
-from hallsym.cli import OK
-from hallsym.cli.common import command, log_options, noted, open_log, own_effects, own_option, say
+from hallsym.cli import NOT_DESCRIBED, OK
+from hallsym.cli.common import (
+    command,
+    log_options,
+    noted,
+    open_log,
+    own_effects,
+    own_option,
+    reading_words,
+    say,
+)
 from hallsym.errors import InputError
 from hallsym.estimation import noise_of
 from hallsym.estimation.calibration import Fit, load_fit
@@ -27,7 +39,8 @@ def add(sub: Any) -> None:
     parser = command(
         sub, "evaluate", run,
         "Decode a log with a saved calibration and tabulate the errors against its reference. The zero\n"
-        "deviations of each run are estimated from that run: a reset is a reset.",
+        "deviations of each run are estimated from that run: a reset is a reset. Where the calibration does\n"
+        "not describe the log, the report begins with that, and the exit code is 3.",
     )  # fmt: skip
     parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
     parser.add_argument("log", metavar="LOG", help="log to judge on")
@@ -52,12 +65,20 @@ def run(options: Namespace) -> int:
     _belongs(log, known)
     log = as_read(log, known.model, known.wiring)
     noise = noise_of(log, known.model)
-    table, shifts = judged(log, known.model, known.values, noise.std, own_zero=options.own_zero)
-    notes += _shift_notes(known.model, table, shifts, taken_out=options.own_zero)
+    found = judged(log, known.model, known.values, noise.std, own_zero=options.own_zero)
+    table = found.table
+    notes += _shift_notes(known.model, table, found.shifts, taken_out=options.own_zero)
+    goodness = found.goodness.judged(
+        noise, (*known.model.channels, *known.model.references), log.meta.gap_threshold_rel
+    )
+    words = ["hallsym", "diagnose", options.log, "--model", options.calibration, *reading_words(options)]
+    goodness = replace(goodness, next_command=shlex.join(words), what="The calibration")
+    amiss = goodness.sentence
     rows: dict[str, Any] = {"all runs": table.over()}
     if options.by_run:
         rows |= {f"run {run}": table.over([run]) for run in table.runs}
     record = {
+        "goodness_of_fit": goodness.to_dict(),
         "calibration": str(options.calibration),
         "model": known.model.name,
         "log": str(options.log),
@@ -70,10 +91,16 @@ def run(options: Namespace) -> int:
         options,
         record,
         lambda: "\n".join(
-            [error_rows(known.model.pose, rows, None, turning=known.model.period), *noted(notes)]
+            [
+                *([amiss, ""] if amiss else []),
+                error_rows(known.model.pose, rows, None, turning=known.model.period),
+                *noted(notes),
+            ]
         ),
     )
-    return OK
+    if amiss and options.json:
+        print(f"hallsym: {amiss}", file=sys.stderr)
+    return NOT_DESCRIBED if amiss else OK
 
 
 def _shift_notes(model: Model, table: ErrorTable, shifts: Shifts, *, taken_out: bool) -> list[str]:

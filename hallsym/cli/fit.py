@@ -1,10 +1,12 @@
 """`hallsym fit`: calibrate a model on a log."""
 
+import shlex
 import sys
 from argparse import Namespace
+from dataclasses import replace
 from typing import Any
 
-from hallsym.cli import NOT_CONVERGED, NOT_DETERMINED, OK
+from hallsym.cli import NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK
 from hallsym.cli.common import (
     command,
     log_options,
@@ -13,14 +15,16 @@ from hallsym.cli.common import (
     own_effects,
     own_option,
     progress_of,
+    reading_words,
     run_numbers,
     save_fit_pictures,
     say,
     seed,
 )
 from hallsym.diagnosis import model_on
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation.calibration import Fit, added_effects
 from hallsym.estimation.fit import fit
+from hallsym.families import plain
 from hallsym.families.machine_file import read_machine
 from hallsym.log import Fault
 from hallsym.model import Model
@@ -33,7 +37,8 @@ def add(sub: Any) -> None:
         sub, "fit", run,
         "Calibrate a model on a log of Hall readings beside a reference. Prints errors before and after,\n"
         "parameters with standard uncertainties in parentheses (on the last two digits), and what the data\n"
-        "determine instead of parameters they cannot tell apart.",
+        "determine instead of parameters they cannot tell apart. Where the model does not describe the log,\n"
+        "the report begins with that, and the exit code is 3; the calibration is written all the same.",
         "examples:\n"
         "  hallsym fit campaign.parquet -o calib.json --plots pictures\n"
         "  hallsym fit log.csv --column hall_a_um=HallA --column x_ref_um=IFM_X ... --holdout 2,7,12\n"
@@ -98,6 +103,9 @@ def run(options: Namespace) -> int:
         seed=options.seed,
         on_progress=progress_of(options),
     )
+    if result.goodness:
+        goodness = replace(result.goodness, next_command=_diagnose(options, result))
+        result = replace(result, goodness=goodness)
     if options.output:
         result.save(options.output)
     pictures = save_fit_pictures(log, result, options.plots)
@@ -105,16 +113,27 @@ def run(options: Namespace) -> int:
     if not options.json:
         for path in [*([options.output] if options.output else []), *pictures]:
             print(f"wrote {path}")
-    return exit_code(result)
+    return exit_code(result, said=not options.json)
 
 
-def exit_code(result: Fit) -> int:
-    """0, or 3 and 4 with one sentence on stderr that says what is missing, or wrong with the recording."""
+def _diagnose(options: Namespace, result: Fit) -> str:
+    """Return the command that finds what the model leaves, with the options that were given."""
+    words = ["hallsym", "diagnose", options.log, "--model", plain(result.model).name]
+    words += [word for effect in added_effects(result.model) for word in ("--effect", effect)]
+    words += ["--holdout", options.holdout] if options.holdout else []
+    return shlex.join([*words, *reading_words(options)])
+
+
+def exit_code(result: Fit, *, said: bool = True) -> int:
+    """0, or 3 and 4 with one sentence on stderr that says what is missing, or wrong with the recording.
+
+    `said`: the text that was printed begins with the sentence on a model that does not describe its log.
+    """
     faults = [note for note in result.notes if isinstance(note, Fault)]
     for fault in faults:
         print(f"hallsym: {fault}", file=sys.stderr)
     if result.status != "converged":
-        print(f"hallsym: the solver did not finish ({result.status}): {result.message}", file=sys.stderr)
+        print(f"hallsym: the solver did not converge ({result.status}): {result.message}.", file=sys.stderr)
         return NOT_CONVERGED
     if result.undetermined_by_log:
         what = ", ".join(result.undetermined_by_log)
@@ -124,4 +143,9 @@ def exit_code(result: Fit) -> int:
             file=sys.stderr,
         )
         return NOT_DETERMINED
+    amiss = result.goodness and result.goodness.sentence
+    if amiss and not said:
+        print(f"hallsym: {amiss}", file=sys.stderr)
+    if amiss:
+        return NOT_DESCRIBED
     return NOT_DETERMINED if faults else OK

@@ -8,10 +8,10 @@ from typing import Any
 from hallsym.cli import OK
 from hallsym.cli.common import command, log_options, noted, open_log, say
 from hallsym.cli.trajectory import about_curve
-from hallsym.estimation import LOSSES, SOLVERS, noise_of
+from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, models
-from hallsym.log import Log, check_log, spans
+from hallsym.log import Log, check_log, estimate_noise, spans
 from hallsym.report.tables import grid
 from hallsym.report.text.effect import effect_record, effect_text, is_explained
 from hallsym.report.text.fit import fit_text
@@ -96,11 +96,19 @@ def _about_campaign(campaign: Campaign) -> dict[str, Any]:
     }
 
 
+MOST_ESTIMATED = 256
+"""Columns whose noise is estimated for a summary: some ms each, of one run."""
+
+
 def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     notes = list(log.notes) if options.drop_bad else check_log(log)
     extent = spans(log)
     columns = [c for c in log.columns if c != "run"]
-    noise = noise_of(log, None)
+    sensed = [c for c in columns if c != "t_s" and c in extent.overall]
+    unknown = [c for c in sensed if c not in log.noise][:MOST_ESTIMATED]
+    noise = log.noise.merged(estimate_noise(log, unknown)) if unknown else log.noise
+    if len(sensed) > MOST_ESTIMATED:
+        notes.append(f"The noise of the first {MOST_ESTIMATED} columns is estimated.")
     record: dict[str, Any] = {
         "log": log.name,
         "rows": log.rows,
@@ -109,9 +117,7 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
         "base_model": log.meta.base_model,
         "columns": {
             c: {
-                "min": extent.overall[c].min,
-                "max": extent.overall[c].max,
-                "std": extent.overall[c].std,
+                **{k: getattr(extent.overall.get(c), k, None) for k in ("min", "max", "std")},
                 "noise": noise[c].value if c in noise else None,
                 "noise_source": noise[c].source if c in noise else None,
             }
@@ -123,7 +129,7 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     for c in columns:
         factor, unit, _ = readable(c) if c != "t_s" else (1.0, "s", "t")
         entry = record["columns"][c]
-        numbers = [f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
+        numbers = ["" if entry[k] is None else f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
         sigma = "" if entry["noise"] is None else f"{entry['noise'] * factor:.3g}"
         rows.append([c, *numbers, sigma, unit, entry["noise_source"] or ""])
     head = f"{log.name}: {log.rows} samples in {len(log.runs)} runs"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
 import hallsym
 from hallsym.cli import BAD_INPUT, BUG, COMMANDS, NOT_CONVERGED, OK
@@ -21,8 +21,9 @@ OUTPUTS = ("output", "plots")
 """Options of all commands that name what is written."""
 
 EPILOG = """\
-exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done, but this log leaves parameters of
-the model undetermined, or its recording is at fault (both are named); 4 the solver did not converge or was
+exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done and written, but the log leaves
+parameters of the model undetermined or its recording is at fault (both are named), or the model does not
+describe the log (the report of 'fit' or 'evaluate' begins with that); 4 the solver did not converge or was
 interrupted (the best so far is written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where).
 
 examples:
@@ -42,9 +43,10 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
     """
     try:
         with task():
-            code = _run(arguments)
-            sys.stdout.flush()
-            return code
+            try:
+                return _run(arguments)
+            finally:
+                sys.stdout.flush()
     except InputError as error:
         return _said(str(error), BAD_INPUT, error)
     except BrokenPipeError:
@@ -52,8 +54,8 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
         return OK
     except OSError as error:
         _silence(sys.stdout)
-        where = error.filename or "standard output"
-        return _said(f"Cannot read or write {quoted(where)}: {reason(error)}.", BAD_INPUT, error)
+        what = f"read or write {quoted(error.filename)}" if error.filename else "write to standard output"
+        return _said(f"Cannot {what}: {reason(error)}.", BAD_INPUT, error)
     except KeyboardInterrupt:
         return _said("interrupted; nothing was written.", NOT_CONVERGED)
     except MemoryError as error:
@@ -61,6 +63,13 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
     except Exception as error:
         if interrupted():
             return _said("interrupted; nothing was written.", NOT_CONVERGED)
+        if type(error).__name__ == "LinAlgError":  # by name, because a command without numbers has no numpy
+            return _said(
+                f"The numbers of the inputs cannot be computed with ({summary(error)}): a value is far "
+                "from what the model expects; look at the units and values of each file with 'hallsym info'.",
+                BAD_INPUT,
+                error,
+            )
         return _said(_bug(error), BUG, error)
 
 
@@ -120,11 +129,14 @@ def _silence(stream: TextIO) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one line."""
+    """A parser whose complaint is one line, and that does not hide that a text could not be written."""
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong and end with 2."""
         self.exit(BAD_INPUT, f"{one_line(f'{self.prog}: {message}; see {self.prog} --help')}\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        (file or sys.stderr).write(message or "")
 
 
 def _parser(called: str | None) -> argparse.ArgumentParser:

@@ -143,13 +143,14 @@ class Arithmetic(ABC):
                 total += int(mix(row ^ mix(n * width + np.uint32(k))).astype(np.uint64).sum())
         return total & 0xFFFFFFFF
 
-    def errors(self, samples: int = 100_000, seed: int = 0) -> dict[str, float]:
+    def errors(self, samples: int | None = None, seed: int = 0) -> dict[str, float]:
         """Return the largest error of each pose coordinate against the model, over random inputs."""
         d, rng, most = self.decoupler, np.random.default_rng(seed), np.zeros(len(self.decoupler.pose))
         low, high = self.span
+        samples = d.tried if samples is None else samples
         for first in range(0, samples, self.batch):
-            share = rng.random((len(low), min(self.batch, samples - first)))
-            inputs = self._rounded(low + (high - low) * share)
+            count = min(self.batch, samples - first)
+            inputs = self._rounded(d.trials(rng, count, np.array([low, high])))
             pose, status = self.step(inputs)
             error = d.difference(_si(pose, self.outputs), d.exact(_si(inputs, self.inputs)))
             most = np.maximum(most, np.abs(error[:, status == 0]).max(axis=1, initial=0.0))
@@ -165,6 +166,8 @@ class Arithmetic(ABC):
         if d.model.period:  # on the branch of what is computed
             exact = found - d.difference(found, exact)
         weak = status >= flag_bit(len(d.flags) - 1) if d.flags else np.zeros(len(status), bool)
+        if d.drawn is not None:  # inputs brought back into the box belong to no pose
+            weak = status > 0
         return Vectors(inputs, held, np.where(weak, found, exact), status)
 
 

@@ -257,6 +257,11 @@ class Backend(Arithmetic):
             "inputs": len(d.inputs),
             "pose": len(d.pose),
             "width": len(d.pose) + 1,
+            "trials": d.tried,
+            "if_evident": "" if d.evident else "[ -f proof/eva.c ] && ",
+            "why_no_eva": "frama-c is not installed"
+            if d.evident
+            else "it relates no two values, as this code needs",
             "table": [e.member for e in self.constant],
             "reserved": ["uint32_t reserved; /**< 0 */"] if self.pad else [],
             "zeros": [e.member for e in self.zeros],

@@ -40,7 +40,7 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
     ends: dict[str, tuple[float, float]] = {}
     span = fit.log.get("span", {})
     for column, reference in zip((*model.pose, *model.state), (*model.references, *model.state), strict=True):
-        if column in model.period:  # what repeats is known all round
+        if column in model.period and reference not in model.absolute:  # what repeats is known all round
             ends[column] = (-model.period[column], model.period[column])
         elif reference in span:
             ends[column] = _rounded(*_recorded(reference, *span[reference]))

@@ -67,7 +67,8 @@ def check_gains(found: Bounds) -> None:
 
 def notes_of(fit: Fit) -> tuple[str, ...]:
     """Return what a user of the code should know of the calibration."""
-    notes = []
+    amiss = fit.goodness and fit.goodness.said("The model of this calibration does not describe its log")
+    notes = [f"{amiss}: the decoder inherits that error."] if amiss else []
     if fit.structural:
         notes.append(
             f"No recording tells {', '.join(fit.structural)} apart; only the combinations that readings "
@@ -93,14 +94,14 @@ def check_same(d: Decoupler) -> None:
     low, high = np.array([d.ends(c) for c in d.inputs]).T[:, :, None]
     rng = np.random.default_rng(0)
     share = np.hstack([rng.choice([0.0, 1.0], (len(low), 256)), rng.random((len(low), 2048))])
-    inputs = low + (high - low) * share
+    inputs = low + (high - low) * share if d.drawn is None else d.drawn(rng, 2304)
     printed, *seen = d.on_arrays()(list(inputs), d.constants)
     if seen:
         clear = d.raised(seen[0]) == 0
         printed, inputs = printed[:, clear], inputs[:, clear]
     off = np.abs(d.difference(printed, d.exact(inputs))).max(axis=1, initial=0.0)
     for column, error in zip(d.pose, off, strict=True):
-        if not error <= d.slack + d.cut + SAME:
+        if not error <= d.left(column) + d.cut + SAME:
             raise InputError(
                 f"The generated {column} differs by {error:.3g} from model {d.model.name}: its readings are "
                 "no polynomial of pose and state times a gain, and C cannot be generated for it."

@@ -55,5 +55,7 @@ def cost_of(model: Model, p: np.ndarray | None = None) -> Cost:
     """
     check_columns(model)
     reach = {c: TYPICAL.get(unit(c), 1.0) for c in (*model.pose, *model.state)}
-    box = Box({c: (-most, most) for c, most in reach.items()})
+    about = dict(zip(model.pose, np.mean(model.typical, axis=0), strict=True)) if model.typical else {}
+    middle = {c: 0.0 if c in model.period else about.get(c, 0.0) for c in reach}
+    box = Box({c: (middle[c] - most, middle[c] + most) for c, most in reach.items()})
     return firmware_cost(lowered(model, model.nominal if p is None else p, np.ones(len(model.channels)), box))

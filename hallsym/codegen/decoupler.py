@@ -22,6 +22,8 @@ from hallsym.model.arrays import on_arrays
 ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
 
+TRIED = 100_000
+
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -117,6 +119,11 @@ class Decoupler:
     flags: tuple[Flag, ...] = ()
     approximation: float = 0.0
     """What polynomials and series in place of functions leave in the pose [m, rad]."""
+    leaves: Mapping[str, float] = field(default_factory=dict)
+    """The same by pose column [its unit], where they differ."""
+    drawn: "Callable[[np.random.Generator, int], np.ndarray] | None" = None
+    """Random inputs (n_inputs, s) of poses in the box, of a decoder that claims nothing of readings that
+    belong to no pose; any within the limits otherwise."""
     cut: float = 0.0
     """What bits that whole steps cut off add to the pose [m, rad]; `bounded` counts it as rounding."""
     bounded: "Callable[[int], Mapping[str, Enclosure]] | None" = None
@@ -132,6 +139,8 @@ class Decoupler:
     """The program of integers (`hallsym.codegen.fixed_point`), of a family that brings one of its own."""
     arrays: tuple[Array, ...] = ()
     """Rows of numbers that steps look up; in the table after the limits."""
+    evident: bool = True
+    """Whether an analysis that relates no two values, such as Frama-C EVA, sees that the pose is finite."""
     said: tuple[str, ...] = ()
     """Sentences for header and report: approximations, and what they may leave."""
 
@@ -144,6 +153,23 @@ class Decoupler:
     def slack(self) -> float:
         """What series and iterations of a non-linear model may leave [m, rad]; 0 of a linear one."""
         return ENOUGH if self.at_pose else self.approximation
+
+    @property
+    def tried(self) -> int:
+        """Random inputs that errors are met over, where nothing else is said: fewer through an iterated
+        model."""
+        return TRIED if self.drawn is None else TRIED // 10
+
+    def left(self, column: str) -> float:
+        """Return `slack` of one pose coordinate."""
+        return self.leaves.get(column, self.slack)
+
+    def trials(self, rng: np.random.Generator, count: int, ends: np.ndarray) -> np.ndarray:
+        """Return random inputs (n_inputs, count) for trials; `ends`: least and greatest (2, n_inputs, 1)."""
+        if self.drawn is not None:
+            return np.clip(self.drawn(rng, count), *ends)
+        share = rng.random((len(self.inputs), count))
+        return np.asarray(ends[0] + (ends[1] - ends[0]) * share)
 
     def known(self, column: str) -> float:
         """Return the largest magnitude of a known pose coordinate, for a zero: half its period, or 1."""

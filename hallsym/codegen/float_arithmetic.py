@@ -42,7 +42,7 @@ class FloatArithmetic(Backend):
     @property
     def error_bound(self) -> Mapping[str, float]:
         """Rounding, and what series, polynomials and iterations leave."""
-        return {c: error + self.decoupler.slack for c, error in self.bounds.error.items()}
+        return {c: error + self.decoupler.left(c) for c, error in self.bounds.error.items()}
 
     def summary(self) -> dict[str, Any]:
         """CRC of the table, and how near to zero gains come."""
@@ -125,6 +125,8 @@ class FloatArithmetic(Backend):
         share = np.hstack([np.zeros((len(low), 1)) + 0.5, rng.random((len(low), COUNT - 1))])
         share[:, 1:9] = rng.choice([0.0, 1.0], (len(low), 8))
         inside = (low[:, None] + (high - low)[:, None] * share).astype(dtype)
+        if self.decoupler.drawn is not None:
+            inside = self.decoupler.drawn(rng, COUNT).astype(dtype)
         inside = np.clip(inside, low[:, None], high[:, None])
         bad = []
         for k in range(len(low)):

@@ -36,8 +36,10 @@ class FloatBackend(FloatArithmetic):
     """Prints the files of one decoupler in float or double."""
 
     def _templates(self) -> dict[str, str]:
-        """Not all bit patterns of a double can be tried."""
+        """Not all bit patterns of a double can be tried, and EVA is for code whose results it can see."""
         found = super()._templates()
+        if not self.decoupler.evident:
+            del found["proof/eva.c"]
         if self.real.size == 8:
             del found["proof/exhaustive.c"]
         return found
@@ -55,6 +57,8 @@ class FloatBackend(FloatArithmetic):
         return {"kind": kind, "rest": self._literal(d.rest[d.inputs.index(c)]) if d.rest else "at_rest"}
 
     def _of_output(self, port: Port) -> dict[str, Any]:
+        if self.decoupler.drawn is not None:  # of readings of no pose nothing is claimed
+            return {}
         low, high = (side[port.column] for side in (self.bounds.low, self.bounds.high))
         return {"outer_low": self._beyond(low), "outer_high": self._beyond(high)}
 

@@ -105,7 +105,7 @@ def options_of(folder: Path) -> dict[str, Any]:
 
 
 def type_of(folder: Path) -> str:
-    """Return the type of the numbers of a generated folder: float, double or q31; float where it says none."""
+    """Return the type of the numbers of a generated folder: float, double or q31; float by default."""
     return str(_record(folder / "params" / f"{name_of(folder)}_params.json").get("type", "float"))
 
 

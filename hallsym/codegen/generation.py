@@ -109,10 +109,11 @@ def generate(
     `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
     `jacobian`: with `decoupler_jacobian()`. Models of an angle: `accuracy` is what the correction of it
     may leave besides rounding [rad], default 3e-8, of integers 1e-5; `correction` is "series", "table", or
-    "auto" for the one of fewer bytes. `name`: prefix of symbols and files, so that several decouplers fit in
-    one image. `like`: a generated folder whose code it shall have, for a recalibration: what was chosen
-    there, such as exponents and the form of a table, is taken where it is not given. Raises `InputError` for
-    a calibration that cannot be trusted on a controller.
+    "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what harmonics and polynomials may leave
+    of a place [m]. `name`: prefix of symbols and files, so that several decouplers fit in one image. `like`:
+    a generated folder whose code it shall have, for a recalibration: what was chosen there, such as exponents
+    and the form of a table, is taken where it is not given. Raises `InputError` for a calibration that cannot
+    be trusted on a controller.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(
@@ -186,7 +187,8 @@ def _integers(
                 f"--range {column} does not go with --arithmetic q31, where every bit pattern of {column} is "
                 "an angle; leave it out."
             )
-    found = lower(fit, box_of(fit, ranges), **(UNSEEN if has_options else given))
+    unseen = {name: UNSEEN[name] for name in options_of(lowering_of(fit.model))}
+    found = lower(fit, box_of(fit, ranges), **(unseen if has_options else given))
     check_gains(pose_bounds(found))
     check_same(found)
     made = integer_program(found, plan, **{name: value for name, value in given.items() if value is not None})
@@ -196,7 +198,7 @@ def _integers(
 def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the choices of a lowering as `params/decoupler_params.json` holds them, for a recalibration."""
     accuracy = {} if given["accuracy"] is None else {"accuracy": given["accuracy"]}
-    return {"options": {**options, **accuracy}} if options else {}
+    return {"options": {**options, **accuracy}} if options or accuracy else {}
 
 
 def decouple(fit: Fit) -> ca.Function:

@@ -76,7 +76,7 @@ class IntegerBackend(IntegerArithmetic):
                 "input": c.column in p.inputs,
             }
             for c in (*self.inputs, *self.outputs)
-            for e in [self.exponents.get(c.column)]
+            for e in [self.exponents.get(c.column, 0)]
             if c.column not in p.angles
         ]
         said = [f" * {line}" for text in p.said for line in textwrap.wrap(text, 110)]

@@ -4,7 +4,6 @@ The records are those that `hallsym diagnose -o` and `hallsym fit -o` write. Par
 standard uncertainties, taken as independent: two recordings share no noise.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,8 +15,9 @@ from scipy.special import erfc
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Statement
 from hallsym.diagnosis.words import gap_text, gap_unit
-from hallsym.errors import InputError
-from hallsym.estimation.calibration import FORMAT
+from hallsym.errors import InputError, quoted
+from hallsym.estimation.calibration import FORMAT, read_record
+from hallsym.reading import read_json
 
 Calibration = Mapping[str, Any]
 """What `Fit.to_dict` returns and `hallsym fit -o` writes."""
@@ -120,15 +120,11 @@ def _record(source: Source, which: str) -> Diagnosis | Calibration:
         return source
     where = f"Record {which!r}"
     if isinstance(source, str | Path):
-        where = f"Record {source}"
-        try:
-            source = json.loads(Path(source).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(
-                f"{where} does not exist; make one with 'hallsym diagnose LOG -o {source}'."
-            ) from None
-        except (OSError, ValueError) as error:
-            raise InputError(f"{where} cannot be read as JSON: {' '.join(str(error).split())}.") from None
+        where, path = f"Record {quoted(source)}", source
+        make = f"make one with 'hallsym diagnose LOG -o {source}'"
+        source = read_json(source, "Record", "make it again", make)
+        if isinstance(source, Mapping) and source.get("format") == FORMAT:
+            read_record(source, path)
     if isinstance(source, Mapping):
         if source.get("format") == FORMAT and "parameters" in source and "model" in source:
             return source

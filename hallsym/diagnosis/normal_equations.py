@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.diagnosis.derivatives import Slopes
+from hallsym.diagnosis.many_channels import by_candidate
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.estimation.decoding import columns_of, decoding_gain
@@ -54,6 +55,8 @@ class NormalEquations:
         return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
 
 
+MANY = 6
+"""Channels above which products are made candidate by candidate, not for each pair of channels."""
 Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 """Runs, products for the likelihood, products in the output, samples."""
 
@@ -139,12 +142,15 @@ class Accumulator:
         """Add a batch to the runs that it belongs to."""
         near, D = self._near(batch, weights)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
-        metric = np.einsum("iks,ils->kls", D, D)
+        metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY else D
         for first, last in batch.groups(TOGETHER):
             lay = batch.layout(first, last)
             own, others = lay(near), [lay(r) for r in rows]
-            white = self._products(own, others, self.precision[:, :, None, None])
-            out = self._products(own, others, lay(metric))
+            if len(rows) > MANY:
+                white, out = by_candidate(self, own, others, self.precision, lay(metric))
+            else:
+                white = self._products(own, others, self.precision[:, :, None, None])
+                out = self._products(own, others, lay(metric))
             for k, block in enumerate(batch.blocks[first:last]):
                 part = slice(batch.edges[first + k], batch.edges[first + k + 1])
                 count = float(part.stop - part.start if weights is None else weights[part].sum())

@@ -36,7 +36,17 @@ def typed(kind: Any, value: Any) -> Any:
         hints = get_type_hints(kind)
         return kind(**{f.name: typed(hints[f.name], value[f.name]) for f in fields(kind) if f.name in value})
     if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise TypeError(f"{value!r} is no list")
         return tuple(typed(args[0], v) for v in value)
     if origin is dict:
         return {k: typed(args[1], v) for k, v in value.items()}
+    return _value(kind, value)
+
+
+def _value(kind: Any, value: Any) -> Any:
+    """Return a plain value that is of the type `kind`; raises `TypeError` for another one."""
+    wanted: Any = {float: (int, float), int: int, str: str, bool: bool}.get(kind)
+    if wanted and (not isinstance(value, wanted) or (isinstance(value, bool) and kind is not bool)):
+        raise TypeError(f"{value!r} is no {kind.__name__}")
     return value

@@ -7,6 +7,8 @@ stays beside the code that uses it.
 
 from dataclasses import dataclass
 
+from hallsym.estimation import UNSTRUCTURED
+
 
 @dataclass(frozen=True)
 class Policy:
@@ -63,6 +65,10 @@ class Policy:
     """Relative gap by which an effect with fewer parameters may be worse than the best and be preferred.
 
     Below the 5 % that are worth reporting: what it leaves out is no finding."""
+    as_good: float = 10.0
+    """Difference of BIC up to which a variant with as few parameters as another effect explains as much.
+
+    What Kass and Raftery (1995) call very strong."""
     foreseen: float = 0.75
     """Cross-validated gap, over that of the best fitting effect, below which an effect that fits alike wins.
 
@@ -75,6 +81,11 @@ class Policy:
     """Plain effects that, each with a second effect, compete with a flexible one (0: none).
 
     Cost: each takes one pass over the log."""
+    no_substitute: float = 0.5
+    """What a flexible effect and a second one leave, over what a plain one and its second leave, below which
+    the plain one is no substitute.
+
+    Half: where the flexible one only took an imperfection along, both pairs leave nearly the same."""
     cancelling: float = 2.0
     """Deviations of the whole machine from nominal above which an effect alone is undone by other parameters.
 
@@ -110,7 +121,7 @@ class Policy:
     """P-value of one shape below which it supports an excess over a stated floor.
 
     The excess is evidence too, so the shape need not be certain."""
-    unstructured: float = 0.15
+    unstructured: float = UNSTRUCTURED
     """Relative excess over a stated floor above which it is a gap although nothing in it has a shape; by
     which an estimated floor must exceed what the effects leave to be lowered to that.
 

@@ -145,6 +145,7 @@ def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> 
             s.effect is best.score.effect
             and s.size <= e.score.size
             and s.gain >= (1 - policy.simpler_gap) * e.score.gain
+            and s.bic <= e.score.bic + policy.as_good
             for s in scored
         )
     )
@@ -175,7 +176,8 @@ def plain_pairs_first(
     """Put a plain effect first if it and a second explain more than the flexible best one, by BIC.
 
     An effect with many parameters may take small imperfections along and so explain more than the plain cause
-    does. Then the plain cause and one of the imperfections together explain as much with no more parameters.
+    does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
+    and the flexible effect with a second one leaves nearly as much as these two.
     """
     if not exact:
         return exact
@@ -185,18 +187,30 @@ def plain_pairs_first(
         for e in exact[1:]
         if e.score.size < best.score.size and e.score.gain >= policy.promising * best.score.gain
     ]
-    found: list[tuple[float, Exact]] = []
+    found: list[tuple[float, Exact, float]] = []
     for e in plain[: policy.plain_pairs]:
-        tried, _ = candidates(e.fit.base, catalogue, facts)
-        ranked, _ = scores(e.fit.base, tried, runs, policy.inflation)
-        second = next((s for s in ranked if not s.absorbed), None)
+        second = _second(e, catalogue, runs, facts, policy)
         if second is None or second.size + e.score.size > best.score.size:
             continue
-        N = count_of(e.fit)
-        both = second.bic + e.score.size * float(np.log(max(N / policy.inflation, 2.0)))
+        both = second.bic + e.score.size * float(np.log(max(count_of(e.fit) / policy.inflation, 2.0)))
         if both < best.bic:
-            found.append((both, e))
-    return _first(min(found, key=lambda f: f[0])[1], exact) if found else exact
+            found.append((both, e, e.fit.cost - second.gain))
+    if not found:
+        return exact
+    _, first, left = min(found, key=lambda f: f[0])
+    second = _second(best, catalogue, runs, facts, policy)
+    if second is not None and best.fit.cost - second.gain < policy.no_substitute * left:
+        return exact
+    return _first(first, exact)
+
+
+def _second(
+    e: Exact, catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
+) -> Score | None:
+    """Return the best second effect beside one, by its score."""
+    tried, _ = candidates(e.fit.base, catalogue, facts)
+    ranked, _ = scores(e.fit.base, tried, runs, policy.inflation)
+    return next((s for s in ranked if not s.absorbed), None)
 
 
 def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:

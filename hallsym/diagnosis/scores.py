@@ -118,9 +118,46 @@ def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, li
 
 def scores(
     base: Base, tried: dict[str, Candidate], runs: Sequence[int], inflation: float = POLICY.inflation
-) -> tuple[list[Score], NormalEquations]:
-    """Score every candidate on `runs`, best first (by BIC), in one pass over the log."""
-    t = normal_equations(base, {key: (c.model, c.new) for key, c in tried.items()})
+) -> tuple[list[Score], frozenset[str]]:
+    """Score every candidate on `runs`, best first (by BIC); return those that are not finite beside it.
+
+    One pass over the log for all candidates, or for as many as have `COLUMNS` parameters together.
+    """
+    places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
+    found, spoiled = list[Score](), frozenset[str]()
+    for part in _parts(tried):
+        t = normal_equations(base, {key: (c.model, c.new) for key, c in part.items()})
+        found += _scored(t, part, base, runs, inflation, places)
+        spoiled |= t.spoiled
+    return sorted(found, key=lambda s: s.bic), spoiled
+
+
+COLUMNS = 1000
+"""Parameters of candidates that are screened in one pass: 8 MB for the products of each run."""
+
+
+def _parts(tried: dict[str, Candidate]) -> Iterator[dict[str, Candidate]]:
+    """Yield the candidates in parts of at most `COLUMNS` parameters, in order."""
+    part: dict[str, Candidate] = {}
+    size = 0
+    for key, c in tried.items():
+        if part and size + len(c.new) > COLUMNS:
+            yield part
+            part, size = {}, 0
+        part[key] = c
+        size += len(c.new)
+    yield part
+
+
+def _scored(
+    t: NormalEquations,
+    tried: dict[str, Candidate],
+    base: Base,
+    runs: Sequence[int],
+    inflation: float,
+    places: dict[str, int],
+) -> list[Score]:
+    """Score candidates from their products."""
     units = t.units(runs)
     groups = [units[k::FOLDS] for k in range(min(FOLDS, len(units)))]
     sums = [t.likelihood[g].sum(axis=0) for g in groups]
@@ -132,7 +169,6 @@ def scores(
     ]
     plain = sum(f.train.tested(f.output, NONE)[-1, -1] for f in folds)
     N = float(t.count[units].sum()) * len(base.model.channels)
-    places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
     out = []
     for key, c in tried.items():
         if key in t.spoiled:
@@ -160,7 +196,7 @@ def scores(
                 place=places[c.effect.name],
             )
         )
-    return sorted(out, key=lambda s: s.bic), t
+    return out
 
 
 NONE = np.zeros(0, dtype=int)

@@ -215,11 +215,11 @@ class _Search:
         found = survey(at.base, frozenset(self.runs))
         facts = facts_of(at.base, found)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        ranked, t = scores(at.base, tried, self.runs, self.policy.inflation)
+        ranked, spoiled = scores(at.base, tried, self.runs, self.policy.inflation)
         self.screened.append(Screened(at, ranked))
         self.not_testable |= {t.name: t.reason for t in trouble}
         not_finite = "its readings are not finite on this log"
-        self.not_testable |= {tried[key].effect.name: not_finite for key in t.spoiled}
+        self.not_testable |= {tried[key].effect.name: not_finite for key in spoiled}
         if at is self.start:
             absorbed = "the model's own parameters absorb it on this log"
             self.not_testable |= {s.effect.name: absorbed for s in by_name(ranked) if s.absorbed}

@@ -10,12 +10,22 @@ The path of a fit, file by file:
 - `identifiable`: which parameters the data determine, and which are therefore held.
 - `optimum`: global search, IPOPT, Newton; `gauss_newton`: by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
-- `covariance`: standard uncertainties; `result`, `calibration`: the record that is printed and saved.
+- `goodness_of_fit`: what is left, in multiples of the noise; `lower_bound`: what a linear fit leaves.
+- `covariance`: standard uncertainties; `run_scatter`: those that show between runs.
+- `result`, `calibration`: the record that is printed and saved.
 
 `task` puts these in order, `fit` is what users call.
 """
 
-from hallsym.estimation.calibration import CombinationEstimate, Errors, Fit, added_effects, load_fit
+from hallsym.estimation.calibration import (
+    MANY,
+    CombinationEstimate,
+    Errors,
+    Fit,
+    added_effects,
+    coverage_factor,
+    load_fit,
+)
 from hallsym.estimation.channel_assignment import Wiring, as_read, find_wiring, rewired
 from hallsym.estimation.coefficients import Coefficients
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty
@@ -31,7 +41,8 @@ from hallsym.estimation.decoding import (
     pose_errors,
 )
 from hallsym.estimation.fit import LOSSES, fit
-from hallsym.estimation.gauss_newton import cost_near, judge, judged, zeros_of
+from hallsym.estimation.gauss_newton import Judged, cost_near, judge, judged, zeros_of
+from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import (
     Determination,
     determine,
@@ -45,6 +56,7 @@ from hallsym.estimation.identifiable import (
 )
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.linearised import exact, summarise_at
+from hallsym.estimation.lower_bound import LowerBound, lower_bound
 from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import BUDGET, SOLVERS, Solution, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
@@ -55,7 +67,9 @@ from hallsym.estimation.task import noise_of
 __all__ = [
     "BUDGET",
     "LOSSES",
+    "MANY",
     "SOLVERS",
+    "UNSTRUCTURED",
     "Coefficients",
     "CombinationEstimate",
     "Cost",
@@ -63,7 +77,10 @@ __all__ = [
     "ErrorTable",
     "Errors",
     "Fit",
+    "GoodnessOfFit",
+    "Judged",
     "LinearFit",
+    "LowerBound",
     "RunStatistics",
     "Solution",
     "Uncertainty",
@@ -75,6 +92,7 @@ __all__ = [
     "columns_of",
     "cost_near",
     "cost_of",
+    "coverage_factor",
     "decoder",
     "decoder_near",
     "decoding_gain",
@@ -85,6 +103,7 @@ __all__ = [
     "feature_scale",
     "find_wiring",
     "fit",
+    "goodness_of",
     "inverse",
     "judge",
     "judged",
@@ -93,6 +112,7 @@ __all__ = [
     "linear_fit",
     "load_fit",
     "logged_columns",
+    "lower_bound",
     "noise_floor",
     "noise_of",
     "nominal_variance",

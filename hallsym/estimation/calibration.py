@@ -1,15 +1,19 @@
 """A calibration: values with uncertainties, identifiable combinations, errors; saved as readable JSON."""
 
+from __future__ import annotations
+
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
-from hallsym.errors import InputError
-from hallsym.estimation.decoding import ErrorTable
+from hallsym.errors import InputError, quoted
+from hallsym.estimation.decoding import ErrorTable, logged_columns
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import build, known_effect, plain
@@ -18,13 +22,33 @@ from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
+from hallsym.reading import read_json
+from hallsym.records import structured
+
+if TYPE_CHECKING:
+    from hallsym.estimation.calibration_file import CalibrationRecord
 
 FORMAT = "hallsym calibration 1"
+INTERVAL = 0.95
+"""Probability that an interval holds the true value."""
+MANY = 200.0
+"""Degrees of freedom from which on Student's interval is a normal one, to 1 %."""
+
+
+def coverage_factor(degrees_of_freedom: float | np.ndarray) -> np.ndarray:
+    """Return half of a 95 % interval over the standard uncertainty: Student's t, 1.96 for infinite ones."""
+    half = 0.5 + 0.5 * INTERVAL
+    dof = np.asarray(degrees_of_freedom, dtype=float)
+    finite = np.isfinite(dof)
+    return np.where(finite, stdtrit(np.where(finite, dof, 1.0), half), ndtri(half))
 
 
 @dataclass(frozen=True)
 class CombinationEstimate:
-    """A combination that the data determine although its parameters are not: value and 1 sigma in `unit`."""
+    """A combination that the data determine although its parameters are not: value and 1 sigma in `unit`.
+
+    `degrees_of_freedom`: of `std`; infinite where the noise is as stated.
+    """
 
     expression: str
     value: float
@@ -32,10 +56,23 @@ class CombinationEstimate:
     unit: str
     factors: Mapping[str, float] | None = None
     """Of a linear combination: factor by parameter."""
+    degrees_of_freedom: float = np.inf
+
+    @property
+    def half_width(self) -> float:
+        """Half of the 95 % interval."""
+        return float(coverage_factor(self.degrees_of_freedom)) * self.std
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record; infinite degrees of freedom are None."""
+        return {**vars(self), "degrees_of_freedom": _number(self.degrees_of_freedom)}
 
 
 class SolverRecord(TypedDict):
-    """How the optimum was found; `share_at_optimum`: of the starts that were refined."""
+    """How the optimum was found; `share_at_optimum`: of the starts that were refined.
+
+    `lower_bound`: the record of `lower_bound.LowerBound`, None for a model that has no exact run statistics.
+    """
 
     name: str
     loss: str
@@ -45,6 +82,7 @@ class SolverRecord(TypedDict):
     starts: int
     share_at_optimum: float
     seed: int
+    lower_bound: dict[str, Any] | None
 
 
 class LogRecord(TypedDict):
@@ -80,10 +118,11 @@ class Errors:
 class Fit:
     """What `fit` returns and `calib.json` holds.
 
-    `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do not
-    determine the parameter. `covariance`: (n, n), zero rows for held parameters. `held` stayed at nominal,
-    `at_bound` ended at a bound. `zeros`: run -> zero deviations delta [m] in reading space.
-    `noise_floor`: RMSE that the stated noise alone would leave, by pose coordinate.
+    `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do
+    not determine the parameter. `covariance`: (n, n), zero rows for held parameters. `degrees_of_freedom`:
+    (n,) of `std`, for Student's t; infinite where the noise is as stated. `held` stayed at nominal,
+    `at_bound` ended at a bound. `zeros`: run -> zero deviations delta [m] in reading space. `noise_floor`:
+    RMSE that the stated noise alone would leave, by pose coordinate.
     """
 
     model: Model
@@ -93,6 +132,7 @@ class Fit:
     covariance: np.ndarray
     covariance_method: str
     covariance_reason: str
+    degrees_of_freedom: np.ndarray
     held: tuple[str, ...]
     structural: tuple[str, ...]
     at_bound: tuple[str, ...]
@@ -105,6 +145,8 @@ class Fit:
     solver: SolverRecord
     log: LogRecord
     seconds: float
+    goodness: GoodnessOfFit | None = None
+    """None only for a calibration that an earlier version saved."""
     notes: tuple[str, ...] = ()
     errors: Errors | None = None
     keep: Weigh | None = None
@@ -122,6 +164,11 @@ class Fit:
     versions: Mapping[str, str] = field(default_factory=dict)
     error_rows: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half of the 95 % interval of every parameter, (n,); nan where the data do not determine it."""
+        return coverage_factor(self.degrees_of_freedom) * self.std
+
     def value(self, name: str) -> float:
         """Return one parameter's value in SI."""
         if name not in self.model.names:
@@ -137,6 +184,7 @@ class Fit:
                 "value": float(self.values[k]),
                 "unit": model.parameters[k].unit,
                 "std": _number(self.std[k]),
+                "degrees_of_freedom": _number(self.degrees_of_freedom[k]),
                 "determined": bool(self.determined[k]),
                 "held": name in self.held,
                 "at_bound": name in self.at_bound,
@@ -148,12 +196,13 @@ class Fit:
         }
         return {
             "format": FORMAT,
+            "goodness_of_fit": None if self.goodness is None else self.goodness.to_dict(),
             "model": model.name,
             "effects": list(model.effects),
             "added": list(added_effects(model)),
             "own_effects": [e for e in added_effects(model) if not known_effect(e, model.family)],
             "parameters": parameters,
-            "combinations": [vars(c) for c in self.combinations],
+            "combinations": [c.to_dict() for c in self.combinations],
             "errors": dict(self.error_rows),
             "noise": {c: {"value": s.value, "source": s.source} for c, s in self.noise.sigmas.items()},
             "noise_floor": dict(self.noise_floor),
@@ -196,82 +245,132 @@ def load_fit(
 
     `own`: the user's effects by name, if it was fitted with any; `families`: the user's families.
     """
-    path = Path(path)
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(
-            f"Calibration {path} does not exist; make one with 'hallsym fit LOG -o {path}'."
-        ) from None
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"Calibration {path} cannot be read as JSON: {' '.join(str(error).split())}."
-        ) from None
+    raw = read_json(path, "Calibration", "fit the log again", f"make one with 'hallsym fit LOG -o {path}'")
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         found = raw.get("format") if isinstance(raw, dict) else None
         raise InputError(
-            f"File {path} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
+            f"File {quoted(path)} must be a calibration of format {FORMAT!r}; instead it says {found!r}."
         )
-    try:
-        return _from_dict(raw, own or {}, families)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"Calibration {path} is incomplete ({error!r}); fit the log again.") from None
+    return _checked(read_record(raw, path), own or {}, families, f"calibration {quoted(path)}")
 
 
-def _from_dict(
-    raw: Mapping[str, Any], own: Mapping[str, Callable[[Model], Model]], families: Sequence[Family]
+def read_record(raw: Any, path: str | Path) -> CalibrationRecord:
+    """Return the JSON data of a calibration file as a record. Raises `InputError` that names the place."""
+    from hallsym.estimation.calibration_file import CalibrationRecord
+
+    return structured(raw, CalibrationRecord, f"calibration {quoted(path)}", "fit the log again")
+
+
+def _checked(
+    record: CalibrationRecord,
+    own: Mapping[str, Callable[[Model], Model]],
+    families: Sequence[Family],
+    where: str,
 ) -> Fit:
-    entries = raw["parameters"]
-    changes = {
-        n: {"nominal": e["nominal"], "lower": _bound(e["lower"], -1), "upper": _bound(e["upper"], 1)}
-        for n, e in entries.items()
-    }
-    changes |= {
-        n: {"lower": _bound(low, -1), "upper": _bound(high, 1)}
-        for n, (low, high) in raw["zero_bounds"].items()
-    }
-    probes = [dict(entry) for entry in raw["layout"]]
-    unknown = [name for name in raw.get("own_effects", ()) if read_text(name)[0] not in own]
+    """Return the fit of a record whose parts fit together; raises `InputError` for one whose do not."""
+    unknown = [name for name in record.own_effects if read_text(name)[0] not in own]
     if unknown:
         raise InputError(
             f"The calibration was fitted with {', '.join(unknown)}, an effect of your own; "
             "give the file that defines it: --effects my_effects.py."
         )
-    added = tuple(raw["added"])
-    model = build(raw["model"], meta=Meta(probes=probes), added=added, own=own, families=families)
-    model = model.with_parameters(changes)
-    names = model.names
-    column = {k: np.array([_float(entries[n][k]) for n in names]) for k in ("value", "std")}
+    model = _model(record, own, families, where)
+    entries, names = record.parameters, model.names
+    _same(names, entries, f"parameters of {where}")
+    _same(names, record.covariance.parameters, f"covariance of {where}")
+    zeros = [zero.name for zero in model.zeros]
+    for run, deviations in record.zero_deviations.items():
+        _same(zeros, deviations, f"zero deviations of run {run} in {where}")
+    matrix = record.covariance.matrix
+    if len(matrix) != len(names) or any(len(row) != len(names) for row in matrix):
+        raise InputError(
+            f"The covariance of {where} must have {len(names)} rows and columns, one per parameter; fit the "
+            "log again."
+        )
+    lacking = [c for c in logged_columns(model) if c not in record.noise and c != "t_s"]
+    if lacking:
+        raise InputError(f"The noise of {lacking[0]} is missing in {where}; fit the log again.")
+    for rows in filter(None, record.errors.values()):
+        for what in ("rmse", "peak"):
+            _same(model.pose, rows.get(what, ()), f"errors ({what}) of {where}")
+    for channel, sign in record.wiring or ():
+        if channel not in model.channels or sign not in (1, -1):
+            raise InputError(
+                f"'wiring' of {where} must pair {', '.join(model.channels)} with 1 or -1; it has "
+                f"{[channel, sign]!r}: fit the log again."
+            )
+    goodness = record.goodness_of_fit
+    column = {k: np.array([_float(getattr(entries[n], k)) for n in names]) for k in ("value", "std")}
     return Fit(
         model=model,
         values=column["value"],
         std=column["std"],
-        determined=np.array([entries[n]["determined"] for n in names]),
-        covariance=np.array(raw["covariance"]["matrix"], dtype=float),
-        covariance_method=raw["covariance"]["method"],
-        covariance_reason=raw["covariance"]["reason"],
-        held=tuple(n for n in names if entries[n]["held"]),
-        structural=tuple(raw["structural"]),
-        at_bound=tuple(n for n in names if entries[n]["at_bound"]),
-        combinations=tuple(CombinationEstimate(**c) for c in raw["combinations"]),
-        zeros={
-            int(run): np.array([d[z.name] for z in model.zeros]) for run, d in raw["zero_deviations"].items()
-        },
-        noise=Noise({c: Sigma(s["value"], s["source"]) for c, s in raw["noise"].items()}),
-        noise_floor=raw["noise_floor"],
-        status=raw["status"],
-        message=raw["message"],
-        solver=raw["solver"],
-        log=raw["log"],
-        seconds=raw["seconds"],
-        notes=tuple(raw["notes"]),
-        undetermined_by_log=tuple(raw["undetermined_by_log"]),
-        wiring=None if raw["wiring"] is None else tuple((c, s) for c, s in raw["wiring"]),
-        versions=raw["versions"],
-        error_rows=raw["errors"],
+        determined=np.array([entries[n].determined for n in names]),
+        covariance=np.array(matrix, dtype=float).reshape(len(names), len(names)),
+        covariance_method=record.covariance.method,
+        covariance_reason=record.covariance.reason,
+        degrees_of_freedom=np.array([_unlimited(entries[n].degrees_of_freedom) for n in names]),
+        held=tuple(n for n in names if entries[n].held),
+        structural=tuple(record.structural),
+        at_bound=tuple(n for n in names if entries[n].at_bound),
+        combinations=tuple(
+            CombinationEstimate(
+                c.expression, c.value, c.std, c.unit, c.factors, _unlimited(c.degrees_of_freedom)
+            )
+            for c in record.combinations
+        ),
+        zeros={run: np.array([d[zero] for zero in zeros]) for run, d in record.zero_deviations.items()},
+        noise=Noise({c: Sigma(s.value, s.source) for c, s in record.noise.items()}),
+        noise_floor={c: _float(v) for c, v in record.noise_floor.items()},
+        status=record.status,
+        message=record.message,
+        goodness=None if goodness is None else GoodnessOfFit.from_dict(_plain(goodness)),
+        solver=cast(SolverRecord, _plain(record.solver)),
+        log=cast(LogRecord, _plain(record.log)),
+        seconds=record.seconds,
+        notes=tuple(record.notes),
+        undetermined_by_log=tuple(record.undetermined_by_log),
+        wiring=None if record.wiring is None else tuple((c, s) for c, s in record.wiring),
+        versions=record.versions,
+        error_rows=record.errors,
     )
+
+
+def _model(
+    record: CalibrationRecord,
+    own: Mapping[str, Callable[[Model], Model]],
+    families: Sequence[Family],
+    where: str,
+) -> Model:
+    """Return the model that was fitted, with the nominal values and bounds it had."""
+    bounds = {n: (e.lower, e.upper) for n, e in record.parameters.items()} | record.zero_bounds
+    changes: dict[str, dict[str, float]] = {}
+    for name, (low, high) in bounds.items():
+        changes[name] = {"lower": _bound(low, -1), "upper": _bound(high, 1)}
+        if not changes[name]["lower"] <= changes[name]["upper"]:
+            raise InputError(f"Bounds of {name} in {where} are inverted; fit the log again.")
+    for name, entry in record.parameters.items():
+        changes[name]["nominal"] = entry.nominal
+    meta = Meta(probes=[dict(entry) for entry in record.layout])
+    model = build(record.model, meta=meta, added=tuple(record.added), own=own, families=families)
+    return model.with_parameters(changes)
+
+
+def _same(wanted: Sequence[str], found: Iterable[str], where: str) -> None:
+    """Refuse names that are missing or too much."""
+    found = list(found)
+    odd = [n for n in wanted if n not in found] or [n for n in found if n not in wanted]
+    if odd or (isinstance(found, list) and len(found) != len(wanted)):
+        raise InputError(
+            f"Names in the {where} must be those of the model; {', '.join(odd[:3]) or 'one'} is "
+            f"{'missing' if odd and odd[0] in wanted else 'too much'}: fit the log again."
+        )
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    import msgspec
+
+    return msgspec.json.decode(msgspec.json.encode(record))
 
 
 def added_effects(model: Model) -> Sequence[str]:
@@ -286,6 +385,10 @@ def _number(value: float) -> float | None:
 
 def _bound(value: float | None, sign: int) -> float:
     return sign * float("inf") if value is None else float(value)
+
+
+def _unlimited(value: float | None) -> float:
+    return float("inf") if value is None else float(value)
 
 
 def _float(value: float | None) -> float:

@@ -5,24 +5,30 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from scipy.special import chdtri, ndtr
 
 from hallsym.estimation.calibration import CombinationEstimate
+from hallsym.estimation.goodness_of_fit import CERTAIN, GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import UNDETERMINED, Determination, linear_combinations
-from hallsym.estimation.likelihood import TOGETHER, Cost
+from hallsym.estimation.likelihood import Cost, Point
 from hallsym.estimation.normal_equations import inverse, solve
+from hallsym.estimation.run_scatter import RunScatter
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.quantities import combination, linear
 
-SCATTER = 3.0
-"""White noise is not believed when the scores of the runs scatter this many standard deviations too much."""
-FEW_RUNS = 20
-"""Fewer runs than this cannot carry a covariance of their own; the likelihood's is scaled instead."""
+OVERSTATED = 0.1
+"""Cost per degree of freedom below which noise was overstated or there is none (a plan): it tells nothing."""
+BY_RUNS = "runs as blocks"
+"""Method of a covariance that comes from the scatter between runs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Uncertainty of every parameter and determined combination; see `Fit` for the fields."""
+    """Uncertainty of every parameter and determined combination; see `Fit` for the fields.
+
+    `degrees_of_freedom`: (n,), infinite where the noise is as stated.
+    """
 
     std: np.ndarray
     determined: np.ndarray
@@ -32,45 +38,55 @@ class Uncertainty:
     at_bound: tuple[str, ...]
     combinations: tuple[CombinationEstimate, ...]
     undetermined_by_log: tuple[str, ...]
-    cost_per_dof: float
+    degrees_of_freedom: np.ndarray
+    goodness: GoodnessOfFit
+
+    @property
+    def cost_per_dof(self) -> float:
+        """Cost per degree of freedom."""
+        return self.goodness.cost_per_degree_of_freedom
 
 
 def uncertainty(cost: Cost, p: np.ndarray, found: Determination) -> Uncertainty:
     """Return the uncertainties at the optimum `p` of `cost`."""
-    model = cost.summary.model
-    point = cost.at(p)
+    return uncertainty_at(cost.at(p), found)
+
+
+def uncertainty_at(point: Point, found: Determination) -> Uncertainty:
+    """Return the uncertainties where `point` is the optimum of its cost."""
+    cost, p, model = point.cost, point.p, point.cost.summary.model
     at_bound = _at_bound(model.bounds, p, found)
     free = np.array([k for k in range(len(p)) if k not in found.held and k not in at_bound], dtype=int)
-    runs = point.information(1.0)
-    dof = max(_degrees_of_freedom(cost, len(free)), 1.0)
-    per_dof = point.value / dof
+    fit = goodness_of(point, len(free))
     covariance = np.zeros((len(p), len(p)))
-    method, reason = "likelihood", "there was nothing to estimate"
+    known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
     if len(free):
+        runs, more = point.information(1.0), _turning_noise(cost, p)
         own = np.ix_(np.arange(len(runs)), free, free)
-        more = _turning_noise(cost, p)
-        sub, method, reason = _covariance(
-            runs[own],
-            None if more is None else more[own],
-            0.5 * point.run_gradients[:, free],
-            cost.weights,
-            per_dof,
-        )
-        covariance[np.ix_(free, free)] = sub
+        scores = 0.5 * point.run_gradients[:, free]
+        known = _estimate(runs[own], None if more is None else more[own], scores, cost.weights, fit)
+        covariance[np.ix_(free, free)] = known.covariance
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     determined = np.isin(np.arange(len(p)), free) & ~_loose(model.names, std, found)
-    combinations, lost = _combinations(cost, p, covariance, found, determined)
+    dof = np.full(len(p), np.inf)
+    dof[free] = known.degrees_of_freedom(np.eye(len(free)))
+
+    def dof_of(gradient: np.ndarray) -> float:
+        return float(known.degrees_of_freedom(gradient[None, free])[0])
+
+    combinations, lost = _combinations(cost, p, covariance, found, determined, dof_of)
     loose = [n for k, n in enumerate(model.names) if _by_log(model, k, found, determined, at_bound)]
     return Uncertainty(
         std=np.where(determined, std, np.nan),
         determined=determined,
         covariance=covariance,
-        method=method,
-        reason=reason,
+        method=known.method,
+        reason=known.reason,
         at_bound=tuple(model.names[k] for k in at_bound),
         combinations=combinations,
         undetermined_by_log=(*loose, *lost),
-        cost_per_dof=per_dof,
+        degrees_of_freedom=dof,
+        goodness=fit,
     )
 
 
@@ -113,57 +129,56 @@ def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | None:
     return out
 
 
-def _covariance(
-    runs: np.ndarray, more: np.ndarray | None, scores: np.ndarray, weights: np.ndarray, per_dof: float
-) -> tuple[np.ndarray, str, str]:
-    """Likelihood covariance, or one from the scatter between runs when white noise does not explain it.
+@dataclass(frozen=True, eq=False)
+class _Estimate:
+    """Covariance of the free parameters, and how it came about.
+
+    `scatter`: of the scores of the runs, where the covariance is theirs; else all directions have the `dof`.
+    """
+
+    covariance: np.ndarray
+    method: str
+    reason: str
+    dof: float = np.inf
+    scatter: RunScatter | None = None
+
+    def degrees_of_freedom(self, gradients: np.ndarray) -> np.ndarray:
+        """Return those of linear combinations (m, n) of the free parameters, (m,)."""
+        if self.scatter is None:
+            return np.full(len(gradients), self.dof)
+        return self.scatter.degrees_of_freedom_of(gradients)
+
+
+def _estimate(
+    runs: np.ndarray, more: np.ndarray | None, scores: np.ndarray, weights: np.ndarray, fit: GoodnessOfFit
+) -> _Estimate:
+    """Covariance by the likelihood, scaled where the noise is larger, or by the scatter between runs.
 
     `runs`: (r, n, n) information of each run. `more`: what the covariance of its scores by the noise has
     beyond that, None where all samples are alike. `scores`: (r, n).
     """
-    plain = inverse(np.tensordot(weights, runs, axes=1))
-    whole = np.tensordot(weights, runs if more is None else runs + more, axes=1)
-    naive = plain @ whole @ plain
-    scores = scores * weights[:, None]
-    parts = [slice(first, first + TOGETHER) for first in range(0, len(runs), TOGETHER)]
-
-    def leverage(part: slice) -> np.ndarray:
-        """Leverage of each run on its own scores, (r, n, n)."""
-        return (runs[part] * weights[part, None, None]) @ plain
-
-    left = np.zeros_like(plain)
-    for part in parts:
-        known = (runs[part] if more is None else runs[part] + more[part]) * weights[part, None, None]
-        share = leverage(part)
-        both = share @ known
-        others = share @ whole @ np.swapaxes(share, 1, 2)
-        left += (known - both - np.swapaxes(both, 1, 2) + others).sum(axis=0)
-    lost = len(plain) - float(np.tensordot(inverse(whole), left))
-    expected = max(len(plain) - lost, 1e-9)
-    scatter = float(np.einsum("ri,ij,rj->", scores, inverse(whole), scores)) / expected
-    limit = 1.0 + SCATTER * np.sqrt(2.0 * lost) / expected
-    n = int(np.sum(weights > 0))
+    runs = runs * weights[:, None, None]
+    known = runs if more is None else runs + more * weights[:, None, None]
+    scatter = RunScatter.of(runs, scores * weights[:, None], known, inverse(runs.sum(axis=0)))
+    naive = scatter.root @ scatter.by_noise @ scatter.root.T
+    n, scale = int(np.sum(weights > 0)), 1.0
+    method, dof, said = "likelihood", np.inf, ""
+    if fit.significant:
+        scale, method, dof = fit.cost_per_degree_of_freedom, "likelihood, scaled", fit.degrees_of_freedom
+        said = f"the cost per degree of freedom is {scale:.3g} +- {fit.scatter:.2g}; "
     if n == 1:
-        return naive, "likelihood", "one run cannot show whether its noise is white; it is taken for granted"
-    told = f"scores of the {n} runs scatter {scatter:.2f} x what white noise predicts (limit {limit:.2f})"
-    if scatter <= limit:
-        return naive, "likelihood", told
-    if n < FEW_RUNS:
-        factor = max(scatter, per_dof, 1.0)
-        reason = f"{told}; {n} runs are too few for a covariance of their own"
-        return naive * factor, "likelihood, scaled", reason
-    # jackknife-like correction (CR3) for the leverage a run has on its own residuals
-    one = np.eye(len(plain))
-    corrected = [np.linalg.solve(one - leverage(part), scores[part, :, None])[..., 0] for part in parts]
-    root = plain @ np.concatenate(corrected).T
-    return root @ root.T, "runs as blocks", told
-
-
-def _degrees_of_freedom(cost: Cost, n_free: int) -> float:
-    summary = cost.summary
-    channels = len(summary.model.channels)
-    n_zeros = len(summary.model.zeros) * int(np.sum(cost.weights > 0))
-    return float(cost.weights @ summary.counts) * channels - n_free - n_zeros
+        said += "one run cannot show whether its noise is white; it is taken for granted"
+        return _Estimate(scale * naive, method, said, dof)
+    # noise that is correlated within a run leaves less than stated there, and more between runs
+    size = fit.cost_per_degree_of_freedom if fit.contradicts else 1.0
+    size = size if size > OVERSTATED else 1.0
+    limit = size * float(chdtri(scatter.degrees_of_freedom, ndtr(-CERTAIN))) / scatter.degrees_of_freedom
+    said += (
+        f"scores of the {n} runs scatter {scatter.ratio:.2f} x what white noise predicts (limit {limit:.2f})"
+    )
+    if scatter.ratio <= limit:
+        return _Estimate(scale * naive, method, said, dof)
+    return _Estimate(scatter.covariance(scale), BY_RUNS, said, scatter=scatter)
 
 
 def _at_bound(bounds: tuple[np.ndarray, np.ndarray], p: np.ndarray, found: Determination) -> tuple[int, ...]:
@@ -182,7 +197,12 @@ def _loose(names: tuple[str, ...], std: np.ndarray, found: Determination) -> np.
 
 
 def _combinations(
-    cost: Cost, p: np.ndarray, covariance: np.ndarray, found: Determination, determined: np.ndarray
+    cost: Cost,
+    p: np.ndarray,
+    covariance: np.ndarray,
+    found: Determination,
+    determined: np.ndarray,
+    dof_of: Callable[[np.ndarray], float],
 ) -> tuple[tuple[CombinationEstimate, ...], list[str]]:
     """Named combinations that are determined, then linear ones for what they leave; and named ones lost."""
     model = cost.summary.model
@@ -194,7 +214,8 @@ def _combinations(
         if all(determined[index[n]] or model.parameters[index[n]].width == 0 for n in named.parameters):
             continue
         if std > 0 and found.slack(gradient) <= max(std, 1e-9 * abs(value)):
-            out.append(CombinationEstimate(named.expression, value, std, named.unit))
+            dof = dof_of(gradient)
+            out.append(CombinationEstimate(named.expression, value, std, named.unit, degrees_of_freedom=dof))
             known.append(gradient)
         else:
             lost.append(named.expression)
@@ -208,7 +229,8 @@ def _combinations(
             involved = np.flatnonzero(gradient)
             quantity = linear(model, gradient, model.parameters[involved[0]].unit)
             factors = {model.names[k]: float(gradient[k]) for k in involved}
-            out.append(CombinationEstimate(quantity.name, float(gradient @ p), std, quantity.unit, factors))
+            value, dof = float(gradient @ p), dof_of(gradient)
+            out.append(CombinationEstimate(quantity.name, value, std, quantity.unit, factors, dof))
     return tuple(out), lost
 
 
@@ -233,8 +255,7 @@ def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
     gain = model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
     weight = 1.0 / cost.reading_variance
     share = cost.weights * summary.counts / (cost.weights @ summary.counts)
-    poses = model.typical or (np.zeros(len(model.pose)),)
-    variance = np.zeros(len(model.pose))
+    variance, poses = np.zeros(len(model.pose)), _poses(cost)
     for pose in poses:
         (flat,) = gain(p, pose, summary.mean_state.T, weight)
         D = np.transpose(flat.reshape(len(model.channels), len(model.pose), -1), (2, 1, 0))  # (r, pose, K)
@@ -243,8 +264,24 @@ def noise_floor(cost: Cost, p: np.ndarray) -> dict[str, float]:
     return dict(zip(model.pose, np.sqrt(variance).tolist(), strict=True))
 
 
-def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Covariance of a residual (r, K, K) at one pose, where it is not the same all over a run."""
+def _poses(cost: Cost) -> list[list[np.ndarray]]:
+    """Poses over which noise is averaged, each coordinate (r,): typical ones, the zero pose without any.
+
+    A coordinate that does not repeat, such as a gap on which the noise depends, is where each run was.
+    """
+    summary, model = cost.summary, cost.summary.model
+    typical = model.typical or (tuple(np.zeros(len(model.pose))),)
+    out = [[np.full(len(summary.runs), v) for v in pose] for pose in typical]
+    for k, coordinate in enumerate(model.pose):
+        if summary.places and coordinate not in model.period:
+            for j, pose in enumerate(out):
+                share = (j + 0.5) / len(out)
+                pose[k] = np.array([np.quantile(place[k], share) for place in summary.places])
+    return out
+
+
+def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float | np.ndarray]) -> np.ndarray:
+    """Covariance of a residual (r, K, K) at one pose of each run, where it is not the same all over a run."""
     summary, model = cost.summary, cost.summary.model
     run = model.remember("slopes by column", lambda: _slopes_by_column(model))
     (flat,) = run(p, pose, summary.mean_state.T)

@@ -9,6 +9,7 @@ import numpy as np
 
 import solvers
 from hallsym.estimation.decoding import ErrorTable, error_tables, zero_shifts
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination, determine
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.linearised import exact, summarise_at
@@ -23,6 +24,11 @@ PASSES = 40
 DROP = 1e-3
 """Decrease of the cost, per unit of what a degree of freedom leaves, that is not worth another pass: it moves
 no parameter by more than 0.03 standard uncertainties."""
+REMEDY = (
+    "start the effect from other numbers (--effect NAME:number=VALUE; 'hallsym diagnose' finds some) "
+    "or leave it out"
+)
+"""What helps where passes over the log do not converge."""
 SETTLED = 1e-9
 """Change [m] of a run's zeros below which they are settled."""
 
@@ -50,6 +56,15 @@ def zeros_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
     return dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
 
 
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Fixed parameters on another log: errors, zeros beside the calibration's, how well they fit it."""
+
+    table: ErrorTable
+    shifts: Shifts
+    goodness: GoodnessOfFit
+
+
 def judge(
     log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
 ) -> ErrorTable:
@@ -57,19 +72,21 @@ def judge(
 
     `own_zero`: so is the zero of a reference that repeats, which the calibration has one of.
     """
-    return judged(log, model, p, noise, own_zero=own_zero)[0]
+    return judged(log, model, p, noise, own_zero=own_zero).table
 
 
 def judged(
     log: Log, model: Model, p: np.ndarray, noise: Mapping[str, float], *, own_zero: bool = False
-) -> tuple[ErrorTable, Shifts]:
-    """Return what `judge` does, and how far zeros of references are from the calibration's, see
-    `zero_shifts`."""
+) -> Judged:
+    """Return what `judge` does, how far zeros of references are from the calibration's (`zero_shifts`), and
+    how well the parameters, none of which is fitted, describe the log."""
     cost = cost_near(log, model, p, noise)
-    zeros, variance = zeros_of(cost, p), cost.reading_variance
-    shifts = zero_shifts(log, model, p, zeros, variance, noise)
-    log = rehomed(log, shifts, model) if own_zero and shifts else log
-    return error_tables(log, model, [(p, zeros)], variance, sigma=noise)[0], shifts
+    shifts = zero_shifts(log, model, p, zeros_of(cost, p), cost.reading_variance, noise)
+    if own_zero and shifts:
+        log = rehomed(log, shifts, model)
+        cost = cost_near(log, model, p, noise)
+    (table,) = error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)
+    return Judged(table, shifts, goodness_of(cost.at(p), 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +164,11 @@ def optimum(
     best, outcome = solvers.gauss_newton(linearise, (first, zeros), converged, PASSES)
     found = replace(best.target, evaluations=evaluations)
     if outcome != "converged":
-        said = f"{next(number) - 1} passes over the log did not bring it to rest"
-        said = "no step along the tangent lowers the cost" if outcome == "stuck" else said
-        found = replace(found, status="not converged", message=said)
+        passes = next(number) - 1
+        said = {
+            "budget": "the cost still falls",
+            "stuck": "no step along the tangent lowers the cost any more",
+        }[outcome] + f" after {passes} passes over the log"
+        # the minimum of the tangent is no optimum then: the best point that was passed is the result
+        found = replace(found, p=best.p, cost=best.cost, status="not converged", message=f"{said}; {REMEDY}")
     return Solution(best.everything, best.fitted, best.determination, found)

@@ -170,10 +170,15 @@ def structural_rank(
         shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, points)
         rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, points).T * scales(model)
     tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]
-    floor = rows.shape[1] * 1e3 * float(np.finfo(np.longdouble).eps)
-    ranks = [int(np.sum(pivots > floor * pivots.max(initial=0.0))) for pivots in tried]
+    ranks = [_rank(pivots, rows.shape[1]) for pivots in tried]
     best = int(np.argmax(ranks))
     return ranks[best], tried[best]
+
+
+def _rank(pivots: np.ndarray, rows: int) -> int:
+    """How many pivots are not rounding."""
+    floor = rows * 1e3 * float(np.finfo(np.longdouble).eps)
+    return int(np.sum(pivots > floor * pivots.max(initial=0.0)))
 
 
 def _pivots(matrix: np.ndarray) -> np.ndarray:

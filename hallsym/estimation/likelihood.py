@@ -127,6 +127,16 @@ class Point:
         return self._joined([part.covariance for part in self._parts])
 
     @property
+    def squares(self) -> np.ndarray:
+        """Sum of the products of a run's residuals, channel by channel, (r, K, K)."""
+        return self._joined([part.S for part in self._parts])
+
+    @property
+    def feature_products(self) -> np.ndarray:
+        """Sum of the products of each feature with each channel's residual, (r, f, K)."""
+        return self._joined([np.swapaxes(part.R_f, 1, 2) @ part.A for part in self._parts])
+
+    @property
     def W(self) -> np.ndarray:
         """Inverse of `covariance`."""
         return self._joined([part.W for part in self._parts])
@@ -274,6 +284,14 @@ class _Runs:
     def _quadratic(self, B: np.ndarray, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, shape (r, v, v)."""
         r, K, f, v = B.shape
+        rows = self._rows
+        if rows is not None:
+            k, at = rows
+            middle = fit[:, k[:, None], k] * self.cost.grams[self.at][:, at[:, None], at]
+            if np.any(self.cost.column_variance):
+                middle -= noise[:, k[:, None], k] * self.Q[:, at[:, None], at]
+            few = B[:, k, at]
+            return np.swapaxes(few, 1, 2) @ (middle @ few)
         middle = fit @ (self.cost.grams[self.at, None] @ B).reshape(r, K, f * v)
         if np.any(self.cost.column_variance):
             middle -= noise @ (self.Q[:, None] @ B).reshape(r, K, f * v)
@@ -285,12 +303,31 @@ class _Runs:
             return 0.0
         r, K, _, v = B.shape
         AR = np.swapaxes(self.A, 1, 2) @ self.R_f  # -A^T dA = AR B
-        both = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)[:, None] @ B
+        left = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)
+        both = self._by_channel(left, B)
         half, U = both[:, :, :K], both[:, :, K:]
-        dC = (half + np.swapaxes(half, 1, 2)).reshape(r, K * K, v)
-        inner = _kron(self._WSW, self.W) @ dC - 2.0 * (_kron(self.W, self.W) @ U.reshape(r, K * K, v))
-        terms = np.swapaxes(dC, 1, 2) @ inner
+        dC = half + np.swapaxes(half, 1, 2)
+        inner = _between(self._WSW, dC, self.W) - 2.0 * _between(self.W, U, self.W)
+        terms = np.swapaxes(dC.reshape(r, K * K, v), 1, 2) @ inner.reshape(r, K * K, v)
         return terms + np.swapaxes(terms, 1, 2)
+
+    @cached_property
+    def _rows(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Channels and features of the slopes that are not nil; None where most features have one."""
+        moved = np.any(self.c[1:] != 0, axis=0).T | np.any(self.dc != 0, axis=(0, 2)).T
+        k, at = np.nonzero(moved)
+        return (k, at) if SPARSE * len(k) < moved.size else None
+
+    def _by_channel(self, left: np.ndarray, B: np.ndarray) -> np.ndarray:
+        """Return left (r, i, f) times the slopes of each channel (r, K, f, v), (r, K, i, v)."""
+        if self._rows is None:
+            return left[:, None] @ B
+        out = np.zeros((len(B), B.shape[1], left.shape[1], B.shape[3]))
+        k, at = self._rows
+        for channel in range(B.shape[1]):
+            own = at[k == channel]
+            out[:, channel] = left[:, :, own] @ B[:, channel, own]
+        return out
 
     def information(self, noise_factor: float) -> np.ndarray:
         """Expected information of each run about the parameters, (r, n, n)."""
@@ -307,10 +344,22 @@ class _Runs:
         return np.linalg.inv(full[:, :z, :z]) + follow @ covariance @ np.swapaxes(follow, 1, 2)
 
 
-def _kron(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Kronecker product of each pair of K x K matrices, shape (r, K^2, K^2)."""
-    r, K, _ = a.shape
-    return np.einsum("rij,rkl->rikjl", a, b).reshape(r, K * K, K * K)
+SPARSE = 4
+"""Features per channel, over those that move the channel, from which on only these are multiplied."""
+
+
+FEW = 8
+"""Channels up to which one product with all K^4 products of two matrices is faster than two with each."""
+
+
+def _between(a: np.ndarray, X: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return a X b for each of v matrices X (r, K, K, v); a, b symmetric, (r, K, K)."""
+    r, K, _, v = X.shape
+    if K <= FEW:
+        both = np.einsum("rij,rkl->rikjl", a, b).reshape(r, K * K, K * K)
+        return (both @ X.reshape(r, K * K, v)).reshape(X.shape)
+    first = (a @ X.reshape(r, K, K * v)).reshape(r, K, K, v)
+    return np.swapaxes(np.swapaxes(first, 2, 3) @ b[:, None], 2, 3)
 
 
 def cost_of(summary: RunStatistics, noise: Mapping[str, float]) -> Cost:

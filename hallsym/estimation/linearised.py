@@ -146,11 +146,12 @@ class TangentFeatures(Features):
         """Return d reading / d parameters, (rows, n), at random poses and states of all sizes up to 1.
 
         Large ones tell curvature apart; of a reading that a rail cuts off there, small ones tell the rest.
+        Poses are about those that are typical of the model, if it states any.
         """
         model, rng = self.model, np.random.default_rng(0)
-        pose, state = (rng.standard_normal((len(c), SAMPLES)) for c in (model.pose, model.state))
+        pose, state = model.poses(SAMPLES, rng), rng.standard_normal((len(model.state), SAMPLES))
         size = np.where(np.arange(SAMPLES) % 2, 10.0 ** -(SMALLEST * rng.random(SAMPLES)), 1.0)
-        pose, state = pose * size, state * size
+        pose, state = pose if model.typical else pose * size, state * size
         zeros = np.zeros((len(model.zeros), SAMPLES))
         wide = [np.asarray(v).astype(p.dtype) for v in (p, zeros, pose, state)]
         (rows,) = program(model).by_parameter(*wide)

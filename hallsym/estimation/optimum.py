@@ -20,8 +20,8 @@ WARM: dict[str, Any] = {"mu_init": 1e-9, "bound_push": 1e-9, "bound_frac": 1e-9}
 """IPOPT's barrier for a start that is close already: 4 evaluations instead of 9."""
 SCREENED, ELSEWHERE = 100, 2
 """Latin-hypercube points that are looked at, and how many of the best that are apart are refined too."""
-POLISH = 10
-"""Steps of Newton's method after IPOPT, at most."""
+POLISH, MORE = 10, 200
+"""Steps of Newton's method after IPOPT, at most; and where IPOPT itself did not end at an optimum."""
 SAME = 1e-6
 """Relative difference of cost within which two optima are the same."""
 
@@ -97,17 +97,36 @@ def search(
     if local.status != "converged":
         local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first), **WARM)
     # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
-    polished = solvers.newton(scaled.problem(fitted), local.x, max_iterations=POLISH)
-    interrupted = explored is not None and explored.status == "interrupted"
+    more = POLISH if local.status == "converged" else MORE
+    polished = solvers.newton(scaled.problem(fitted), local.x, max_iterations=more)
+    endings = {part.status for part in (explored, local, polished) if part is not None}
+    # IPOPT's own verdict is that of a Newton step; where it found none, the steps after it decide
+    ended = local if local.status == "converged" else polished
+    status = "interrupted" if "interrupted" in endings else ended.status
     return Search(
         p=scaled.from_unit(polished.x),
         cost=polished.cost * scaled.samples(fitted),
-        status="interrupted" if interrupted else local.status,
-        message=explored.message if interrupted and explored else local.message,
+        status=status,
+        message=_message(status, ended, solver),
         evaluations=local.evaluations + polished.evaluations + (explored.evaluations if explored else 0),
         starts=1 if explored is None else len(explored.local),
         share=1.0 if explored is None else float(explored.share),
     )
+
+
+def _message(status: str, ended: solvers.Result, solver: str) -> str:
+    """What the status means, and what to do, in terms of what a user of `fit` can change."""
+    elsewhere = "--solver hybrid" if solver == "direct" else "another --seed"
+    if status == "interrupted":
+        return "stopped by the user; these are the best values so far"
+    if status == "budget":
+        return (
+            f"neither IPOPT nor {MORE} further Newton steps reached an optimum; parameters may be able to "
+            f"replace each other on this log (see 'hallsym sensitivity'), or start elsewhere with {elsewhere}"
+        )
+    if status == "failed":
+        return f"the best point found is no optimum; start elsewhere with {elsewhere} ({ended.message})"
+    return ended.message
 
 
 def _elsewhere(problem: solvers.Problem, rng: np.random.Generator) -> np.ndarray:

@@ -2,15 +2,19 @@
 
 import platform
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from time import perf_counter
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit
+from hallsym.estimation.calibration import Fit, added_effects
 from hallsym.estimation.channel_assignment import Wiring, composed
-from hallsym.estimation.covariance import noise_floor, uncertainty
+from hallsym.estimation.covariance import noise_floor, uncertainty_at
+from hallsym.estimation.goodness_of_fit import diagnose_command
+from hallsym.estimation.linearised import exact
+from hallsym.estimation.lower_bound import lower_bound
 from hallsym.estimation.task import Solved
 from hallsym.log.phase import home_notes
 from hallsym.model import Model
@@ -21,7 +25,13 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
     `began`: when, by `perf_counter`."""
     task, state, errors = solved.task, solved.solution, solved.errors
     model, found = task.model, state.determined
-    estimate = uncertainty(state.fitted, state.p, found)
+    point = state.fitted.at(state.p)
+    estimate = uncertainty_at(point, found)
+    free = int(np.count_nonzero(np.diag(estimate.covariance)))
+    bound = lower_bound(point, free) if exact(model) else None
+    path = task.log.path
+    whole = path.parent if path is not None and task.log.meta.raw else path  # a folder with its meta.json
+    command = diagnose_command(whole, model, added_effects(model))
     gain = np.array([model.zero_scale(state.p, s) for s in state.everything.summary.first_state])
     delta = state.everything.at(state.p).zeros
     delta = delta * gain if delta.shape[1] else delta
@@ -34,6 +44,7 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
         covariance=estimate.covariance,
         covariance_method=estimate.method,
         covariance_reason=estimate.reason,
+        degrees_of_freedom=estimate.degrees_of_freedom,
         held=tuple(model.names[k] for k in found.held),
         structural=found.structural,
         at_bound=estimate.at_bound,
@@ -52,6 +63,7 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
             "starts": state.search.starts,
             "share_at_optimum": state.search.share,
             "seed": task.seed,
+            "lower_bound": None if bound is None else bound.to_dict(),
         },
         log={
             "path": None if task.log.path is None else str(task.log.path),
@@ -62,6 +74,12 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
             "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
         },
         seconds=perf_counter() - began,
+        goodness=replace(
+            estimate.goodness.judged(
+                task.noise, (*model.channels, *model.references), task.log.meta.gap_threshold_rel
+            ),
+            next_command=command,
+        ),
         notes=(
             *notes,
             *zero_notes(model, tuple(zeros), delta),

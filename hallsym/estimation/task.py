@@ -145,6 +145,8 @@ class Task:
     def by_passes(self, first: Fit | None) -> Solved:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""
         task, keep, begin = self, None, self.model.nominal
+        if self.model.guess is not None and first is None:
+            begin = self.model.vector(self.model.guess(self.model, self.log))
         if first is not None:
             log = rewired(self.log, self.model.channels, first.wiring)
             task = replace(self, log=log, known_noise=first.noise)
@@ -200,12 +202,14 @@ class Task:
     def judged(self, begun: "Begun") -> Judgement:
         """Judge units, signs and runs before the fit; spikes bend slopes: where there are any, after it."""
         found = self.judge(begun)
-        if not found.findings or self.loss == "none":
+        if not found.findings:
             return found
         columns = (*self.model.references, *self.model.channels)
         again = self.begin(self.summary(outliers.column_spikes(columns)))
         left, total = (float(b.everything.summary.counts.sum()) for b in (again, begun))
-        return Judgement(spiky=True) if left < (1 - SPIKY) * total else found
+        if left >= (1 - SPIKY) * total:
+            return found
+        return self.judge(again) if self.loss == "none" else Judgement(spiky=True)
 
     def judge(self, begun: "Begun | Started") -> Judgement:
         """Judge units, signs and runs by what linear least squares says."""

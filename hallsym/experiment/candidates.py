@@ -54,8 +54,8 @@ def candidates(ranges: Ranges, model: Model) -> tuple[Candidate, ...]:
                 words = _words(place, motion, model)
                 run = Run(ranges.seconds_per_run, place, motion.signals, name=f"{words}; {motion.name}")
                 found.append(Candidate(run, words, motion.name))
-        if len(found) > MOST:
-            raise InputError(f"These ranges make more than {MOST} candidate runs; lower 'levels'.")
+            if len(found) > MOST:
+                raise InputError(f"These ranges make more than {MOST} candidate runs; lower 'levels'.")
     if not found and not ranges.excluded:
         wanted = ", ".join(ranges.trajectories)
         raise InputError(

@@ -8,7 +8,7 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.families import axes, published
-from hallsym.simulation import noise_table
+from hallsym.simulation import MOST_SAMPLES, noise_table
 from hallsym.toml import Table, positive
 
 SINES = ("one-axis", "combined", "multi-sine", "raster")
@@ -54,6 +54,12 @@ class Ranges:
                 raise InputError(
                     f"Range of {axis} must run from low to high; instead received {low:g} to {high:g}."
                 )
+        samples = self.seconds_per_run / self.step_s
+        if samples > MOST_SAMPLES:
+            raise InputError(
+                f"A run must have at most {MOST_SAMPLES:g} samples; {self.seconds_per_run:g} s at "
+                f"{self.step_s:g} s are {samples:.3g}: raise 'step_s' or lower 'seconds_per_run'."
+            )
         limit = 0.5 / self.step_s
         if not self.frequencies_hz or max(self.frequencies_hz) >= limit:
             raise InputError(
@@ -132,7 +138,7 @@ def read_ranges(path: str | Path) -> Ranges:
         frequencies_hz=tuple(sorted(file.numbers("frequencies_hz", positive))),
         seconds_per_run=file.positive("seconds_per_run"),
         step_s=file.positive("step_s"),
-        levels=file.whole("levels", 5, least=2),
+        levels=_levels(file),
         excluded=tuple(map(_box, file.tables("exclude"))),
         trajectories=_trajectories(file),
         vertical_motion=file.flag("vertical_motion", False),
@@ -142,6 +148,17 @@ def read_ranges(path: str | Path) -> Ranges:
         noise=noise_table(file),
         reference={c: reference.positive(key) * factor for key, c, factor in reference.columns(axes())},
     )
+
+
+MOST_LEVELS = 1000
+"""Of one axis: more make too many candidates whatever else is asked for."""
+
+
+def _levels(file: Table) -> int:
+    levels = file.whole("levels", 5, least=2)
+    if levels > MOST_LEVELS:
+        raise InputError(f"'levels' of {file.where} must be {MOST_LEVELS} at most; it is {levels}.")
+    return levels
 
 
 def _box(raw: Table) -> dict[str, tuple[float, float]]:

@@ -4,14 +4,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from hallsym.errors import InputError, nearest
-from hallsym.families import rotary, stage
+from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
 from hallsym.log import Meta
 from hallsym.log.limits import is_moving
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
+from hallsym.reading import MOST_NUMBER
 
-FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY)
+FAMILIES: tuple[Family, ...] = (stage.FAMILY, rotary.FAMILY, halbach.FAMILY, halbach.PLANAR)
 """Families whose models and effects have names on the command line; shared code asks `Model.family`."""
 
 
@@ -171,5 +172,7 @@ def _checked(model: Model, changes: Mapping[str, Mapping[str, Any]]) -> dict[str
     return out
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and value == value
+def _is_number(value: Any) -> bool:
+    """Whether a value is a number, or the infinity of a bound that is none."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and (abs(value) <= MOST_NUMBER or abs(value) == float("inf"))

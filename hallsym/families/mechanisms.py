@@ -62,19 +62,22 @@ def add_terms(
     *columns: str | Computed,
     by_channel: bool = True,
     only: Sequence[str] | None = None,
+    shared: bool = False,
 ) -> Model:
     """Return the model in which each value of `port` gains the sum of coefficient times term.
 
     `coefficients`: name -> meaning, one for each term, `{k}` standing for the label of the channel; they
     lie between -limit and limit, ordered by channel, else by term. `columns` are what the terms read,
-    `only` the channels that have them (all by default).
+    `only` the channels that have them (all by default). `shared`: all channels have the same coefficients,
+    whose names say `all` in place of a channel.
     """
     labels = port.labels(model)
     used = labels if only is None else only
+    owners = ["all"] if shared else used
     pairs = (
-        [(n, k) for k in used for n in coefficients]
+        [(n, k) for k in owners for n in coefficients]
         if by_channel
-        else [(n, k) for n in coefficients for k in used]
+        else [(n, k) for n in coefficients for k in owners]
     )
     new = [Parameter(n.format(k=k), 0.0, -limit, limit, unit, coefficients[n].format(k=k)) for n, k in pairs]
 
@@ -83,7 +86,7 @@ def add_terms(
         for k, label in enumerate(labels):
             if label in used:
                 for name, term in zip(coefficients, of(values[k], k), strict=True):
-                    values[k] = values[k] + term * p[name.format(k=label)]
+                    values[k] = values[k] + term * p[name.format(k="all" if shared else label)]
         port.write(s, values)
 
     return model.with_columns(*columns).with_step(link, step, effect=effect, parameters=tuple(new))
@@ -112,6 +115,7 @@ def nonlinearity(
     unit: float,
     *,
     by_channel: bool = True,
+    shared: bool = False,
 ) -> Model:
     """Each value v becomes v + sum of c v^n / unit^(n - 1), c per channel; `powers`: name of c -> n."""
     coefficients = {
@@ -122,7 +126,9 @@ def nonlinearity(
     def terms(s: Signals, p: P) -> Callable[[Any, int], Sequence[Any]]:
         return lambda value, k: [power(value, n, unit) for n in powers.values()]
 
-    return add_terms(model, effect, link, port, coefficients, terms, limit, "1", by_channel=by_channel)
+    return add_terms(
+        model, effect, link, port, coefficients, terms, limit, "1", by_channel=by_channel, shared=shared
+    )
 
 
 ODD = one_of({3: "cubic", 5: "cubic and quintic"}, "highest power")
@@ -197,8 +203,9 @@ def following(
     names: Sequence[str] | None = None,
     by_channel: bool = True,
     only: Sequence[str] | None = None,
+    shared: bool = False,
 ) -> Model:
-    """Each value v gains the sum of c f, or of c f v for a `gain`; c per channel and function f.
+    """Each value v gains the sum of c f, or of c f v for a `gain`; c per function f and channel, or `shared`.
 
     `names`: of c, for each function, with `{k}` for the channel; by default the effect's name and a number.
     """
@@ -213,7 +220,7 @@ def following(
 
     return add_terms(
         model, effect, link, port, coefficients, terms, limit, unit, *functions.columns,
-        by_channel=by_channel, only=only,
+        by_channel=by_channel, only=only, shared=shared,
     )  # fmt: skip
 
 
@@ -267,31 +274,53 @@ def at_frequency(
 
 # -- effects that follow those functions, in one line for a family ------------------------------------------
 
-Follow = Callable[[Model, str, Functions], Model]
-"""`follow(model, effect, functions)`: how gains, or offsets, of a family follow functions of data."""
+Follow = Callable[..., Model]
+"""`follow(model, effect, functions)`: how gains, or offsets, of a family follow functions of data; where all
+channels may follow them alike, `follow(model, effect, functions, shared)`."""
+
+
+def _per(lead: str) -> Any:
+    labels = {"all": f"{lead}all channels alike", "channel": f"{lead}channel by channel"}
+    return one_of(labels, "one coefficient for all channels or for each")
+
+
 LINE = searched(
     lambda facts: facts.lines_hz, "mains frequency, as the clock of the log shows it",
     label="{:.5g} Hz", shapes=1, tried=lambda facts: facts.lines_tried,
 )  # fmt: skip
 
 
-def temperature_drift(name: str, meaning: str, follow: Follow, **about: Any) -> Effect:
-    """Return the effect that gains or offsets follow the logged temperature; `about` as for `effect`."""
+def temperature_drift(name: str, meaning: str, follow: Follow, *, per: bool = False, **about: Any) -> Effect:
+    """Return the effect that gains or offsets follow the logged temperature; `about` as for `effect`.
+
+    `per`: all channels alike is tried too.
+    """
     mean = from_log(lambda facts: facts.temperature or 0.0, "mean temperature of the log")
 
     def drift(model: Model, mean_degc: float = mean) -> Model:
         return follow(model, name, with_temperature(mean_degc))
 
-    needs = ("temperature_degc",)
-    return effect(link="transducer", name=name, meaning=meaning, label="linear", needs=needs, **about)(drift)
+    def drift_per(model: Model, per: str = _per(""), mean_degc: float = mean) -> Model:
+        return follow(model, name, with_temperature(mean_degc), per == "all")
+
+    about |= {"needs": ("temperature_degc",), "label": "linear"}
+    return effect(link="transducer", name=name, meaning=meaning, **about)(drift_per if per else drift)
 
 
 def time_drift(
-    name: str, meaning: str, follow: Follow, parts: Sequence[int], finer: Sequence[float] = (), **about: Any
+    name: str,
+    meaning: str,
+    follow: Follow,
+    parts: Sequence[int],
+    finer: Sequence[float] = (),
+    *,
+    per: bool = False,
+    **about: Any,
 ) -> Effect:
     """Return the effect that gains or offsets drift over the campaign: polynomials, or an exponential.
 
-    `parts`: of the campaign, tried as its time constant; the best one is then tried times `finer`.
+    `parts`: of the campaign, tried as its time constant; the best one is then tried times `finer`. `per`: all
+    channels alike is tried too.
     """
     duration = from_log(lambda facts: facts.duration_s, "length of the campaign", valid=POSITIVE)
     degrees = one_of({n: f"polynomial of degree {n}" for n in (1, 2, 3)}, "degree of the polynomial of time")
@@ -307,7 +336,16 @@ def time_drift(
     ) -> Model:
         return follow(model, name, over_time(duration_s, degree, settling_s))
 
-    return effect(link="transducer", name=name, meaning=meaning, **about)(drift)
+    def drift_per(
+        model: Model,
+        duration_s: float = duration,
+        degree: int = degrees,
+        settling_s: float | None = settling,
+        per: str = _per(", "),
+    ) -> Model:
+        return follow(model, name, over_time(duration_s, degree, settling_s), per == "all")
+
+    return effect(link="transducer", name=name, meaning=meaning, **about)(drift_per if per else drift)
 
 
 # -- delay and low-pass ------------------------------------------------------------------------------------

@@ -45,8 +45,8 @@ def table(name: str) -> Mapping[str, tuple[Any, ...]]:
     if name not in files:
         known = sorted(files)
         raise InputError(
-            f"Published table must be one of {', '.join(known)}; "
-            f"instead received {name!r}{nearest(name, known)}."
+            f"No published table is called {name!r}{nearest(name, known)}; there are {len(known)}, the files "
+            "data/<publication>/<table>.csv."
         )
     with files[name].open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(line for line in file if not line.startswith("#"))

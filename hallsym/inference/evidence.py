@@ -72,6 +72,9 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
     assert source is not None
     _check_samples(cost, found.model, source.name)
     sigma = found.noise.std
+    fitted = known.goodness if known.goodness and (log is None or _same_log(known, log)) else found.goodness
+    amiss = fitted and fitted.sentence
+    notes = (amiss, *notes) if amiss else notes
     return Evidence(
         cost,
         found.values,

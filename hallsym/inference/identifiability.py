@@ -34,6 +34,7 @@ class ParameterReport:
     value: float
     unit: str
     std: float | None
+    degrees_of_freedom: float
     interval: Interval | None
     share: float | None
     correlated_with: tuple[tuple[str, float], ...]
@@ -265,6 +266,7 @@ def _parameter(
         value=float(evidence.p[k]),
         unit=parameter.unit,
         std=std,
+        degrees_of_freedom=intervals.dof.get(parameter.name, np.inf),
         interval=interval,
         share=share,
         correlated_with=tuple(strongest(correlation, evidence.model.names, k)),
@@ -307,6 +309,7 @@ def _entry(entry: ParameterReport) -> dict[str, Any]:
         "value": entry.value,
         "unit": entry.unit,
         "std": entry.std,
+        "degrees_of_freedom": entry.degrees_of_freedom if np.isfinite(entry.degrees_of_freedom) else None,
         "interval": None if entry.interval is None else entry.interval.to_dict(),
         "share_of_bounds": entry.share,
         "verdict": entry.verdict.word,

@@ -1,4 +1,4 @@
-"""95 % intervals: normal where that is good enough, else by profile likelihood or from resampled runs."""
+"""95 % intervals: normal or Student's where good enough, else by profile likelihood or resampled runs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.estimation import MANY, coverage_factor
+from hallsym.estimation.covariance import BY_RUNS
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.normal_equations import inverse
 from hallsym.inference.bootstrap import Bootstrap
@@ -14,12 +16,13 @@ from hallsym.inference.bootstrap import bootstrap as resample
 from hallsym.inference.evidence import Evidence
 from hallsym.inference.profile_tangent import skewness
 from hallsym.inference.profiles import Profile, profile
-from hallsym.inference.verdict import INTERVAL
 from hallsym.model.quantities import Quantity, combination, linear, parameter
 
 CHOICES = ("auto", "all", "none")
 REPLICATES = 1000
 """Bootstrap refits when white noise does not explain the scatter between runs."""
+FEW_RUNS = 20
+"""Runs from which on resampled ones show what their scatter does; fewer repeat each other too often."""
 POINTS = 6
 """Further points per side of a profile, for its picture."""
 
@@ -28,8 +31,9 @@ POINTS = 6
 class Interval:
     """A 95 % interval, in the unit of its quantity.
 
-    `how`: "normal", "profile" or "block bootstrap". `ends`: "reached", or for a profile "at bound" (the
-    bounds end it), "open" (the data never object inside the bounds) or "failed", one per side.
+    `how`: "normal", "student" (t, where degrees of freedom are few), "profile" or "block bootstrap".
+    `ends`: "reached", or for a profile "at bound" (the bounds end it), "open" (the data never object inside
+    the bounds) or "failed", one per side.
     """
 
     low: float
@@ -47,10 +51,12 @@ class Interval:
 class Intervals:
     """`std` and interval (`of`) by name of parameter or combination; profiles, and what failed, in sentences.
 
-    `method`, `reason`: where standard uncertainties come from, and why from there.
+    `dof`: degrees of freedom of `std`, infinite where the noise is as stated. `method`, `reason`: where
+    standard uncertainties come from, and why from there.
     """
 
     std: Mapping[str, float]
+    dof: Mapping[str, float]
     of: Mapping[str, Interval]
     method: str
     reason: str
@@ -72,18 +78,17 @@ def intervals_of(
         )
     if bootstrap is not None and not (bootstrap == 0 or 50 <= bootstrap <= 1_000_000):
         raise InputError(f"Input bootstrap must be 0, or 50 to 1000000 refits; instead received {bootstrap}.")
-    quantities, std = _quantities(evidence), _std(evidence)
+    quantities, std, dof = _quantities(evidence), _std(evidence), _dof(evidence)
     intervals = {
-        name: Interval(value - INTERVAL * std[name], value + INTERVAL * std[name], "normal")
-        for name, value in ((q.name, q.first(evidence.p)[0]) for q in quantities)
-        if name in std
+        q.name: _by_std(q.first(evidence.p)[0], std[q.name], dof[q.name]) for q in quantities if q.name in std
     }
-    found = Intervals(std, intervals, evidence.uncertainty.method, evidence.uncertainty.reason)
+    found = Intervals(std, dof, intervals, evidence.uncertainty.method, evidence.uncertainty.reason)
     if evidence.cost.planned or not quantities:
         return found
     cost = evidence.cost.anchored(evidence.p)
     if bootstrap is None:
-        bootstrap = REPLICATES if evidence.uncertainty.method == "runs as blocks" else 0
+        enough = np.count_nonzero(evidence.cost.weights) >= FEW_RUNS
+        bootstrap = REPLICATES if enough and evidence.uncertainty.method == BY_RUNS else 0
     if bootstrap:
         say(f"refitting {bootstrap} resampled campaigns")
         found = _resampled(found, evidence, cost, quantities, bootstrap, seed)
@@ -133,6 +138,17 @@ def _std(evidence: Evidence) -> dict[str, float]:
     return std | {c.expression: c.std for c in told.combinations}
 
 
+def _dof(evidence: Evidence) -> dict[str, float]:
+    told = evidence.uncertainty
+    dof = dict(zip(evidence.model.names, told.degrees_of_freedom.tolist(), strict=True))
+    return dof | {c.expression: c.degrees_of_freedom for c in told.combinations}
+
+
+def _by_std(value: float, std: float, dof: float) -> Interval:
+    half = float(coverage_factor(dof)) * std
+    return Interval(value - half, value + half, "student" if dof < MANY else "normal")
+
+
 def _profiled(
     found: Intervals,
     evidence: Evidence,
@@ -146,7 +162,9 @@ def _profiled(
     intervals, profiles, failures = dict(found.of), [], []
     for k, quantity in enumerate(quantities):
         std = found.std.get(quantity.name)
+        dof = found.dof.get(quantity.name, np.inf)
         scale = 1.0 if not std or not naive[k] else (std / naive[k]) ** 2
+        scale *= float(coverage_factor(dof) / coverage_factor(np.inf)) ** 2
         if not every and std:
             check = skewness(cost, evidence.p, quantity, held=held, std=std, scale=scale)
             if check.normal:
@@ -203,5 +221,11 @@ def _resampled(
         )
     method = f"block bootstrap, {drawn.replicates} refits, runs as blocks"
     return Intervals(
-        std, intervals, method, evidence.uncertainty.reason, replicates=drawn, failures=tuple(failures)
+        std,
+        found.dof,
+        intervals,
+        method,
+        evidence.uncertainty.reason,
+        replicates=drawn,
+        failures=tuple(failures),
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hallsym.estimation import coverage_factor
 from hallsym.inference.evidence import Evidence
 from hallsym.inference.null_directions import NullDirection, NullSpace
 
@@ -15,8 +16,6 @@ WEAK_ALONE = 0.25
 """The same for a parameter without finite bounds: standard uncertainty over value."""
 TRADED = 0.7
 """Correlation from which a parameter counts as traded off against another."""
-INTERVAL = 1.959964
-"""Quantile of the normal distribution for a 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,8 @@ def _verdict(
     if not told.determined[k]:
         lost = [d for d in practical.null if parameter.name in d.parameters]
         return Verdict("not determined", _instead(*lost, cause="by this recording"))
-    share = 2 * INTERVAL * told.std[k] / parameter.width if np.isfinite(parameter.width) else 0.0
+    half = float(coverage_factor(told.degrees_of_freedom[k])) * told.std[k]
+    share = 2 * half / parameter.width if np.isfinite(parameter.width) else 0.0
     alone = told.std[k] / abs(evidence.p[k]) if not share and evidence.p[k] else 0.0
     if share > WEAK or alone > WEAK_ALONE:
         traded = [f"{n} (r = {r:+.2f})" for n, r in strongest(correlation, names, k) if abs(r) > TRADED]

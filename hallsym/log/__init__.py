@@ -1,11 +1,12 @@
 """Sensor logs: read, check and write them; SI units, split into runs, with what is known of their noise."""
 
 from hallsym.log.batches import Batch, Weigh, batches, remembered
-from hallsym.log.columns import Foreign, parse_column_option, read_column_file
+from hallsym.log.columns import MOST_RUN, Foreign, parse_column_option, read_column_file
 from hallsym.log.core import Block, Log
 from hallsym.log.derived import extended
 from hallsym.log.drop import Drop, without
 from hallsym.log.estimate import estimate_noise
+from hallsym.log.guarded import MOST_ROWS
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, Sigma, check_noise_keys
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
@@ -16,6 +17,8 @@ from hallsym.log.read import read_log
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [
+    "MOST_ROWS",
+    "MOST_RUN",
     "Batch",
     "Block",
     "Drop",

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError, nearest
-from hallsym.toml import read_toml
+from hallsym.errors import InputError, nearest, quoted
+from hallsym.reading import MOST_NUMBER
+from hallsym.toml import Table
 from hallsym.units import Array, quantity, require_unit, si_name, split_unit
 
 RUN = "run"
@@ -76,23 +77,19 @@ def read_column_file(path: str | Path) -> ColumnFile:
 
     A sign or scale is stated as `hall_b_m = {name = "HallB", sign = -1}` (or `scale = 0.5`).
     """
-    content = read_toml(path, "Column file")
-    for key in content:
-        if key not in ("columns", "noise", "counts_per_turn"):
-            raise InputError(
-                f"Column file {path} may hold counts_per_turn, [columns] and [noise]; it has '{key}'."
-            )
-    columns = {ours: _foreign(ours, entry, path) for ours, entry in content.get("columns", {}).items()}
-    noise = {key: _positive(key, value, path) for key, value in content.get("noise", {}).items()}
-    counts = content.get("counts_per_turn")
+    file = Table.read(path, "Column file", ("columns", "noise", "counts_per_turn"))
+    columns, noise = file.table("columns"), file.table("noise")
+    counts = file.raw.get("counts_per_turn")
     return ColumnFile(
-        columns, noise, None if counts is None else counts_in_turn(counts, f"Column file {path}")
+        {ours: _foreign(ours, entry, path) for ours, entry in columns.raw.items()},
+        {key: noise.positive(key) for key in noise.raw},
+        None if counts is None else counts_in_turn(counts, f"Column file {quoted(path)}"),
     )
 
 
 def counts_in_turn(value: Any, where: str) -> float:
     """Return the counts of a turn, 2 or more; raise `InputError` for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 2 <= value < math.inf:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 2 <= value <= MOST_NUMBER:
         raise InputError(
             f"{where} must give counts_per_turn as a number of 2 or more, such as 16384 for 14 bits; "
             f"instead received {value!r}."
@@ -177,28 +174,28 @@ def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
             f'Column file {path}: {ours} must be "Name" or {{name = "Name", sign = -1, scale = 1.0}}.'
         )
     sign, scale = entry.get("sign", 1), entry.get("scale", 1.0)
-    number = isinstance(scale, int | float) and math.isfinite(scale) and scale != 0
-    if sign not in (1, -1) or not number:
+    plain = isinstance(scale, int | float) and not isinstance(scale, bool)
+    if sign not in (1, -1) or isinstance(sign, bool) or not (plain and 0 < abs(scale) <= MOST_NUMBER):
         raise InputError(f"Column file {path}: {ours} needs sign 1 or -1 and a finite scale other than zero.")
     counts = entry.get("counts_per_turn")
     counts = None if counts is None else counts_in_turn(counts, f"Column file {path}: {ours}")
     return Foreign(entry["name"], sign * float(scale), counts)
 
 
-def _positive(key: str, value: Any, path: str | Path) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (0 < value < math.inf):
-        raise InputError(
-            f"Noise '{key}' in {path} must be a positive number (1 sigma); instead received {value!r}."
-        )
-    return float(value)
-
-
 def _whole(raw: Array, source: str) -> Array:
     values = np.asarray(raw)
-    if values.dtype.kind in "iu":
-        return values.astype(np.int64, copy=False)
-    with np.errstate(invalid="ignore"):
-        whole = values.astype(np.int64)
-    if not np.array_equal(whole, values):
-        raise InputError(f"Column '{source}' must hold whole run numbers; it holds other values.")
-    return whole
+    wrong = (values < -MOST_RUN) | (values > MOST_RUN) if values.dtype.kind in "iu" else _no_run(values)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"Column '{source}' must hold whole run numbers up to 2^53; row {row} holds {values[row]}."
+        )
+    return values.astype(np.int64, copy=False)
+
+
+MOST_RUN = 2**53
+"""Beyond it neighbouring whole numbers are one double, so that two runs would become one."""
+
+
+def _no_run(values: Array) -> Array:
+    return ~(np.abs(values) < MOST_RUN) | (values != np.floor(values))

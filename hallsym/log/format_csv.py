@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
@@ -12,12 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, quoted
 from hallsym.log.extras import available, load
 from hallsym.log.table import Source, label
 from hallsym.units import Array
 
 IN_MEMORY_BYTES = 250_000_000
+LONGEST_LINE = 10_000_000
+"""Characters of a header: 100,000 columns with long names."""
+_TORN = "The last line of {} does not end with a newline: if the file was cut short, its last value is wrong."
 _MISSING = ("", "nan", "NaN", "NAN")
 _TYPED = {"\t": "$'\\t'"}  # in a shell
 _SAY = {"\t": "tabs", ";": "';'", "|": "'|'", ",": "','"}
@@ -41,6 +47,7 @@ class CsvSource(Source):
         self.header = _read_header(path, delimiter)
         self.names = self.header.names
         self.small = path.stat().st_size <= IN_MEMORY_BYTES
+        self.notes = () if _ends_with_newline(path) else (_TORN.format(quoted(path)),)
         self._rows: int | None = None
 
     def count(self) -> int:
@@ -116,9 +123,20 @@ def _lines(path: Path) -> TextIOWrapper:
     return open(path, encoding="utf-8-sig", errors="replace", newline=None)
 
 
+def _ends_with_newline(path: Path) -> bool:
+    with open(path, "rb") as stream:
+        stream.seek(-1, os.SEEK_END)
+        return stream.read(1) in b"\r\n"
+
+
 def _read_header(path: Path, delimiter: str | None) -> Header:
     with _lines(path) as stream:
-        for number, line in enumerate(stream, start=1):
+        for number, line in enumerate(iter(partial(stream.readline, LONGEST_LINE), ""), start=1):
+            if "\0" in line or len(line) == LONGEST_LINE:
+                raise InputError(
+                    f"Line {number} of {quoted(path)} must hold column names; it is no text, so the file is "
+                    "damaged or of another format: copy it again, or state its --format."
+                )
             if line.strip() and not line.startswith("#"):
                 return _parse_header(path, line.rstrip("\n"), number, delimiter)
     raise InputError(
@@ -141,9 +159,9 @@ def _parse_header(path: Path, line: str, number: int, delimiter: str | None) -> 
         raise InputError(
             f"Line {number} of {path} must hold column names such as hall_a_m; it holds numbers."
         )
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"Column names of {path} must differ; '{name}' stands there twice.")
+    name, times = Counter(names).most_common(1)[0]
+    if times > 1:
+        raise InputError(f"Column names of {path} must differ; '{name}' stands there twice.")
     return Header(names, number, chosen)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections import Counter
@@ -32,8 +33,9 @@ class Hdf5Source(Source):
         """Look which vectors the file holds."""
         self.path = path
         with self._opened() as file:
-            lengths = _vectors(file)
-        self.parts, self.left_out, self.aliases = _arrange(lengths)
+            lengths, unusable = _vectors(file)
+        self.parts, left_out, self.aliases = _arrange(lengths)
+        self.left_out = {**left_out, **{name.rpartition("/")[2]: why for name, why in unusable.items()}}
         self.rows = sum(lengths[next(iter(columns.values()))] for _, columns in self.parts)
         found = list(self.parts[0][1]) if self.parts else []
         self.names = (RUN, *found) if self.parts and self.parts[0][0] is not None else tuple(found)
@@ -52,19 +54,12 @@ class Hdf5Source(Source):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        h5py = load("h5py")
-        try:
-            with h5py.File(self.path, "r") as file:
-                yield file
-        except OSError as error:
-            raise InputError(
-                f"{self.path} must be a complete HDF5 file; it is cut short or damaged, so copy it again"
-                f" ({' '.join(str(error).split())[:120]})."
-            ) from error
+        with load("h5py").File(self.path, "r") as file:
+            yield file
 
 
 class Hdf5Writer:
-    """Writes one chunked dataset per column at the root.
+    """Writes one chunked dataset per column at the root, with a checksum of each chunk.
 
     HDF5 may end the process when the disk is full, so each write first makes sure that there is space.
     """
@@ -84,7 +79,9 @@ class Hdf5Writer:
         self._reserve((self._rows - start) * len(columns))
         for name, values in columns.items():
             if name not in self._file:
-                self._file.create_dataset(name, data=values, maxshape=(None,), chunks=(self._chunk,))
+                self._file.create_dataset(
+                    name, data=values, maxshape=(None,), chunks=(self._chunk,), fletcher32=True
+                )
             else:
                 self._file[name].resize((self._rows,))
                 self._file[name][start:] = values
@@ -101,20 +98,55 @@ class Hdf5Writer:
                 os.posix_fallocate(stream.fileno(), 0, need)
 
 
-def _vectors(file: Any) -> Lengths:
-    """Return the length of every numeric vector, by its path in the file."""
+def _vectors(file: Any) -> tuple[Lengths, dict[str, str]]:
+    """Return the length of every numeric vector, by its path in the file, and why others cannot be used.
+
+    Soft links to datasets are followed; those to groups are other names for what is found anyway.
+    """
+    h5py = load("h5py")
     found: Lengths = {}
+    unusable: dict[str, str] = {}
+    seen: set[Any] = set()  # groups: a hard link may lead back to one that holds it
 
-    def visit(name: str, node: Any) -> None:
-        shape = getattr(node, "shape", None)
-        text = getattr(node, "attrs", {}).get("MATLAB_class", b"") in (b"char", b"cell")
-        if shape is None or name.startswith("#") or text or node.dtype.kind not in "fiub":
-            return
-        if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
-            found[name] = max(shape)
+    def walk(group: Any, path: str) -> None:
+        seen.add(group)
+        for key in group:
+            name = f"{path}{key}"
+            link, node = group.get(key, getlink=True), group.get(key)
+            if key.startswith("#"):
+                continue
+            if isinstance(link, h5py.ExternalLink) or node is None:
+                where = "another file" if isinstance(link, h5py.ExternalLink) else "nothing"
+                unusable[name] = f"it is a link to {where}"
+            elif isinstance(node, h5py.Group):
+                if isinstance(link, h5py.HardLink) and node not in seen:
+                    walk(node, f"{name}/")
+            elif isinstance(node, h5py.Dataset):
+                length, why = _judge(node)
+                found.update({name: length} if length is not None and not why else {})
+                unusable.update({name: why} if why else {})
 
-    file.visititems(visit)
-    return found
+    walk(file, "")
+    return found, unusable
+
+
+def _judge(node: Any) -> tuple[int | None, str]:
+    """Return the length of a dataset that is a vector, None for another one, and why it cannot be used."""
+    shape, kind = node.shape, node.dtype.kind
+    if shape is None or node.attrs.get("MATLAB_class", b"") in (b"char", b"cell") or kind not in "fiub":
+        return None, ""
+    if not (len(shape) == 1 or (len(shape) == 2 and 1 in shape)):
+        return None, ""
+    if kind == "b" or node.attrs.get("MATLAB_class", b"") == b"logical":
+        return max(shape), "it holds booleans, not numbers"
+    if node.chunks:
+        need = math.prod(-(-n // c) for n, c in zip(shape, node.chunks, strict=True))
+        have = node.id.get_num_chunks()
+    else:
+        need, have = int(node.size > 0), int(node.id.get_storage_size() > 0)
+    if have < need and not node.external:
+        return max(shape), f"of its {need} blocks only {have} were written, so the recording broke off"
+    return max(shape), ""
 
 
 Part = tuple[int | None, dict[str, str]]
@@ -128,6 +160,13 @@ def _arrange(lengths: Lengths) -> tuple[list[Part], dict[str, str], dict[str, st
     numbers = {group: re.search(r"(\d+)$", group) for group in groups}
     same = len({tuple(sorted(columns)) for columns in groups.values()}) == 1
     if len(groups) > 1 and same and all(numbers.values()):
+        for group, columns in groups.items():
+            sizes = {lengths[path] for path in columns.values()}
+            if len(sizes) > 1:
+                raise InputError(
+                    f"Columns of group '{group}' must be equally long; they have "
+                    f"{' and '.join(map(str, sorted(sizes)))} values: the recording of this run broke off."
+                )
         ordered = sorted((int(match[1]), groups[group]) for group, match in numbers.items() if match)
         return [(run, columns) for run, columns in ordered], {}, {}
     columns, left_out, aliases = name_vectors(lengths, "/")

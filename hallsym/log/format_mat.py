@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import struct
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
 from hallsym.log.format_hdf5 import Hdf5Source, name_vectors
 from hallsym.log.table import Arrays
 from hallsym.units import Array
@@ -16,27 +18,27 @@ from hallsym.units import Array
 
 def open_mat(path: Path) -> Arrays | Hdf5Source:
     """Open a MATLAB file of either kind."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
+    from scipy.io import loadmat, whosmat
 
     if _is_v73(path):
         return Hdf5Source(path)
-    try:
-        content = loadmat(path, simplify_cells=True)
-    except (ValueError, TypeError, OSError, MatReadError, KeyError, IndexError) as error:
-        raise InputError(
-            f"{path} must be a complete MATLAB file; it is cut short or damaged, so save it again"
-            f" ({' '.join(str(error).split())[:120]})."
-        ) from error
+    _check_compressed(path)
+    logical = {name for name, _, kind in whosmat(path) if kind == "logical"}
+    content = loadmat(path, simplify_cells=True)
     vectors = dict(_flatten({key: value for key, value in content.items() if not key.startswith("__")}, ""))
     names, left_out, aliases = name_vectors({key: len(values) for key, values in vectors.items()}, ".")
     source = Arrays({name: vectors[key] for name, key in names.items()})
     source.left_out, source.aliases = left_out, aliases
+    for name, values in list(source.columns.items()):
+        if values.dtype.kind == "b" or name in logical:
+            source.left_out[name] = "it holds booleans, not numbers"
+            del source.columns[name]
+    source.names = tuple(source.columns)
     return source
 
 
 class MatWriter:
-    """Collects columns and writes them as MATLAB v5 column vectors on `close`."""
+    """Collects columns and writes them on `close` as MATLAB v5 column vectors, compressed and so checked."""
 
     group_rows = 1 << 20
 
@@ -55,7 +57,7 @@ class MatWriter:
 
         names = self._parts[0] if self._parts else {}
         columns = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
-        savemat(self.path, columns, oned_as="column")
+        savemat(self.path, columns, oned_as="column", do_compression=True)
 
 
 def _is_v73(path: Path) -> bool:
@@ -64,6 +66,31 @@ def _is_v73(path: Path) -> bool:
     with open(path, "rb") as stream:
         head = stream.read(520)
     return head.startswith(signature) or head[512:520] == signature
+
+
+_COMPRESSED = 15
+_HEADER_BYTES = 128
+_AT_ONCE = 1 << 20
+
+
+def _check_compressed(path: Path) -> None:
+    """Raise `zlib.error` where the checksum of a compressed variable is wrong; scipy does not look."""
+    with open(path, "rb") as stream:
+        order = stream.read(_HEADER_BYTES)[-2:]
+        layout = "<II" if order == b"IM" else ">II"
+        while len(tag := stream.read(8)) == 8:
+            kind, size = struct.unpack(layout, tag)
+            if kind != _COMPRESSED:
+                stream.seek(size, os.SEEK_CUR)
+                continue
+            inflate = zlib.decompressobj()
+            while size > 0 and (part := stream.read(min(size, _AT_ONCE))):
+                size -= len(part)
+                while part:
+                    inflate.decompress(part, _AT_ONCE)
+                    part = inflate.unconsumed_tail
+            if not inflate.eof:
+                raise zlib.error("a compressed variable is cut short")
 
 
 def _flatten(value: Any, path: str) -> list[tuple[str, Array]]:

@@ -48,21 +48,12 @@ class ParquetSource(Source):
     @contextmanager
     def _opened(self, **options: Any) -> Iterator[Any]:
         parquet = load("pyarrow.parquet")
-        arrow = load("pyarrow")
-        try:
-            with parquet.ParquetFile(self.path, **options) as file:
-                yield file
-        except (arrow.ArrowException, OSError) as error:
-            raise InputError(
-                f"{self.path} must be a complete Parquet file; it is cut short or damaged, so copy it again"
-                f" ({' '.join(str(error).split())[:120].rstrip('.')})."
-            ) from error
+        with parquet.ParquetFile(self.path, page_checksum_verification=True, **options) as file:
+            yield file
 
     def _numbers(self, name: str, column: Any) -> Array:
         kind = load("pyarrow").types
-        if not (
-            kind.is_integer(column.type) or kind.is_floating(column.type) or kind.is_boolean(column.type)
-        ):
+        if not (kind.is_integer(column.type) or kind.is_floating(column.type)):
             raise InputError(f"Column '{name}' of {self.path} must hold numbers; it holds {column.type}.")
         return np.asarray(
             column.to_numpy(zero_copy_only=False) if hasattr(column, "buffers") else column.to_numpy()
@@ -70,7 +61,7 @@ class ParquetSource(Source):
 
 
 class ParquetWriter:
-    """Writes chunks as row groups, compressed with zstd."""
+    """Writes chunks as row groups, compressed with zstd, with a checksum of each page."""
 
     group_rows = 131_072
 
@@ -84,7 +75,9 @@ class ParquetWriter:
         """Append rows."""
         table = self._arrow.table(dict(columns))
         if self._file is None:
-            self._file = self._parquet.ParquetWriter(self.path, table.schema, compression="zstd")
+            self._file = self._parquet.ParquetWriter(
+                self.path, table.schema, compression="zstd", write_page_checksum=True
+            )
         self._file.write_table(table, row_group_size=self.group_rows)
 
     def close(self) -> None:

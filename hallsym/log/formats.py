@@ -30,19 +30,20 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class Format:
-    """A format's name, the suffixes that mean it, how to open it and how to write it."""
+    """A format's name, the suffixes that mean it, how to open it, what it is called and how to write it."""
 
     name: str
     suffixes: tuple[str, ...]
     open: Callable[[Path], Source]
+    kind: str
     writer: Callable[[Path], Writer]
 
 
 FORMATS = (
-    Format("parquet", (".parquet", ".pq"), ParquetSource, ParquetWriter),
-    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, CsvWriter),
-    Format("hdf5", (".h5", ".hdf5"), Hdf5Source, Hdf5Writer),
-    Format("mat", (".mat",), open_mat, MatWriter),
+    Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet", ParquetWriter),
+    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter),
+    Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5", Hdf5Writer),
+    Format("mat", (".mat",), open_mat, "MATLAB", MatWriter),
 )
 
 

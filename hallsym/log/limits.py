@@ -28,18 +28,19 @@ class Limit:
 
 
 LIMITS = (
-    Limit(r"(hall_\w+|[xyz](_ref)?)_m", 1.0, "a machine travels", ("mm", "um", "nm"), 0.01),
-    Limit(r"r[xyz](_ref)?_rad", 0.5, "a machine turns", ("mrad", "urad", "nrad"), 0.01),
-    Limit(r"(col|v|hall)_\w+_v", 1e3, "a sensor puts out", ("mv", "uv"), 10.0),
+    Limit(r"(hall_\w+|[xyz](_ref)?)_m", 1.0, "a machine travels", ("mm", "um", "nm"), 0.01, 1e3),
+    Limit(r"r[xyz](_ref)?_rad", 0.5, "a machine turns", ("mrad", "urad", "nrad"), 0.01, 1e3),
+    Limit(r"([xy]\d+_)?(col|row|v|hall)_\w+_v", 1e3, "a sensor puts out", ("mv", "uv"), 10.0),
     Limit(r"hall_\w+_t", 100.0, "a magnet makes", ("mt", "ut"), 3.0),
     Limit(r"current\w*_a", 1e3, "a coil carries", ("ma",), 100.0),
+    Limit("t_s", 1e9, "a recording lasts", ("ms", "us", "ns"), 1e6),
     Limit(r"temperature\w*_degc", 500.0, "a machine warms", ("k",), 200.0, 200.0),
 )
 
 _FASTEST = {"m": 100.0, "rad": 1e5}
 """m/s and rad/s that no reference moves at: a thousand times a stage, a million revolutions a minute."""
 
-_READING = re.compile(r"(hall|col|v)_\w+_(m|v|t|count)|angle_rad")
+_READING = re.compile(r"([xy]\d+_)?(hall|col|row|v)_\w+_(m|v|t|count)|angle_rad")
 _REFERENCE = re.compile(r"([xyz]|r[xyz]|angle)_ref_(m|rad)")
 _POSE = re.compile(r"(z|r[xy])_(m|rad)")
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, quoted
+from hallsym.reading import read_json
+from hallsym.records import structured
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,43 +39,43 @@ class Meta:
 
     @staticmethod
     def from_dict(raw: Mapping[str, Any], where: str = "meta") -> Meta:
-        """Build from the keys of a `meta.json`; unknown keys stay in `raw`."""
-        entries = {
-            name: _typed(raw, name, kind, where) for name, kind in _KINDS.items() if raw.get(name) is not None
-        }
-        runs = entries.pop("validation_runs", ())
-        if not all(isinstance(run, int) for run in runs):
-            raise InputError(f"Key 'validation_runs' of {where} must be a list of run numbers.")
-        for key, value in entries.get("noise_1sigma", {}).items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-                raise InputError(
-                    f"Key 'noise_1sigma' of {where} must hold positive numbers; {key} is {value!r}."
-                )
-        return Meta(holdout=tuple(runs), raw=dict(raw), **entries)
+        """Build from the keys of a `meta.json`; unknown keys stay in `raw`, unless they are misspelt ones.
+
+        Raises `InputError` that names the key.
+        """
+        known = set(_keys())
+        for key in raw:
+            near = get_close_matches(key, known, n=1, cutoff=_MISSPELT)
+            if key not in known and near:
+                raise InputError(f"Unknown key {key!r} in {where} (did you mean {near[0]!r}?); correct it.")
+        entries = {name: value for name, value in raw.items() if name in known and value is not None}
+        record = _record(entries, where)
+        return Meta(raw=dict(raw), **record)
 
     @staticmethod
     def read(path: Path) -> Meta:
         """Read a `meta.json`."""
-        try:
-            raw = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"Cannot read {path}: {' '.join(str(error).split())}.") from error
+        raw = read_json(path, "File", "correct that place")
         if not isinstance(raw, dict):
-            raise InputError(f"{path} must hold a JSON object; it holds a {type(raw).__name__}.")
-        return Meta.from_dict(raw, str(path))
+            raise InputError(f"{quoted(path)} must hold a JSON object; it holds a {type(raw).__name__}.")
+        return Meta.from_dict(raw, quoted(path))
 
 
-_NUMBER = (int, float)
-_KINDS: dict[str, type | tuple[type, ...]] = {
-    "case_id": str, "family": str, "base_model": str, "nominal": dict, "probes": list,
-    "validation_runs": list, "gap_metric": str, "gap_length_scale_m": _NUMBER, "gap_threshold_rel": _NUMBER,
-    "sampling_clock_s": _NUMBER, "noise_1sigma": dict,
-}  # fmt: skip
+_MISSPELT = 0.85
+"""Likeness (`difflib`) of a key with a known one from which on it is that one misspelt: a letter or two."""
 
 
-def _typed(raw: Mapping[str, Any], name: str, kind: type | tuple[type, ...], where: str) -> Any:
-    value = raw[name]
-    if not isinstance(value, kind) or isinstance(value, bool):
-        wanted = "number" if isinstance(kind, tuple) else kind.__name__
-        raise InputError(f"Key '{name}' of {where} must be a {wanted}; instead received {value!r}.")
-    return value
+def _keys() -> tuple[str, ...]:
+    from hallsym.log.meta_file import MetaRecord
+
+    return MetaRecord.__struct_fields__
+
+
+def _record(raw: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return what the keys hold, by the names of `Meta`, which keeps the file's own words besides."""
+    from hallsym.log.meta_file import MetaRecord
+
+    record = structured(dict(raw), MetaRecord, where, "correct that place")
+    found = {name: getattr(record, name) for name in record.__struct_fields__}
+    found.pop("counts_per_turn")
+    return found | {"holdout": tuple(found.pop("validation_runs"))}

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any, Literal
 
 from hallsym.errors import InputError, nearest
-from hallsym.units import UNITS, split_unit
+from hallsym.units import UNITS, quantity, split_unit
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,25 @@ def check_noise_keys(values: Mapping[str, float], columns: Sequence[str], where:
                 f"Noise '{key}' of {where} belongs to no column of the log{nearest(key, list(columns))};"
                 f" the columns are {', '.join(columns)}."
             )
+
+
+_MISSPELT = 0.85
+"""Likeness (`difflib`) of a key with a column's name from which on it is that name misspelt."""
+
+
+def check_misspelt_noise(values: Mapping[str, float], columns: Sequence[str], where: str) -> None:
+    """Refuse a stated noise whose key is nearly, but not quite, that of a column.
+
+    Others may stand: a file may state the noise of columns that this log happens not to have, such as
+    `temperature_degc`, or in words of its own.
+    """
+    groups = [c for c in ("hall_m", "hall_v", "col_v") if any(_fits(c, column) for column in columns)]
+    for key in values:
+        stem, unit = split_unit(key)
+        if any(_fits(key, column) for column in columns) or (unit and quantity(stem)):
+            continue
+        if get_close_matches(key, [*groups, *columns], n=1, cutoff=_MISSPELT):
+            check_noise_keys({key: values[key]}, [*groups, *columns], where)
 
 
 def _fits(key: str, column: str) -> bool:

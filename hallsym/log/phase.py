@@ -48,12 +48,21 @@ def designed(model: Model, p: np.ndarray) -> np.ndarray:
     return out
 
 
-def near(model: Model, pose: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Return a decoded pose (n_pose, samples) on the branch of its reference, where a coordinate repeats."""
+def near(model: Model, pose: np.ndarray, reference: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:
+    """Return a decoded pose (n_pose, samples) on the branch of its reference, where a coordinate repeats.
+
+    `p`: (n,) parameters that it was decoded with, nominal by default.
+    """
     out = np.array(pose, dtype=float)
     for k, coordinate in enumerate(model.pose):
         if coordinate in model.period:
-            out[k] = reference[k] + wrapped(out[k] - reference[k], model.period[coordinate])
+            if model.onward is None:
+                out[k] = reference[k] + wrapped(out[k] - reference[k], model.period[coordinate])
+                continue
+            period = model.period[coordinate]
+            values = model.named(model.nominal if p is None else p)
+            whole = period * np.round((reference[k] - out[k]) / period)
+            out = out + whole * model.onward(out, coordinate, values)
     return out
 
 
@@ -63,7 +72,8 @@ def continuous(log: Log, model: Model) -> Log:
     References are unwrapped along each run. A channel that repeats is brought next to its reference, less the
     circular mean of their difference over the log.
     """
-    references = {c: model.period[c] for c in model.references if c in model.period}
+    wraps = [c for c in model.references if c in model.period and c not in model.absolute]
+    references = {c: model.period[c] for c in wraps}
     channels = {c: model.period[c] for c in model.channels if c in model.period}
     if (not references and not channels) or isinstance(log.table, _Continuous):
         return log

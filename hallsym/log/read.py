@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from hallsym.errors import InputError
-from hallsym.files import reason
+from hallsym.errors import InputError, quoted
 from hallsym.log.columns import (
     RUN,
     ColumnFile,
@@ -20,10 +20,13 @@ from hallsym.log.columns import (
 from hallsym.log.core import Log, run_notes
 from hallsym.log.format_csv import CsvSource
 from hallsym.log.formats import FORMATS, format_of
+from hallsym.log.guarded import Guarded
 from hallsym.log.meta import Meta
-from hallsym.log.noise import Noise, check_noise_keys
+from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
+from hallsym.reading import regular
+from hallsym.units import split_unit
 
 
 def read_log(
@@ -56,16 +59,18 @@ def read_log(
         if counts_per_turn is not None
         else stated.counts_per_turn or meta.raw.get("counts_per_turn")
     )
-    turn = None if counts is None else counts_in_turn(counts, str(file))
-    table = Table(source, bind(source.names, wanted, str(file), turn), str(file))
+    turn = None if counts is None else counts_in_turn(counts, quoted(file))
+    where = quoted(file)
+    table = Table(source, bind(source.names, wanted, where, turn), where)
     if not any(name != RUN for name in table.columns):
         raise InputError(
-            f"{file} has no column whose name ends with a unit, such as hall_a_m; it has"
+            f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"
             f" {listed(source.names)}; map them with --column hall_a_um=ITS_NAME."
         )
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
-    log = Log(table, known, meta, file, run_notes(table.bindings))
+    check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
+    log = Log(table, known, meta, file, (*run_notes(table.bindings), *_notes(source)))
     return clean_log(log) if drop_bad else log
 
 
@@ -78,33 +83,29 @@ def _locate(path: Path) -> tuple[Path, Path | None]:
             raise InputError(
                 f"Folder {path} must hold a log named log.parquet, log.csv, log.h5 or log.mat; it holds none."
             )
-        return found[0], path
-    if not path.exists():
-        raise InputError(f"Log {path} does not exist{_neighbour(path)}.")
-    return path, None
-
-
-def _neighbour(path: Path) -> str:
-    from hallsym.errors import nearest
-
-    if not path.parent.is_dir():
-        return f"; neither does its folder {path.parent}"
-    return nearest(path.name, [entry.name for entry in path.parent.iterdir()])
+        return regular(found[0], "Log"), path
+    return regular(path, "Log"), None
 
 
 def _open(file: Path, format: str | None, delimiter: str | None) -> Source:
     entry = format_of(file, format)
-    try:
-        if file.stat().st_size == 0:
-            raise InputError(f"Log {file} is empty (0 bytes); record or copy it again.")
-        if entry.name == "csv":
-            return CsvSource(file, delimiter)
-        source = entry.open(file)
-    except OSError as error:
-        raise InputError(f"Cannot read {file}: {reason(error)}.") from error
-    if delimiter is not None:
-        raise InputError(f"Option delimiter must be left out for {file}: a {entry.name} file has none.")
-    return source
+    if file.stat().st_size == 0:
+        raise InputError(f"Log {quoted(file)} is empty (0 bytes); record or copy it again.")
+    opens: Callable[[Path], Source] = entry.open
+    if entry.name == "csv":
+        opens = partial(CsvSource, delimiter=delimiter)
+    elif delimiter is not None:
+        raise InputError(
+            f"Option delimiter must be left out for {quoted(file)}: a {entry.name} file has none."
+        )
+    fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
+    return Guarded(file, opens, fault, "copy it again")
+
+
+def _notes(source: Source) -> tuple[str, ...]:
+    """Return what has to be said about a file: columns that state a unit and cannot be used, and its own."""
+    left = [(name, why) for name, why in source.left_out.items() if split_unit(name)[1]]
+    return (*source.notes, *(f"Column {name} is left out: {why}." for name, why in left))
 
 
 def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:

@@ -24,7 +24,8 @@ class Source(ABC):
     """A file's columns under their own names; each format has one.
 
     `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
-    name. `aliases`: short names by long name, a path in a struct or a group.
+    name. `aliases`: short names by long name, a path in a struct or a group. `notes`: what has to be said
+    about the file.
     """
 
     names: tuple[str, ...]
@@ -32,6 +33,7 @@ class Source(ABC):
     small: bool
     left_out: Mapping[str, str] = {}
     aliases: Mapping[str, str] = {}
+    notes: tuple[str, ...] = ()
 
     def count(self) -> int:
         """Return the number of rows."""

@@ -126,6 +126,9 @@ class Model:
     """What an effect is saved as where its name does not say all: `hysteresis:half_width_m=6e-05`."""
     period: Mapping[str, float] = field(default_factory=dict)
     """Pose coordinates, channels, references and parameters that repeat, each with its period [its unit]."""
+    absolute: tuple[str, ...] = ()
+    """References among them that are logged as they are, such as an interferometer's beside a periodic field:
+    a step of more than half a period is a step."""
     homes: Mapping[str, str] = field(default_factory=dict)
     """Zeros that are the origin of a periodic coordinate in each run: name of the zero -> coordinate."""
     amplitudes: tuple[str, ...] = ()
@@ -133,6 +136,12 @@ class Model:
     drawing."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
+    onward: "Callable[[np.ndarray, str, Mapping[str, float]], np.ndarray] | None" = None
+    """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: how a pose changes, per unit
+    of the nominal period of a coordinate, on the way to the next pose that reads the same; only that
+    coordinate, and by as much, where it is None."""
+    guess: "Callable[[Model, Any], Mapping[str, float]] | None" = None
+    """`(model, log) -> parameters` to begin from, of a model without run statistics; nominal otherwise."""
     typical: tuple[tuple[float, ...], ...] = ()
     """Poses over which noise is averaged where readings are not linear in the pose; else the zero pose."""
     ties: tuple[Tie, ...] = ()
@@ -198,6 +207,13 @@ class Model:
                     f"Bounds of {p.name} must have lower <= upper; instead received {p.lower:g}, {p.upper:g}."
                 )
         return model
+
+    def poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return random poses (n_pose, count): typical ones times 1 +- 0.3; of size 1 if none are stated."""
+        noise = rng.standard_normal((len(self.pose), count))
+        if not self.typical:
+            return noise
+        return np.array(self.typical)[rng.integers(len(self.typical), size=count)].T * (1 + 0.3 * noise)
 
     @cached_property
     def _remembered(self) -> dict[Hashable, Any]:

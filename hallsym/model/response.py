@@ -69,8 +69,8 @@ def _response(model: Model) -> Response | None:
     inside = np.clip(model.nominal, lower, upper)[:, None]
     values = on_arrays(ca.Function("response", [s.parameters], at_rest))(np.hstack([points, inside]))
     j, n, k = len(model.pose), len(model.state), len(model.channels)
-    slopes = np.moveaxis(values[0].reshape(j, k, -1), -1, 0)
-    change = np.moveaxis(values[1].reshape(n, j, k, -1), (3, 1, 0), (0, 1, 2))
+    slopes = np.moveaxis(values[0].reshape(j, k, points.shape[1] + 1), -1, 0)
+    change = np.moveaxis(values[1].reshape(n, j, k, points.shape[1] + 1), (3, 1, 0), (0, 1, 2))
     if not (np.all(np.isfinite(slopes)) and np.all(np.isfinite(change))):
         return None
     state = relative(slopes, change)

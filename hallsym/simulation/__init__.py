@@ -1,6 +1,7 @@
 """Logs of machines that are known: campaigns, trajectories, noise, and the simulated machine."""
 
 from hallsym.simulation.campaign import (
+    MOST_SAMPLES,
     Campaign,
     Run,
     campaign_from,
@@ -14,6 +15,7 @@ from hallsym.simulation.paper import bundled_campaign, is_the_papers, paper_camp
 from hallsym.simulation.signals import AtTimes, Signal, multi_sine, ramp, sine, steps, triangle
 
 __all__ = [
+    "MOST_SAMPLES",
     "AtTimes",
     "Campaign",
     "Following",

@@ -69,6 +69,10 @@ class Campaign:
         return max(1, round(run.duration_s / self.step_s))
 
 
+MOST_SAMPLES = 20_000_000
+"""Samples of a campaign file: 1.8 GB for the eleven columns of a log; 700 times the paper's campaign."""
+MOST_RUNS = 10_000
+"""Runs of a campaign file: half a year of recording, if a run takes half an hour."""
 KEYS = ("step_s", "zero_spread_m", "setting", "trajectory", "run", "noise")
 """Keys of a campaign file."""
 
@@ -98,13 +102,30 @@ def _campaign(file: Table, folder: Path) -> Campaign:
         raise InputError(f"In {file.where} at least one [[trajectory]]{instead} is needed; there is none.")
     if "setting" not in file:
         settings = [{}]
+    count = len(settings) * len(trajectories) + len(single)
+    if count > MOST_RUNS:
+        raise InputError(
+            f"A {file.where} must have at most {MOST_RUNS} runs; it has {count}, so leave settings out."
+        )
     product = (_run(setting, entry, folder) for setting in settings for entry in trajectories)
-    return Campaign(
+    made = Campaign(
         file.positive("step_s", 2e-3),
         (*product, *(_single(entry, folder) for entry in single)),
         file.number("zero_spread_m", 1e-6, least=0.0),
         noise_table(file),
     )
+    _check_length(made, file)
+    return made
+
+
+def _check_length(campaign: Campaign, file: Table) -> None:
+    """Refuse runs that no memory holds."""
+    samples = sum(run.duration_s for run in campaign.runs) / campaign.step_s
+    if samples > MOST_SAMPLES:
+        raise InputError(
+            f"A {file.where} must have at most {MOST_SAMPLES:g} samples; it has {samples:.3g}: raise "
+            "'step_s' or shorten 'duration_s'."
+        )
 
 
 def noise_table(file: Table) -> dict[str, float]:

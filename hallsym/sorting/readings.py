@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,8 @@ class Readings:
     where: str
     timed: bool = False
     paired: bool = True
+    notes: tuple[str, ...] = ()
+    """What has to be said about the file."""
 
     @property
     def gain_unit(self) -> str:
@@ -77,7 +79,7 @@ def read_readings(
                 f" --column {ours}=ITS_NAME."
             )
     labels = {ours: source.labels(theirs) for ours, theirs in names.items() if theirs in source.names}
-    return _arranged(log, labels, fields)
+    return replace(_arranged(log, labels, fields), notes=source.notes)
 
 
 def readings_from(table: Any, fields: Sequence[float] = (), name: str = "The table") -> Readings:

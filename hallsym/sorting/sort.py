@@ -299,6 +299,7 @@ def _refusals(readings: Readings, m: Measured, reasons: Reasons, count: Array) -
 def _notes(
     readings: Readings, scatter: Scatter | None, known: Certainty, drift: Drift, relative: Array
 ) -> Iterator[str]:
+    yield from readings.notes
     if scatter is None:
         told = (
             f"{known.instead}, stands for it"

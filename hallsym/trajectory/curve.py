@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.errors import InputError
-from hallsym.files import atomic_write, reason
+from hallsym.errors import InputError, quoted
+from hallsym.files import atomic_write
+from hallsym.reading import read_json, reading
 from hallsym.trajectory.basis import BASES, basis_named
 from hallsym.trajectory.corner_cutting import FgForm
 from hallsym.trajectory.forms import ChebyshevForm, RationalForm, SplineForm
@@ -161,35 +162,23 @@ class Curve:
 def is_curve(path: str | Path) -> bool:
     """Return whether a file is a curve that `Curve.save` wrote."""
     try:
-        return str(json.loads(Path(path).read_text(encoding="utf-8"))["format"]).startswith("hallsym-curve")
-    except (OSError, ValueError, KeyError, TypeError):
+        raw = read_json(path, "File", "copy it again")
+    except InputError:
         return False
+    return isinstance(raw, dict) and str(raw.get("format")).startswith("hallsym-curve")
 
 
 def read_curve(path: str | Path) -> Curve:
     """Read a curve that `Curve.save` wrote. Raises `InputError` for a missing or foreign file."""
-    path = Path(path)
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"Curve {path} does not exist; make one with 'hallsym trajectory'.") from None
-    except OSError as error:
-        raise InputError(f"Curve {path} cannot be read: {reason(error)}.") from None
-    except ValueError as error:
-        raise InputError(
-            f"Curve {path} cannot be read as JSON ({' '.join(str(error).split())}); a curve is what 'hallsym "
-            "trajectory' saves with -o curve.json."
-        ) from None
+    remedy = "a curve is what 'hallsym trajectory' saves with -o curve.json"
+    raw = read_json(path, "Curve", remedy, "make one with 'hallsym trajectory'")
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         found = raw.get("format") if isinstance(raw, dict) else None
-        raise InputError(f"File {path} must be a curve of format {FORMAT!r}; instead it says {found!r}.")
-    try:
-        return curve_from_dict(raw)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        what = " ".join(str(error).split()).rstrip(".")
         raise InputError(
-            f"Curve {path} is damaged ({what}); make it again with 'hallsym trajectory'."
-        ) from None
+            f"File {quoted(path)} must be a curve of format {FORMAT!r}; instead it says {found!r}."
+        )
+    with reading(path, "Curve", "is damaged", "make it again with 'hallsym trajectory'"):
+        return curve_from_dict(raw)
 
 
 def curve_from_dict(raw: Mapping[str, Any]) -> Curve:
@@ -202,6 +191,10 @@ def curve_from_dict(raw: Mapping[str, Any]) -> Curve:
         raise ValueError("as many coordinates as columns of control points are needed")
     if not isinstance(form, RationalForm) and not np.isfinite(form.control).all():
         raise ValueError("control points must be finite")
+    if raw["error_kind"] not in ("bounded", "estimated", None):
+        raise ValueError("error_kind must be bounded, estimated or null")
+    if not all(name.endswith(("_m", "_rad")) for name in names):
+        raise ValueError("coordinates must be in m or rad, such as x_m")
     return Curve(
         form, start, stop, names, str(raw["method"]), None if error is None else float(error),
         raw["error_kind"], dict(raw["source"]),

@@ -66,7 +66,7 @@ def of_points(
     if fewer:
         counts = " or ".join(map(str, fewer))
         notes.append(f"of {len(points.t) - 2} inner points {counts} were left out, evenly spread.")
-    notes += moved_by_the_origin(rows)
+    notes += [*moved_by_the_origin(rows), *points.notes]
     return Choice(tuple(rows), best_of(rows, tolerance), tolerance, "estimated", tuple(notes))
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from hallsym.errors import InputError
-from hallsym.files import reason
+from hallsym.errors import InputError, quoted
+from hallsym.reading import read_text, reading
 from hallsym.trajectory.basis import check_increasing
 from hallsym.trajectory.nominal import COORDINATES
 from hallsym.units import si_name, split_unit
@@ -28,6 +29,8 @@ class Points:
     coordinates: tuple[str, ...]
     rounding: float = 0.0
     name: str = "points"
+    notes: tuple[str, ...] = ()
+    """What has to be said about the file."""
 
     @property
     def shares(self) -> Array:
@@ -77,21 +80,18 @@ def points_of(
     return Points(t, points, tuple(coordinates), rounding, name)
 
 
+_NO_CSV = "is not CSV text"
+
+
 def read_points(path: str | Path) -> Points:
     """Read points from CSV: columns such as x_um, y_um, rz_urad, and t (or t_s) if they have a parameter.
 
     The unit ends the name of a column. Raises `InputError` for what cannot be read.
     """
+    text = read_text(path, "Points file", _NO_CSV, "copy it again", "give the path of a CSV file")
     path = Path(path)
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
-    except FileNotFoundError:
-        raise InputError(f"Points file {path} does not exist; give the path of a CSV file.") from None
-    except OSError as error:
-        raise InputError(f"Points file {path} cannot be read: {reason(error)}.") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"Points file {path} is not CSV text: {' '.join(str(error).split())}.") from None
+    with reading(path, "Points file", _NO_CSV):
+        rows = [row for row in csv.reader(io.StringIO(text, newline="")) if any(cell.strip() for cell in row)]
     rows = [row for row in rows if not row[0].lstrip().startswith("#")]
     if len(rows) < 3:
         raise InputError(f"Points file {path} must hold a line of column names and at least 2 points.")
@@ -111,13 +111,18 @@ def read_points(path: str | Path) -> Points:
     )
     parameter = [k for k, c in enumerate(columns) if c[0] == "t"]
     step = max(columns[k][1] * _step([row[k] for row in rows[1:]]) for k in lengths)
-    return points_of(
+    made = points_of(
         table[:, order] * np.array([columns[k][1] for k in order]),
         table[:, parameter[0]] if parameter else None,
         tuple(columns[k][0] for k in order),
         step / 2,
         path.name,
     )
+    torn = (
+        f"the last line of {quoted(path.name)} does not end with a newline: if the file was cut short, its "
+        "last point is wrong."
+    )
+    return made if text.endswith(("\n", "\r")) else replace(made, notes=(torn,))
 
 
 def _column(name: str, path: Path) -> tuple[str, float]:

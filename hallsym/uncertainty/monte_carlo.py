@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy.special import chdtri, ndtr
 
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, decoder
@@ -24,7 +25,7 @@ from hallsym.uncertainty.inputs import (
     zero_point,
     zeros_found,
 )
-from hallsym.uncertainty.position import fit_degrees_of_freedom, place, position_budget
+from hallsym.uncertainty.position import place, position_budget
 from hallsym.uncertainty.settings import Settings
 
 BATCH = 10_000
@@ -35,6 +36,8 @@ FINER = 5.0
 """The Monte Carlo result itself is wanted this much finer than the tolerance: JCGM 101, 8.2."""
 PARTS = 20
 """Parts of a fixed number of trials, from which its own scatter is found."""
+WIDEST = 8.0
+"""Standard deviations within which Student's distribution is tabulated: beyond lies 1e-15."""
 
 Measure = Callable[[np.random.Generator, int], np.ndarray]
 """`(generator, n) -> (n_outputs, n)` random results."""
@@ -294,7 +297,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
         "zero reading": first, "zero state": s0, "zero pose": q0,
     }  # fmt: skip
     weight, root = weights(fit), _root(fit.covariance)
-    decode, dof = decoder(model, 1.0 / weight), fit_degrees_of_freedom(fit)
+    decode, stretch = decoder(model, 1.0 / weight), _stretch(fit.degrees_of_freedom)
     zeros = on_arrays(zeros_found(model)) if model.zeros else None
 
     def measure(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -304,9 +307,7 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
             for name, index in entry.places:
                 x[name][index] += error
         spread = root @ rng.standard_normal((len(root), n))
-        if np.isfinite(dof):  # multivariate t: JCGM 102, 5.3.2.4
-            spread /= np.sqrt(rng.chisquare(dof, n) / dof)
-        p = fit.values[:, None] + spread
+        p = fit.values[:, None] + (spread if stretch is None else spread * stretch(rng, n))
         d = still
         if zeros is not None:
             (d,) = zeros(p, x["zero reading"], x["zero pose"], x["zero state"], weight)
@@ -314,6 +315,25 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
         return q + x["scale"] * (q - q0[:, None])
 
     return measure
+
+
+def _stretch(dof: np.ndarray) -> Callable[[np.random.Generator, int], np.ndarray] | None:
+    """What turns normal errors of n parameters into Student's: `draw(rng, trials) -> (n, trials)`.
+
+    Multivariate t, JCGM 102, 5.3.2.4, but each parameter with its own degrees of freedom `dof` (n,): all take
+    the same quantile of their chi-square, since their variances come from the same runs.
+    """
+    if not np.any(np.isfinite(dof)):
+        return None
+    z = np.linspace(-WIDEST, WIDEST, 601)
+    tail, few = ndtr(-z), np.where(np.isfinite(dof), dof, 1.0)[:, None]
+    table = np.where(np.isfinite(dof)[:, None], -0.5 * np.log(chdtri(few, tail) / few), 0.0)
+
+    def draw(rng: np.random.Generator, n: int) -> np.ndarray:
+        drawn = rng.standard_normal(n)
+        return np.exp([np.interp(drawn, z, row) for row in table])
+
+    return draw
 
 
 def _linear(budget: Budget, level: float) -> Linear:

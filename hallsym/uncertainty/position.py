@@ -13,7 +13,6 @@ from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation import Fit
-from hallsym.estimation.covariance import FEW_RUNS
 from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
@@ -68,17 +67,20 @@ def _fit_sources(
     fit: Fit, column: str, slope: np.ndarray, split: bool
 ) -> tuple[list[Source], np.ndarray | None]:
     """The fit covariance as one source, or parameter by parameter with their correlation."""
-    dof, unit = fit_degrees_of_freedom(fit), column.rpartition("_")[2]
+    unit = column.rpartition("_")[2]
     if not split:
         whole = float(np.sqrt(max(slope @ fit.covariance @ slope, 0.0)))
+        dof = float(fit_degrees_of_freedom(fit, slope))
         return [Source.normal("fit", whole, unit, degrees_of_freedom=dof)], None
     std: np.ndarray = np.sqrt(np.diag(fit.covariance))
     free = np.flatnonzero(std > 0)
-    parameters = [fit.model.parameters[k] for k in free]
     sources = [
-        Source(f"fit: {p.name}", float(u), p.unit, sensitivity=float(c), degrees_of_freedom=dof)
-        for p, u, c in zip(parameters, std[free], slope[free], strict=True)
-    ]
+        Source(
+            f"fit: {fit.model.names[k]}", float(std[k]), fit.model.parameters[k].unit,
+            sensitivity=float(slope[k]), degrees_of_freedom=float(fit.degrees_of_freedom[k]),
+        )
+        for k in free
+    ]  # fmt: skip
     return sources, fit.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
 
 
@@ -90,12 +92,17 @@ def _padded(correlation: np.ndarray, more: int) -> np.ndarray:
     return padded
 
 
-def fit_degrees_of_freedom(fit: Fit) -> float:
-    """Degrees of freedom of the fit covariance: the runs less one where it comes from their scatter."""
-    if fit.covariance_method == "likelihood":
-        return inf
-    runs = int(fit.log.get("runs", FEW_RUNS)) - len(fit.log.get("holdout", ()))
-    return float(max(runs - 1, 1))
+def fit_degrees_of_freedom(fit: Fit, slope: np.ndarray) -> np.ndarray:
+    """Return the degrees of freedom of what the fit covariance does to results of slopes (..., n), (...,).
+
+    Those of the parameters, weighed by what each contributes. Welch-Satterthwaite would credit a result with
+    more than any parameter has, as if the errors of the variances were independent; they come from the same
+    runs.
+    """
+    share = np.square(slope * np.sqrt(np.diag(fit.covariance)))
+    few = (share / fit.degrees_of_freedom).sum(axis=-1)
+    total = share.sum(axis=-1)
+    return np.asarray(np.divide(total, few, out=np.full(np.shape(total), inf), where=few > 1e-15 * total))
 
 
 def place(model: Model, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -126,11 +133,11 @@ def notes(fit: Fit, settings: Settings) -> list[str]:
             f"{', '.join(fit.at_bound)} ended at a bound and count as known; the budget is too small by "
             "what they would add."
         )
-    excess = float(fit.solver.get("cost_per_degree_of_freedom", 1.0))
-    if excess > 1.5:
+    amiss = fit.goodness and fit.goodness.said("the model of this calibration does not describe its log")
+    if fit.goodness and amiss:
         said.append(
-            f"the residuals of the fit are {np.sqrt(excess):.2g} x what the noise explains; the gap between "
-            "model and machine is in no source, so the true uncertainty is larger."
+            f"{amiss}; that is in no source, so the true uncertainty is larger; "
+            f"next: {fit.goodness.next_command}"
         )
     if fit.model.zeros and settings.zero_averaged == 1:
         said.append(
@@ -144,25 +151,26 @@ def notes(fit: Fit, settings: Settings) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class _Spread:
-    """Variances of decoded positions, (s, n_pose) each: all sources, and the fit alone."""
+    """Of decoded positions, (s, n_pose) each: variances by all sources and by the fit alone, and its dof."""
 
     total: np.ndarray
     fit: np.ndarray
+    dof: np.ndarray
 
-    def expanded(self, settings: Settings, dof: float) -> np.ndarray:
+    def expanded(self, settings: Settings) -> np.ndarray:
         """U, shape (s, n_pose)."""
-        return _factor(self, settings, dof) * np.sqrt(self.total)
+        return _factor(self, settings) * np.sqrt(self.total)
 
 
-def _factor(spread: _Spread, settings: Settings, dof: float) -> np.ndarray | float:
+def _factor(spread: _Spread, settings: Settings) -> np.ndarray | float:
     """Coverage factor, where a level asks for it from the effective degrees of freedom of each position."""
     if settings.level is None:
         return settings.coverage
     half = 0.5 + 0.5 * settings.level
-    if not np.isfinite(dof):
+    if not np.any(np.isfinite(spread.dof)):
         return float(ndtri(half))
     with np.errstate(divide="ignore"):
-        effective = dof * np.square(spread.total / spread.fit)
+        effective = spread.dof * np.square(spread.total / spread.fit)
     k = stdtrit(np.maximum(np.floor(np.minimum(effective, 1e9)), 1.0), half)
     return np.where(np.isfinite(effective), k, ndtri(half))
 
@@ -173,7 +181,7 @@ def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -
     total = from_fit.copy()
     for entry in independent_inputs(fit, settings):
         total += (entry.source.std * found.of(entry)) ** 2
-    return _Spread(total, from_fit)
+    return _Spread(total, from_fit, fit_degrees_of_freedom(fit, found.parameters))
 
 
 def expanded_at(
@@ -184,8 +192,7 @@ def expanded_at(
     `added`: (n_pose,) standard uncertainty that joins each coordinate, independent of the others.
     """
     spread = _spread(fit, pose, state, settings)
-    whole = _Spread(spread.total + np.square(added), spread.fit)
-    return whole.expanded(settings, fit_degrees_of_freedom(fit))
+    return replace(spread, total=spread.total + np.square(added)).expanded(settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +331,7 @@ def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
     columns, names = (*model.references, *model.state), (*model.pose, *model.state)
     low, high = np.full(len(columns), np.inf), np.full(len(columns), -np.inf)
     squares, worst = np.zeros(len(model.pose)), np.zeros(len(model.pose))
-    where, count, dof = np.zeros((len(model.pose), len(columns))), 0, fit_degrees_of_freedom(fit)
+    where, count = np.zeros((len(model.pose), len(columns))), 0
     for batch in batches(log, columns):
         data = np.array(batch.columns(columns))
         good = np.all(np.isfinite(data), axis=0)
@@ -332,7 +339,7 @@ def over_log(fit: Fit, log: Log, settings: Settings | None = None) -> Recorded:
         if not data.shape[1]:
             continue
         pose, state = data[: len(model.pose)], data[len(model.pose) :]
-        U = _spread(fit, pose, state, settings).expanded(settings, dof)
+        U = _spread(fit, pose, state, settings).expanded(settings)
         low, high = np.minimum(low, data.min(axis=1)), np.maximum(high, data.max(axis=1))
         squares, count = squares + np.einsum("sp,sp->p", U, U), count + len(U)
         peak = np.argmax(U, axis=0)

@@ -72,7 +72,7 @@ def _row(name: str, count: str, code: int, table: int, stack: str, error: np.nda
 def _ours(fit: hallsym.Fit, folder: Path) -> None:
     made = generate(fit)
     made.write(folder)
-    said = _run("make", "-C", str(folder), "count")
+    said = ran("make", "-C", str(folder), "count")
     bare = re.search(r"decoupler_bare, (\d+) bytes, instructions per call: (\d+)", said)
     step = re.search(r"decoupler_step, (\d+) bytes, instructions per call: (.*)", said)
     if bare is None or step is None:
@@ -105,19 +105,19 @@ def _casadi(fit: hallsym.Fit, folder: Path, symbolic: bool, real: str) -> None:
     files = [str(folder / f) for f in ("startup.c", "caller.c", f"{name}.c")]
     link = ["-nostartfiles", "--specs=rdimon.specs", "-T", str(folder / "m.ld"), "-Wl,--gc-sections"]
     compiler = ("arm-none-eabi-gcc", "-w", *FLAGS)
-    _run(*compiler, "-fstack-usage", "-c", files[2], "-o", str(folder / "f.o"))
-    _run(*compiler, *link, *files, "-lm", "-o", str(elf))
-    size = int(_run("arm-none-eabi-size", str(folder / "f.o")).splitlines()[1].split()[0])
+    ran(*compiler, "-fstack-usage", "-c", files[2], "-o", str(folder / "f.o"))
+    ran(*compiler, *link, *files, "-lm", "-o", str(elf))
+    size = int(ran("arm-none-eabi-size", str(folder / "f.o")).splitlines()[1].split()[0])
     stack = max(int(line.split("\t")[1]) for line in (folder / "f.su").read_text().splitlines())
-    count = _instructions(elf, name, folder / "trace.log")
+    count = counted_instructions(elf, name, folder / "trace.log")
     _row(name.replace("_", ", "), str(count), size, 0, str(stack), _error(fit, folder, name, real, symbolic))
 
 
-def _instructions(elf: Path, name: str, log: Path) -> int:
+def counted_instructions(elf: Path, name: str, log: Path) -> int:
     """Executed from the call to the return, library functions included."""
-    symbols = _run("arm-none-eabi-nm", str(elf)).splitlines()
+    symbols = ran("arm-none-eabi-nm", str(elf)).splitlines()
     start = next(int(line.split()[0], 16) for line in symbols if line.endswith(f" {name}"))
-    back = re.search(rf"bl\s+\w+ <{name}>\n\s*(\w+):", _run("arm-none-eabi-objdump", "-d", str(elf)))
+    back = re.search(rf"bl\s+\w+ <{name}>\n\s*(\w+):", ran("arm-none-eabi-objdump", "-d", str(elf)))
     qemu = ("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none")
     step = ("-singlestep", "-d", "exec,nochain", "-D", str(log))
     semihosting = ("-semihosting-config", "enable=on,target=native")
@@ -132,7 +132,7 @@ def _instructions(elf: Path, name: str, log: Path) -> int:
 def _error(fit: hallsym.Fit, folder: Path, name: str, real: str, symbolic: bool) -> np.ndarray:
     """Largest error against the model in double, over inputs that float holds exactly."""
     library = folder / f"{name}.so"
-    _run(
+    ran(
         "gcc",
         "-w",
         "-std=c99",
@@ -163,7 +163,7 @@ def _error(fit: hallsym.Fit, folder: Path, name: str, real: str, symbolic: bool)
     return worst_error
 
 
-def _run(*command: str) -> str:
+def ran(*command: str) -> str:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(command)}\n{done.stdout}{done.stderr}")

@@ -196,7 +196,7 @@ def test_the_firmware_cost_counts_parameters_instructions_and_signals() -> None:
     assert cost_of(large).moves - cost_of(small).moves == 9
     a, b = cost_of(small).instructions, cost_of(large).instructions
     said = firmware_cost(small, large)
-    assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 84 -> 120 B"
+    assert said == f"9 parameters; C about {a} -> {b} instructions, parameter table 100 -> 136 B"
     late = STAGE["time_skew"](large)
     assert firmware_cost(large, late).startswith("1 parameter; decoding")
     assert "12 signals to compute (d1_x_ref_m, " in firmware_cost(large, late)

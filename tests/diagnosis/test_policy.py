@@ -18,7 +18,7 @@ from test_compare import diagnosis
 from test_compare import effect as effect_record
 from test_diagnosis_holding import turn
 from test_diagnosis_rotary import bearing, machine, third
-from test_diagnosis_turn import LIKE_A_TABLE, table
+from test_diagnosis_turn import LIKE_A_TABLE, overdriven, table
 
 from hallsym.diagnosis import (
     POLICY,
@@ -163,6 +163,20 @@ def test_fewer_parameters_win_if_they_explain_nearly_as_much():
     assert first([flexible, plain]) == "plain"
     assert first([flexible, plain], replace(POLICY, simpler_gain=0.999)) == "flexible"
     assert first([flexible, plain], replace(POLICY, simpler_gap=0.001)) == "flexible"
+
+
+def test_a_plain_variant_holds_the_place_only_where_it_is_as_good():
+    """Two parameters of one cause, of which one alone leaves more than another cause's only one."""
+    flexible = effect("flexible", 2, 100.0, 1.0e-6, bic=-90.0)
+    plain = effect("plain", 1, 102.0, 1.001e-6, bic=-89.0)
+    variant = replace(flexible.score, size=1, gain=plain.score.gain - 1.0, bic=plain.score.bic + 18.0)
+    exact, scored = [flexible, plain], [flexible.score, plain.score, variant]
+
+    def winner(policy: Policy) -> str:
+        return ordered(exact, scored, lambda _: True, policy)[0].score.effect.name
+
+    assert winner(POLICY) == "plain"
+    assert winner(replace(POLICY, as_good=20.0)) == "flexible"
 
 
 def test_an_effect_that_fits_alike_and_predicts_better_wins():
@@ -322,6 +336,13 @@ def test_two_plain_effects_win_against_a_flexible_one():
     assert kept.verdict == "explained"
     assert "third_harmonic_distortion" in kept.ranked
     assert (off.verdict, off.ranked) == ("unexplained", ("magnet_tilt",))
+
+
+def test_a_flexible_effect_stays_where_a_second_one_beside_it_leaves_far_less():
+    """A rail and an old reading: a saturated field and a delay explain more than the rail alone."""
+    kept, off = without(overdriven(0.654, 0.034, -0.0024), "rotary", no_substitute=0.0)
+    assert kept.ranked[0] == "saturation"
+    assert off.ranked[0] == "field_saturation"
 
 
 def test_an_effect_that_other_parameters_undo_is_rejected():

@@ -89,13 +89,16 @@ def test_correlated_noise_makes_runs_the_blocks():
     assert np.median(found.std[ok] / white.std[ok]) > 1.2
 
 
-def test_too_few_runs_scale_the_likelihood():
+def test_a_few_runs_have_few_degrees_of_freedom():
     log = with_noise(record(seed=7, correlation_s=0.1))
     summary = summarise(log, MODEL).select(range(0, 57, 4)[:15])
     cost = cost_of(summary, SIGMAS)
     found = determine(cost, MODEL.nominal)
     result = uncertainty(cost, refit(cost, MODEL.nominal, found.held), found)
-    assert result.method == "likelihood, scaled"
+    assert result.method == "runs as blocks"
+    dof = result.degrees_of_freedom[result.determined]
+    assert np.all((dof >= 1) & (dof < 6))
+    assert np.all(np.isinf(result.degrees_of_freedom[[MODEL.names.index("H3x")]]))
 
 
 def test_a_parameter_at_its_bound_is_named_and_has_no_uncertainty():

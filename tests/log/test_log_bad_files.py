@@ -122,10 +122,10 @@ def test_delimiter_for_parquet(tmp_path: Path) -> None:
     ("text", "says"),
     [
         ("[1]", "must hold a JSON object"),
-        ("{", "Cannot read .*meta.json"),
+        ("{", "meta.json cannot be read as JSON"),
         ('{"validation_runs": 3}', "'validation_runs' of .* must be a list"),
-        ('{"validation_runs": ["a"]}', "list of run numbers"),
-        ('{"noise_1sigma": {"hall_m": -1}}', "must hold positive numbers; hall_m is -1"),
+        ('{"validation_runs": ["a"]}', "'validation_runs.0' of .* must be a whole number"),
+        ('{"noise_1sigma": {"hall_m": -1}}', "'noise_1sigma.hall_m' of .* must be a number > 0.*received -1"),
         ('{"gap_threshold_rel": "5 %"}', "must be a number"),
     ],
 )

@@ -103,7 +103,7 @@ def test_no_column_with_a_unit_says_how_to_map(tmp_path: Path) -> None:
         ("[columns]\nhall_a_um = 3\n", 'must be "Name"'),
         ("[columns]\nhall_a_um = {name = 'A', sign = 2}\n", "sign 1 or -1"),
         ("[columns]\nhall_a_um = {name = 'A', gain = 2}\n", 'must be "Name"'),
-        ("[column]\n", r"may hold counts_per_turn, \[columns\] and \[noise\]; it has 'column'"),
+        ("[column]\n", r"Unknown key 'column' in .*did you mean 'columns'"),
         ("[noise]\nhall_m = -1\n", "positive"),
         ("[columns\n", "not valid TOML"),
     ],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from twins import SIGMAS, record, with_noise
 
-from hallsym.estimation import Fit, fit
+from hallsym.estimation import Fit, coverage_factor, fit
 from hallsym.families import build
 from hallsym.log import Log
 from hallsym.report import data
@@ -86,7 +86,8 @@ def test_parameters_say_what_is_not_identifiable(fitted: Fit) -> None:
     told = words.count("not identifiable") + words.count("not identifiable, fixed")
     assert told == np.sum(~fitted.determined) - len(fitted.at_bound)
     assert sum("±" in word for word in words) == fitted.determined.sum() + len(fitted.combinations) + 1
-    half = 100 * plots.COVERAGE * np.nanmax(fitted.std / (fitted.model.bounds[1] - fitted.model.bounds[0]))
+    width = fitted.model.bounds[1] - fitted.model.bounds[0]
+    half = 100 * np.nanmax(coverage_factor(fitted.degrees_of_freedom) * fitted.std / width)
     drawn = max(float(line.get_xdata().max()) for line in figure.axes[1].lines)
     assert drawn == pytest.approx(half)
 

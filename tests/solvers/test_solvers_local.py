@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nist import MODELS, sets
 from solver_problems import LOCAL, MISRA1A, ROSENBROCK, SPHERE
 
 from solvers import Ipopt, Problem, bounded_step, ipopt, newton
@@ -195,6 +196,39 @@ def test_misuse(method):
             ValueError, match=rf"Input x0 of {method.__name__} must be finite, of shape \(1,\)"
         ):
             method(Problem(lambda x: x[:, 0], [0.0], [1.0], lambda x: (x[0], x, np.eye(1))), x0)
+
+
+@pytest.mark.parametrize("name", ["BoxBOD", "Eckerle4"])
+def test_a_flat_stretch_that_satisfies_ipopt_is_found_out(name):
+    """From NIST's first start IPOPT is satisfied where the squares are 8 and 480 times the certified ones."""
+    known = sets()[name]
+    result = ipopt(known.problem(known.starts[0]), np.ones(len(known.values)), max_iterations=3000)
+    assert "the cost curves down there" in result.message
+    assert result.status == "converged"
+    assert result.cost == pytest.approx(known.rss, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("start", [0, 1])
+def test_what_ipopt_calls_converged_is_the_certified_optimum(name, start):
+    """NIST StRD; Lanczos1 leaves residuals of 1e-13, which doubles know to 1 %."""
+    known = sets()[name]
+    result = ipopt(known.problem(known.starts[start]), np.ones(len(known.values)), max_iterations=3000)
+    assert result.status == "converged", result.message
+    assert result.cost <= 1.01 * known.rss + 1e-24
+
+
+def test_a_saddle_is_no_optimum():
+    """Where the slope of one variable is nil by symmetry, no method moves it."""
+
+    def derivatives(x):
+        f = x[0] ** 2 - x[1] ** 2 + x[1] ** 4
+        return f, np.array([2 * x[0], -2 * x[1] + 4 * x[1] ** 3]), np.diag([2.0, 12 * x[1] ** 2 - 2.0])
+
+    for method in METHODS:
+        result = method(Problem(lambda x: x[:, 0], [-2.0] * 2, [2.0] * 2, derivatives), [1.0, 0.0])
+        assert result.status == "failed" or result.cost == pytest.approx(-0.25), method
+        assert result.status == "converged" or "saddle" in result.message
 
 
 def test_newton_is_quadratic():

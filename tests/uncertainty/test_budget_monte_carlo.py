@@ -199,13 +199,17 @@ def test_four_probes_are_confirmed_and_know_more_than_three():
     noise = Noise({**fitted().noise.sigmas, "hall_d_m": Sigma(3e-7, "given")})
     spread = np.array([1e-4 if p.name.startswith("eta") else 0.0 for p in model.parameters])
     known = replace(
-        fitted(), model=model, values=model.nominal, covariance=np.diag(spread**2), noise=noise, at_bound=()
+        fitted(), model=model, values=model.nominal, covariance=np.diag(spread**2), noise=noise, at_bound=(),
+        degrees_of_freedom=np.full(len(spread), np.inf),
     )  # fmt: skip
     found = position_monte_carlo(known, SOMEWHERE, FULL, rng=rng(), trials=60_000, digits=1)
     assert {c.verdict for c in found.values()} == {"confirmed"}
     three = stage.stage31()
     spread = np.array([1e-4 if p.name.startswith("eta") else 0.0 for p in three.parameters])
-    less = replace(known, model=three, values=three.nominal, covariance=np.diag(spread**2))
+    known_well = np.full(len(spread), np.inf)
+    less = replace(
+        known, model=three, values=three.nominal, covariance=np.diag(spread**2), degrees_of_freedom=known_well
+    )
     assert position_budget(known, SOMEWHERE)["x_m"].std < position_budget(less, SOMEWHERE)["x_m"].std
 
 
@@ -239,13 +243,17 @@ def test_the_linear_result_fails_near_a_zero_of_the_gain():
 
 def test_a_covariance_from_few_runs_has_longer_tails():
     few = replace(
-        fitted(), covariance_method="likelihood, scaled", log={"runs": 6, "holdout": []},
-        covariance=1e3 * fitted().covariance,
+        fitted(), covariance=1e3 * fitted().covariance,
+        degrees_of_freedom=np.full(len(fitted().values), 5.0),
     )  # fmt: skip
     budget = position_budget(few, SOMEWHERE, replace(FULL, level=0.95))["x_m"]
     assert budget.factor > 2.3
     found = position_monte_carlo(few, SOMEWHERE, FULL, rng=rng(), trials=40_000)["x_m"]
     normal = position_monte_carlo(
-        replace(few, covariance_method="likelihood"), SOMEWHERE, FULL, rng=rng(), trials=40_000
+        replace(few, degrees_of_freedom=fitted().degrees_of_freedom),
+        SOMEWHERE,
+        FULL,
+        rng=rng(),
+        trials=40_000,
     )["x_m"]
     assert found.interval[1] - found.interval[0] > 1.15 * (normal.interval[1] - normal.interval[0])

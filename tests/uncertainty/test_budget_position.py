@@ -172,7 +172,7 @@ def test_the_noise_of_the_reference_enters_only_at_the_zeroing():
 @pytest.mark.parametrize("level", [None, 0.99])
 def test_a_map_holds_the_budgets_of_its_points(level):
     settings = replace(EVERYTHING, level=level)
-    known = replace(fitted(), covariance_method="likelihood, scaled", log={"runs": 6, "holdout": []})
+    known = replace(fitted(), degrees_of_freedom=np.linspace(3.0, 8.0, len(fitted().values)))
     fixed = {"rz_rad": 1e-4, "rx_rad": 2e-4}
     axes = {"x_m": [-3e-4, 0.0, 2e-4], "y_m": [1e-4, 4e-4], "z_m": [-2e-4, 0.0, 2.5e-4]}
     found = uncertainty_map(known, {**axes, "y_m": [1e-4, 2e-4, 4e-4]}, settings, fixed=fixed)
@@ -251,6 +251,7 @@ def test_the_budget_knows_no_family():
         model=model,
         values=model.nominal,
         covariance=np.diag([0, 0, 1e-8, 1e-8, 0.0]),
+        degrees_of_freedom=np.full(5, np.inf),
         noise=with_noise(record(seed=1)).noise,
         at_bound=(),
     )
@@ -314,10 +315,10 @@ def test_notes_say_what_the_budget_does_not_hold():
         fitted(),
         undetermined_by_log=("a_A",),
         at_bound=("eta_B",),
-        solver={**fitted().solver, "cost_per_degree_of_freedom": 4.0},
+        goodness=replace(fitted().goodness, cost_per_degree_of_freedom=4.0),
     )
     said = " ".join(notes(known, Settings()))
-    for word in ("a_A", "eta_B", "2 x what the noise", "from 1 reading"):
+    for word in ("a_A", "eta_B", "residual error is 2 times the noise floor", "from 1 reading"):
         assert word in said
     assert notes(fitted(), Settings(zero_averaged=100)) == []
 

@@ -13,9 +13,10 @@ import numpy as np
 
 from hallsym.codegen.box import Box
 from hallsym.codegen.decoupler import Decoupler
-from hallsym.codegen.lowering import angle, linear
+from hallsym.codegen.lowering import angle, linear, wave
 from hallsym.codegen.lowering.correction import KINDS as CORRECTIONS
 from hallsym.codegen.lowering.correction import SIZES, Grid, Series, grid, proved, shortest_correction
+from hallsym.codegen.lowering.odd_series import Odd, shortest
 from hallsym.codegen.lowering.phase_curve import Curve
 from hallsym.codegen.lowering.trigonometry import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.errors import InputError
@@ -23,15 +24,17 @@ from hallsym.estimation.calibration import Fit
 from hallsym.model import Model
 
 __all__ = [
-    "ARCTANGENT", "CORRECTIONS", "KINDS", "SINE", "SIZES", "Curve", "Grid", "Lowering", "Series",
+    "ARCTANGENT", "CORRECTIONS", "KINDS", "SINE", "SIZES", "Curve", "Grid", "Lowering", "Odd", "Series",
     "arctangent_error", "grid", "lower", "lowered", "lowering_of", "options_of", "proved",
-    "shortest_correction", "sine_error", "wrapped",
+    "shortest", "shortest_correction", "sine_error", "wrapped",
 ]  # fmt: skip
 
 Lowering = Callable[..., Decoupler]
 
-KINDS: Mapping[str, Lowering] = {"linear": linear.decoupler, "angle": angle.decoupler}
-"""Lowerings by kind of decoder: readings gain * displacement + offset; one corrected angle."""
+KINDS: Mapping[str, Lowering] = {
+    "linear": linear.decoupler, "angle": angle.decoupler, "wave": wave.decoupler,
+}  # fmt: skip
+"""Lowerings by kind of decoder: gain * displacement + offset; one corrected angle; a decaying wave."""
 
 
 def lowering_of(model: Model) -> Lowering:
@@ -61,6 +64,6 @@ def lowered(model: Model, p: np.ndarray, weight: np.ndarray, box: Box, **options
     for name in given.keys() - set(options_of(lowering)):
         raise InputError(
             f"--{name} belongs to families that correct an angle; {model.name} of the family {model.family} "
-            "is decoded as exactly as float32 can: leave it out."
+            "has nothing to choose there: leave it out."
         )
     return lowering(model, p, weight, box, **given)

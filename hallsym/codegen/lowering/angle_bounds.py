@@ -31,20 +31,20 @@ class Rounding:
     def __call__(self, digits: int) -> dict[str, Enclosure]:
         """Return the enclosure of each pose coordinate, zeros at zero."""
         found, u = self.correction, 2.0**-digits
-        phase = self._read(digits) if self.curve.angle_only else self._vector(digits) + _octants(digits)
+        phase = self._read(digits) if self.curve.angle_only else self._vector(digits) + octants(digits)
         error = phase * (1 + found.slope)
         if found.most:
             error += self._looked_up(found, digits) if isinstance(found, Grid) else self._waves(found, digits)
-            error += _half_ulp(pi + abs(found.constant) + found.most, digits)
+            error += half_ulp(pi + abs(found.constant) + found.most, digits)
         if found.most or found.constant:
-            error += u * abs(found.constant) + _half_ulp(pi + abs(found.constant), digits)
-            error += _half_ulp(pi, digits)  # a wrap rounds once: its first difference is exact
+            error += u * abs(found.constant) + half_ulp(pi + abs(found.constant), digits)
+            error += half_ulp(pi, digits)  # a wrap rounds once: its first difference is exact
         end = float(np.float32(pi)) * (1 + 4 * u) + error
         return {c: Enclosure(-end, end, float(error)) for c in self.curve.model.pose}
 
     def _read(self, digits: int) -> float:
         """The wrap of the reading: rounded once, by the second part of a turn."""
-        return _half_ulp(pi, digits)
+        return half_ulp(pi, digits)
 
     def _vector(self, digits: int) -> float:
         """The angle by which rounding can turn (x, y) = M (reading - center), M and center rounded too.
@@ -65,8 +65,8 @@ class Rounding:
         """
         u, count = 2.0**-digits, len(grid.values)
         scale = count / (2 * pi)
-        moved = constant(PI, digits).error + _half_ulp(2 * pi, digits)
-        moved += (constant(scale, digits).error * 2 * pi + _half_ulp(count, digits)) / scale
+        moved = constant(PI, digits).error + half_ulp(2 * pi, digits)
+        moved += (constant(scale, digits).error * 2 * pi + half_ulp(count, digits)) / scale
         moved += 2 * pi * 2.0**-31  # bits of a place that are cut off
         return moved * grid.slope + _between(grid, digits) + u * grid.most
 
@@ -98,18 +98,18 @@ def _between(grid: Grid, digits: int) -> float:
 
 
 @cache
-def _octants(digits: int) -> float:
+def octants(digits: int) -> float:
     """From a rounded ratio to the phase, polynomials exact; the ratio in cells, each with intervals."""
     ratio, u = ca.SX.sym("ratio"), 2.0**-digits
     ends = np.linspace(0.0, 1.0, CELLS + 1)
     cells = Enclosure(ends[:-1], ends[1:], 2 * u * ends[1:])
     (octant,) = enclose([odd(ARCTANGENT, ratio, ratio * ratio)], {"ratio": cells}, digits)
     first = octant.error.max()
-    quarter = first + constant(HALF_PI, digits).error + _half_ulp(pi / 2, digits)
-    return float(quarter + constant(PI, digits).error + _half_ulp(pi, digits))
+    quarter = first + constant(HALF_PI, digits).error + half_ulp(pi / 2, digits)
+    return float(quarter + constant(PI, digits).error + half_ulp(pi, digits))
 
 
-def _half_ulp(most: float, digits: int) -> float:
+def half_ulp(most: float, digits: int) -> float:
     """Return what one rounding of a number of at most that magnitude changes."""
     return float(2.0 ** (floor(log2(most)) - digits))
 

@@ -23,6 +23,7 @@ from hallsym.families import published
 from hallsym.families.stage.ties import ORIGIN, vertical_ties
 from hallsym.log import Meta
 from hallsym.model import Combination, Family, Model, Parameter, Signals, Step, effect
+from hallsym.toml import number
 
 FAMILY = Family("stage")
 """Of these models; the package puts the whole record here, which lists them."""
@@ -291,6 +292,10 @@ def _named(name: str, model: Model) -> Model:
     return replace(model, name=name)
 
 
+FARTHEST = 5.0
+"""Distance [m] of a probe from the middle of a stage: a machine of 10 m. The paper's are at 0.2 m."""
+
+
 def _check(probes: tuple[Probe, ...]) -> None:
     if len(probes) < 3:
         raise InputError(
@@ -300,8 +305,8 @@ def _check(probes: tuple[Probe, ...]) -> None:
     if len(set(labels)) < len(labels):
         raise InputError(f"Probe channels must have different letters; instead received {', '.join(labels)}.")
     for p in probes:
-        if not np.all(np.isfinite([*p.position, *p.senses])):
-            raise InputError(f"Position and 'senses' of probe {p.channel} must be finite numbers.")
+        if not np.all(np.abs([*p.position, *p.senses]) <= FARTHEST):
+            raise InputError(f"Position, 'senses' of probe {p.channel} must be finite, up to {FARTHEST:g} m.")
         if not abs(p.senses[0] ** 2 + p.senses[1] ** 2 - 1) < 1e-6:
             raise InputError(
                 f"'senses' of probe {p.channel} must be a unit vector; instead received {list(p.senses)}."
@@ -435,8 +440,8 @@ def _is_number(value: object) -> bool:
 
 def _probe(entry: Mapping[str, Any]) -> Probe:
     try:
-        x, y = (float(v) for v in entry["position_m"])
-        nx, ny = (float(v) for v in entry["senses"])
+        x, y = (number(v, "position_m", "a probe") for v in entry["position_m"])
+        nx, ny = (number(v, "senses", "a probe") for v in entry["senses"])
         return Probe(str(entry["channel"]), (x, y), (nx, ny))
     except (KeyError, TypeError, ValueError):
         raise InputError(

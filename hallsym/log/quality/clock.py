@@ -16,6 +16,7 @@ _MISSING_REFUSE = 0.02
 """Share of missing ticks from which a log is refused: below, a logger was late now and then."""
 
 _LATE = 1.8  # a step longer than this many ticks means that samples are missing
+_MOST_MISSING = 2.0**53  # what a clock that jumps to 1e308 s is said to miss
 
 
 @dataclass
@@ -50,7 +51,7 @@ class Clock:
         if not len(step):
             return
         low, high = step.min(), step.max()
-        if np.isnan(low):
+        if not np.isfinite([low, high]).all():
             return  # not finite: reported as such
         if low <= 0:
             self._backward(step, t, run, row)
@@ -76,7 +77,7 @@ class Clock:
         late = np.flatnonzero(step > _LATE * self.tick) if self.tick else np.empty(0, int)
         if not len(late):
             return
-        self.missing += int((np.round(step[late] / self.tick) - 1).sum())
+        self.missing += int(min((np.round(step[late] / self.tick) - 1).sum(), _MOST_MISSING))
         if self.first_missing is None:
             i = int(late[0])
             self.first_missing = (row + i, run, float(t[i] - step[i]), float(step[i]))

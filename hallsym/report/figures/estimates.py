@@ -46,7 +46,7 @@ def parameters(fit: Fit) -> Figure:
     below = [(textwrap.wrap(typeset(c.expression), 84), c) for c in fit.combinations]
     extra = sum(len(lines) for lines, _ in below) + 1.5 if below else 0.0
     words = [_number_words(fit, row) for row in range(n)]
-    instead = [plus_minus(c.value, COVERAGE * c.std, c.unit) for c in fit.combinations]
+    instead = [plus_minus(c.value, c.half_width, c.unit) for c in fit.combinations]
     header = "estimate ± 95 %"
     right = 0.14 + max(map(text_width, (*words, *instead, header)))
     figure, (place, sharp) = row_panels(
@@ -92,7 +92,7 @@ def _values(place: Axes, sharp: Axes, fit: Fit) -> None:
         ("o", "white", ~known & ~edge),
     ):
         place.plot(at[pick], rows[pick], marker=marker, mfc=face, **POINT, zorder=3)
-    half = COVERAGE * np.where(known, fit.std[rows], np.nan) / width[rows]
+    half = np.where(known, fit.half_width[rows], np.nan) / width[rows]
     ends = at[known] - half[known], at[known] + half[known]
     place.hlines(rows[known], *ends, color=AFTER, lw=1.4, zorder=2, capstyle="butt")
     sharp.plot(100 * half[half > 0], rows[half > 0], marker="o", **POINT, zorder=3)
@@ -106,7 +106,7 @@ def _number_words(fit: Fit, row: int) -> str:
     if p.name in fit.at_bound:
         return "at its bound"
     if fit.determined[row]:
-        return plus_minus(float(fit.values[row]), COVERAGE * float(fit.std[row]), p.unit)
+        return plus_minus(float(fit.values[row]), float(fit.half_width[row]), p.unit)
     return "not identifiable, fixed" if p.name in fit.held else "not identifiable"
 
 
@@ -139,7 +139,7 @@ def typeset(expression: str) -> str:
 def _precision_axis(ax: Axes, fit: Fit) -> None:
     width = np.array([p.width for p in fit.model.parameters])
     with np.errstate(divide="ignore", invalid="ignore"):
-        half = 100 * COVERAGE * fit.std / width
+        half = 100 * fit.half_width / width
     half = half[np.isfinite(half) & (half > 0)]
     label_x(ax, "half of the 95 % interval\n[% of the bounds' width]")
     if len(half):

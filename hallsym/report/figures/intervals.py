@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 ACROSS = 5
 """Entries of the legend in a row."""
-HOW = {"normal": "", "profile": "profile", "block bootstrap": "bootstrap"}
+HOW = {"normal": "", "student": "Student", "profile": "profile", "block bootstrap": "bootstrap"}
 END = {
     "at bound": ("at lower bound", "at upper bound"),
     "open": ("open below", "open above"),

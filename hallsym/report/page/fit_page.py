@@ -16,9 +16,11 @@ from hallsym.estimation import (
     as_read,
     column_spikes,
     cost_near,
+    goodness_of,
     reject_spikes,
     residuals,
 )
+from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.log import Log, Weigh
 from hallsym.report.data import Decoder, Gathered, gather
 from hallsym.report.page import figures, parts
@@ -71,7 +73,7 @@ def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
 
 
 def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
-    """Return in one or two sentences what the fit leaves and which parameters are not identifiable."""
+    """Return what the fit leaves and which parameters are not identifiable, worst news first."""
     where, gap = _judged(rows)
     on = {"held out": "on runs that were held out", "fitted": "on the runs that were fitted"}
     floor = {c: v for c, v in fit.noise_floor.items() if v}
@@ -88,7 +90,7 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
             f"; the noise floor is {each(floor)}: {name(worst)} is {ratio[worst]:.2g} times as much, "
             "so there is more in the machine than in this model, or more noise than stated."
         )
-    return " ".join(filter(None, (_unfinished(fit), text, _identifiable(fit))))
+    return " ".join(filter(None, (_amiss(fit), _unfinished(fit), text, _identifiable(fit))))
 
 
 def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
@@ -97,10 +99,15 @@ def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
     return key, rows[key]
 
 
+def _amiss(fit: Fit) -> str:
+    said = fit.goodness.sentence if fit.goodness else None
+    return f"{said}." if said else ""
+
+
 def _unfinished(fit: Fit) -> str:
     if fit.status == "converged":
         return ""
-    return f"The solver did not finish ({fit.status}); these are the best values so far."
+    return f"The solver did not converge ({fit.status}): {fit.message}. These are the best values so far."
 
 
 def _identifiable(fit: Fit) -> str:
@@ -211,4 +218,10 @@ def _elsewhere(log: Log, fit: Fit) -> Fit:
     if zeros.shape[1]:
         zeros = zeros * np.array([fit.model.zero_scale(fit.values, s) for s in cost.summary.first_state])
     own = dict(zip(cost.summary.runs, zeros, strict=True))
-    return replace(fit, zeros=own, errors=None, log={**fit.log, "holdout": []}, source=None)
+    columns = (*fit.model.channels, *fit.model.references)
+    goodness = goodness_of(cost.at(fit.values), 0).judged(fit.noise, columns, log.meta.gap_threshold_rel)
+    command = diagnose_command(log.path, fit.model, added_effects(fit.model))
+    goodness = replace(goodness, what="The calibration", next_command=command)
+    return replace(
+        fit, zeros=own, errors=None, log={**fit.log, "holdout": []}, source=None, goodness=goodness
+    )

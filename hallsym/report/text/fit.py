@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hallsym.errors import counted
-from hallsym.estimation import Fit
+from hallsym.estimation import MANY, Fit
 from hallsym.report.data import parameter_rows
 from hallsym.report.tables import concise, error_rows, grid
 from hallsym.units import readable
@@ -17,7 +17,9 @@ def fit_text(fit: Fit) -> str:
     """Return what `hallsym fit` prints: errors, parameters, identifiable combinations, notes."""
     log = fit.log
     used = log["runs"] - len(log["holdout"])
+    amiss = fit.goodness and fit.goodness.sentence
     parts = [
+        *([amiss, ""] if amiss else []),
         f"{fit.model.name} on {log['path'] or 'a log in memory'}: {counted(log['rows'], 'sample')}, "
         + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
@@ -72,23 +74,60 @@ def circumstances(fit: Fit) -> list[str]:
         by_source.setdefault(sigma.source, []).append(f"{name} {sigma.value * factor:.3g} {unit}")
     noise = "; ".join(f"{source}: {', '.join(values)}" for source, values in by_source.items())
     return [
-        f"solver: {how}; cost per degree of freedom {s['cost_per_degree_of_freedom']:.3f}" + _excess(fit),
-        f"uncertainty: {fit.covariance_method} ({fit.covariance_reason})",
+        f"solver: {how}{_bounded(fit)}",
+        _goodness(fit),
+        f"uncertainty: {fit.covariance_method} ({fit.covariance_reason}){_degrees_of_freedom(fit)}",
         f"noise (1 sigma) {noise}",
     ]
 
 
-def _excess(fit: Fit) -> str:
-    """What a cost per degree of freedom well above or below 1 means."""
-    cost = fit.solver["cost_per_degree_of_freedom"]
-    guessed = any(sigma.source == "estimated" for sigma in fit.noise.sigmas.values())
-    if 0 < cost < TOO_SMALL:
-        what = "was estimated" if guessed else "is stated"
-        why = ": motion from sample to sample was counted as noise; state it with --noise" if guessed else ""
-        return (
-            f" (the noise {what} {cost**-0.5:.3g} x as large as what is left{why}; uncertainties and noise "
-            "floor are too large by that)"
-        )
-    if cost < 1.5:
+def _bounded(fit: Fit) -> str:
+    """How near the cost is to what no parameters can undercut."""
+    bound = fit.solver.get("lower_bound")
+    if not bound:
         return ""
-    return " (1 is what the noise explains: the machine does more than this model, or the noise is larger)"
+    told = (
+        f"; cost {bound['ratio']:.4g} x the lower bound, a linear fit with {bound['coefficients']} free "
+        f"coefficients ({bound['expected']:.4g} by their number alone)"
+    )
+    if bound["near"]:
+        return told
+    held = f", or the bounds of {', '.join(fit.at_bound)}, cost" if fit.at_bound else " costs"
+    return f"{told}: the form of the model{held} that much, whatever the start"
+
+
+def _goodness(fit: Fit) -> str:
+    """Cost per degree of freedom with its expected scatter, and where most is left."""
+    cost, fitted = fit.solver["cost_per_degree_of_freedom"], fit.goodness
+    if fitted is None:
+        return f"goodness of fit: cost per degree of freedom {cost:.3f}{_too_small(fit)}"
+    more = ", more than noise" if fitted.significant else ""
+    return (
+        f"goodness of fit: cost per degree of freedom {cost:.3f} (expected 1 +- {fitted.scatter:.2g}){more}; "
+        f"most is left in run {fitted.worst_run}, {fitted.worst_channel}: {fitted.worst:.2f} x the noise"
+        + _too_small(fit)
+    )
+
+
+def _degrees_of_freedom(fit: Fit) -> str:
+    """What of them is worth knowing: where they are few."""
+    known = fit.degrees_of_freedom[fit.determined]
+    if not len(known) or known.min() >= MANY:
+        return ""
+    fewest = next(n for n, d in zip(fit.model.names, fit.degrees_of_freedom, strict=True) if d == known.min())
+    most = f" to {known.max():.2g}" if known.max() > known.min() else ""
+    return f"; degrees of freedom {known.min():.2g} (of {fewest}){most}, for Student's t"
+
+
+def _too_small(fit: Fit) -> str:
+    """What a cost per degree of freedom well below 1 means."""
+    cost = fit.solver["cost_per_degree_of_freedom"]
+    if not 0 < cost < TOO_SMALL:
+        return ""
+    guessed = any(sigma.source == "estimated" for sigma in fit.noise.sigmas.values())
+    what = "was estimated" if guessed else "is stated"
+    why = ": motion from sample to sample was counted as noise; state it with --noise" if guessed else ""
+    return (
+        f" (the noise {what} {cost**-0.5:.3g} x as large as what is left{why}; uncertainties and noise "
+        "floor are too large by that)"
+    )

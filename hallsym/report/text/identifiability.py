@@ -65,7 +65,7 @@ def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
         return ""
     digits = max(1, 2 - int(np.floor(np.log10(max(entry.std * factor, 1e-300)))))
     ends = (f"{v * factor:.{min(digits, 9)}f}" for v in (entry.interval.low, entry.interval.high))
-    mark = {"normal": "", "profile": " p", "block bootstrap": " b"}[entry.interval.how]
+    mark = {"normal": "", "student": " t", "profile": " p", "block bootstrap": " b"}[entry.interval.how]
     return " .. ".join(ends) + mark
 
 

@@ -1,0 +1,209 @@
+"""Lowering of models of one decaying wave: from sums of sensors to the place along it and the height.
+
+A linear map makes cosine and sine of the readings, few rounds take the higher harmonics off (powers of the
+same phasor: no function but + and *), an arctangent gives the place and a logarithm the height, both by
+polynomials with proved bounds (`lowering.wave_steps`). What they are made of is found from the model's own
+readings (`lowering.phasors`).
+"""
+
+from dataclasses import dataclass, replace
+from math import pi
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.box import Box, limits
+from hallsym.codegen.decoupler import Decoupler, Flag, Margin
+from hallsym.codegen.entries import Entry, short, unit
+from hallsym.codegen.lowering import arrays
+from hallsym.codegen.lowering.phasors import Phasor, phasor
+from hallsym.codegen.lowering.wave_bounds import Rounding
+from hallsym.codegen.lowering.wave_steps import (
+    Collected,
+    Wave,
+    arctangent_steps,
+    logarithm_steps,
+    phasor_steps,
+    wave_of,
+)
+from hallsym.errors import InputError, counted
+from hallsym.model import Model
+
+ENOUGH = 6e-7
+"""Place and height [m] that rounds and polynomials may leave: an eighth of what a gain off by a thousandth
+changes at a wavelength of 30 mm."""
+SIX = 6
+"""Coordinates of a mover over several arrays."""
+SWING = 0.1
+"""Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
+ROUNDED = 1e-13
+LAST = {"": "", "radial": " and the radial part of a second", "linear": " and one along its slope"}
+FLAG = "field beyond the calibrated heights: too near, too far, or no array"
+
+
+def decoupler(
+    model: Model, p: np.ndarray, weight: np.ndarray, box: Box, *, accuracy: float | None = None
+) -> Decoupler:
+    """Return the decoupler of a wave at parameters `p` over a box.
+
+    `weight`: 1 / variance of each reading. `accuracy`: what rounds and polynomials may leave of place and
+    height [m], default `ENOUGH`. The place is the one within half a wavelength of zero. Raises `InputError`
+    for readings that are no decaying wave.
+    """
+    refuse(model)
+    if len(model.pose) == SIX:
+        return arrays.decoupler(model, p, weight, box, accuracy)
+    aim = ENOUGH if accuracy is None else accuracy
+    along, height = _coordinates(model)
+    found = phasor(model, p, weight, along, height, box.ends[height])
+    own = replace(model, period={**model.period, along: 2 * pi * found.lc})
+    return _Assembly(own, wave_of(found, box.ends[height], aim), box, along, height).make()
+
+
+def refuse(model: Model) -> None:
+    """Refuse what a controller cannot know of a model of waves."""
+    if model.state:
+        raise InputError(
+            f"C of decaying waves is generated from readings that depend on the pose alone; {model.name} "
+            f"with "
+            f"{', '.join(model.effects)} needs {', '.join(model.state)}: generate from a calibration without "
+            f"it."
+        )
+    if any(link == "reference" for link, _ in model.steps):
+        raise InputError(
+            f"The calibration of {model.name} with {', '.join(model.effects)} holds errors of its reference, "
+            "which a controller does not have; fit without that effect, or correct the log's reference."
+        )
+
+
+def _coordinates(model: Model) -> tuple[str, str]:
+    """Return the pose coordinate along the wave, which repeats, and the height."""
+    along = [c for c in model.pose if c in model.period]
+    height = [c for c in model.pose if c not in model.period]
+    if len(along) != 1 or len(height) != 1:
+        raise InputError(
+            f"C of a decaying wave is generated for one coordinate that repeats and one height; {model.name} "
+            f"has "
+            f"{', '.join(model.pose)}."
+        )
+    return along[0], height[0]
+
+
+def readings_of(found: Phasor, place: float, height: float) -> np.ndarray:
+    """Return readings (n,) at a place and a height."""
+    u = found.size(height) * np.exp(1j * place / found.lc)
+    powers = u ** np.arange(1, found.factor.shape[1] + 1)
+    return np.asarray(found.offset + (found.factor * powers).real.sum(axis=1))
+
+
+def ends_of(found: Phasor, k: int, heights: tuple[float, float]) -> tuple[float, float]:
+    """Return the range of a reading: what the model gives over the heights, and some room, both ends
+    alike."""
+    most = max(found.size(z) for z in heights)
+    swing = float((np.abs(found.factor[k]) * most ** np.arange(1, found.factor.shape[1] + 1)).sum())
+    end = float(f"{swing * (1 + SWING) + abs(float(found.offset[k])):.3g}")
+    return -end, end
+
+
+@dataclass(eq=False)
+class _Assembly:
+    """Collects the decoupler of one calibration."""
+
+    model: Model
+    wave: Wave
+    given: Box
+    along: str
+    height: str
+
+    def make(self) -> Decoupler:
+        model, wave, made = self.model, self.wave, Collected()
+        found, inputs = wave.phasor, model.channels
+        made.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
+        zeros = tuple(
+            Entry(f"zero_{short(c)}", 0.0, unit(c), f"added to {c}; set by decoupler_zero()")
+            for c in model.pose
+        )
+        made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
+        heights = self.given.ends[self.height]
+        ends = Box({c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)})
+        vector = phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
+        after_vector = len(made.steps)
+        self._pose(made, logarithm_steps(made, wave, vector), arctangent_steps(made, wave, vector))
+        values: dict[str, float | tuple[float, float]] = {e.name: e.value for e in made.table}
+        values |= {short(c): ends.ends[c] for c in inputs}
+        return Decoupler(
+            model=model,
+            inputs=inputs,
+            table=tuple(made.table),
+            limits=limits(inputs, ends),
+            zeros=zeros,
+            steps=tuple(made.steps),
+            at_pose=(),
+            margins=(Margin(inputs[0], "lc"),),
+            box=ends,
+            exact=self._exact,
+            symbols=made.symbols,
+            flags=(Flag("FIELD", "inside", "least_inside", FLAG),),
+            approximation=found.lc * wave.error + ROUNDED,
+            bounded=Rounding(wave, model.pose, self.along, tuple(made.steps[:after_vector]), values),
+            rest=tuple(readings_of(found, 0.0, found.middle).tolist()),
+            listed=self._listed(),
+            said=self._said(),
+            evident=False,
+        )
+
+    def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
+        """Add the last steps: place within half a wavelength, and height."""
+        found, wave = self.wave.phasor, self.wave
+        lc = made.entry("lc", found.lc, "m", "wavelength over 2 pi")
+        half = made.entry("half_wave", pi * found.lc, "m", "half the wavelength")
+        middle = made.entry("middle", found.middle, "m", f"{self.height} at which the phasor is 1")
+        made.entry(
+            "least_inside", wave.least_inside, "1", "1 - t^2 at the ends of the heights, t as computed"
+        )
+        place = made.step("place", lc * phase + made.symbols[f"zero_{short(self.along)}"])
+        beyond = place - ca.if_else(place < 0, -half, half)
+        level = middle + made.symbols[f"zero_{short(self.height)}"]
+        moved = lc * logarithm
+        last = {
+            self.along: ca.if_else(
+                ca.fabs(place) <= half, place, beyond - ca.if_else(place < 0, -half, half)
+            ),
+            self.height: level + moved if found.rising > 0 else level - moved,
+        }
+        for column in self.model.pose:
+            made.step(short(column), last[column], f"[{unit(column)}]")
+
+    def _exact(self, readings: np.ndarray) -> np.ndarray:
+        place, height = self.wave.phasor.pose(self.wave.phasor.solved(np.asarray(readings, dtype=float)))
+        return np.array([place if c == self.along else height for c in self.model.pose])
+
+    def _listed(self) -> tuple[tuple[float, ...], ...]:
+        """No field, the seams of the quadrants and of the period, and both ends of the heights."""
+        found = self.wave.phasor
+        out = [found.offset.tolist()]
+        out += [readings_of(found, k * pi * found.lc / 4, found.middle).tolist() for k in range(-4, 5)]
+        out += [readings_of(found, 0.1 * found.lc, z).tolist() for z in self.given.ends[self.height]]
+        return tuple(map(tuple, out))
+
+    def _said(self) -> tuple[str, ...]:
+        wave, lc = self.wave, self.wave.phasor.lc
+        out = [f"{self.along} repeats each {2e3 * pi * lc:.6g} mm; which period it is, readings do not say."]
+        return (*out, *said_of(wave))
+
+
+def said_of(wave: Wave) -> tuple[str, ...]:
+    """Return what is said of the approximations of a wave."""
+    lc, out = wave.phasor.lc, []
+    for name, series in (("arctangent", wave.arctangent), ("logarithm", wave.logarithm)):
+        out.append(
+            f"The {name} is a polynomial of degree {series.degree}: off by at most {series.error * lc:.2g} m "
+            f"(proved)."
+        )
+    if wave.harmonics:
+        names, along = ", ".join(map(str, wave.harmonics)), LAST[wave.last]
+        out.append(
+            f"{counted(wave.rounds, 'round')}{along} take harmonics {names} off, and leave at most "
+            f"{wave.left * lc:.2g} m (proved)."
+        )
+    return tuple(out)

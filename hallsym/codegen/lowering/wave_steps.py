@@ -1,0 +1,328 @@
+"""Steps from the readings of a decaying wave to the logarithm of its phasor: harmonics, arctangent,
+logarithm.
+
+Harmonics: u = seen - g(u), g a sum of powers. A round puts in the last u. After the first, what the second
+would do is mostly radial, n |b|^2 |u|^(2 n - 2) of ln |u| for a share b of the conjugate power, as sums at
+thirds of the period have it of the fifth: six instructions. A linear round takes g along its slope from the
+powers that the round before has made, at two thirds of its cost. The cheapest of these that leaves at most an
+accuracy is taken.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil, log, pi, tanh
+
+import casadi as ca
+import numpy as np
+
+from hallsym.codegen.decoupler import Step
+from hallsym.codegen.entries import Entry
+from hallsym.codegen.lowering.odd_series import Odd, shortest
+from hallsym.codegen.lowering.phasors import Phasor
+from hallsym.codegen.lowering.trigonometry import PI, odd
+from hallsym.errors import InputError
+
+ROOM = 0.05
+"""Share of the field by which it may leave what the model gives over the box before the flag is set."""
+MOST_ROUNDS = 6
+LADDER = 20
+"""Ends of the polynomial of the logarithm are whole multiples of 1 / LADDER: so code outlasts a
+calibration."""
+POLYNOMIALS = 0.25
+"""Share of an accuracy that arctangent and logarithm may take each; the rounds take what these leave."""
+NEGLIGIBLE = 0.02
+"""Share of an accuracy that harmonics left out may sum to."""
+CONTRACTING = 0.5
+"""Largest slope of the higher harmonics over the box for which the rounds are taken to converge."""
+NEAR = 1.05
+"""More than what the last round leaves adds to |g|: it is far less than a hundredth of u."""
+TINY = 1e-30
+"""Added to a divisor that may be zero; lost in rounding where it is not."""
+QUARTER_PI = PI / 4
+AXES = {"cos": "cosine", "sin": "sine"}
+
+
+@dataclass(frozen=True, eq=False)
+class Wave:
+    """What a phasor needs to be decoded over a range of heights: rounds, polynomials, and what they leave."""
+
+    phasor: Phasor
+    harmonics: tuple[int, ...]
+    """Those that count, beyond the first."""
+    rounds: int
+    last: str
+    """What follows the last round: nothing, a "radial" term or a "linear" round."""
+    least: float
+    """|u| below which, and beyond 1 / |u| above which, the flag is set."""
+    logarithm: Odd
+    arctangent: Odd
+    left: float
+    """What rounds and harmonics left out leave of ln u."""
+
+    @property
+    def error(self) -> float:
+        """What everything leaves of place and height, over lc."""
+        return self.left + max(self.arctangent.error, self.logarithm.error)
+
+    @property
+    def least_inside(self) -> float:
+        """1 - t^2 at the least field, t = (s - 1) / (s + 1), s = |u|^2."""
+        return 1 - tanh(log(self.least)) ** 2
+
+    @property
+    def outer(self) -> float:
+        """Bound of |u| in every round, with the flag clear."""
+        return _outer(self.phasor, 1 / self.least)
+
+
+def _outer(phasor: Phasor, reach: float) -> float:
+    """Bound of |u| in every round: the first, u + g(u), is the longest, and u lies within what the last
+    leaves."""
+    return reach + NEAR * phasor.largest(reach)
+
+
+def wave_of(phasor: Phasor, ends: tuple[float, float], accuracy: float) -> Wave:
+    """Return the wave over a range of heights. Raises `InputError` where nothing converges.
+
+    `accuracy`: what rounds and polynomials may leave of place and height [m].
+    """
+    share = accuracy / phasor.lc
+    most = max(phasor.size(z) for z in ends)
+    reach = most * (1 + ROOM)
+    outer = _outer(phasor, reach)
+    if phasor.slope(outer) > CONTRACTING:
+        raise InputError(
+            "The higher harmonics are too strong at the least gap of the box for a wavelength of "
+            f"{2e3 * pi * phasor.lc:.3g} mm: their correction does not converge; give fewer heights with "
+            f"--range."
+        )
+    harmonics, out = _counting(phasor, outer, NEGLIGIBLE * share)
+    end = ceil(tanh(log(reach)) * LADDER * (1 + 1e-6)) / LADDER
+    logarithm = shortest("artanh", end, POLYNOMIALS * share) if end < 1 else None
+    arctangent = shortest("atan", 1.0, POLYNOMIALS * share)
+    if logarithm is None or arctangent is None:
+        raise InputError(
+            f"Heights that span {1e3 * abs(ends[1] - ends[0]):.3g} mm are too many for one logarithm of a "
+            f"wavelength of {2e3 * pi * phasor.lc:.3g} mm, or the accuracy of {accuracy:.2g} m is too fine; "
+            "give fewer with --range."
+        )
+    rest = (1 - NEGLIGIBLE) * share - max(logarithm.error, arctangent.error)
+    rounds, last, left = _rounds(phasor, outer, reach, rest)
+    if not harmonics:
+        rounds, last, left = 0, "", 0.0
+    return Wave(phasor, harmonics, rounds, last, 1 / reach, logarithm, arctangent, left + out)
+
+
+def _counting(phasor: Phasor, r: float, share: float) -> tuple[tuple[int, ...], float]:
+    """Return the harmonics that count within |u| <= r, and what the others leave of ln u at most."""
+    each = {n: float(np.linalg.norm(e, 2)) * r ** (n - 1) for n, e in phasor.shares.items()}
+    out, total = set(), 0.0
+    for n in sorted(each, key=lambda n: each[n]):
+        if 2 * (total + each[n]) > share:
+            break
+        out.add(n)
+        total += each[n]
+    return tuple(n for n in phasor.harmonics if n not in out), 2 * total
+
+
+def _rounds(phasor: Phasor, r: float, reach: float, share: float) -> tuple[int, str, float]:
+    """Return how many rounds, what follows the last, and what they leave of ln u: at most `share` where
+    possible.
+
+    e, the distance from the fixed point, falls by the slope of g in each; a linear one adds half the bend of
+    g times the square of its step.
+    """
+    slope, bend, before, made = phasor.slope(r), phasor.bend(r), NEAR * phasor.largest(reach), 0.0
+    if before / reach * (1 + 2 * before / reach) <= share:
+        return 0, "", before / reach * (1 + 2 * before / reach)
+    for k in range(1, MOST_ROUNDS + 1):
+        made = slope * before
+        straight = slope * made + bend / 2 * (before + made) ** 2
+        ways = [("", made), ("linear", straight)]
+        if k == 1:
+            radial = sum(radial_of(phasor).values()) and _not_radial(phasor, r)
+            ways.insert(
+                1, ("radial", slope * made + bend / 2 * before**2 + radial + _folded(phasor, r, before))
+            )
+        for last, error in ways:
+            left = error / reach * (1 + 2 * error / reach)
+            if left <= share:
+                return k, last, left
+        before = made
+    return MOST_ROUNDS, "", made / reach * (1 + 2 * made / reach)
+
+
+def radial_of(phasor: Phasor) -> dict[int, float]:
+    """Return n |b|^2 by harmonic: its second order adds that times |u|^(2 n - 2) to ln |u|."""
+    return {n: n * abs(conjugate) ** 2 for n, (_, conjugate) in phasor.parts.items()}
+
+
+def _not_radial(phasor: Phasor, r: float) -> float:
+    """Bound of what the second order of g does beside its radial part."""
+    sizes = {n: abs(own) + abs(conjugate) for n, (own, conjugate) in phasor.parts.items()}
+    every = sum(n * a * b * r ** (n + m - 1) for n, a in sizes.items() for m, b in sizes.items())
+    return float(every - sum(f * r ** (2 * n - 1) for n, f in radial_of(phasor).items()))
+
+
+def _folded(phasor: Phasor, r: float, before: float) -> float:
+    """Bound of what the radial part loses by being added to ln |u|, not to u, times r."""
+    term = sum(f * r ** (2 * n - 2) for n, f in radial_of(phasor).items())
+    return float(term * (NEAR * before + r * term))
+
+
+@dataclass(eq=False)
+class Collected:
+    """Entries, symbols and steps of one decoupler."""
+
+    table: list[Entry] = field(default_factory=list)
+    symbols: dict[str, ca.SX] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=list)
+
+    def entry(self, name: str, value: float, unit: str, meaning: str) -> ca.SX:
+        """Add an entry of the table; returns its symbol."""
+        self.table.append(Entry(name, float(value), unit, meaning))
+        self.symbols[name] = ca.SX.sym(name)
+        return self.symbols[name]
+
+    def step(self, name: str, expression: ca.SX, remark: str = "") -> ca.SX:
+        """Add a step; returns its symbol."""
+        self.steps.append(Step(name, expression, remark))
+        return self.symbols.setdefault(name, ca.SX.sym(name))
+
+    def keep(self, wanted: Sequence[str]) -> None:
+        """Leave out the steps that none of the wanted ones needs."""
+        needed, kept = set(wanted), []
+        for step in reversed(self.steps):
+            if step.name in needed:
+                kept.append(step)
+                needed |= {s.name() for s in ca.symvar(step.expression)}
+        self.steps = kept[::-1]
+
+
+Pair = tuple[ca.SX, ca.SX]
+"""Real and imaginary part."""
+
+
+def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag: str = "") -> Pair:
+    """Add the steps from readings to cosine and sine of the phasor without its higher harmonics."""
+    found = wave.phasor
+    seen: list[ca.SX] = []
+    for axis, row, shift in zip(AXES, found.weights, found.shift, strict=True):
+        entries = [
+            made.entry(f"{axis}_{name}{tag}", value, "1/V", f"{AXES[axis]} of the wave per {name}")
+            for name, value in zip(readings, row, strict=True)
+        ]
+        total = entries[0] * next(iter(readings.values()))
+        total -= made.entry(f"{axis}_shift{tag}", shift, "1", f"{AXES[axis]} that the offsets read")
+        for entry, reading in zip(entries[1:], list(readings.values())[1:], strict=True):
+            total = total + entry * reading
+        seen.append(made.step(f"{axis}_seen{tag}", total, "" if seen else "[1] weighted sums"))
+    shares = {
+        n: [
+            made.entry(f"{a}_{b}_{n}{tag}", found.shares[n][i, j], "1", f"{AXES[a]} read of {AXES[b]} {n}")
+            for i, a in enumerate(AXES)
+            for j, b in enumerate(AXES)
+        ]
+        for n in wave.harmonics
+    }
+    at: Pair = (seen[0], seen[1])
+    for k in range(1, wave.rounds + 1):
+        powers = Powers(made, *at, f"_{k}{tag}")
+        sums = _shared(shares, [powers(n) for n in wave.harmonics])
+        if wave.last == "linear" and k == wave.rounds:
+            moves = [
+                made.step(f"{axis}_move{tag}", total if k == 1 else before - (first - total))
+                for axis, before, first, total in zip(AXES, at, seen, sums, strict=True)
+            ]
+            moved = []
+            for n in wave.harmonics:
+                ahead = [
+                    made.step(f"{axis}_ahead_{n}{tag}", before - float(n) * move)
+                    for axis, before, move in zip(AXES, at, moves, strict=True)
+                ]
+                moved.append(_times(made, powers(n - 1), (ahead[0], ahead[1]), f"_{n}_ahead{tag}"))
+            sums = _shared(shares, moved)
+        about = f"[1] higher harmonics off, round {k}"
+        at = (
+            made.step(f"cos_{k}{tag}", seen[0] - sums[0], about),
+            made.step(f"sin_{k}{tag}", seen[1] - sums[1]),
+        )
+    return at
+
+
+def _shared(shares: Mapping[int, list[ca.SX]], powers: Sequence[Pair]) -> Pair:
+    """Return what cosine and sine hold of some powers."""
+    cos, sin = [], []
+    for (cc, cs, sc, ss), (real, imaginary) in zip(shares.values(), powers, strict=True):
+        cos.append(cc * real + cs * imaginary)
+        sin.append(sc * real + ss * imaginary)
+    return sum(cos[1:], start=cos[0]), sum(sin[1:], start=sin[0])
+
+
+def _times(made: Collected, a: Pair, b: Pair, name: str) -> Pair:
+    """Add a product of complex numbers."""
+    real = made.step(f"real{name}", a[0] * b[0] - a[1] * b[1])
+    return real, made.step(f"imaginary{name}", a[0] * b[1] + a[1] * b[0])
+
+
+class Powers:
+    """Powers of a complex number, one step for each part, made where first used."""
+
+    def __init__(self, made: Collected, cos: ca.SX, sin: ca.SX, tag: str) -> None:
+        self.made, self.tag, self.known = made, tag, {1: (cos, sin)}
+
+    def __call__(self, n: int) -> Pair:
+        """Return real and imaginary part of the n-th power."""
+        names = f"real_{n}{self.tag}", f"imaginary_{n}{self.tag}"
+        if n not in self.known and names[1] in self.made.symbols:  # made before
+            self.known[n] = self.made.symbols[names[0]], self.made.symbols[names[1]]
+        elif n not in self.known and n % 2:
+            self.known[n] = _times(self.made, self(n - 1), self(1), f"_{n}{self.tag}")
+        elif n not in self.known:
+            a, b = self(n // 2)
+            real = self.made.step(f"real_{n}{self.tag}", a * a - b * b)
+            half = self.made.step(f"half_{n}{self.tag}", a * b)
+            self.known[n] = real, self.made.step(f"imaginary_{n}{self.tag}", half + half)
+        return self.known[n]
+
+
+def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
+    """Add the steps of ln |u|; returns it. The step "inside" is what the flag looks at."""
+    size = made.step(f"size{tag}", u[0] * u[0] + u[1] * u[1], "[1] square of the phasor, 1 at middle height")
+    t = made.step(f"tangent{tag}", (size - 1.0) / (size + 1.0), "[1] of its logarithm, hyperbolic")
+    square = made.step(f"tangent_square{tag}", t * t)
+    made.step(f"inside{tag}", 1.0 - square)
+    total = odd(wave.logarithm.coefficients, t, square)
+    if wave.last == "radial":
+        seen = [made.symbols[f"{axis}_seen{tag}"] for axis in AXES]
+        power = {1: made.step(f"size_seen{tag}", seen[0] * seen[0] + seen[1] * seen[1])}
+        for n in wave.harmonics:
+            value = radial_of(wave.phasor)[n]
+            entry = made.entry(
+                f"radial_{n}{tag}", value, "1", f"second order of harmonic {n} in the logarithm"
+            )
+            total = total + entry * _power(made, power, n - 1, f"size_seen{tag}")
+    return made.step(f"log{tag}", total, "[1] logarithm, a polynomial")
+
+
+def _power(made: Collected, known: dict[int, ca.SX], n: int, name: str) -> ca.SX:
+    """Return the n-th power of a number, one step for each product."""
+    if n not in known:
+        a, b = _power(made, known, n // 2, name), _power(made, known, n - n // 2, name)
+        known[n] = made.step(f"{name}_{n}", a * b)
+    return known[n]
+
+
+def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
+    """Add the steps of the angle of u by quadrants; returns it [rad].
+
+    Correct rounding keeps |b - a| <= b + a of two magnitudes, so no tangent is beyond 1.
+    """
+    across, up = (made.step(f"{n}{tag}", ca.fabs(v)) for n, v in zip(("across", "up"), u, strict=True))
+    t = made.step(f"turned{tag}", (up - across) / ((up + across) + TINY), "[1] tangent of the angle - pi / 4")
+    square = made.step(f"turned_square{tag}", t * t)
+    series = odd(wave.arctangent.coefficients, t, square)
+    quadrant = made.step(f"quadrant{tag}", QUARTER_PI + series, "[rad] in the first quadrant")
+    beyond = made.step(f"beyond{tag}", PI - quadrant)
+    half = made.step(f"half{tag}", ca.if_else(u[0] < 0, beyond, quadrant))
+    return made.step(f"phase{tag}", ca.if_else(u[1] < 0, -half, half), "[rad] angle of the phasor")

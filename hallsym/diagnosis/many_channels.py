@@ -1,0 +1,71 @@
+"""Products of columns where channels are many: all rows of a candidate in one product, not pair by pair.
+
+A parameter of one channel has one row, so a candidate of a sensor array has as many rows as parameters; each
+pair of channels on its own would be thousands of products of one row.
+"""
+
+from typing import Any
+
+import numpy as np
+
+
+def by_candidate(
+    work: Any, near: np.ndarray, rows: list[np.ndarray], precision: np.ndarray, D: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return products (blocks, c, c) under `precision` (K, K), and mapped to the pose by D.
+
+    `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
+    (rows, blocks, samples) of each channel, `D`: (n_pose, K, blocks, samples).
+    """
+    blocks = near.shape[2]
+    decoded = np.einsum("ikbs,okbs->oibs", D, near)
+    white_near = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
+    mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
+    first, at = work.z + work.n, work.near
+    out = []
+    for metric in (white_near, mapped):
+        M = np.zeros((blocks, work.size, work.size))
+        inner = _flat(near) @ _flat(metric).swapaxes(1, 2)
+        M[:, at[:, None], at] = inner
+        for k, block in enumerate(rows):
+            if len(block):
+                across = block.swapaxes(0, 1) @ metric[:, k].transpose(1, 2, 0)
+                M[:, (first + work.slopes.column[k])[:, None], at] += across
+        M[:, at[:-1], first:-1] = M[:, first:-1, at[:-1]].swapaxes(1, 2)
+        M[:, -1, first:-1] = M[:, first:-1, -1]
+        out.append(M)
+    for c in range(len(work.slopes.span)):
+        _add_own(work, rows, c, precision, D, *out)
+    return out[0], out[1]
+
+
+def _flat(columns: np.ndarray) -> np.ndarray:
+    """(own, K, blocks, samples) as (blocks, own, K * samples)."""
+    own, K, blocks, samples = columns.shape
+    return columns.transpose(2, 0, 1, 3).reshape(blocks, own, K * samples)
+
+
+def _add_own(
+    work: Any,
+    rows: list[np.ndarray],
+    c: int,
+    precision: np.ndarray,
+    D: np.ndarray,
+    white: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add the products of the rows of candidate c with each other."""
+    parts = [work.slopes.parts[k][c] for k in range(len(rows))]
+    channel = np.repeat(np.arange(len(rows)), [part.stop - part.start for part in parts])
+    if not len(channel):
+        return
+    stack = np.concatenate([block[part] for block, part in zip(rows, parts, strict=True)]).swapaxes(0, 1)
+    column = np.concatenate([work.slopes.column[k][part] for k, part in enumerate(parts)])
+    known, place = np.unique(column, return_inverse=True)
+    one = (place == np.arange(len(known))[:, None]).astype(float)  # (columns, rows)
+    at = work.z + work.n + known
+    gram = (stack @ stack.swapaxes(1, 2)) * precision[channel[:, None], channel]
+    white[:, at[:, None], at] += one @ gram @ one.T
+    for spread in D[:, channel].swapaxes(1, 2):
+        moved = one @ (spread * stack)
+        out[:, at[:, None], at] += moved @ moved.swapaxes(1, 2)

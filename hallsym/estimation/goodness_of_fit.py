@@ -1,0 +1,205 @@
+"""Goodness of fit: what a fit leaves, in multiples of the noise, overall, by run and by channel.
+
+The cost of a fit whose model holds and whose noise is the stated one is chi-square distributed: its value per
+degree of freedom is 1 within sqrt(2 / dof). Two questions are asked of it, and they differ:
+
+- Is it *significant*? Then the noise was not what it was said to be, or the model is not the machine, and the
+  standard uncertainties are scaled (`covariance`). With 80,000 readings one percent of noise is significant.
+- Is it *material*? Then the report begins with it, and a command ends with exit code 3. That is a question of
+  size: every real log has a few percent.
+"""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from hallsym.estimation.likelihood import Point
+from hallsym.log import Noise
+from hallsym.model import Model
+from hallsym.records import named
+
+UNSTRUCTURED = 0.15
+"""Relative excess over a stated noise floor from which on it counts although nothing is known of its shape.
+
+A choice, the same for a fit, which looks at sizes alone, and for a diagnosis that finds no shape
+(`hallsym.diagnosis.policy`): noise is often stated from a recording at rest and is larger in motion."""
+OUTWEIGHS = 2.0
+"""Cost per degree of freedom from which on one channel in one run counts for itself.
+
+There the model leaves as much as the noise does."""
+ESTIMATED = 2.0
+"""Factor within which a noise floor is known that was estimated from differences of neighbouring samples.
+
+Noise that is correlated over two samples is read as half of what it is (measured: .27 for .515 um)."""
+CERTAIN = 3.0
+"""Standard deviations from which on a cost per degree of freedom contradicts 1, and the scatter between runs
+what noise predicts (the same probability, 0.13 %)."""
+CHANCE = 0.01
+"""Probability that noise alone makes the worst of all runs and channels count. The usual 1 %."""
+MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    """What a fit leaves, in multiples of the noise.
+
+    `cost_per_degree_of_freedom`: 1 where model and noise hold. `degrees_of_freedom`: effective ones of the
+    residuals: the number of readings less that of the estimates, fewer where noise is coloured.
+    `by_run`, `by_channel`: rms residual over its standard deviation by noise. `worst_run`, `worst_channel`:
+    where one channel in one run leaves most, `worst` times the noise; `worst_least` is the lower end of that
+    multiple, at 99 % for all runs and channels together. `limit`: multiple of the noise floor up to which a
+    residual is not worth reporting; `limit_anywhere`: the same for one channel in one run.
+    `noise_estimated`: the floor is known within a factor two. `what` is said not to describe the log where
+    the residual is material; `next_command` finds the cause.
+    """
+
+    cost_per_degree_of_freedom: float
+    degrees_of_freedom: float
+    by_run: Mapping[int, float]
+    by_channel: Mapping[str, float]
+    worst_run: int
+    worst_channel: str
+    worst: float
+    worst_least: float
+    limit: float = 1 + UNSTRUCTURED
+    limit_anywhere: float = OUTWEIGHS**0.5
+    noise_estimated: bool = False
+    next_command: str = ""
+    what: str = "The model"
+
+    @property
+    def residual_over_noise(self) -> float:
+        """Residual error in multiples of the noise floor, over all runs and channels."""
+        return float(np.sqrt(self.cost_per_degree_of_freedom))
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the cost per degree of freedom where model and noise hold."""
+        return float(np.sqrt(2.0 / self.degrees_of_freedom))
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the residual is not what the noise makes it, by however little: larger or smaller."""
+        return abs(self.cost_per_degree_of_freedom - 1.0) > CERTAIN * self.scatter
+
+    @property
+    def significant(self) -> bool:
+        """Whether the residual is larger than the noise, by however little."""
+        return self.contradicts and self.cost_per_degree_of_freedom > 1.0
+
+    @property
+    def material(self) -> bool:
+        """Whether the residual is so much larger than the noise that a report begins with it."""
+        over = self.significant and self.residual_over_noise > self.limit
+        return over or self.worst_least > self.limit_anywhere
+
+    @property
+    def sentence(self) -> str | None:
+        """What a report begins with; None where the model describes the log."""
+        numbers = self.said(f"{self.what} does not describe this log")
+        return numbers and f"{numbers}; next: {self.next_command}"
+
+    def said(self, what: str) -> str | None:
+        """Return `what` with the numbers that say so; None where all is well."""
+        if not self.material:
+            return None
+        guessed = ", which was estimated from the log" if self.noise_estimated else ""
+        return (
+            f"{what}: residual error is {_times(self.residual_over_noise)} the noise floor{guessed}, "
+            f"worst in run {self.worst_run}, channel {self.worst_channel} ({_times(self.worst)})"
+        )
+
+    def judged(self, noise: Noise, columns: Sequence[str], threshold: float | None = None) -> "GoodnessOfFit":
+        """Return the record with the limits that hold for this noise.
+
+        `columns`: those whose noise makes the floor. `threshold`: relative decrease of the gap that the log
+        itself calls worth reporting.
+        """
+        estimated = any(noise[c].source == "estimated" for c in columns if c in noise)
+        known = ESTIMATED if estimated else 1.0
+        asked = 1.0 if threshold is None else 1.0 / (1.0 - threshold)
+        return replace(
+            self,
+            limit=max(1 + UNSTRUCTURED, asked, known),
+            limit_anywhere=OUTWEIGHS**0.5 * known,
+            noise_estimated=estimated,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of calib.json and `--json`."""
+        stored = {name: value for name, value in vars(self).items() if name not in ("by_run", "by_channel")}
+        return {
+            "statement": self.sentence,
+            "material": self.material,
+            "significant": self.significant,
+            "residual_over_noise": self.residual_over_noise,
+            "scatter": self.scatter,
+            **stored,
+            "by_run": {str(run): value for run, value in self.by_run.items()},
+            "by_channel": dict(self.by_channel),
+        }
+
+    @staticmethod
+    def from_dict(raw: Mapping[str, Any]) -> "GoodnessOfFit":
+        """Read what `to_dict` wrote; what follows from the rest is computed again."""
+        stored = {name: raw[name] for name in GoodnessOfFit.__dataclass_fields__}
+        by_run = {int(run): float(value) for run, value in raw["by_run"].items()}
+        return GoodnessOfFit(**{**stored, "by_run": by_run})
+
+
+def goodness_of(point: Point, estimated: int) -> GoodnessOfFit:
+    """Return the goodness of fit at a point, of whose parameters `estimated` were fitted to these runs."""
+    cost, summary = point.cost, point.cost.summary
+    channels, zeros = summary.model.channels, len(summary.model.zeros)
+    used = np.flatnonzero(cost.weights > 0)
+    counts = (cost.weights * summary.counts)[used]
+    squares = np.einsum("rkk->rk", point.squares)[used] * cost.weights[used, None]
+    relative = squares / np.einsum("rkk->rk", point.covariance)[used]
+    K = len(channels)
+    dof = max(float(counts.sum()) * K - estimated - zeros * len(used), 1.0)
+    # a run's zeros are estimated from it alone, the parameters from all runs
+    cell = np.maximum(counts - zeros / K - estimated * counts / (K * max(counts.sum(), 1.0)), 0.5)[:, None]
+    ratio = relative / cell
+    coloured = _inflation(ratio, cell)
+    independent = np.maximum(cell / coloured, 1.0)
+    least = ratio * independent / chdtri(independent, CHANCE / ratio.size)
+    run, channel = np.unravel_index(int(np.argmax(least)), least.shape)
+    by_run = np.sqrt(point.run_values[used] * cost.weights[used] / (K * cell[:, 0]))
+    return GoodnessOfFit(
+        cost_per_degree_of_freedom=point.value / dof,
+        degrees_of_freedom=max(dof / coloured, 1.0),
+        by_run=dict(zip((summary.runs[r] for r in used), by_run.tolist(), strict=True)),
+        by_channel=named(channels, np.sqrt(relative.sum(axis=0) / cell.sum())),
+        worst_run=summary.runs[used[run]],
+        worst_channel=channels[channel],
+        worst=float(np.sqrt(ratio[run, channel])),
+        worst_least=float(np.sqrt(least[run, channel])),
+    )
+
+
+def _inflation(ratio: np.ndarray, cell: np.ndarray) -> float:
+    """Variance of the cost of a channel in a run over that of white noise, 1 or more.
+
+    `ratio`: (r, K) mean squares over the noise's, `cell`: (r, 1) their degrees of freedom. Coloured noise has
+    fewer independent samples than samples, in every run alike; the median ignores runs that are wrong.
+    """
+    usual = np.maximum(np.median(ratio, axis=0), 1e-300)
+    spread = (ratio / usual - 1.0) / np.sqrt(2.0 / cell)
+    return max(1.0, float(MAD * np.median(np.abs(spread))) ** 2)
+
+
+def diagnose_command(path: object, model: Model, effects: Sequence[str]) -> str:
+    """Return the command that finds the cause; a call in Python where the log came from no file."""
+    if path is None:
+        return f'hallsym.diagnose(log, "{model.name}")' if not effects else "hallsym.diagnose(log, fit)"
+    added = [word for effect in effects for word in ("--effect", effect)]
+    return shlex.join(["hallsym", "diagnose", str(path), "--model", model.name, *added])
+
+
+def _times(multiple: float) -> str:
+    return f"{multiple:.0f} times" if multiple >= 10 else f"{multiple:.2g} times"

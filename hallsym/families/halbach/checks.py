@@ -1,0 +1,119 @@
+"""What has to be said of a log of a Halbach array before it is fitted: stroke, wavelength, sensors."""
+
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.families.halbach.layout import Array, arrays, sensors
+from hallsym.model import Inspection, Model
+
+SAMPLES = 4000
+"""Samples of a log that are looked at, evenly over all runs."""
+LEAST_STROKE = 0.25
+"""Stroke, in wavelengths, that a fit needs: less tells amplitude and phase of a harmonic hardly apart."""
+WHOLE = 1.0
+"""Stroke, in wavelengths, from which on the wavelength of the magnets shows by itself."""
+SILENT = 0.1
+"""Amplitude of a channel, over the median of all, below which it sees no field."""
+FOLLOWS = 0.5
+"""Share of the variation that the field at the stated wavelength must explain, of half of the channels."""
+OFF = 0.02
+"""Relative difference of the wavelength in a log from the nominal one that is refused: the fifth harmonic of
+a board of three periods is then half a radian off."""
+TRIED = np.geomspace(0.5, 2.0, 401)
+"""Wavelengths, over the nominal one, at which the field of a log is looked for."""
+
+
+def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
+    """Refuse a log that the array of a layout cannot have made; note what it cannot tell.
+
+    Raises `InputError` for a stroke that is too short, a mover beyond the sensors, a channel that sees no
+    field, and another wavelength.
+    """
+    (array,) = arrays(model.layout).values()
+    log.table.require((*model.references, *model.channels))
+    pick = np.unique(np.linspace(0, log.rows - 1, SAMPLES).astype(int))
+    x, z = (log.array(c)[pick] for c in model.references)
+    v = np.array([log.array(c)[pick] for c in model.channels])
+    good = np.isfinite(x) & np.isfinite(z) & np.isfinite(v).all(axis=0)
+    if good.sum() < 10:
+        return Inspection()
+    x, z, v = x[good], z[good], v[:, good]
+    _inside(model, array, x, log.name)
+    if not fitted:
+        return Inspection()
+    stroke = float(np.ptp(x)) / array.wavelength_m
+    if stroke < LEAST_STROKE:
+        raise InputError(
+            f"Column {model.references[0]} of {log.name} covers {1e3 * np.ptp(x):.3g} mm, {stroke:.2f} of a "
+            f"wavelength ({1e3 * array.wavelength_m:g} mm); amplitude and phase need a quarter at least, and "
+            "gains, offsets and places a whole one."
+        )
+    share, silent = _explained(array, x, z, v, array.wavelength_m)
+    if silent.any() and not silent.all():
+        name = model.channels[int(np.flatnonzero(silent)[0])]
+        raise InputError(
+            f"Channel {name} of {log.name} hardly sees the field (its amplitude is under "
+            f"{100 * SILENT:.0f} % of the others'): it lies outside the array, or is not "
+            "connected; leave it out of the layout."
+        )
+    _wavelength(array, x, z, v, float(np.median(share)), stroke, log.name)
+    notes = []
+    if stroke < WHOLE:
+        notes.append(
+            f"The stroke of {1e3 * np.ptp(x):.3g} mm stays within one wavelength "
+            f"({1e3 * array.wavelength_m:g} mm): gains, places and "
+            "the wavelength share what they explain; record a longer stroke."
+        )
+    return Inspection(tuple(notes))
+
+
+def _inside(model: Model, array: Array, x: np.ndarray, name: str) -> None:
+    """Refuse poses at which the array stands over no sensor of the board."""
+    places = np.array([s.middle[0] for s in sensors(model.layout)])
+    beyond = np.maximum(x.min() - places.max(), 0), np.maximum(places.min() - x.max(), 0)
+    far = max(x.max() - places.max(), places.min() - x.min(), *beyond)
+    if far > array.length_m / 2:
+        raise InputError(
+            f"Column {model.references[0]} of {name} goes {1e3 * far:.4g} mm beyond the outermost sensor, "
+            f"where an array of {1e3 * array.length_m:g} mm is over none; check the zero and the unit of the "
+            "reference, or state 'periods' and the places of all sensors."
+        )
+
+
+def _explained(
+    array: Array, x: np.ndarray, z: np.ndarray, v: np.ndarray, wavelength: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Share of each channel's variation that one harmonic explains, and which channels see hardly any."""
+    k = 2 * np.pi / wavelength
+    fade = np.exp(-k * (z - array.level_m))
+    basis = np.array([np.ones_like(x), fade * np.cos(k * x), fade * np.sin(k * x)]).T
+    found, *_ = np.linalg.lstsq(basis, v.T, rcond=None)
+    left = np.var(v.T - basis @ found, axis=0)
+    size = np.hypot(*found[1:])
+    return 1 - left / np.maximum(np.var(v, axis=1), 1e-300), size < SILENT * np.median(size)
+
+
+def _wavelength(
+    array: Array, x: np.ndarray, z: np.ndarray, v: np.ndarray, share: float, stroke: float, name: str
+) -> None:
+    """Refuse readings that repeat at another wavelength, or at none."""
+    if stroke < WHOLE / 2:
+        return
+    shares = [float(np.median(_explained(array, x, z, v, w * array.wavelength_m)[0])) for w in TRIED]
+    best = int(np.argmax(shares))
+    found = float(TRIED[best]) * array.wavelength_m
+    if shares[best] < FOLLOWS:
+        raise InputError(
+            f"The readings of {name} do not follow its reference with any period from "
+            f"{1e3 * array.wavelength_m / 2:g} to {2e3 * array.wavelength_m:g} mm; check that columns and "
+            "clock belong together, and the unit of the reference."
+        )
+    sure = (1 - share) > 4 * (1 - shares[best])
+    if sure and abs(found / array.wavelength_m - 1) > OFF:
+        raise InputError(
+            f"The field in {name} repeats every {1e3 * found:.3g} mm, but the layout states a wavelength of "
+            f"{1e3 * array.wavelength_m:g} mm; correct lambda_m in meta.json (wavelength_m in a machine "
+            "file), or the unit of the reference."
+        )

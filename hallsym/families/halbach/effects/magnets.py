@@ -1,0 +1,149 @@
+"""Effects of the magnets of a Halbach array: segments that differ, forbidden harmonics, another wavelength.
+
+What is fixed to the mover repeats from run to run and moves with x; what is fixed to the board does not.
+"""
+
+from math import pi
+
+import casadi as ca
+import numpy as np
+
+from hallsym.families.halbach.layout import arrays, sensors
+from hallsym.families.halbach.links import Seen
+from hallsym.families.mechanisms import P, free
+from hallsym.model import Model, Parameter, Signals, Way, effect
+from hallsym.model.arguments import one_of
+
+TURNED = Way("the mover turned half round about z", "the magnets turn with it, the sensors do not")
+LONGER = Way("a longer array", "what its ends make goes away")
+HEIGHT = Way("another gap", "harmonic h fades with h times the rate of the first")
+
+
+LIMIT = 5.0
+"""Bounds of what a magnet is off: wide, since the outermost ones are hardly seen."""
+
+
+def segments(model: Model) -> list[tuple[str, int]]:
+    """Return array and number of the magnets that sensors see, counted from the array's crest.
+
+    Those within a wavelength beyond the outermost sensors, half of it for the stroke: the field of a magnet
+    farther off has faded to what the others can make.
+    """
+    out = []
+    for name, array in arrays(model.layout).items():
+        pitch, i = array.wavelength_m / array.magnets_per_period, array.axis
+        own = [s.middle[i] - array.centre[i] for s in sensors(model.layout) if s.array in ("", name)]
+        if own:
+            low, high = min(own) - array.wavelength_m, max(own) + array.wavelength_m
+            most = array.length_m / 2
+            first, last = (int(np.trunc(np.clip(end, -most, most) / pitch)) for end in (low, high))
+            out += [(name, number) for number in range(first, last + 1)]
+    return out
+
+
+def magnet_fields(s: Signals, model: Model) -> list[dict[tuple[str, int], tuple[ca.SX, ca.SX]]]:
+    """Return what each channel sees of each magnet: field per share of its remanence, and per rad of turn.
+
+    Complex field of a magnetised rectangle in two dimensions: Bu - i Bw = -i m / (2 pi) (ln corners), m its
+    remanence; a turn multiplies m by i. Fields in V by the first harmonic of the whole array, whose remanence
+    is its amplitude over sin(pi/n) / (pi/n) (1 - exp(-k t)), n magnets of height t per period.
+    """
+    which = segments(model)
+    out = []
+    for k in range(len(model.channels)):
+        seen = s["seen"](k)
+        row: dict[tuple[str, int], tuple[ca.SX, ca.SX]] = {}
+        for e in seen:
+            for number, pair in _of_element(s, e, [n for a, n in which if a == e.array.name]).items():
+                stronger, turned = row.get((e.array.name, number), (ca.SX(0), ca.SX(0)))
+                row[e.array.name, number] = stronger + pair[0] / len(seen), turned + pair[1] / len(seen)
+        out.append(row)
+    return out
+
+
+def _of_element(s: Signals, e: Seen, which: list[int]) -> dict[int, tuple[ca.SX, ca.SX]]:
+    array, n = e.array, e.array.magnets_per_period
+    q, pitch = array.wavenumber, array.wavelength_m / n
+    filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-q * array.height))
+    size = s["amplitude"] * np.exp(q * array.level_m) / filled / (2 * pi)
+    corners = []
+    for edge in (*which, which[-1] + 1):
+        away = e.u - s["crest"] - (edge - 0.5) * pitch
+        low, high = (away**2 + g**2 for g in (e.height, e.height + array.height))
+        turn = ca.atan2(away, e.height + array.height) - ca.atan2(away, e.height)  # less a constant
+        corners.append((ca.log(high / low) / 2, turn))
+    out = {}
+    for j, i in enumerate(which):
+        re, im = (corners[j][c] - corners[j + 1][c] for c in (0, 1))
+        angle = pi / 2 - 2 * pi / n * i  # of the magnet's direction from the period's axis
+        cos, sin = np.cos(angle), np.sin(angle)
+        real, imag = cos * re - sin * im, sin * re + cos * im  # of m Q: Bw and Bu times 2 pi
+        stronger = size * (e.up * real + e.along * imag)
+        turned = size * (-e.up * imag + e.along * real)
+        out[i] = stronger, turned
+    return out
+
+
+def _of_magnets(model: Model, name: str, part: int, meaning: str, unit: str) -> Model:
+    """Each magnet differs from the mean of all, which the amplitude of the array and its place hold."""
+    which = segments(model)
+    several = len(arrays(model.layout)) > 1
+    names = [f"{name}_{array}_{i}" if several else f"{name}_{i}" for array, i in which]
+
+    def step(s: Signals, p: P) -> None:
+        mean = sum(p[n] for n in names) / len(names)
+        own = {key: p[n] - mean for key, n in zip(which, names, strict=True)}
+        added = [
+            sum((own[key] * pair[part] for key, pair in row.items()), ca.SX(0))
+            for row in magnet_fields(s, model)
+        ]
+        s["field"] = s["field"] + ca.vertcat(*added)
+
+    said = {n: f"{meaning} {n.removeprefix(name + '_').replace('_', ' ')}" for n in names}
+    return model.with_step("field", step, effect=name, parameters=free(said, LIMIT, unit))
+
+
+@effect(link="field", label="each magnet", separate=(TURNED, "a longer stroke"))
+def remanence_spread(model: Model) -> Model:
+    """The remanence of the magnets differs from one to the next (mover-fixed)."""
+    return _of_magnets(model, "remanence_spread", 0, "remanence beyond the mean, of magnet", "1")
+
+
+@effect(link="field", label="each magnet", separate=(TURNED, "a longer stroke"))
+def magnetisation_angle_error(model: Model) -> Model:
+    """The directions of the magnets are off (mover-fixed)."""
+    return _of_magnets(model, "magnetisation_angle_error", 1, "turn of the direction of magnet", "rad")
+
+
+@effect(link="field", waves=(1, 3), separate=(HEIGHT, LONGER))
+def forbidden_harmonics(
+    model: Model,
+    order: int = one_of(
+        {2: "second", 3: "third", 4: "fourth", 9: "ninth"}, "harmonic of the field that is added"
+    ),
+) -> Model:
+    """Harmonics of the field that an ideal array of four magnets per period has not, or the ninth."""
+    names = {f"a{order}": "cos", f"b{order}": "sin"}
+
+    def step(s: Signals, p: P) -> None:
+        rows = []
+        for k in range(len(model.channels)):
+            rows.append(s["harmonic"](k, order, p[f"a{order}"], p[f"b{order}"]))
+        s["field"] = s["field"] + ca.vertcat(*rows)
+
+    new = tuple(
+        Parameter(n, 0.0, -10.0, 10.0, "V", f"amplitude of {f}({order} k x) at the level of the array")
+        for n, f in names.items()
+    )
+    return model.with_step("field", step, effect="forbidden_harmonics", parameters=new)
+
+
+@effect(link="field", label="one wavelength", separate="a stroke over more periods")
+def wavelength_error(model: Model) -> Model:
+    """The wavelength of the magnets is not nominal: period and decay change together."""
+
+    def step(s: Signals, p: P) -> None:
+        s["stretch"] = s["stretch"] + p["longer"]
+
+    new = free({"longer": "share by which the wavelength is longer than nominal"}, 0.1, "1")
+    return model.with_step("reference", step, effect="wavelength_error", parameters=new)

@@ -1,0 +1,134 @@
+"""Effects of Halbach arrays at the transducer: offset, gain, bend, drift and lag of each sensor."""
+
+import casadi as ca
+
+from hallsym.families.halbach import links
+from hallsym.families.halbach.links import FIELD, LATER
+from hallsym.families.mechanisms import (
+    EVEN,
+    LOW_PASS,
+    ODD,
+    Functions,
+    P,
+    following,
+    nonlinearity,
+    powers_to,
+    temperature_drift,
+    time_drift,
+)
+from hallsym.model import Model, Parameter, Signals, Way, effect
+from hallsym.model.arguments import one_of
+from hallsym.model.derived import rate
+
+WARM = "warm up and cool down, so that temperature is not a function of time"
+AGAIN = "the first run again at the end; log the temperature"
+BEND = 1.0
+"""Reading [V] at which relative non-linearities are stated."""
+HEIGHTS = Way("the same sweep at several gaps", "an offset stays, a gain follows the field")
+
+
+def constant(model: Model, effect: str, shared: bool = False) -> Model:
+    """A constant in the reading of each channel, or the same in all."""
+    one = Functions(["at rest"], lambda s: [ca.SX(1)])
+    return following(
+        model, effect, "transducer", FIELD, one, 10.0, "V", names=[f"{effect}_{{k}}"], shared=shared
+    )
+
+
+@effect(link="transducer", label="each channel", separate=HEIGHTS, waves=(1,))
+def offset_error(model: Model) -> Model:
+    """Constant offset of each channel."""
+    return constant(model, "offset_error")
+
+
+@effect(link="transducer", label="each channel", separate=HEIGHTS, waves=(2,))
+def gain_mismatch(model: Model) -> Model:
+    """Channels have different gains."""
+    one = Functions(["beside the others"], lambda s: [ca.SX(1)])
+    return following(
+        model, "gain_mismatch", "transducer", FIELD, one, 1.0, "1", gain=True, names=["gain_{k}"]
+    )
+
+
+def _bent(model: Model, effect: str, order: int) -> Model:
+    """Reading v becomes v + sum of c v^n / (1 V)^(n - 1), c per channel."""
+    names = {f"{effect}{n}_{{k}}": n for n in powers_to(order)}
+    return nonlinearity(model, effect, "transducer", FIELD, names, 100.0, BEND)
+
+
+@effect(link="transducer", waves=(2, 4), separate="the same sweep at a smaller gap")
+def odd_nonlinearity(model: Model, order: int = ODD) -> Model:
+    """Cubic deviation of each reading from a line."""
+    return _bent(model, "odd_nonlinearity", order)
+
+
+@effect(link="transducer", waves=(1, 3), separate="the same sweep at a smaller gap")
+def even_nonlinearity(model: Model, order: int = EVEN) -> Model:
+    """Square deviation of each reading from a line."""
+    return _bent(model, "even_nonlinearity", order)
+
+
+@effect(
+    link="transducer",
+    needs=("t_s",),
+    separate=Way("the same motion at higher speeds", "a lag lowers the amplitude, a delay does not"),
+)
+def first_order_lag(
+    model: Model,
+    per: str = one_of(
+        {"log": "one time constant", "channel": "a time constant per channel"},
+        "one value for the log or for each channel",
+    ),
+) -> Model:
+    """Low-pass in the path of the readings, or eddy currents.
+
+    To fourth order in the time constant times the frequency of the reading; the motion to second order.
+    """
+    names = [f"tau_{k}" for k in links.labels(model)] if per == "channel" else ["tau_lag"]
+    new = tuple(Parameter(n, 0.0, 0.0, 0.05, "s", "time constant of the low-pass") for n in names)
+    columns = [rate(c, n) for n in (1, 2) for c in model.references]
+
+    def step(s: Signals, p: P) -> None:
+        later = s[LATER] = ca.SX.sym(LATER)
+        for coordinate, column in zip(model.pose, model.references, strict=True):
+            links.move(s, coordinate, s[f"d1_{column}"] * later + s[f"d2_{column}"] * later**2 / 2)
+
+        def low_passed(field: ca.SX) -> ca.SX:
+            tau = ca.vertcat(*(p[n] for n in names)) if per == "channel" else p[names[0]]
+            out = slope = field
+            for n, factor in enumerate(LOW_PASS, start=1):
+                slope = ca.jtimes(slope, later, ca.SX(1))
+                out = out + factor * tau**n * slope
+            return ca.substitute(out, later, ca.SX(0))
+
+        s["filters"].append(low_passed)
+
+    return model.with_columns(*columns).with_step("clock", step, effect="first_order_lag", parameters=new)
+
+
+def gains_follow(model: Model, effect: str, functions: Functions, shared: bool) -> Model:
+    """Each reading times 1 + sum of g f: g of each sensor, or of the magnets and so of all."""
+    return following(model, effect, "transducer", FIELD, functions, 100.0, "1", gain=True, shared=shared)
+
+
+def offsets_follow(model: Model, effect: str, functions: Functions, shared: bool) -> Model:
+    """Each reading plus sum of o f."""
+    return following(model, effect, "transducer", FIELD, functions, 100.0, "V", shared=shared)
+
+
+gain_temperature_drift = temperature_drift(
+    "gain_temperature_drift", "Gains, or magnets, follow the logged temperature.", gains_follow, per=True,
+    separate=WARM,
+)  # fmt: skip
+offset_temperature_drift = temperature_drift(
+    "offset_temperature_drift", "Offsets follow the logged temperature.", offsets_follow, per=True,
+    separate=WARM,
+)  # fmt: skip
+gain_time_drift = time_drift(
+    "gain_time_drift", "Gains, or magnets, drift smoothly over the campaign.", gains_follow, (16, 5),
+    per=True, separate=AGAIN, needs=("t_s",),
+)  # fmt: skip
+offset_time_drift = time_drift(
+    "offset_time_drift", "Offsets drift smoothly over the campaign.", offsets_follow, (16, 5), per=True,
+    separate=AGAIN, needs=("t_s",),
+)  # fmt: skip

@@ -1,0 +1,275 @@
+"""A Halbach array over column sums or single Hall sensors: x along it and the gap z.
+
+Maguire: Multi-Degree of Freedom Position Sensor for Planar Motors, UBC 2015, chapter 2; restored formulas and
+what is wrong in the print are in docs/halbach.md. The field of harmonic h at gap z fades with exp(-h k z),
+k = 2 pi / wavelength; channel j at x_j reads
+
+    v_j = sum over h = 1, 5: exp(-h k (z - level)) (a_h cos h k (x - x_j) + b_h sin h k (x - x_j)).
+
+Amplitudes in V at the gap `level` (5 mm). Valid where the array reaches a period beyond the sensors; effects
+add gains, offsets, places, tilts, other harmonics, magnets that differ, and edges.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.families.halbach import links
+from hallsym.families.halbach.checks import inspect
+from hallsym.families.halbach.layout import (
+    Array,
+    Layout,
+    Sensor,
+    arrays,
+    check_sums,
+    columns,
+    part_of,
+    sensors,
+)
+from hallsym.log import Meta
+from hallsym.model import Combination, Family, Model, Parameter, Signals
+
+FAMILY = Family("halbach")
+"""Of this model; the package puts the whole record here."""
+POSE, REFERENCES = ("x_m", "z_m"), ("x_ref_m", "z_ref_m")
+WAVELENGTH_M = 0.03
+HARMONICS = (1, 5)
+"""Of four magnets per period: 1, 5, 9, ... The ninth is below 1e-4 of the first at a gap of 3 mm."""
+FAR = 100.0
+"""Largest amplitude [V]."""
+
+
+@cache
+def halbach(layout: Layout | None = None) -> Model:
+    """Return the model of one array: amplitudes of the harmonics 1 and 5, common to all channels."""
+    layout = columns((-0.01, 0.0, 0.01)) if layout is None else tuple(layout)
+    array, seen = array_of(layout), sensors(layout)
+    if len(seen) < len(POSE) or phasor_of(layout) is None:
+        raise InputError(
+            f"A position x and z needs at least two sensors that are not half a wavelength "
+            f"({1e3 * array.wavelength_m / 2:g} mm) apart, three at a third of it if offsets are not known; "
+            f"instead received {len(seen)}."
+        )
+    parameters = [
+        Parameter(f"{part}{h}", 0.6 if (part, h) == ("a", 1) else 0.0, -FAR, FAR, "V", meaning.format(h=h))
+        for h in HARMONICS
+        for part, meaning in {
+            "a": "amplitude of cos({h} k x) at the level of the array",
+            "b": "amplitude of sin({h} k x) at the level of the array",
+        }.items()
+    ]
+    model = Model(
+        name="halbach",
+        family=FAMILY,
+        pose=POSE,
+        references=REFERENCES,
+        state=(),
+        channels=tuple(sensor.channel for sensor in seen),
+        parameters=tuple(parameters),
+        steps=(
+            ("clock", lambda s, p: links.begin(s, model)),
+            ("field", lambda s, p: field(s, p, layout)),
+            ("transducer", links.filtered),
+            ("electronics", links.read),
+        ),
+        combinations=(
+            Combination(
+                "atan2(b1, a1)/k", "m", ("a1", "b1"),
+                lambda p: ca.atan2(p["b1"], p["a1"]) / array.wavenumber,
+            ),
+        ),
+        layout=layout,
+        closed_form=closed_form,
+        period=dict.fromkeys(("x_m", "x_ref_m"), array.wavelength_m),
+        absolute=("x_ref_m",),
+        begin=lambda v, p: begin(v, p, layout),
+        onward=onward,
+        typical=tuple((k * array.wavelength_m / 8, array.level_m) for k in range(8)),
+        inspect=inspect,
+    )  # fmt: skip
+    return model
+
+
+def onward(pose: np.ndarray, coordinate: str, values: Mapping[str, float]) -> np.ndarray:
+    """Return how the pose (2, samples) changes per nominal metre of x to where the field repeats."""
+    out = np.zeros_like(pose)
+    out[0] = links.scale_of(coordinate, values)
+    return out
+
+
+def array_of(layout: Layout) -> Array:
+    """Return the only array of a layout. Raises `InputError` where there is none or several."""
+    known = list(arrays(layout).values())
+    if len(known) != 1:
+        raise InputError(
+            f"A model of x and z has one array; instead received {len(known)}. For several arrays use "
+            "halbach_planar."
+        )
+    return known[0]
+
+
+# -- links -----------------------------------------------------------------------------------------------
+
+
+def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
+    """Set the field at each channel: harmonics 1 and 5, with the tilt of each sensor's axis."""
+    s["wave"] = lambda k, h: wave(s, layout, k, h)
+    s["seen"] = lambda k: seen_by(s, layout, k)
+    s["amplitude"] = ca.sqrt(p["a1"] ** 2 + p["b1"] ** 2)
+    s["crest"] = -ca.atan2(p["b1"], p["a1"]) / array_of(layout).wavenumber
+    s["harmonic"] = lambda k, h, a, b: harmonic(s, k, h, a, b)
+    s["field"] = ca.vertcat(
+        *(sum(harmonic(s, k, h, p[f"a{h}"], p[f"b{h}"]) for h in HARMONICS) for k in range(len(s["moved"])))
+    )
+
+
+def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
+    """Return what channel k sees of harmonic h: the field along its axis.
+
+    Bz = a cos + b sin of h k (x - x_j); outside the magnets curl B = 0 = div B, so Bx = a sin - b cos.
+    """
+    cos, sin = s["wave"](k, h)
+    slope = s["tilted"][k][0]
+    vertical, along = a * cos + b * sin, a * sin - b * cos
+    return vertical if slope.is_zero() else ca.cos(slope) * vertical + ca.sin(slope) * along
+
+
+def wave(s: Signals, layout: Layout, k: int, h: int) -> tuple[ca.SX, ca.SX]:
+    """Return exp(-h k (z - level)) times cosine and sine of h k (x - x_j), the mean of the elements.
+
+    What is moved or placed otherwise turns and scales the waves of the logged x and z: exactly.
+    """
+    array, sensor = array_of(layout), sensors(layout)[k]
+    q = h * array.wavenumber
+    fade = ca.exp(-q * (s["z_m"] - array.level_m))
+    cosine, sine = (
+        s.derive(f"fade {h} * {f.__name__} {h}kx", fade * f(q * s["x_m"])) for f in (ca.cos, ca.sin)
+    )
+    moved, (dx, _, dz) = s["moved"][k], s["placed"][k]
+    along, up = moved["x_m"] - dx, moved["z_m"] - dz
+    if not s["stretch"].is_zero():
+        share = 1 / (1 + s["stretch"]) - 1
+        up = up + share * (s["z_m"] + up - array.level_m)
+        each = [along - x + share * (s["x_m"] + along - x) for x, _ in sensor.positions]
+    else:
+        each = [along - x for x, _ in sensor.positions]
+    near = ca.exp(-q * up)
+    each = [links.turned((cosine, sine), q * shift) for shift in each]
+    cos, sin = (sum(parts) * near / len(each) for parts in zip(*each, strict=True))
+    return cos, sin
+
+
+def seen_by(s: Signals, layout: Layout, k: int) -> list[links.Seen]:
+    """Return what each element of channel k sees of the array."""
+    moved, (dx, _, dz), slope = s["moved"][k], s["placed"][k], s["tilted"][k][0]
+    gap = s["z_m"] + moved["z_m"] - dz
+    return [
+        links.Seen(array_of(layout), x + dx - s["x_m"] - moved["x_m"], gap, ca.cos(slope), ca.sin(slope))
+        for x, _ in sensors(layout)[k].positions
+    ]
+
+
+# -- starts ----------------------------------------------------------------------------------------------
+
+
+def phasor_of(layout: Layout) -> np.ndarray | None:
+    """Return the rows (2, channels) that take real and imaginary part of Z from the readings.
+
+    v_j = Re(Z exp(-i k x_j)), Z = (a1 - i b1) exp(i k x - k (z - level)), in least squares: for three
+    columns a third apart the sums (2-16), (2-17) of the thesis. None where the places do not tell both.
+    """
+    q = array_of(layout).wavenumber
+    turns = np.array(
+        [np.mean(np.exp(1j * q * np.array([x for x, _ in c.positions]))) for c in sensors(layout)]
+    )
+    rows = np.column_stack([turns.real, turns.imag])
+    return np.linalg.pinv(rows) if np.linalg.cond(rows) < SAME_PLACE else None
+
+
+SAME_PLACE = 100.0
+"""Condition of the rows of all places beyond which they are at one place of the period, or half one apart."""
+
+
+def begin(v: ca.SX, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
+    """Return x and z from the first harmonic: arctangent (2-19) and logarithm (2-20)."""
+    array, rows = array_of(layout), phasor_of(layout)
+    re, im = ca.vertsplit(ca.DM(np.asarray(rows)) @ v)
+    a, b, lc = p["a1"], p["b1"], 1 / array.wavenumber
+    turn = ca.atan2(im * a + re * b, re * a - im * b)  # of Z over (a - i b)
+    fade = ca.log((re**2 + im**2) / (a**2 + b**2)) / 2
+    return ca.vertcat(lc * turn, array.level_m - lc * fade)
+
+
+def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the amplitudes from the coefficients of the fading waves, the mean over all channels."""
+    array, seen = array_of(model.layout), sensors(model.layout)
+    found: dict[str, float] = {}
+    nothing = np.zeros(len(seen))
+    for h in HARMONICS:
+        turns = [np.mean([np.exp(1j * h * array.wavenumber * x) for x, _ in c.positions]) for c in seen]
+        cos, sin = (coefficients.get(f"fade {h} * {f} {h}kx", nothing) for f in ("cos", "sin"))
+        mean = np.mean((cos - 1j * sin) * np.array(turns)) / np.mean(np.abs(turns) ** 2)
+        found |= {f"a{h}": float(mean.real), f"b{h}": float(-mean.imag)}
+    return model.vector(found)
+
+
+# -- machines described by a log -------------------------------------------------------------------------
+
+
+def from_meta(make: Callable[..., Model], meta: Meta) -> Model:
+    """Return the model for the layout that a log or a machine file states.
+
+    `probes` (and `arrays` of a machine file) entry by entry, else what `nominal` says: `lambda_m`,
+    `sensor_pitch_m`, `columns` (those of the log otherwise), `column_x_m` a list of places, in the middle of
+    the board otherwise, `rows_summed`, `periods`.
+    """
+    stated = [*(meta.probes or ()), *meta.raw.get("arrays", ())]
+    nominal = {k: v for k, v in meta.nominal.items() if not isinstance(v, str)}
+    changes = {k: {"nominal": float(v)} for k, v in nominal.items() if k in halbach().names}
+    wavelength = _number(nominal, "lambda_m", WAVELENGTH_M)
+    found = [part_of(entry, wavelength) for entry in stated]
+    if any(isinstance(part, Sensor) for part in found):
+        own = (*sensors(found), *(arrays(found).values() or [Array("X", wavelength)]))
+        return make(own).with_parameters(changes)
+    names = sorted((c for c in meta.columns if _is_column(c)), key=lambda c: int(c.split("_")[1]))
+    if not names and not stated and "columns" not in nominal and "column_x_m" not in nominal:
+        return make().with_parameters(changes)
+    count = int(_number(nominal, "columns", float(len(names) or 3)))
+    pitch = _number(nominal, "sensor_pitch_m", wavelength / 3)
+    check_sums(int(_number(nominal, "rows_summed", 1.0)), pitch, wavelength)
+    listed = nominal.get("column_x_m")
+    places = (
+        [(j - (count - 1) / 2) * pitch for j in range(count)] if listed is None else _places(listed, count)
+    )
+    if names and len(names) != count:
+        raise InputError(
+            f"The log has {len(names)} columns ({names[0]} to {names[-1]}), but meta.json states {count}; "
+            "state 'columns', or a list 'column_x_m', for those of the log."
+        )
+    about = {"length_m": wavelength * _number(nominal, "periods", 8.0)}
+    layout = columns(places, wavelength, names, **about)
+    layout = (*sensors(layout), *(arrays(found) or arrays(layout)).values())
+    return make(layout).with_parameters(changes)
+
+
+def _is_column(name: str) -> bool:
+    parts = name.split("_")
+    return len(parts) == 3 and parts[0] == "col" and parts[1].isdigit() and parts[2] == "v"
+
+
+def _number(nominal: Mapping[str, Any], key: str, usual: float) -> float:
+    value = nominal.get(key, usual)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+        raise InputError(f"Nominal '{key}' must be a positive number; instead it is {value!r}.")
+    return float(value)
+
+
+def _places(listed: Any, count: int) -> Sequence[float]:
+    good = isinstance(listed, list) and all(isinstance(x, int | float) for x in listed)
+    if not good or len(listed) != count:
+        raise InputError(f"Nominal 'column_x_m' must be a list of {count} numbers; instead it is {listed!r}.")
+    return [float(x) for x in listed]

@@ -1,0 +1,346 @@
+"""Files, names and sizes that broke a command once: each ends in one sentence, or in what it says."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hallsym
+from hallsym.cli.main import main
+from hallsym.errors import LONGEST
+
+CAMPAIGN = "[[run]]\nduration_s = 1\nx_m = 1e-6\n"
+AXES = '[[trajectory]]\nduration_s = 1\nx_m = { kind = "sine", amplitude = 1e-4, frequency_hz = 1 }\n'
+
+
+SETTINGS = "".join(f"[[setting]]\nz_m = {k}e-9\n" for k in range(20000))
+
+
+def columns():
+    log = hallsym.bundled_campaign()
+    run = log.array("run").astype(int)
+    chosen = np.isin(run, log.runs[:12:2])
+    found = {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+    return found
+
+
+@pytest.fixture
+def log(tmp_path):
+    hallsym.write_log(columns(), tmp_path / "log.csv")
+    return tmp_path / "log.csv"
+
+
+def refused(capsys, *arguments):
+    try:
+        code = main([str(a) for a in arguments])
+    except SystemExit as end:
+        code = end.code
+    said = capsys.readouterr().err
+    assert code == 2, said
+    assert said.endswith("\n")
+    assert said.count("\n") == 1
+    assert len(said) <= LONGEST + len("hallsym: \n")
+    assert said.rstrip("\n").isprintable()
+    return said
+
+
+# -- values ----------------------------------------------------------------------------------------------
+
+
+def test_a_column_without_a_number_is_shown_without_extent(capsys, tmp_path):
+    found = columns()
+    found["z_m"] = np.full(len(found["run"]), np.nan)
+    hallsym.write_log(found, tmp_path / "log.csv")
+    assert main(["info", str(tmp_path / "log.csv"), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["columns"]["z_m"]["min"] is None
+    assert record["columns"]["hall_a_m"]["min"] < 0
+    assert any("z_m" in note for note in record["notes"])
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_time_of_1e308(capsys, tmp_path):
+    found = columns()
+    found["t_s"] = found["t_s"].copy()
+    found["t_s"][-1] = 1e308
+    hallsym.write_log(found, tmp_path / "log.csv")
+    assert "t_s" in refused(capsys, "info", tmp_path / "log.csv")
+    assert "recording lasts" in refused(capsys, "fit", tmp_path / "log.csv", "--drop-bad")
+
+
+@pytest.mark.parametrize("ids", [2**53, 2**63, 0.5, np.nan])
+@pytest.mark.parametrize("suffix", ["parquet", "h5", "mat"])
+def test_run_numbers_that_are_none(capsys, tmp_path, suffix, ids):
+    found = columns()
+    found["run"] = found["run"].astype("u8") + np.uint64(ids) if ids > 1 else found["run"] + ids
+    write_raw(found, tmp_path / f"log.{suffix}")
+    assert "whole run numbers up to 2^53" in refused(capsys, "info", tmp_path / f"log.{suffix}")
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "h5", "mat"])
+def test_booleans_are_no_readings(capsys, tmp_path, suffix):
+    found = columns()
+    write_raw(found | {"hall_a_m": found["hall_a_m"] > 0}, tmp_path / f"log.{suffix}")
+    said = refused(capsys, "fit", tmp_path / f"log.{suffix}")
+    assert "hall_a_m" in said
+    assert re.search("bool", said)
+
+
+def write_raw(found, path):
+    if path.suffix == ".parquet":
+        arrow = pytest.importorskip("pyarrow")
+        pytest.importorskip("pyarrow.parquet").write_table(arrow.table(found), path)
+    elif path.suffix == ".h5":
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            for name, values in found.items():
+                file[name] = values
+    else:
+        from scipy.io import savemat
+
+        savemat(path, found)
+
+
+def test_5000_columns(capsys, tmp_path):
+    pytest.importorskip("pyarrow")
+    t = np.arange(60.0)
+    found = {"run": np.zeros(60, int)} | {f"hall_{k}_v": np.sin(0.1 * t + k) for k in range(5000)}
+    hallsym.write_log(found, tmp_path / "log.parquet")
+    assert "4981 more" in refused(capsys, "fit", tmp_path / "log.parquet")
+
+
+# -- HDF5 ------------------------------------------------------------------------------------------------
+
+
+def grouped(path, short=0):
+    h5py, found = pytest.importorskip("h5py"), columns()
+    with h5py.File(path, "w") as file:
+        for k, run in enumerate(np.unique(found["run"])):
+            for name, values in found.items():
+                part = values[found["run"] == run]
+                if name != "run":
+                    file[f"run_{run}/{name}"] = part[: len(part) - short * (name == "z_m") * (k == 1)]
+
+
+def test_a_run_group_whose_columns_are_not_equally_long_is_refused(capsys, tmp_path):
+    grouped(tmp_path / "log.h5")
+    assert main(["info", str(tmp_path / "log.h5")]) == 0
+    grouped(tmp_path / "log.h5", short=7)
+    assert "must be equally long; they have" in refused(capsys, "info", tmp_path / "log.h5")
+
+
+def test_soft_links_are_followed_and_others_are_named(capsys, tmp_path):
+    h5py, path = pytest.importorskip("h5py"), tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        for k, (name, values) in enumerate(columns().items()):
+            file[f"raw/channel{k}"] = values
+            file[name] = h5py.SoftLink(f"/raw/channel{k}")
+        file["again"] = h5py.SoftLink("/")
+        file["raw/again"] = file["raw"]
+        file["temperature_degc"] = h5py.SoftLink("/nowhere")
+    assert main(["info", str(path), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["rows"] == len(columns()["run"])
+    assert len(record["runs"]) == 6
+    assert "Column temperature_degc is left out: it is a link to nothing." in record["notes"]
+
+
+@pytest.mark.parametrize("chunks", [(65536,), None])
+def test_1e10_rows_that_were_never_written(capsys, tmp_path, chunks):
+    with pytest.importorskip("h5py").File(tmp_path / "log.h5", "w") as file:
+        for name in columns():
+            file.create_dataset(name, shape=(10**10,), chunks=chunks, dtype="f8")
+    assert "were written" in refused(capsys, "info", tmp_path / "log.h5")
+
+
+def test_a_sparse_text_file(capsys, tmp_path):
+    with open(tmp_path / "log.csv", "wb") as stream:
+        stream.write(b"run,t_s,hall_a_m\n1,0,1e-6\n")
+        stream.truncate(10**10)
+    if os.stat(tmp_path / "log.csv").st_blocks > 1000:
+        pytest.skip("this file system has no sparse files")
+    assert "were written" in refused(capsys, "info", tmp_path / "log.csv")
+
+
+# -- names -----------------------------------------------------------------------------------------------
+
+
+def test_names_that_cannot_be(capsys, log, tmp_path):
+    for name in (
+        "x" * 300,
+        "x" * 300 + ".csv",
+        "/".join(["d" * 100] * 3) + ".csv",
+        "a\nb\x1b[2J.csv",
+        "a\0.csv",
+    ):
+        refused(capsys, "info", name)
+        refused(capsys, "evaluate", name, log)
+    refused(capsys, "fit", log, "--solver", "direct", "-o", tmp_path / ("y" * 300 + ".json"))
+    refused(capsys, "fit", log, "--solver", "direct", "-o", "a\0.json")
+
+
+@pytest.mark.parametrize("option", ["-o", "--plots", "--machine", "--column-file", "--model"])
+def test_an_empty_word_is_not_taken_for_none(capsys, log, option):
+    assert "must not be empty" in refused(capsys, "fit", log, option, "")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+def test_a_pipe_is_not_waited_for(capsys, log, tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    for arguments in (
+        ["info", "PIPE"], ["evaluate", "PIPE", log], ["fit", log, "--machine", "PIPE"],
+        ["trajectory", "PIPE"],
+        ["fit", log, "--column-file", "PIPE"], ["fit", log, "--effects", "PIPE", "--effect", "mine"],
+    ):  # fmt: skip
+        words = [tmp_path / "pipe.csv" if a == "PIPE" else a for a in arguments]
+        assert "is a pipe or a device" in refused(capsys, *words)
+
+
+@pytest.mark.parametrize("runs", ["1-99999999999", f"1-{'9' * 400}", "9" * 5000, "5-1"])
+def test_holdout_ranges_without_end(capsys, log, runs):
+    assert "--holdout must be run numbers" in refused(capsys, "fit", log, "--holdout", runs)
+
+
+# -- campaigns and other TOML ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"step_s = 1e-12\n{CAMPAIGN}", "at most 2e\\+07 samples; it has 1e\\+12"),
+        (CAMPAIGN.replace("= 1\n", "= 1e30\n"), "at most 2e\\+07 samples"),
+        (SETTINGS + AXES, "at most 10000 runs; it has 20000"),
+        (f"step_s = {'1' * 400}\n{CAMPAIGN}", "'step_s' of .* must be a positive number"),
+        (f"step_s = {'1' * 5000}\n{CAMPAIGN}", "is not valid TOML"),
+        (f"step_s = {'[' * 5000}{']' * 5000}\n", "nested too deeply"),
+        (f"step_s = nan\n{CAMPAIGN}", "'step_s' of .* must be a positive number"),
+        (f"steps_s = 1\n{CAMPAIGN}", "did you mean 'step_s'"),
+    ],
+)  # fmt: skip
+def test_campaigns_that_cannot_be(capsys, tmp_path, text, words):
+    (tmp_path / "c.toml").write_text(text)
+    for arguments in (
+        ["info"],
+        ["sensitivity", "--plan"],
+        ["simulate", "--seed", "1", "-o", tmp_path / "o.csv"],
+    ):
+        assert re.search(words, refused(capsys, *arguments, tmp_path / "c.toml"))
+
+
+@pytest.mark.parametrize("position", [[197.5, 0.4], [True, 0.4], "12", [0.2], [float("nan"), 0.2]])
+def test_probes_of_another_machine(capsys, tmp_path, position):
+    hallsym.write_log(columns(), tmp_path / "log.csv")
+    good = [[0.2, 0.4], [-0.2, 0.4], [0.2, 0.36]]
+    senses = [[0, 1], [0, 1], [1, 0]]
+    probes = [{"channel": f"hall_{'abc'[k]}_m", "position_m": good[k], "senses": senses[k]} for k in range(3)]
+    probes[0]["position_m"] = position
+    (tmp_path / "meta.json").write_text(json.dumps({"probes": probes}))
+    refused(capsys, "fit", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("meta", "words"),
+    [
+        ({"noise_1sigma": {"hal_m": 1e-7}}, "did you mean 'hall_m'"),
+        ({"validaton_runs": [1]}, "did you mean 'validation_runs'"),
+        ({"validation_runs": [1.5]}, "must be a whole number"),
+        ({"sampling_clock_s": "2 ms"}, "must be a number"),
+    ],
+)
+def test_misspelt_keys_of_a_meta_file(capsys, tmp_path, meta, words):
+    hallsym.write_log(columns(), tmp_path / "log.csv")
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    assert words in refused(capsys, "info", tmp_path)
+
+
+def test_own_keys_of_a_laboratory_stay(tmp_path):
+    hallsym.write_log(columns(), tmp_path / "log.csv")
+    (tmp_path / "meta.json").write_text('{"operator": "us", "noise_1sigma": {"temperature_degc": 0.1}}')
+    log = hallsym.read_log(tmp_path)
+    assert log.meta.raw["operator"] == "us"
+    assert not log.notes
+
+
+# -- outputs ---------------------------------------------------------------------------------------------
+
+
+def test_an_output_that_is_an_input_is_refused_under_every_name(capsys, log, tmp_path):
+    before = log.read_bytes()
+    (tmp_path / "soft.json").symlink_to(log)
+    os.link(log, tmp_path / "hard.json")
+    for name in (log, "soft.json", "hard.json", f"../{tmp_path.name}/log.csv"):
+        said = refused(capsys, "fit", log, "--solver", "direct", "-o", tmp_path / name)
+        assert "which would be lost" in said
+    assert log.read_bytes() == before
+
+
+def test_an_output_that_another_option_reads_is_refused(capsys, log, tmp_path):
+    assert main(["fit", str(log), "--solver", "direct", "-o", str(tmp_path / "calib.json")]) in (0, 3)
+    capsys.readouterr()
+    (tmp_path / "m.toml").write_text("[parameters.eta_A]\nnominal = 0.9\n")
+    calib = tmp_path / "calib.json"
+    for arguments in (
+        ["report", calib, log, "-o", calib], ["report", calib, log, "-o", log],
+        ["simulate", "--seed", "1", "--values", calib, "-o", calib],
+        ["fit", log, "--machine", tmp_path / "m.toml", "-o", tmp_path / "m.toml"],
+        ["sensitivity", calib, log, "-o", log], ["diagnose", log, "-o", log],
+        ["diagnose", "--compare", calib, calib, "-o", calib],
+    ):  # fmt: skip
+        assert "which would be lost" in refused(capsys, *arguments)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize("arguments", [["--version"], ["info"], ["info", "LOG", "--json"], ["--help"]])
+def test_a_full_standard_output(log, arguments):
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        words = [sys.executable, "-m", "hallsym", *(str(log) if a == "LOG" else a for a in arguments)]
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert re.fullmatch(r"hallsym: Cannot .*standard output: the disk is full.*\n", done.stderr), done.stderr
+
+
+READY = """
+import sys
+import hallsym.__main__ as command
+sys.argv = ["hallsym", "fit", sys.argv[1]]
+print("ready", flush=True)
+sys.exit(command.program())
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("after", [0.0, 0.05, 0.2])
+def test_ctrl_c_while_libraries_are_loaded_is_one_sentence(log, after):
+    words = [sys.executable, "-c", READY, str(log)]
+    child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    assert child.stdout.readline() == "ready\n"
+    time.sleep(after)
+    child.send_signal(signal.SIGINT)
+    _, said = child.communicate(timeout=60)
+    if after == 0.0 and child.returncode == -signal.SIGINT:
+        return  # before the command's own first line
+    assert "Traceback" not in said, said
+    assert said.count("\n") <= 1
+
+
+def test_a_mistake_of_ours_is_not_called_bad_input(capsys, log, monkeypatch):
+    import hallsym.cli.info
+
+    def broken(*_):
+        raise KeyError("x_m")
+
+    monkeypatch.setattr(hallsym.cli.info, "_about_log", broken)
+    assert main(["info", str(log)]) == 70
+    said = capsys.readouterr().err
+    assert said.startswith("hallsym: This is a mistake in hallsym, not in your input: KeyError")
+    assert said.count("\n") == 1
+    monkeypatch.setenv("HALLSYM_DEBUG", "1")
+    assert main(["info", str(log)]) == 70
+    assert "Traceback" in capsys.readouterr().err

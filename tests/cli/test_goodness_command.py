@@ -1,0 +1,137 @@
+"""What `fit`, `evaluate` and their followers say of a model that does not describe its log: exit code 3."""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hallsym import bundled_campaign, load_fit, write_log
+from hallsym.cli.main import main
+
+CAMPAIGN = Path(__file__).resolve().parents[2] / "data" / "campaign"
+
+
+def run(capsys, *arguments) -> tuple[int, str, str]:
+    code = main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> Path:
+    """Model (30) on a campaign at many heights, saved."""
+    path = tmp_path_factory.mktemp("saved") / "plain.json"
+    assert main(["fit", str(CAMPAIGN), "--model", "stage30", "--solver", "direct", "-o", str(path)]) == 3
+    return path
+
+
+def test_fit_begins_with_it_and_writes_the_calibration(capsys, tmp_path):
+    path = tmp_path / "calib.json"
+    options = ("--model", "stage30", "--solver", "direct", "--holdout", "2,7,12", "--noise", "hall_m=5e-7")
+    code, out, err = run(capsys, "fit", CAMPAIGN, *options, "-o", path)
+    assert code == 3
+    first = out.splitlines()[0]
+    assert first.startswith("The model does not describe this log: residual error is 3.")
+    assert first.endswith(
+        f"next: hallsym diagnose {CAMPAIGN} --model stage30 --holdout 2,7,12 --noise hall_m=5e-7"
+    )
+    assert err == ""
+    assert load_fit(path).goodness.sentence == first
+
+
+def test_fit_says_it_in_json_and_on_stderr(capsys):
+    code, out, err = run(capsys, "fit", CAMPAIGN, "--model", "stage30", "--solver", "direct", "--json")
+    record = json.loads(out)
+    assert code == 3
+    assert record["goodness_of_fit"]["material"]
+    assert err == f"hallsym: {record['goodness_of_fit']['statement']}\n"
+    assert record["solver"]["lower_bound"]["near"]
+    assert record["parameters"]["eta_A"]["degrees_of_freedom"] < 46
+
+
+def test_the_right_model_is_no_news(capsys):
+    code, out, err = run(capsys, "fit", CAMPAIGN, "--solver", "direct")
+    assert (code, err) == (0, "")
+    assert out.startswith("stage31 on ")
+    assert "x the lower bound, a linear fit with 36 free coefficients" in out
+    assert "goodness of fit: cost per degree of freedom 1.01" in out
+
+
+def test_the_next_command_runs_as_it_is_printed(capsys, plain):
+    words = shlex.split(load_fit(plain).goodness.next_command)
+    code, out, _ = run(capsys, *words[1:])
+    assert code == 0
+    assert "vertical" in out
+
+
+def test_evaluate_says_it_of_another_log(capsys, tmp_path):
+    """A calibration of the machine as it was, on a log of a channel that reads 2 % less."""
+    calibration = tmp_path / "calib.json"
+    assert run(capsys, "fit", CAMPAIGN, "--solver", "direct", "-o", calibration)[0] == 0
+    log = bundled_campaign()
+    columns = {c: log.array(c).copy() for c in log.columns}
+    columns["hall_b_m"] *= 0.98
+    write_log(columns, tmp_path / "later.parquet")
+    noise = [w for c, s in log.noise.std.items() for w in ("--noise", f"{c}={s}")]
+    assert run(capsys, "evaluate", calibration, CAMPAIGN)[0] == 0
+    code, out, err = run(capsys, "evaluate", calibration, tmp_path / "later.parquet", *noise)
+    assert code == 3
+    first = out.splitlines()[0]
+    assert first.startswith("The calibration does not describe this log: residual error is ")
+    assert "channel hall_b_m" in first
+    assert f"next: hallsym diagnose {tmp_path / 'later.parquet'} --model {calibration}" in first
+    assert err == ""
+    code, out, err = run(capsys, "evaluate", calibration, tmp_path / "later.parquet", *noise, "--json")
+    assert (code, err) == (3, f"hallsym: {json.loads(out)['goodness_of_fit']['statement']}\n")
+
+
+def test_what_is_made_of_such_a_calibration_repeats_it(capsys, plain, tmp_path):
+    said = "does not describe"
+    code, out, _ = run(capsys, "budget", plain)
+    assert code == 0
+    assert f"note: the model of this calibration {said} its log" in out
+    assert "next: hallsym diagnose" in out
+    code, out, _ = run(capsys, "sensitivity", plain, CAMPAIGN, "--profiles", "none", "--bootstrap", "0")
+    assert code == 0
+    assert f"note: The model {said} this log" in out
+    code, out, _ = run(capsys, "codegen", plain, "-o", tmp_path / "code")
+    assert code == 0
+    assert f"The model of this calibration {said} its log" in out
+    code, _, _ = run(capsys, "report", plain, CAMPAIGN, "-o", tmp_path / "page.html")
+    assert f"The model {said} this log" in (tmp_path / "page.html").read_text()
+
+
+def test_few_degrees_of_freedom_are_said_and_widen_the_intervals(capsys, plain, tmp_path):
+    known = load_fit(plain)
+    factor = known.half_width / known.std
+    assert np.all(factor[known.determined] > 2.05)
+    _, out, _ = run(capsys, "fit", CAMPAIGN, "--model", "stage30", "--solver", "direct")
+    assert "degrees of freedom 1" in out
+    assert "for Student's t" in out
+
+
+def test_a_solver_that_does_not_converge_names_what_can_be_changed(capsys, monkeypatch):
+    """Both methods are stopped after one step; no option 'max_iterations' exists."""
+    from hallsym.estimation import optimum
+
+    newton, ipopt = optimum.solvers.newton, optimum.solvers.ipopt
+
+    class Stopped:
+        Problem = optimum.solvers.Problem
+
+        @staticmethod
+        def newton(problem, x0, **_):
+            return newton(problem, x0, max_iterations=1)
+
+        @staticmethod
+        def ipopt(problem, x0, **_):
+            return ipopt(problem, x0, max_iterations=1)
+
+    monkeypatch.setattr(optimum, "solvers", Stopped)
+    code, _, err = run(capsys, "fit", CAMPAIGN, "--solver", "direct", "--loss", "none")
+    assert code == 4
+    assert "did not converge (budget)" in err
+    assert "--solver hybrid" in err
+    assert "max_iterations" not in err

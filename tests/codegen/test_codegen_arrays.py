@@ -1,0 +1,202 @@
+"""C for several arrays: six coordinates of a mover from the sums of Hall sensors under four arrays.
+
+Independent facts: the field's own equations at a known pose (`waves.planar`: exact rotations, the field
+vector turned into the board's axes, every sensor of every sum); the bits of a million samples; instructions
+counted in QEMU.
+"""
+
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from firmware import STRICT, need, ran
+from waves import LENGTH, SIX, calibrated, calibrated_planar
+
+import hallsym
+from hallsym.errors import InputError
+from hallsym.families.halbach import planar
+from hallsym.model import on_arrays
+
+LEVEL = {"count": 3, "gaps": (0.0065, 0.0085), "tilt": 0.003, "travel": 0.0135, "across": 3}
+TILTED = {"count": 6, "gaps": (0.0065, 0.0085), "tilt": 0.01, "travel": 0.0135, "across": 3}
+FAR = {**LEVEL, "travel": 0.06}
+CASES = {
+    "closed form of 12 sums": (LEVEL, 1e-4),
+    "12 sums": (LEVEL, 5e-6),
+    "24 sums": (TILTED, 1e-6),
+    "many periods": (FAR, 5e-6),
+}
+QUICK = "12 sums"
+
+
+@cache
+def fit_of(case):
+    return calibrated_planar(**CASES[case][0])
+
+
+@cache
+def made(case):
+    return hallsym.generate(fit_of(case), accuracy=CASES[case][1])
+
+
+def poses(case, count, seed=3):
+    box = CASES[case][0]
+    rng = np.random.default_rng(seed)
+    low, high = box["gaps"]
+    half = np.array([box["travel"], box["travel"], (high - low) / 2, *[box["tilt"]] * 3])
+    return np.array([0, 0, (low + high) / 2, 0, 0, 0])[:, None] + half[:, None] * rng.uniform(
+        -1, 1, (6, count)
+    )
+
+
+def read(case, pose):
+    fit = fit_of(case)
+    return on_arrays(fit.model.reading)(fit.values, [], list(pose), [])[0]
+
+
+LATER = [pytest.param(c, marks=pytest.mark.slow) for c in CASES if c != QUICK]
+
+
+@pytest.mark.parametrize("case", [QUICK, *LATER])
+def test_readings_of_a_pose_give_it_back(case):
+    code, pose = made(case), poses(case, 2000)
+    inputs = read(case, pose)
+    if case == "many periods":  # what was known before may be off by less than half a period
+        rng = np.random.default_rng(1)
+        inputs = np.vstack([inputs, pose[:2] + LENGTH * rng.uniform(-0.4, 0.4, (2, 2000))])
+        inputs = np.clip(inputs, *code.backend.ends)
+    found, status = code.backend.step(inputs.astype(np.float32))
+    assert not status.any()
+    off = np.abs(found - pose).max(axis=1)
+    bound = np.array([code.backend.error_bound[c] for c in SIX])
+    assert (off <= bound).all()
+    accuracy = CASES[case][1]
+    assert (off[:3] < 2 * accuracy).all()
+    assert (off[3:] < 2 * accuracy / 0.1).all()
+
+
+@pytest.mark.slow
+def test_all_six_moving_stay_within_what_the_sums_themselves_resolve():
+    """One mover at 10 mrad: less than the .7 um and 1.5 urad that all sensors leave of an independent
+    plant."""
+    code, pose = made("24 sums"), poses("24 sums", 3000)
+    found, _ = code.backend.step(read("24 sums", pose).astype(np.float32))
+    rms = np.sqrt(((found - pose) ** 2).mean(axis=1))
+    assert (rms[:3] < 4e-7).all()
+    assert (rms[3:] < 1.5e-6).all()
+
+
+def test_the_reference_decoder_is_least_squares_over_all_readings():
+    d, pose = made(QUICK).decoupler, poses(QUICK, 200)
+    assert np.abs(d.exact(read(QUICK, pose)) - pose).max() < 1e-12
+
+
+def test_stated_errors_hold_and_rounding_is_small():
+    code = made(QUICK)
+    for column, met in code.errors.items():
+        assert 0 < met <= code.backend.error_bound[column]
+        assert code.bounds.error[column] < (1e-7 if column.endswith("_m") else 1e-6)
+
+
+def test_a_far_mover_a_tilted_one_and_no_mover_raise_a_flag():
+    code = made(QUICK)
+    low, high = code.backend.ends
+    pose = poses(QUICK, 100)
+    for change, bit in (({2: 0.013}, 0x40000000), ({3: 0.02}, 0x20000000), ({2: 0.5}, 0x40000000)):
+        moved = pose.copy()
+        for k, value in change.items():
+            moved[k] = value
+        found, status = code.backend.step(np.clip(read(QUICK, moved).astype(np.float32), low, high))
+        assert (status & bit == bit).all()
+        assert np.isfinite(found).all()
+
+
+def test_whatever_the_bits_the_pose_is_finite():
+    emulator = made(QUICK).backend
+    found, status = emulator.step(emulator.sample(np.arange(20_000)))
+    assert np.isfinite(found).all()
+    assert (status != 0).mean() > 0.5
+
+
+def test_two_arrays_do_not_give_six_coordinates():
+    fit = fit_of(QUICK)
+
+    def along_x_alone(s, p):
+        s["reading"] = s["reading"][:6]
+
+    half = replace(
+        fit.model.with_step("electronics", along_x_alone, effect="half_a_board"),
+        channels=fit.model.channels[:6],
+    )
+    with pytest.raises(InputError, match="show 2 along x_m and 0 along y_m"):
+        hallsym.generate(replace(calibrated(half, fit.model.named(fit.values)), log=fit.log))
+
+
+# -- the C itself --------------------------------------------------------------------------------------------
+
+
+TESTED = (
+    "src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c",
+    "test/faults.c", "test/main.c",
+)  # fmt: skip
+PATHS = ("-Iinclude", "-Iparams", "-Itest")
+
+
+@pytest.mark.parametrize("case", [QUICK, *LATER])
+def test_the_folder_passes_its_self_test_without_undefined_behaviour(case, tmp_path):
+    need("gcc")
+    made(case).write(tmp_path / "fw")
+    out = str(tmp_path / "selftest")
+    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
+    ran(tmp_path / "fw", "gcc", *STRICT, "-pedantic", *sanitize, *PATHS, *TESTED, "-o", out)
+    said = ran(tmp_path / "fw", out)
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+    assert "0 faults of a table not found, 0 zeros wrong" in said
+
+
+MOST = {"closed form of 12 sums": (450, 560), "24 sums": (1500, 1600)}
+"""Instructions of a call in range, and of any."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", MOST)
+def test_instructions_on_a_cortex_m4f(case, tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    made(case).write(tmp_path / "fw")
+    said = ran(tmp_path / "fw", "make", "count")
+    typical, *others = map(int, re.search(r"decoupler_step, \d+ bytes, .* call: (.*)", said)[1].split())
+    assert typical <= MOST[case][0]
+    assert max(others) <= MOST[case][1]
+    ran(tmp_path / "fw", "make", "size")
+    symbols = ran(tmp_path / "fw", "arm-none-eabi-nm", "build/decoupler.o")
+    kinds = {line.split()[-1]: line.split()[-2] for line in symbols.splitlines()}
+    assert kinds.pop("decoupler_crc") == "U"  # src/decoupler_check.c
+    assert set(kinds.values()) == {"T"}  # nothing static, nothing of libm
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_same_bits_on_a_cortex_m4f_and_no_misra_violation_that_is_not_listed(case, tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make", "cppcheck")
+    made(case).write(tmp_path / "fw")
+    assert ran(tmp_path / "fw", "make", "qemu").count("as stated") == 2
+    ran(tmp_path / "fw", "make", "misra")
+
+
+@pytest.mark.slow
+def test_the_family_of_movers_is_decoded_so_whatever_its_reference_calls_level():
+    model = planar.halbach_planar()
+    values = {"a1": 0.62, "a5": -0.01, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3, "y0": -5e-4}
+    fit = calibrated(model, values)
+    fit = replace(fit, log={**fit.log, "span": {**fit_of(QUICK).log["span"], "x_ref_m": [-0.04, 0.04]}})
+    code = hallsym.generate(fit, accuracy=2e-6)
+    assert code.decoupler.inputs[-1] == "x_near_m"  # what the log recorded of y lies within a period
+    pose = poses(QUICK, 500)
+    inputs = np.vstack([on_arrays(model.reading)(fit.values, [], list(pose), [])[0], pose[:1] + 0.008])
+    found, status = code.backend.step(inputs.astype(np.float32))
+    assert not status.any()
+    assert np.abs(found - pose)[:3].max() < 4e-6
+    assert np.abs(found - pose)[3:].max() < 4e-5

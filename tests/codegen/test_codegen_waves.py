@@ -1,0 +1,296 @@
+"""C for one decaying wave: place along an array and height over it, from sums of Hall sensors.
+
+Independent facts: the field's own equation at a known place and height (`waves`); the closed form of
+Maguire's thesis (2-16 to 2-20) where there is no fifth harmonic; numpy's arctangent and logarithm; the bits
+of a million samples; instructions counted one by one in QEMU.
+"""
+
+import re
+from functools import cache
+from math import pi
+
+import numpy as np
+import pytest
+from firmware import STRICT, Library, need, ran
+from hypothesis import given
+from hypothesis import strategies as st
+from waves import LC, LENGTH, VALUES, calibrated, sums
+
+import hallsym
+from hallsym.codegen import cost_of, pose_bounds
+from hallsym.codegen.lowering import Odd, shortest
+from hallsym.errors import InputError
+from hallsym.families import halbach
+from hallsym.model import on_arrays
+
+PLAIN = {"A5": 0.0}
+SECOND = {**VALUES, "A2": 5e-3, "wavelength": 0.03017}
+CASES = {
+    "three sums": (3, VALUES),
+    "five sums": (5, {**VALUES, "g4": 4.4}),
+    "first harmonic alone": (3, PLAIN),
+    "second harmonic, another wavelength": (3, SECOND),
+}
+BUILT = "three sums"
+
+
+@cache
+def made(case=BUILT, **variant):
+    count, values = CASES[case]
+    return hallsym.generate(calibrated(sums(count), values), **variant)
+
+
+def turned(difference, period=LENGTH):
+    return np.abs(difference - period * np.round(difference / period))
+
+
+def moved(seed=5, count=4000, gaps=(0.004, 0.01)):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-LENGTH / 2, LENGTH / 2, count), rng.uniform(*gaps, count)
+
+
+def read(case, x, z):
+    """Readings of the field's own equation in double."""
+    count, values = CASES[case]
+    model = sums(count)
+    return on_arrays(model.reading)(calibrated(model, values).values, [], [x, z], [])[0]
+
+
+# -- polynomials ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "end"),
+    [("atan", np.arctan, 1.0), ("artanh", np.arctanh, 0.6), ("artanh", np.arctanh, 0.3)],
+)
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
+def test_the_stated_error_of_a_polynomial_holds_and_is_reached(name, function, end, accuracy):
+    found = shortest(name, end, accuracy)
+    t = np.random.default_rng(3).uniform(-end, end, 200_000).astype(np.longdouble)
+    a = np.array(found.coefficients, dtype=np.float32).astype(np.longdouble)
+    off = np.abs(np.polyval(a[::-1], t * t) * t - function(t)).max()
+    assert 0.97 * found.error < off <= found.error <= accuracy
+
+
+def test_a_polynomial_is_as_short_as_its_accuracy():
+    degrees = [shortest("atan", 1.0, 10.0**-n).degree for n in range(3, 8)]
+    assert degrees == sorted(degrees)
+    assert degrees[0] < degrees[-1]
+    assert shortest("artanh", 0.95, 1e-9) is None
+    assert Odd((1.0, 0.5), 1.0, 0.0).at(2.0) == 6.0
+
+
+# -- place and height ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_readings_of_the_field_give_place_and_height_back(case):
+    code, (x, z) = made(case), moved()
+    pose, status = code.backend.step(read(case, x, z).astype(np.float32))
+    assert not status.any()
+    # an error of half a bit of each reading of about 1 V in the smallest field of the box
+    input_rounding = 2.0**-24 * LC * 4
+    wavelength = CASES[case][1].get("wavelength", LENGTH)
+    for off, column in ((turned(pose[0] - x, wavelength), "x_m"), (np.abs(pose[1] - z), "z_m")):
+        assert off.max() <= code.backend.error_bound[column] + input_rounding
+        assert code.backend.error_bound[column] < 1e-6
+
+
+def test_ideal_sums_are_the_closed_form_of_the_thesis():
+    code = made("first harmonic alone")
+    a, b, c = np.random.default_rng(6).uniform(-1.0, 1.0, (3, 20_000)).astype(np.float32)
+    pose, status = code.backend.step(np.array([a, b, c]))
+    bx = np.sqrt(2 / 3) * (a.astype(float) - b / 2.0 - c / 2.0)
+    by = np.sqrt(2 / 3) * np.sqrt(3) / 2 * (b.astype(float) - c)
+    # readings at 0, 1/3 and 2/3 of the period read cos, cos(t + 2 pi / 3), cos(t + 4 pi / 3) of t = -x / lc
+    x = LC * np.arctan2(by, bx)
+    z = -LC / 2 * np.log((bx**2 + by**2) / 1.5 / (4 * 0.8875) ** 2)
+    clear = status == 0
+    assert clear.mean() > 0.2
+    assert turned(pose[0] - x)[clear].max() < code.backend.error_bound["x_m"]
+    assert np.abs(pose[1] - z)[clear].max() < code.backend.error_bound["z_m"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_stated_bounds_hold_over_random_inputs(case):
+    code = made(case)
+    for column, met in code.errors.items():
+        assert 0 < met <= code.backend.error_bound[column]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_stated_bounds_hold_over_a_million_random_inputs(case):
+    code = made(case)
+    for column, met in code.backend.errors(1_000_000, seed=8).items():
+        assert met <= code.backend.error_bound[column]
+
+
+@pytest.mark.parametrize("accuracy", [1e-7, 2e-8])
+def test_an_accuracy_that_is_asked_for_is_kept_by_more_rounds(accuracy):
+    code = made(accuracy=accuracy)
+    assert code.decoupler.slack <= accuracy < made().decoupler.slack
+    assert len(code.decoupler.steps) > len(made().decoupler.steps)
+    assert max(code.errors.values()) <= max(code.backend.error_bound.values())
+    assert code.backend.record["options"] == {"accuracy": accuracy}
+
+
+def test_double_leaves_what_rounds_and_polynomials_leave():
+    code = made(double=True)
+    assert max(code.bounds.error.values()) < 1e-14
+    assert 1e-8 < max(code.errors.values()) <= code.decoupler.slack
+
+
+def test_without_higher_harmonics_no_round_is_taken():
+    names = {step.name for step in made("first harmonic alone").decoupler.steps}
+    assert not any(name.startswith("real_") for name in names)
+
+
+def test_rounding_shrinks_with_the_digits():
+    d = made().decoupler
+    single, double = pose_bounds(d, 24).error, pose_bounds(d, 53).error
+    for column in d.pose:
+        assert single[column] / double[column] == pytest.approx(2.0**29, rel=0.2)
+
+
+# -- ranges and status ---------------------------------------------------------------------------------------
+
+
+def test_heights_beyond_the_box_raise_the_flag_and_those_within_do_not():
+    code, (x, _) = made(), moved(count=200)
+    for gap, raised in ((0.0041, 0), (0.0099, 0), (0.0025, 1), (0.012, 1), (0.05, 1)):
+        given = np.clip(read(BUILT, x, np.full_like(x, gap)), *np.array(code.backend.span))
+        _, status = code.backend.step(given.astype(np.float32))
+        assert ((status & 0x40000000) != 0).mean() == raised, gap
+
+
+@given(st.lists(st.integers(0, 2**32 - 1), min_size=3, max_size=3))
+def test_whatever_the_bits_the_pose_is_finite(bits):
+    code = made()
+    pose, _ = code.backend.step(np.array(bits, dtype=np.uint32).view(np.float32)[:, None])
+    for column, value in zip(code.decoupler.pose, pose[:, 0], strict=True):
+        assert code.bounds.low[column] - 1e-7 <= value <= code.bounds.high[column] + 1e-7
+
+
+def test_the_zero_wraps_within_half_a_period(tmp_path):
+    need("gcc")
+    code = made()
+    code.write(tmp_path / "fw")
+    library = Library(tmp_path / "fw", code.decoupler, np.float32)
+    given = read(BUILT, np.array([0.012]), np.array([0.005])).astype(np.float32)[:, 0]
+    assert library.zero(given, np.array([-0.004, 0.0])) == 0
+    x, z = moved(count=50)
+    for k, readings in enumerate(read(BUILT, x, z).astype(np.float32).T):
+        pose, status = library.step(readings)
+        assert status == 0
+        assert abs(pose[0]) <= LENGTH / 2 * (1 + 1e-6)
+        assert turned(pose[0] - (x[k] - 0.016)) < 1.5e-6
+        assert abs(pose[1] - (z[k] - 0.005)) < 1.5e-6
+
+
+def test_what_is_no_wave_is_refused():
+    model = sums()
+
+    def clipped(s, p):
+        s["reading"] = s["reading"] / (1 + 0.01 * s["reading"] ** 2)
+
+    bent = model.with_step("electronics", clipped, effect="soft_clipping")
+    with pytest.raises(InputError, match=r"differs from that by .* without that effect"):
+        hallsym.generate(calibrated(bent))
+    with pytest.raises(InputError, match="too strong at the least gap"):
+        hallsym.generate(calibrated(gaps=(0.0, 0.01)))
+    with pytest.raises(InputError, match="do not tell cosine from sine"):
+        hallsym.generate(calibrated(sums(2, LENGTH / 2), {}))
+    with pytest.raises(InputError, match="--correction belongs to"):
+        hallsym.generate(calibrated(), correction="table")
+
+
+def test_the_family_of_arrays_is_decoded_so():
+    model = halbach.models.halbach()
+    fit = calibrated(model, {"a1": 0.62, "b1": 0.11, "a5": -6e-4, "b5": -8e-4}, gaps=(0.0042, 0.0062))
+    code = hallsym.generate(fit)
+    x, z = moved(gaps=(0.0042, 0.0062))
+    given = on_arrays(model.reading)(fit.values, [], [x, z], [])[0]
+    pose, status = code.backend.step(given.astype(np.float32))
+    assert not status.any()
+    assert turned(pose[0] - x).max() < 1e-6
+    assert np.abs(pose[1] - z).max() < 1e-6
+
+
+# -- the C itself --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("waves") / "fw"
+    made().write(path)
+    return path
+
+
+TESTED = (
+    "src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c",
+    "test/faults.c", "test/main.c",
+)  # fmt: skip
+PATHS = ("-Iinclude", "-Iparams", "-Itest")
+
+
+def test_it_passes_its_self_test_without_undefined_behaviour(folder, tmp_path):
+    need("gcc")
+    out = str(tmp_path / "selftest")
+    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
+    ran(folder, "gcc", *STRICT, "-pedantic", *sanitize, *PATHS, *TESTED, "-o", out)
+    said = ran(folder, out)
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+    assert "0 faults of a table not found, 0 zeros wrong" in said
+
+
+def test_same_bits_and_at_most_160_instructions_on_a_cortex_m4f(folder):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    assert ran(folder, "make", "qemu").count("as stated") == 2
+    said = ran(folder, "make", "count")
+    typical, *others = map(int, re.search(r"decoupler_step, \d+ bytes, .* call: (.*)", said)[1].split())
+    assert typical <= 160
+    assert max(others) <= 170
+    ran(folder, "make", "size")
+    symbols = ran(folder, "arm-none-eabi-nm", "build/decoupler.o")
+    kinds = {line.split()[-1]: line.split()[-2] for line in symbols.splitlines()}
+    assert kinds.pop("decoupler_crc") == "U"  # src/decoupler_check.c
+    assert set(kinds.values()) == {"T"}  # nothing static, nothing of libm
+
+
+def test_cppcheck_finds_no_misra_violation_that_is_not_listed(folder):
+    need("cppcheck", "make")
+    ran(folder, "make", "misra")
+
+
+def test_the_folder_says_what_was_not_proved_and_why(folder):
+    script = (folder / "proof/prove.sh").read_text()
+    assert not (folder / "proof/eva.c").exists()
+    assert "not run (it relates no two values" in script
+
+
+M3 = ("MACHINE=mps2-an385", "CPU=-mcpu=cortex-m3 -mthumb")
+M7 = ("MACHINE=mps2-an500", "CPU=-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-sp-d16")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", [M3, M7], ids=["M3", "M7"])
+@pytest.mark.parametrize("case", CASES)
+def test_same_bits_on_other_cores(case, machine, tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    made(case).write(tmp_path / "fw")
+    assert ran(tmp_path / "fw", "make", "qemu", *machine).count("as stated") == 2
+
+
+def test_the_wavelength_is_found_from_the_readings():
+    d = made("second harmonic, another wavelength").decoupler
+    assert d.model.period["x_m"] == pytest.approx(0.03017, rel=1e-12)
+    values = {e.name: e.value for e in d.table}
+    assert values["lc"] == pytest.approx(0.03017 / (2 * pi), rel=1e-12)
+
+
+def test_its_cost_is_counted_without_a_compiler_about_its_typical_gap():
+    model = halbach.models.halbach()
+    cost = cost_of(model, model.vector({"a1": 0.62, "a5": -6e-4}))  # at a gap of 0 it would not converge
+    assert 100 < cost.instructions < 160

@@ -1,0 +1,480 @@
+"""Every reader, fed with damaged files: what is said, how long it takes, which numbers come out."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import os
+import random
+import re
+import signal
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import mutations
+import numpy as np
+
+import hallsym
+from hallsym.cli.main import main
+from hallsym.errors import LONGEST
+
+SECONDS = 10.0
+"""Of the processor, what no file may take."""
+PATIENCE = 60.0
+"""Seconds after which the watchdog ends a command that waits."""
+REFUSED, SAME, SAID, OTHER, SILENT = "refused", "same numbers", "said", "another valid file", "SILENT"
+KINDS = (REFUSED, SAME, SAID, OTHER)
+VOLATILE = ("seconds", "log", "sha256", "file", "calibration", "versions", "written")
+
+
+class HangError(BaseException):
+    """The watchdog: a command takes too long."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader: the file it reads, with its good content, and the command whose arguments name it.
+
+    `checked`: its format has checksums, so that any damage must be noticed; so must a torn last line of CSV.
+    """
+
+    name: str
+    file: str
+    arguments: tuple[str, ...]
+    mutations: tuple[Callable[[bytes, random.Random], bytes], ...]
+    checked: bool = False
+    columns: Callable[[Mapping[str, np.ndarray], io.BytesIO], None] | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command did with a damaged file; `fault` is what it must not do, empty if it did not."""
+
+    target: str
+    mutation: str
+    kind: str
+    seconds: float
+    sentence: str
+    fault: str = ""
+
+
+def columns_of(samples: int = 100) -> dict[str, np.ndarray]:
+    """Six runs of the bundled campaign."""
+    log = hallsym.bundled_campaign()
+    run = log.array("run").astype(int)
+    chosen = np.isin(run, log.runs[:12:2])
+    return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+
+
+def _parquet(columns: Mapping[str, np.ndarray], stream: io.BytesIO) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(pyarrow.table({k: list(v) for k, v in columns.items()}), stream)
+
+
+def _hdf5(columns: Mapping[str, np.ndarray], stream: io.BytesIO) -> None:
+    import h5py
+
+    with h5py.File(stream, "w") as file:
+        for name, values in columns.items():
+            file[name or "empty"] = values
+
+
+def _mat(columns: Mapping[str, np.ndarray], stream: io.BytesIO) -> None:
+    from scipy.io import savemat
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        savemat(
+            stream, {re.sub(r"\W", "_", k)[:30] or "e": v for k, v in columns.items()}, do_compression=True
+        )
+
+
+def _csv(columns: Mapping[str, np.ndarray], stream: io.BytesIO) -> None:
+    rows = max(map(len, columns.values()), default=0)
+    lines = [",".join(columns)]
+    lines += [",".join(str(v[k]) if k < len(v) else "" for v in columns.values()) for k in range(rows)]
+    stream.write("\n".join([*lines, ""]).encode("utf-8", "replace"))
+
+
+BUDGET = """quantity = "gap"
+unit = "nm"
+coverage_factor = 2
+
+[[source]]
+name = "laser"
+std_nm = 3.0
+degrees_of_freedom = 12
+
+[[source]]
+name = "temperature"
+half_width_k = 0.05
+distribution = "rectangular"
+sensitivity_nm_per_k = 120
+
+[[source]]
+name = "readings"
+readings_nm = [1.0, 3.0, 2.0, 4.0]
+
+[[correlation]]
+between = ["laser", "temperature"]
+coefficient = 0.2
+"""
+SETTINGS = """level = 0.95
+[reading]
+averaged = 16
+adc_bits = 16
+adc_range_mm = 2
+[zeroing]
+averaged = 64
+x_nm = 100
+[zeroing.at]
+x_um = 100
+[state]
+z_nm = 50
+[reference]
+x_scale_ppm = 2
+"""
+MACHINE = """[[probes]]
+channel = "hall_a_m"
+position_m = [0.1975, 0.4]
+senses = [0, 1]
+[[probes]]
+channel = "hall_b_m"
+position_m = [-0.1975, 0.4]
+senses = [0, 1]
+[[probes]]
+channel = "hall_c_m"
+position_m = [0.1975, 0.36]
+senses = [1, 0]
+[parameters.eta_A]
+nominal = 0.9
+lower = 0.6
+upper = 1.05
+[parameters.theta_A]
+fixed = true
+"""
+COLUMN_FILE = """[columns]
+hall_a_m = "hall_a_m"
+hall_b_m = { name = "hall_b_m", sign = 1, scale = 1.0 }
+[noise]
+hall_m = 5e-7
+x_ref_um = 0.5
+"""
+CAMPAIGN = """step_s = 0.01
+zero_spread_m = 1e-6
+[noise]
+hall_m = 5e-7
+[[setting]]
+z_m = -1e-4
+[[setting]]
+z_m = 1e-4
+rx_rad = 1e-4
+[[trajectory]]
+duration_s = 0.5
+x_m = { kind = "sine", amplitude = 1e-4, frequency_hz = 2 }
+y_m = { kind = "multi-sine", amplitude = 1e-4, frequencies_hz = [1, 3] }
+[[run]]
+name = "raster"
+duration_s = 0.5
+z_m = 5e-5
+raster = { fast = "x_m", slow = "y_m", fast_amplitude = 1e-4, slow_amplitude = 1e-4, line_hz = 5, lines = 3 }
+zero_deviations_m = [1e-6, 0, -1e-6]
+[[run]]
+duration_s = 0.5
+rz_rad = { kind = "steps", levels = [0, 1e-4], dwell_s = 0.1, about = 1e-5 }
+curve = { file = "curve.json", times = 1, direction = "both" }
+"""
+RANGES = """step_s = 0.02
+seconds_per_run = 1.0
+runs = 4
+frequencies_hz = [1.0, 2.0, 3.0]
+levels = 2
+trajectories = ["combined"]
+[range]
+x_um = [-300, 300]
+y_um = [-500, 500]
+rz_urad = [-300, 300]
+[noise]
+hall_um = 0.5
+x_ref_um = 1.0
+y_ref_um = 1.5
+rz_ref_urad = 0.3
+"""
+TOLERANCES = """others = "exact"
+[tolerance]
+H1x_um = 20
+H3y_um = { half_width = 20, distribution = "triangular" }
+eta_A_percent = 2
+eta_C = [0.98, 1.02]
+theta_A_deg = { std = 0.1 }
+"""
+
+
+@cache
+def targets() -> tuple[Target, ...]:
+    """Every reader; `{FILE}` is the damaged file, the other names are good files beside it."""
+    m = mutations
+    log, fit = ("--json",), ("--json", "--solver", "direct")
+    return (
+        Target("CSV log", "log.csv", ("info", "{FILE}", *log), m.TEXT + m.BYTES, columns=_csv),
+        Target("CSV log, fit", "log.csv", ("fit", "{FILE}", *fit), m.TEXT, columns=_csv),
+        Target("Parquet log", "log.parquet", ("info", "{FILE}", *log), m.BYTES, True, _parquet),
+        Target("Parquet log, fit", "log.parquet", ("fit", "{FILE}", *fit), m.BYTES, True, _parquet),
+        Target("HDF5 log", "log.h5", ("info", "{FILE}", *log), m.BYTES, False, _hdf5),
+        Target("HDF5 run groups", "runs.h5", ("info", "{FILE}", *log), m.BYTES),
+        Target("MATLAB log", "log.mat", ("info", "{FILE}", *log), m.BYTES, True, _mat),
+        Target("sensors, sort", "sensors.csv", ("sort", "{FILE}", "--field", "0mT,475mT", "--json"), m.TEXT),
+        Target("calibration", "calib.json", ("evaluate", "{FILE}", "log.parquet", "--json"), m.JSON),
+        Target("calibration, info", "calib.json", ("info", "{FILE}", "--json"), m.JSON),
+        Target("calibration, budget", "calib.json", ("budget", "{FILE}", "--json"), m.JSON),
+        Target("meta.json", "folder/meta.json", ("fit", "folder", *fit), m.JSON),
+        Target("machine file", "machine.toml", ("fit", "log.parquet", "--machine", "{FILE}", *fit), m.TOML),
+        Target("column file", "columns.toml", ("info", "log.csv", "--column-file", "{FILE}", *log), m.TOML),
+        Target("budget", "budget.toml", ("budget", "{FILE}", "--json"), m.TOML),
+        Target(
+            "settings", "settings.toml", ("budget", "calib.json", "--settings", "{FILE}", "--json"), m.TOML
+        ),
+        Target("campaign", "campaign.toml", ("info", "{FILE}", "--json"), m.TOML),
+        Target(
+            "campaign, simulated", "campaign.toml",
+            ("simulate", "{FILE}", "-o", "out.csv", "--seed", "1"), m.TOML,
+        ),
+        Target("ranges", "ranges.toml", ("plan", "{FILE}", "--model", "stage30", "--json"), m.TOML),
+        Target(
+            "tolerances", "tolerances.toml",
+            ("tolerances", "campaign.toml", "--ranges", "{FILE}", "--samples", "16", "--json"), m.TOML,
+        ),
+        Target("curve", "curve.json", ("info", "{FILE}", "--json"), m.JSON),
+        Target("points", "points.csv", ("trajectory", "{FILE}", "--method", "cubic", "--json"), m.TEXT),
+        Target(
+            "diagnosis", "diagnosis.json",
+            ("diagnose", "--compare", "{FILE}", "before.json", "--json"), m.JSON,
+        ),
+    )  # fmt: skip
+
+
+def make_files(folder: Path) -> None:
+    """Write the good files."""
+    columns = columns_of()
+    for name in ("log.csv", "log.parquet", "log.h5", "log.mat"):
+        hallsym.write_log(columns, folder / name)
+    import h5py
+
+    with h5py.File(folder / "runs.h5", "w") as file:
+        for run in np.unique(columns["run"]):
+            for name, values in columns.items():
+                if name != "run":
+                    file[f"run_{run}/{name}"] = values[columns["run"] == run]
+    (folder / "folder").mkdir()
+    hallsym.write_log(columns, folder / "folder" / "log.parquet")
+    meta = {
+        "case_id": "six", "base_model": "stage31", "validation_runs": [int(columns["run"][-1])],
+        "nominal": {"eta_A": 0.9}, "noise_1sigma": {"hall_m": 5e-7}, "gap_length_scale_m": 0.2,
+        "probes": [
+            {"channel": "hall_a_m", "position_m": [0.1975, 0.4], "senses": [0, 1]},
+            {"channel": "hall_b_m", "position_m": [-0.1975, 0.4], "senses": [0, 1]},
+            {"channel": "hall_c_m", "position_m": [0.1975, 0.36], "senses": [1, 0]},
+        ],
+    }  # fmt: skip
+    (folder / "folder" / "meta.json").write_text(json.dumps(meta, indent=1), encoding="utf-8")
+    hallsym.fit(hallsym.read_log(folder / "log.parquet"), "stage31", solver="direct").save(
+        folder / "calib.json"
+    )
+    for name, text in {
+        "budget": BUDGET, "settings": SETTINGS, "machine": MACHINE, "columns": COLUMN_FILE,
+        "campaign": CAMPAIGN, "ranges": RANGES, "tolerances": TOLERANCES,
+    }.items():  # fmt: skip
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    (folder / "sensors.csv").write_text(_sensors(), encoding="utf-8")
+    t = np.linspace(0, 1, 24)
+    lines = [f"{a!r},{b!r}" for a, b in zip((100 * t).tolist(), (50 * np.sin(3 * t)).tolist(), strict=True)]
+    (folder / "points.csv").write_text("\n".join(["x_um,y_um", *lines, ""]), encoding="utf-8")
+    with contextlib.redirect_stdout(io.StringIO()):
+        arguments = [
+            "trajectory",
+            folder / "points.csv",
+            "--method",
+            "cubic",
+            "-o",
+            folder / "curve.json",
+        ]
+        assert main([str(a) for a in arguments]) == 0, arguments
+    for name, gap in (("diagnosis", 2e-6), ("before", 3e-6)):
+        (folder / f"{name}.json").write_text(json.dumps(_diagnosis(gap), indent=1), encoding="utf-8")
+
+
+def _sensors() -> str:
+    """Readings of sensors in two fields beside those of one that stays on the bench."""
+    rng = np.random.default_rng(0)
+    gain = 2.0 * (1 + rng.normal(0, 0.02, 40))
+    lines = ["sensor,t_s,reading_0_v,reference_0_v,reading_1_v,reference_1_v"]
+    for k, sensor in enumerate([*range(40), 3, 7, 11, 15, 21, 30]):
+        read = 0.475 * gain[sensor] * (1 + rng.normal(0, 1e-3))
+        lines.append(f"S{sensor},{20 * k},0.001,0.002,{read:.6f},{0.9 * (1 + rng.normal(0, 1e-3)):.6f}")
+    return "\n".join([*lines, ""])
+
+
+def _diagnosis(gap: float) -> dict[str, Any]:
+    rmse = {"x_m": gap / 2, "y_m": gap / 2, "rz_rad": gap}
+    effect = {
+        "name": "hysteresis", "link": "field", "variant": "plain", "p_value": 1e-9, "shrinkage": 0.2,
+        "interval": [0.1, 0.3], "share": 0.5, "cost": "1 parameter",
+        "parameters": {"a": {"value": 1.0, "std": 0.1, "unit": "1"}},
+    }  # fmt: skip
+    return {
+        "verdict": "explained", "model": "stage31",
+        "noise_floor": {"x_m": 1e-6, "y_m": 1e-6, "source": "stated"},
+        "metric": {"before": gap, "after": 1.5e-6, "floor": 1.4e-6},
+        "gap_before": {"rmse": rmse, "peak": rmse}, "gap_after": {"rmse": rmse, "peak": rmse},
+        "effects": [effect], "groups": [], "where": [], "ranked": ["hysteresis"], "not_testable": {},
+        "smaller_findings": [], "threshold": 0.05, "sentence": "", "remaining": [], "separate_by": [],
+        "shrinkage": {"value": 0.5, "interval": [0.4, 0.6], "share_closed": 0.9, "parameters_added": 1},
+        "validation_runs": [2], "log": {},
+    }  # fmt: skip
+
+
+class Workshop:
+    """A folder of good files in which one at a time is damaged and read."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make the good files and read each once."""
+        self.folder = folder
+        with inside(folder):
+            make_files(folder)
+            self.good = {t.file: (folder / t.file).read_bytes() for t in targets()}
+            self.codes: dict[str, int] = {}
+            self.said = {t.name: self._numbers(t) for t in targets()}
+            self.columns = columns_of()
+
+    def _numbers(self, target: Target) -> Any:
+        code, out, err, _ = self.call(target)
+        assert code in (0, 3), (target.name, code, err)
+        self.codes[target.name] = code
+        return self._read(target, out)
+
+    def call(self, target: Target) -> tuple[int, str, str, float]:
+        """Run the command of a target; returns exit code, both outputs and the time."""
+        arguments = [a.replace("{FILE}", target.file) for a in target.arguments]
+        return called(arguments)
+
+    def case(self, target: Target, seed: int) -> Outcome:
+        """Damage the file of a target in the way that a seed says, and judge what its command does."""
+        rng = random.Random(f"{target.name} {seed}")
+        good = self.good[target.file]
+        if target.columns and rng.random() < 0.4:
+            try:
+                name, data = mutations.with_columns(target.columns, self.columns, rng)
+            except (ValueError, TypeError, OSError, RuntimeError):  # the library does not write such a file
+                name, data = "truncate", mutations.truncate(good, rng)
+        else:
+            mutation = rng.choice(target.mutations)
+            name, data = mutation.__name__, mutation(good, rng)
+        with inside(self.folder):
+            path = Path(target.file)
+            path.write_bytes(data)
+            try:
+                code, out, err, seconds = self.call(target)
+                return self._judged(target, name, data, code, out, err, seconds)
+            finally:
+                path.write_bytes(good)
+                Path("out.csv").unlink(missing_ok=True)
+
+    def _judged(
+        self, target: Target, name: str, data: bytes, code: int, out: str, err: str, seconds: float
+    ) -> Outcome:
+        sentence = err.strip()
+        fault = complaint(code, err, seconds)
+        if code == 2 or fault:
+            return Outcome(target.name, name, REFUSED, seconds, sentence, fault)
+        found = self._read(target, out)
+        if data == self.good[target.file] or same(found, self.said[target.name]):
+            return Outcome(target.name, name, SAME, seconds, sentence)
+        if code != self.codes[target.name] or _notes(found) != _notes(self.said[target.name]):
+            return Outcome(target.name, name, SAID, seconds, sentence)
+        torn = target.file.endswith(".csv") and not data.endswith((b"\n", b"\r"))
+        if (target.checked or torn) and not name.startswith("columns"):
+            return Outcome(target.name, name, SILENT, seconds, sentence, "other numbers in silence")
+        return Outcome(target.name, name, OTHER, seconds, sentence)
+
+    def _read(self, target: Target, out: str) -> Any:
+        if "--json" in target.arguments:
+            return json.loads(out)
+        return Path("out.csv").read_text(encoding="utf-8")
+
+
+def called(arguments: list[str]) -> tuple[int, str, str, float]:
+    """Run a command as a person does (libraries do not warn), under a watchdog."""
+    out, err, began = io.StringIO(), io.StringIO(), time.process_time()
+
+    def bark(number: int, frame: FrameType | None) -> None:
+        raise HangError
+
+    before = signal.signal(signal.SIGALRM, bark)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                code = main(arguments)
+            except SystemExit as end:
+                code = int(end.code or 0)
+            except HangError:
+                code = -1
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    return code, out.getvalue(), err.getvalue(), time.process_time() - began
+
+
+def complaint(code: int, err: str, seconds: float) -> str:
+    """Return what is wrong with how a command ended, empty where nothing is."""
+    if code == -1 or seconds > SECONDS:
+        return f"took {seconds:.1f} s"
+    if code not in (0, 2, 3, 4):
+        return f"exit code {code}"
+    lines = err.strip().split("\n")
+    if "Traceback" in err or "Warning" in err:
+        return "a traceback or a warning"
+    if code == 2 and (len(lines) != 1 or len(lines[0]) > LONGEST + len("hallsym: ") or not lines[0]):
+        return f"{len(lines)} lines of up to {max(map(len, lines))} characters"
+    if any(not (c.isprintable() or c == "\n") for c in err):
+        return "control characters"
+    return ""
+
+
+def same(found: Any, wanted: Any) -> bool:
+    """Return whether two records hold the same numbers and words, but times and names of files."""
+    if isinstance(wanted, dict):
+        if not isinstance(found, dict) or found.keys() != wanted.keys():
+            return False
+        return all(same(found[k], wanted[k]) for k in wanted if k not in VOLATILE)
+    if isinstance(wanted, list):
+        return isinstance(found, list) and len(found) == len(wanted) and all(map(same, found, wanted))
+    if isinstance(wanted, float) and isinstance(found, int | float):
+        return math.isclose(found, wanted, rel_tol=1e-9, abs_tol=1e-300)
+    return bool(found == wanted)
+
+
+def _notes(record: Any) -> Any:
+    return record.get("notes", []) if isinstance(record, dict) else []
+
+
+@contextlib.contextmanager
+def inside(folder: Path) -> Iterator[None]:
+    """Work in a folder."""
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)

@@ -1,0 +1,355 @@
+"""A Halbach array against Maguire's numbers, superposition of magnets, and recovery of what was simulated.
+
+Independent facts: the thesis (UBC 2015) and its tables in data/maguire2015; the field of single magnetised
+rectangles, which must add up to the array's harmonics; symmetry (a shift of all sensors is a shift of x).
+"""
+
+from math import exp, pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hallsym
+from hallsym import InputError, Log, Noise, NoiseModel
+from hallsym.families import build
+from hallsym.families.halbach import FAMILY
+from hallsym.families.halbach.effects import field, magnets, mechanics, transducer
+from hallsym.families.halbach.error_model import (
+    harmonic_over_remanence,
+    period_error,
+    table,
+    temperature_error_m,
+    trace_field_t,
+)
+from hallsym.families.halbach.layout import arrays, columns, part_of
+from hallsym.families.halbach.models import halbach
+from hallsym.families.published import table as published
+from hallsym.log import Meta
+from hallsym.model import on_arrays
+from hallsym.simulation import campaign_from
+
+LC = 0.03 / (2 * pi)
+PRINTED = dict(zip(published("numbers")["quantity"], published("numbers")["value"], strict=True))
+NINE = columns([(j - 4) * 0.01 for j in range(9)])
+
+
+def read(model, values, x, z):
+    """Readings (K, n) of a model at places x and gaps z."""
+    p = model.vector(values)
+    return np.array([np.array(model.reading(p, [], [a, b], [])).ravel() for a, b in zip(x, z, strict=True)]).T
+
+
+def recorded(model, values=None, seed=1, runs=None):
+    """The log of the family's example."""
+    campaign = dict(FAMILY.example.campaign)
+    campaign["run"] = list(campaign["run"])[:runs]
+    noise = dict.fromkeys(model.channels, 0.001) | {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
+    known = {n: v for n, v in {**FAMILY.example.values, **(values or {})}.items() if n in model.names}
+    made = hallsym.simulate(
+        model, known, campaign_from(campaign, "the example"), NoiseModel(noise), seed=seed
+    )
+    return Log.from_arrays(made, Noise.given(noise, tuple(made)))
+
+
+# -- numbers of the thesis -----------------------------------------------------------------------------------
+
+
+def test_figure_2_6():
+    """Gains 1/1.1, 1/1.1, 1/.9: x by (2-19), z by (2-20) from the sum of squares, which counts z up."""
+    model = transducer.gain_mismatch(halbach())
+    gains = {"gain_0": 1 / 1.1 - 1, "gain_1": 1 / 1.1 - 1, "gain_2": 1 / 0.9 - 1}
+    found = period_error(model, gains, closed_form=True)
+    x = found.error[0]
+    assert x.max() == pytest.approx(PRINTED["x error of Fig. 2-6"], abs=1e-7)
+    assert x.min() == pytest.approx(-PRINTED["x error of Fig. 2-6"], abs=1e-7)
+    assert 1e3 * found.x_m[x.argmax()] == pytest.approx(6.1, abs=0.05)
+    assert (1e3 * found.x_m[x.argmin()] + 1.1) % 15 == pytest.approx(0, abs=0.05)
+    assert found.waves == (2, 2)  # a period of 15 mm
+    places = found.x_m
+    v = read(model, gains, places, np.full(len(places), 5e-3))
+    z = LC / 2 * np.log((v**2).sum(axis=0) / (1.5 * 0.6**2))
+    assert z.max() == pytest.approx(PRINTED["largest z error of Fig. 2-6"], abs=1e-7)
+    assert z.min() == pytest.approx(PRINTED["least z error of Fig. 2-6"], abs=1e-7)
+    assert 1e3 * places[z.argmax()] % 15 == pytest.approx(10, abs=0.05)
+    assert 1e3 * places[z.argmin()] % 15 == pytest.approx(2.5, abs=0.05)
+
+
+def test_what_the_thesis_prints_wrong():
+    """(2-17) has the slope -1 as printed; the fifth harmonic of square magnets is -.180, printed -.14."""
+    x = np.linspace(-5e-3, 5e-3, 11)
+    a, b, c = read(halbach(), {}, x, np.full(11, 5e-3))
+    across = np.sqrt(2 / 3) * (a - b / 2 - c / 2)
+    along = np.sqrt(2 / 3) * np.sqrt(3) / 2 * (b - c)
+    right, printed = (LC * np.unwrap(np.arctan2(s * along, across)) for s in (-1, 1))
+    assert np.polyfit(x, -right, 1)[0] == pytest.approx(np.polyfit(x, printed, 1)[0])
+    assert abs(np.polyfit(x, printed, 1)[0]) == pytest.approx(1)
+    assert np.polyfit(x, right, 1)[0] * np.polyfit(x, printed, 1)[0] < 0
+    assert harmonic_over_remanence(5, 0.03, 0.0075) == pytest.approx(-0.180, abs=1e-3)
+    assert harmonic_over_remanence(1, 0.03, 0.0075) == pytest.approx(0.713, abs=1e-3)
+
+
+def test_temperature_trace_and_decay():
+    for kelvin in (10, 50):
+        expected = PRINTED[f"z error for magnets {kelvin} K warmer"]
+        assert temperature_error_m(0.03, kelvin) == pytest.approx(expected, abs=5e-8)
+    weaker = halbach().vector({"a1": 0.6 * (1 - 0.0012 * 50)})
+    v = np.array(halbach().reading(weaker, [], [1e-3, 5e-3], [])).ravel()
+    pose = np.array(halbach().decoded(halbach().nominal, [], v, [], np.ones(3))).ravel()
+    assert pose[1] - 5e-3 == pytest.approx(temperature_error_m(0.03, 50), rel=1e-9)
+    assert trace_field_t(20, 1e-3, 0.0) == pytest.approx(PRINTED["field of 20 A at 1 mm"])
+    for x in (0.3, 1.0, 4.0):
+        assert trace_field_t(20, 1e-3 * x, 1e-3) == pytest.approx(4e-3 * x / (x**2 + 1))
+    model = halbach()
+    for h, name in ((1, "first"), (5, "fifth")):
+        own = {"a1": float(h == 1), "a5": float(h == 5)}
+        near, far = read(model, own, [0, 0], [5e-3, 5e-3 + LC / 2])[1]
+        assert 1 - far / near == pytest.approx(PRINTED[f"{name} harmonic lost over half lc"], abs=1e-3)
+
+
+def test_periods_of_the_error_by_cause():
+    model = halbach()
+    stretch = mechanics.sensor_position_error(model, along="space")
+    causes = {
+        "second harmonic": (magnets.forbidden_harmonics(model), {"a2": 0.01}),
+        "fourth harmonic": (magnets.forbidden_harmonics(model, order=4), {"a4": 0.01}),
+        "fifth harmonic": (magnets.forbidden_harmonics(model, order=9), {"a5": -2e-3}),
+        "third harmonic": (magnets.forbidden_harmonics(model, order=3), {"a3": 0.01}),
+        "ninth harmonic": (magnets.forbidden_harmonics(model, order=9), {"a9": 0.01}),
+        "common offset": (field.uniform_stray_field(model), {"uniform_stray_field_all": 5e-3}),
+        "one gain": (transducer.gain_mismatch(model), {"gain_0": 0.01}),
+        "one position": (mechanics.sensor_position_error(model), {"dx_0": 1e-4}),
+        "one height": (stretch, {"dz_0": 1e-4}),
+        "one offset": (transducer.offset_error(model), {"offset_error_0": 5e-3}),
+    }
+    for name, waves, *_ in table(causes, closed_form=True):
+        assert waves == (round(0.03 / period) if (period := PRINTED[f"error period of {name}"]) else 0), name
+
+
+# -- independent physics -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("gap", "tolerance"), [(4e-3, 2e-3), (8e-3, 2e-4)])
+def test_magnets_add_up_to_the_array(gap, tolerance):
+    """All magnets a little stronger is the array a little stronger: the mean of a spread has no effect.
+
+    Half of them stronger by a share and the mean taken off: the closed forms of rectangles against harmonics.
+    """
+    layout = columns((-0.01, 0.0, 0.01), length_m=1.2)
+    model = magnets.remanence_spread(halbach(layout))
+    names = [n for n in model.names if n.startswith("remanence")]
+    shifted = dict.fromkeys(names, 0.3)
+    x = np.linspace(-0.01, 0.01, 7)
+    plain, same = (read(model, v, x, np.full(7, gap)) for v in ({}, shifted))
+    assert np.allclose(plain, same, atol=1e-12)
+    one = read(model, {names[0]: 1.0}, x, np.full(7, gap)) - plain
+    assert np.abs(one).max() > tolerance
+
+
+def test_a_shift_of_all_sensors_is_a_shift_of_x():
+    x, z = np.linspace(-0.02, 0.02, 9), np.full(9, 4.5e-3)
+    near, far = (halbach(columns([s + d for s in (-0.01, 0, 0.01)])) for d in (0.0, 2e-3))
+    own = {"a1": 0.5, "b1": 0.2, "a5": -1e-3}
+    assert np.allclose(read(near, own, x, z), read(far, own, x + 2e-3, z), atol=1e-13)
+    moved = mechanics.sensor_position_error(near)
+    by = {f"dx_{k}": 2e-3 for k in range(3)}
+    assert np.allclose(read(moved, own | by, x + 2e-3, z), read(near, own, x, z), atol=1e-13)
+
+
+def test_sums_over_a_wavelength_cancel_the_crossing_array():
+    with pytest.raises(InputError, match="Sums of 3 sensors at a pitch of 8 mm leave"):
+        build("halbach", meta=Meta(nominal={"rows_summed": 3, "sensor_pitch_m": 0.008, "columns": 9}))
+    build("halbach", meta=Meta(nominal={"rows_summed": 3, "sensor_pitch_m": 0.01, "columns": 9}))
+
+
+def test_wavelength_is_scale_of_x_and_z_with_the_pitch():
+    """A longer wavelength is the same field at coordinates and places that are shorter by its share."""
+    longer = magnets.wavelength_error(halbach())
+    short = halbach(columns([x / 1.02 for x in (-0.01, 0.0, 0.01)]))
+    x, z = np.linspace(-0.02, 0.02, 9), np.full(9, 5.4e-3)
+    inner = 5e-3 + (z - 5e-3) / 1.02
+    assert np.allclose(read(longer, {"longer": 0.02}, x, z), read(short, {}, x / 1.02, inner), atol=1e-13)
+
+
+# -- fits ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("gain_mismatch", {"gain_0": 0.012, "gain_4": -0.009}),
+        ("offset_error", {"offset_error_2": 4e-3}),
+        ("sensor_position_error", {"dx_1": 8e-5, "dx_7": -6e-5}),
+        ("forbidden_harmonics", {"a2": 3e-3, "b2": -1e-3}),
+        ("wavelength_error", {"longer": 2e-3}),
+        ("reference_scale_error", {"scale_x": 1e-3, "scale_z": 5e-3}),
+    ],
+)
+def test_a_fit_finds_an_effect_that_was_simulated(effect, values):
+    known = {e.name: e for e in FAMILY.effects}
+    log = recorded(known[effect](halbach(NINE)), values)
+    fit = hallsym.fit(log, halbach(NINE), effects=[effect], solver="direct")
+    assert fit.status == "converged"
+    for n, v in values.items():
+        others = [m for m in fit.model.names if m[:3] == n[:3] and m[-1].isdigit() and m not in ("a1", "b1")]
+        mean = np.mean([fit.value(m) for m in others]) if effect in TIED else 0.0
+        true = v - (np.sum(list(values.values())) / 9 if effect in TIED else 0.0)
+        std = dict(zip(fit.model.names, fit.std, strict=True))[n]
+        limit = 5 * std if np.isfinite(std) else 3e-3 * abs(v) + 1.5e-4
+        assert abs(fit.value(n) - mean - true) < limit
+    rmse = fit.errors.rows()["fitted"]["rmse"]
+    for c, floor in fit.noise_floor.items():
+        assert rmse[c] == pytest.approx(floor, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "late"), [("time_skew", "delay", 8e-4), ("first_order_lag", "tau_lag", 4e-4)]
+)
+def test_readings_that_come_late(effect, name, late):
+    """A delay is the field of an earlier pose; a low-pass the mean of earlier fields, exp(-t / tau) / tau."""
+    model, values = halbach(NINE), halbach(NINE).vector(FAMILY.example.values)
+    rng, parts = np.random.default_rng(3), []
+    ages, weights = [late], [1.0]
+    if effect == "first_order_lag":
+        nodes, weights = np.polynomial.laguerre.laggauss(12)
+        ages = late * nodes
+    for run, hertz in enumerate((0.7, 1.0, 1.4)):
+        t = np.arange(0, 2, 2e-3)
+
+        def pose(t, hertz=hertz):
+            return 0.02 * np.sin(2 * np.pi * hertz * t), 5e-3 + 8e-4 * np.sin(5 * np.pi * hertz * t)
+
+        v = sum(w * read_at(model, values, *pose(t - a)) for a, w in zip(ages, weights, strict=True))
+        x, z = pose(t)
+        columns = dict(zip(model.channels, v + 1e-3 * rng.standard_normal(v.shape), strict=True))
+        parts.append({"run": np.full(len(t), run), "t_s": t + 10 * run, "x_ref_m": x, "z_ref_m": z} | columns)
+    data = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
+    noise = dict.fromkeys(model.channels, 1e-3) | {"x_ref_m": 1e-8, "z_ref_m": 1e-8}
+    log = Log.from_arrays(data, Noise.given(noise, tuple(data)))
+    fit = hallsym.fit(log, model, effects=[effect], solver="direct")
+    std = dict(zip(fit.model.names, fit.std, strict=True))[name]
+    assert abs(fit.value(name) - late) < 5 * std < 0.05 * late
+
+
+def read_at(model, p, x, z):
+    """Readings (K, n) at arrays of x and z."""
+    return on_arrays(model.reading)(p, [], [x, z], [])[0]
+
+
+TIED = ("gain_mismatch", "sensor_position_error")
+"""Effects of which the mean is the array's own amplitude or phase."""
+
+
+def test_what_is_tied_is_said():
+    log = recorded(halbach(NINE))
+    fit = hallsym.fit(log, halbach(NINE), effects=["gain_mismatch"], solver="direct")
+    found = hallsym.identify(fit, profiles="none")
+    assert found.structural.rank == found.structural.of - 1  # a common gain is the amplitude
+
+
+def test_an_effect_is_diagnosed():
+    model = halbach(NINE)
+    log = recorded(transducer.gain_mismatch(model), {"gain_0": 0.012, "gain_4": -0.009, "gain_6": 0.01})
+    found = hallsym.diagnose(log, model, holdout=[1, 4])
+    assert (found.verdict, found.ranked[0]) == ("explained", "gain_mismatch")
+
+
+def test_a_log_without_a_gap_has_none():
+    model = halbach(NINE)
+    assert hallsym.diagnose(recorded(model), model, holdout=[1, 4]).verdict == "no gap"
+
+
+# -- layouts and bad input -----------------------------------------------------------------------------------
+
+
+def test_a_calibration_keeps_its_layout(tmp_path):
+    layout = columns((-0.012, 0.001, 0.011, 0.02), 0.033, length_m=0.3)
+    log = recorded(halbach(layout), runs=4)
+    fit = hallsym.fit(log, halbach(layout), solver="direct")
+    fit.save(tmp_path / "calib.json")
+    assert hallsym.load_fit(tmp_path / "calib.json").model.layout == layout
+    assert arrays(layout)["X"].wavelength_m == 0.033
+
+
+def test_two_sensors_half_a_wavelength_apart_tell_no_position():
+    with pytest.raises(InputError, match="at least two sensors"):
+        halbach(columns((0.0, 0.015)))
+    with pytest.raises(InputError, match="at least two sensors"):
+        halbach(columns((0.0,)))
+
+
+def _refused(**changed):
+    model = halbach(NINE)
+    log = recorded(model)
+    data = {c: log.array(c) for c in log.columns} | {c: f(log) for c, f in changed.items()}
+    with pytest.raises(InputError) as error:
+        hallsym.fit(Log.from_arrays(data), model, solver="direct")
+    assert len(str(error.value)) <= 400
+    return str(error.value)
+
+
+def test_bad_logs_are_refused_in_one_sentence():
+    assert "hardly sees the field" in _refused(col_3_v=lambda log: 0.01 * log.array("col_3_v"))
+    assert "beyond the outermost sensor" in _refused(x_ref_m=lambda log: log.array("x_ref_m") + 0.4)
+    assert "covers" in _refused(x_ref_m=lambda log: 1e-2 * log.array("x_ref_m"))
+    assert "repeats every" in _refused(x_ref_m=lambda log: 1.25 * log.array("x_ref_m"))
+    still = np.random.default_rng(0).permutation(len(recorded(halbach(NINE)).array("x_ref_m")))
+    assert "do not follow" in _refused(x_ref_m=lambda log: log.array("x_ref_m")[still])
+
+
+def test_layout_entries_are_checked():
+    with pytest.raises(InputError, match="A sensor must have"):
+        part_of({"channel": "col_0_v"})
+    with pytest.raises(InputError, match="it has 'wave'"):
+        part_of({"name": "X", "wave": 3})
+    with pytest.raises(InputError, match="must be a positive number"):
+        part_of({"name": "X", "wavelength_m": -0.03})
+
+
+def test_amplitude_is_that_of_square_magnets():
+    assert 2 * np.sqrt(2) / pi * (1 - exp(-pi / 2)) == pytest.approx(harmonic_over_remanence(1, 0.03, 0.0075))
+
+
+# -- a field measured on a real magnet -----------------------------------------------------------------------
+
+MAPS = Path(__file__).parents[3] / "shared" / "real" / "halbach-fieldmaps"
+if not MAPS.exists():
+    MAPS = Path(__file__).parents[4] / "shared" / "real" / "halbach-fieldmaps"
+
+
+def read_from_line(place, tesla, wavelength, pitch, count, stroke):
+    """The log of an array of sensors drawn along a measured line, and its model."""
+    layout = columns([(j - (count - 1) / 2) * pitch for j in range(count)], wavelength, length_m=2 * stroke)
+    model = halbach(layout)
+    x = np.arange(-stroke, stroke, 0.9731e-3)  # no part of a wavelength
+    data = {"run": np.arange(len(x)) * 4 // len(x), "t_s": 0.01 * np.arange(len(x)), "x_ref_m": x}
+    data["z_ref_m"] = np.full(len(x), 5e-3)
+    for sensor in layout[:count]:
+        data[sensor.channel] = np.interp(sensor.middle[0] - x, place, tesla)
+    noise = dict.fromkeys(model.channels, 1e-4) | {"x_ref_m": 1e-6, "z_ref_m": 1e-6}
+    return model, Log.from_arrays(data, Noise.given(noise, tuple(data)))
+
+
+def line_of_a_perfect_magnet(wavelength):
+    place = np.arange(-0.5, 0.5, 1e-4)
+    noise = 1e-5 * np.random.default_rng(0).standard_normal(len(place))
+    return place, 0.68 * np.sin(2 * np.pi * place / wavelength) + noise
+
+
+@pytest.mark.parametrize(("count", "pitch"), [(3, 0.022 / 3), (9, 0.022 / 3), (8, 0.004)])
+def test_an_array_of_any_pitch_reads_a_line(count, pitch):
+    """A magnet 64 ppm shorter than nominal: the wavelength is found, whatever the pitch."""
+    model, log = read_from_line(*line_of_a_perfect_magnet(0.022 * (1 - 64e-6)), 0.022, pitch, count, 0.3)
+    fit = hallsym.fit(log, model, effects=["wavelength_error"], solver="direct", loss="none")
+    assert fit.value("longer") == pytest.approx(-64e-6, rel=0.05)
+
+
+@pytest.mark.skipif(not MAPS.exists(), reason="../shared/real/halbach-fieldmaps is not here")
+@pytest.mark.parametrize(("count", "pitch"), [(3, 0.022 / 3), (9, 0.022 / 3), (8, 0.004)])
+def test_an_array_of_any_pitch_reads_a_measured_line(count, pitch):
+    """27 periods of an undulator's magnet: x within 20 um rms, and its real period of 21.9986 mm."""
+    line = np.genfromtxt(MAPS / "carnauba_phase0mm_line.csv", delimiter=",", names=True)
+    model, log = read_from_line(1e-3 * line["z_mm"], line["by_t"], 0.022, pitch, count, 0.3)
+    fit = hallsym.fit(log, model, effects=["wavelength_error"], solver="direct", loss="none")
+    assert fit.errors.rows()["fitted"]["rmse"]["x_m"] < 20e-6
+    assert 22 * (1 + fit.value("longer")) == pytest.approx(21.9986, abs=1e-3)

@@ -1,0 +1,179 @@
+"""Six coordinates against finite arrays of cuboids (magpylib) and the symmetries of a rigid body."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from halbach_plant import magnets, readings, rotation
+
+import hallsym
+from hallsym import InputError, Log, Noise
+from hallsym.families.halbach import PLANAR, planar
+from hallsym.families.halbach.layout import Array, Sensor, arrays, columns, sensors
+from hallsym.families.halbach.models import halbach
+from hallsym.model import on_arrays
+
+GAIN = 4.0
+"""V/T."""
+
+
+def single():
+    """The thesis's pinwheel with each of its 72 sensors as a channel."""
+    layout, made = planar.pinwheel(), []
+    for sensor in sensors(layout):
+        for place in sensor.positions:
+            made.append(Sensor(f"hall_{len(made)}_0_v", (place,), sensor.array))
+    return (*made, *arrays(layout).values())
+
+
+def drawn(rng, count, tilt=0.01, low=4.5e-3, high=8.5e-3, stroke=0.0125):
+    """Random poses (count, 6)."""
+    out = np.zeros((count, 6))
+    out[:, :2] = rng.uniform(-stroke, stroke, (count, 2))
+    out[:, 2] = rng.uniform(low, high, count)
+    out[:, 3:] = rng.uniform(-tilt, tilt, (count, 3))
+    return out
+
+
+def plant(layout, poses):
+    """Readings (K, n) [V] of finite cuboid arrays."""
+    parts = [m for a in arrays(layout).values() for m in magnets(a.axis, a.centre, a.length_m, a.width_m)]
+    elements = np.array([s.positions[0] for s in sensors(layout)])
+    return GAIN * readings(parts, elements, poses)
+
+
+def log_of(model, poses, v, sigma=3e-3):
+    data = dict(zip(model.references, poses.T, strict=True)) | dict(zip(model.channels, v, strict=True))
+    data |= {"run": np.arange(len(poses)) * 4 // len(poses), "t_s": 0.01 * np.arange(len(poses))}
+    noise = dict.fromkeys(model.channels, sigma)
+    noise |= {c: 5e-7 if c.endswith("_m") else 3e-6 for c in model.references}
+    return Log.from_arrays(data, Noise.given(noise, tuple(data)))
+
+
+def rms(error):
+    """In um and urad."""
+    return 1e6 * np.sqrt((error**2).mean(axis=1))
+
+
+# -- symmetries ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model():
+    return planar.halbach_planar()
+
+
+def test_a_mover_that_goes_on_by_a_period_along_its_own_axes_reads_the_same(model):
+    pose = np.array(model.typical[0])
+    before = np.array(model.reading(model.nominal, [], pose, [])).ravel()
+    for k, coordinate in enumerate(("x_m", "y_m")):
+        step = planar.onward(pose[:, None], coordinate, {})[:, 0]
+        assert np.allclose(step[:3], rotation(*pose[3:])[:, k])
+        after = np.array(model.reading(model.nominal, [], pose + 0.03 * step, [])).ravel()
+        assert np.allclose(after, before, atol=1e-12)
+
+
+def test_a_level_mover_is_the_model_of_x_and_z(model):
+    """Sums under one array along x, level: what `halbach` reads, x from its centre."""
+    x1 = [s for s in sensors(model.layout) if s.array == "X1"]
+    places = [s.middle[0] - arrays(model.layout)["X1"].centre[0] for s in x1]
+    other = halbach(columns(places))
+    for x, z in ((1e-3, 5e-3), (-7e-3, 6.3e-3)):
+        values = {"a1": 0.7, "a5": -3e-3}
+        six = np.array(model.reading(model.vector(values), [], [x, 2e-3, z, 0, 0, 0], [])).ravel()
+        two = np.array(other.reading(other.vector(values), [], [x, z], [])).ravel()
+        assert np.allclose(six[: len(x1)], two, atol=1e-13)
+
+
+def test_sums_of_three_cancel_the_crossing_array():
+    """A sum of three a third of a wavelength apart leaves nothing of a field that is periodic along it."""
+    thirds = np.arange(3) * 0.01
+    for phase in np.linspace(0, 6, 7):
+        assert np.sum(np.cos(2 * np.pi * thirds / 0.03 + phase)) == pytest.approx(0, abs=1e-12)
+
+
+def test_layouts_that_do_not_tell_six_coordinates_are_refused():
+    layout = planar.pinwheel()
+    kept = [s for s in sensors(layout) if s.array != "Y2"]
+    few = [s for s in sensors(layout) if s.array[0] == "X"]
+    few = (*few, *(a for a in arrays(layout).values() if a.along == "x"))
+    with pytest.raises(InputError, match="2 arrays tell 4 of six coordinates"):
+        planar.halbach_planar(few)
+    with pytest.raises(InputError, match="must name its array"):
+        planar.halbach_planar((Sensor("hall_0_0_v", ((0.0, 0.0),)), *arrays(layout).values()))
+    with pytest.raises(InputError, match="seen by 0 sensors"):
+        planar.halbach_planar((*kept, *arrays(layout).values()))
+    long = (*sensors(layout), *(Array(a.name, 0.03 + 1e-3 * (n == "X1"), a.along, a.centre)
+                                for n, a in arrays(layout).items()))  # fmt: skip
+    with pytest.raises(InputError, match="must have one wavelength"):
+        planar.halbach_planar(long)
+
+
+def test_a_layout_is_read_from_meta_and_saved(model):
+    from hallsym.families import build
+    from hallsym.log import Meta
+
+    entries = [dict(part.entry) for part in model.layout]
+    raw = {"channels": [e for e in entries if "channel" in e], "arrays": [e for e in entries if "name" in e]}
+    assert build("planar_h5", meta=Meta(raw=raw)).layout == model.layout
+    assert build("halbach_planar", meta=Meta(probes=entries)).layout == model.layout
+    assert PLANAR.reads((*model.channels, *model.references))
+
+
+# -- finite arrays of cuboids --------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_all_sensors_reach_where_the_closed_form_does_not():
+    """On cuboids without noise, all six moving: under 1 um and 3 urad, where the closed form leaves tens."""
+    pytest.importorskip("magpylib")
+    model, rng = planar.halbach_planar(single()), np.random.default_rng(0)
+    train = drawn(rng, 160)
+    v = plant(model.layout, train)
+    fit = hallsym.fit(log_of(model, train, v), model, solver="direct", loss="none")
+    poses = drawn(rng, 60)
+    read = plant(model.layout, poses)
+    whole = on_arrays(model.decoded)(fit.values, [], read, [], np.ones(len(read)))[0]
+    sym = ca.SX.sym("v", len(read))
+    named = {n: ca.SX(v) for n, v in zip(model.names, fit.values, strict=True)}
+    closed = on_arrays(ca.Function("closed", [sym], [planar.begin(sym, named, model.layout)]))(read)[0]
+    found, start = rms(whole - poses.T), rms(closed - poses.T)
+    assert np.all(found[:3] < 1)
+    assert np.all(found[3:] < 3)
+    assert np.all(start[:2] > 10)
+    assert rms(np.atleast_2d((v - on_arrays(model.reading)(fit.values, [], [*train.T], [])[0]).ravel())) < 1e3
+
+
+@pytest.mark.slow
+def test_the_misfit_in_the_middle_and_at_the_edges():
+    """Model of endless arrays against finite ones: where their ends are near, the field is another."""
+    pytest.importorskip("magpylib")
+    array = Array("X", 0.03, "x", (0.0, 0.0), 0.18, 0.15)
+    parts = magnets(0, (0.0, 0.0), array.length_m, array.width_m)
+    model = halbach(columns((-0.01, 0.0, 0.01)))
+    read = on_arrays(model.reading)
+    left = {}
+    for name, middle in (("middle", 0.0), ("30 mm from the end", 0.06), ("15 mm from the end", 0.075)):
+        x = middle + np.linspace(-5e-3, 5e-3, 21)
+        poses = np.column_stack([-x, 0 * x, 0 * x + 5e-3, 0 * x, 0 * x, 0 * x])
+        v = GAIN * readings(parts, np.array([[0.0, 0.0]]), poses)[0]
+        a1 = GAIN * 1.25 * 0.7131 * np.exp(-2 * np.pi / 6)
+        p = model.vector({"a1": a1, "a5": -0.00480})
+        left[name] = np.abs(v - read(p, [], [poses[:, 0], poses[:, 2]], [])[0][1]).max() / a1
+    assert left["middle"] < 1e-3
+    assert left["middle"] < left["30 mm from the end"] < left["15 mm from the end"] < 0.1
+
+
+@pytest.mark.slow
+def test_decoding_within_the_noise_over_the_thesis_box():
+    model, rng = planar.halbach_planar(), np.random.default_rng(2)
+    poses = drawn(rng, 400, low=4e-3, high=1e-2, stroke=0.015)
+    clean = on_arrays(model.reading)(model.nominal, [], [*poses.T], [])[0]
+    noisy = clean + 1e-3 * rng.standard_normal(clean.shape)
+    weight = np.full(len(clean), 1e6)
+    found = on_arrays(model.decoded)(model.nominal, [], noisy, [], weight)[0]
+    gain = on_arrays(model.noise_gain_at)(model.nominal, [*poses.T], [], weight)[0]
+    std = 1e-3 * np.sqrt((gain.reshape(len(clean), 6, -1) ** 2).sum(axis=0))
+    from hallsym.log import near
+
+    error = near(model, found, poses.T) - poses.T
+    assert np.all(np.abs(np.mean((error / std) ** 2, axis=1) - 1) < 0.3)

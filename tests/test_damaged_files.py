@@ -1,0 +1,31 @@
+"""Every reader with damaged files: one sentence, in time, no other numbers in silence (damaged_files.py)."""
+
+import pytest
+from damaged_files import Workshop, targets
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+READERS = {target.name: target for target in targets()}
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    pytest.importorskip("pyarrow")
+    pytest.importorskip("h5py")
+    pytest.importorskip("SALib")
+    return Workshop(tmp_path_factory.mktemp("damaged"))
+
+
+@settings(max_examples=120)
+@given(seed=st.integers(0, 10**9), name=st.sampled_from(sorted(READERS)))
+def test_a_damaged_file_is_refused_or_says_what_it_is(workshop: Workshop, seed: int, name: str) -> None:
+    outcome = workshop.case(READERS[name], seed)
+    assert not outcome.fault, outcome
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(READERS))
+def test_hundreds_of_damaged_files_of_each_reader(workshop: Workshop, name: str) -> None:
+    found = [workshop.case(READERS[name], seed) for seed in range(100)]
+    assert [outcome for outcome in found if outcome.fault] == []
+    assert sum(outcome.kind == "refused" for outcome in found) > 50
