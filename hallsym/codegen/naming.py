@@ -63,10 +63,10 @@ def mapping(columns: Iterable[str]) -> dict[str, str]:
 
 
 def check_distinct(columns: Iterable[tuple[str, str]], outputs: Iterable[str], others: Iterable[str]) -> None:
-    """Refuse columns (column, name in C) whose names are those of another, or of an entry or step of the code.
+    """Refuse columns (column, name in C) that are called like another, or like an entry or step of the code.
 
-    Status bits and macros are in capitals, so names that differ by these alone are the same; `outputs` are the
-    names whose macros begin with OUT_.
+    Status bits and macros are in capitals, so names that differ by these alone are the same; `outputs` are
+    the names whose macros begin with OUT_.
     """
     taken = {name.upper(): "a number of the code" for name in others}
     taken |= {f"OUT_{name}".upper(): "an output" for name in outputs}
@@ -75,8 +75,8 @@ def check_distinct(columns: Iterable[tuple[str, str]], outputs: Iterable[str], o
         taken[name.upper()] = quoted(column)
         if other:
             raise InputError(
-                f"Column {quoted(column)} would be called {commented(name)[:80]} in C, as {other} is; rename it "
-                "in the log (--column) and fit again."
+                f"Column {quoted(column)} would be called {commented(name)[:80]} in C, as {other} is; rename "
+                "it in the log (--column) and fit again."
             )
 
 

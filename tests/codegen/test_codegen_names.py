@@ -60,7 +60,7 @@ def foreign(*channels):
     ["zero_x_m", "limit_z_m", "gain_hall_b_m", "x_hall_b_m", "now_hall_b_m", "Z_m", "z_m", "out_x_m"],
 )
 def test_a_probe_that_is_called_like_a_number_of_the_code_is_refused(column, arithmetic):
-    with pytest.raises(InputError, match="would be called .* in C, as .* is; rename it"):
+    with pytest.raises(InputError, match=r"would be called .* in C, as .* is; rename it"):
         generate(foreign(column, "hall_b_m", "hall_c_m"), arithmetic=arithmetic)
 
 

@@ -1,8 +1,8 @@
 """The self-test that goes with generated C, tested: it must notice what is wrong with the code.
 
-Each mutant is the library with one operator, constant or statement changed. A mutant that compiles to the same
-instructions is none (trivial compiler equivalence, Papadakis et al., doi:10.1109/ICSE.2015.103); others that compute
-the same, such as a comparison that decides between equal values, are counted as missed.
+Each mutant is the library with one operator, constant or statement changed. A mutant that compiles to the
+same instructions is none (trivial compiler equivalence, Papadakis et al., doi:10.1109/ICSE.2015.103); others
+that compute the same, such as a comparison that decides between equal values, are counted as missed.
 """
 
 import re
