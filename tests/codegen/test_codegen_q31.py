@@ -139,7 +139,8 @@ def test_a_million_inputs_behave_and_give_the_same_bits_on_every_core(case, tmp_
     sources = ["src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c"]
     ran(
         tmp_path / "fw", "gcc", "-std=c99", "-O2", "-fsanitize=undefined",
-        "-fsanitize-undefined-trap-on-error", "-Iinclude", "-Iparams", "-Itest", *sources, "million.c", "-o", "million",
+        "-fsanitize-undefined-trap-on-error", "-Iinclude", "-Iparams", "-Itest", *sources, "million.c",
+        "-o", "million",
     )  # fmt: skip
     assert int(ran(tmp_path / "fw", "./million"), 16) == made_of.backend.hash(1_000_000)
     for core, machine in CORES.items():
