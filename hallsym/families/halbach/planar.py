@@ -22,6 +22,7 @@ from hallsym.errors import InputError
 from hallsym.families.halbach import links
 from hallsym.families.halbach.layout import Array, Layout, Sensor, arrays, part_of, sensors
 from hallsym.families.halbach.models import FAR, HARMONICS, WAVELENGTH_M
+from hallsym.families.halbach.planar_checks import check_sums, inspect
 from hallsym.log import Meta
 from hallsym.model import Family, Model, Parameter, Signals, on_arrays
 
@@ -73,6 +74,7 @@ def halbach_planar(layout: Layout | None = None) -> Model:
         begin=lambda v, p: begin(v, p, layout),
         onward=onward,
         guess=guess,
+        inspect=inspect,
         typical=tuple(map(tuple, _typical(level, wave))),
     )
     return model
@@ -346,6 +348,8 @@ def check(layout: Layout) -> None:
     waves = {a.wavelength_m for a in arrays(layout).values()}
     if len(waves) > 1:
         raise InputError(f"The arrays of a mover must have one wavelength; instead received {sorted(waves)}.")
+    for sensor in sensors(layout):
+        check_sums(sensor, arrays(layout)[sensor.array])
     rows = least_squares(layout) if names else np.zeros((0, 6))
     rank = int(np.linalg.matrix_rank(rows * np.array([1, 1, 1, 0.1, 0.1, 0.1]), tol=1e-3))
     if rank < len(POSE):
