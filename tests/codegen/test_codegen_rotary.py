@@ -56,7 +56,8 @@ def calibrated(model, values):
     n = len(p)
     return replace(
         calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), zeros={},
-        covariance=np.zeros((n, n)),
+        covariance=np.zeros((n, n)), degrees_of_freedom=np.full(n, np.inf), errors=None, error_rows={},
+        noise_floor={},
         noise=Noise({c: Sigma(3e-4, "given") for c in (*model.channels, *model.references)}),
         log={"span": {"angle_ref_rad": [0.0, 12.0], "temperature_degc": [20.0, 30.0]}, "sha256": 64 * "0"},
     )  # fmt: skip
