@@ -61,8 +61,8 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     if silent.any():
         raise InputError(
             f"Channel {model.channels[int(np.flatnonzero(silent)[0])]} of {log.name} hardly sees the "
-            f"field (its amplitude is under {100 * SILENT:.0f} % of the others'): it lies outside its array, or is not "
-            "connected; leave it out of the layout."
+            f"field (its amplitude is under {100 * SILENT:.0f} % of the others'): it lies outside its array, or "
+            "is not connected; leave it out of the layout."
         )
     _wavelength(places, v, wave, float(np.median(share)), log.name)
     if travel[shortest] >= WHOLE * wave:
@@ -97,8 +97,8 @@ def _inside(model: Model, known: dict[str, Array], places: Sequence[np.ndarray],
         if beyond > 0:
             raise InputError(
                 f"The mover of {name} goes {1e3 * beyond:.3g} mm beyond sensor {sensor.channel}, "
-                f"which array {array.name} ({1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm) then no longer covers; "
-                "check zero and unit of the reference, leave out those poses, or the sensor."
+                f"which array {array.name} ({1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm) then no longer "
+                "covers; check zero and unit of the reference, leave out those poses, or the sensor."
             )
 
 
