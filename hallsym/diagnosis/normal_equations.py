@@ -143,7 +143,7 @@ class Accumulator:
         near, D = self._near(batch, weights)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
         metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY else D
-        for first, last in batch.groups(TOGETHER):
+        for first, last in batch.groups(max(1, TOGETHER * MANY // max(len(rows), MANY))):
             lay = batch.layout(first, last)
             own, others = lay(near), [lay(r) for r in rows]
             if len(rows) > MANY:

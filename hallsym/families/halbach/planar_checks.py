@@ -59,10 +59,11 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
     share, size = explained(places, v, 2 * np.pi / wave)
     silent = size < SILENT * np.median(size)
     if silent.any():
+        name = model.channels[int(np.flatnonzero(silent)[0])]
         raise InputError(
-            f"Channel {model.channels[int(np.flatnonzero(silent)[0])]} of {log.name} hardly sees the "
-            f"field (its amplitude is under {100 * SILENT:.0f} % of the others'): it lies outside its array, or "
-            "is not connected; leave it out of the layout."
+            f"Channel {name} of {log.name} hardly sees the "
+            f"field (its amplitude is under {100 * SILENT:.0f} % of the others'): it lies outside its "
+            "array, or is not connected; leave it out of the layout."
         )
     _wavelength(places, v, wave, float(np.median(share)), log.name)
     if travel[shortest] >= WHOLE * wave:
@@ -95,9 +96,10 @@ def _inside(model: Model, known: dict[str, Array], places: Sequence[np.ndarray],
         array = known[sensor.array]
         beyond = np.array([np.abs(at[:, 0]) - array.length_m / 2, np.abs(at[:, 1]) - array.width_m / 2]).max()
         if beyond > 0:
+            size = f"{1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm"
             raise InputError(
                 f"The mover of {name} goes {1e3 * beyond:.3g} mm beyond sensor {sensor.channel}, "
-                f"which array {array.name} ({1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm) then no longer "
+                f"which array {array.name} ({size}) then no longer "
                 "covers; check zero and unit of the reference, leave out those poses, or the sensor."
             )
 
