@@ -8,7 +8,7 @@ from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import column_numbers, column_ranges, command, noted, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.checks import sha256
-from hallsym.codegen.folder import name_of, options_of
+from hallsym.codegen.folder import name_of, type_of
 from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.codegen.naming import PREFIX
 from hallsym.estimation.calibration import Fit, load_fit
@@ -43,8 +43,8 @@ def add(sub: Any) -> None:
         help="box of a pose, state or reading column: --range z_um=-200:200 (repeat; default: as recorded)",
     )  # fmt: skip
     parser.add_argument(
-        "--arithmetic", choices=("float", "q31"), default="float",
-        help="q31: 32-bit integers, for a controller without a floating-point unit",
+        "--arithmetic", choices=("float", "q31"),
+        help="float (default), or q31: 32-bit integers, for a controller without a floating-point unit",
     )  # fmt: skip
     parser.add_argument(
         "--accuracy", metavar="COLUMN=ANGLE",
@@ -91,25 +91,21 @@ def _made(fit: Fit, options: Namespace) -> Generated:
     columns = (*fit.model.pose, *fit.model.state, *fit.model.channels)
     ranges, allow = column_ranges(options.range, columns), options.allow_undetermined
     folder = Path(options.output)
-    before = options_of(folder) if options.params_only else {}
     name = options.name or (name_of(folder) if options.params_only else PREFIX)
-    accuracy, correction = _accuracy(options.accuracy, fit), options.correction
-    if accuracy is None:
-        accuracy = before.get("accuracy")
-    if correction is None:
-        correction = before.get("correction")
+    kind = type_of(folder) if options.params_only and not options.arithmetic else ""
     return generate(
         fit,
-        arithmetic=options.arithmetic,
+        arithmetic=options.arithmetic or ("q31" if kind == "q31" else "float"),
         ranges=ranges,
-        double=options.double,
-        jacobian=options.jacobian or str(before.get("jacobian", "")) or False,
-        fma=options.fma or bool(before.get("fma")),
-        accuracy=accuracy,
-        correction=correction,
+        double=options.double or kind == "double",
+        jacobian=options.jacobian,
+        fma=options.fma,
+        accuracy=_accuracy(options.accuracy, fit),
+        correction=options.correction,
         allow_undetermined=allow,
         calibration_sha256=digest,
         name=name,
+        like=folder if options.params_only else None,
     )
 
 

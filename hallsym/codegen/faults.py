@@ -33,8 +33,10 @@ def of_words() -> Iterator[str]:
     yield from expect(both, "DECOUPLER_BAD_VERSION | DECOUPLER_BAD_LAYOUT")
 
 
-def of_several(d: Decoupler, limited: Sequence[str], zero: str | None) -> Iterator[str]:
-    """Faults of every kind at once: each has a bit of its own."""
+def of_several(
+    d: Decoupler, limited: Sequence[str], zero: str | None, *, gains: bool = True
+) -> Iterator[str]:
+    """Faults of every kind at once: each has a bit of its own. `gains`: whether those are checked."""
     changes, found = ["table.version += 1U;"], ["DECOUPLER_BAD_VERSION"]
     if limited:
         name, symmetric = short(limited[0]), d.box.symmetric(limited[0])
@@ -42,7 +44,7 @@ def of_several(d: Decoupler, limited: Sequence[str], zero: str | None) -> Iterat
         changes.append(f"table.{one} = {'-' if symmetric else ''}decoupler_params.{other};")
         changes += [] if symmetric else [f"table.{other} = decoupler_params.{one};"]
         found.append("DECOUPLER_BAD_LIMITS")
-    if d.margins:
+    if d.margins and gains:
         changes.append(f"table.{d.margins[0].rest} = 0;")
         found.append("DECOUPLER_BAD_GAIN")
     if zero:

@@ -11,6 +11,8 @@ from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.templates import lines_of
 
 FRAGMENTS = "q31/fragments/"
+LARGEST = 2**31 - 128
+"""Largest integer of a value or an end of a range: the largest float below 2^31, where conversions end."""
 UNSIGNED = ("angle", "turn")
 """Operations whose result is a binary angle."""
 
@@ -112,6 +114,9 @@ class Program:
     """Name of the line and exponent, by pose column."""
     bounds: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """Least and greatest exact value and error [SI], by pose column."""
+    plan: list[int] = field(default_factory=list)
+    """Exponents and counts of steps in the order in which they were chosen: given again, they make the same
+    code."""
     reciprocals: list[Reciprocal] = field(default_factory=list)
     angles: frozenset[str] = frozenset()
     """Columns that are binary angles: 2^32 to a turn, unsigned."""

@@ -24,6 +24,8 @@ MANIFEST = "manifest.json"
 """Lists what is generated in a folder, with the SHA-256 of each file."""
 PROOF = "doc/proof.txt"
 """What `make prove` found: of no use once a table has changed."""
+WIDEST_PLAN = 200
+"""Largest size of an exponent that a folder is believed: beyond it the record was edited."""
 Files = Mapping[str, str | bytes]
 
 
@@ -94,7 +96,17 @@ def _header(folder: Path) -> str:
 def options_of(folder: Path) -> dict[str, Any]:
     """Return what the choices of a generated folder came to: given again, they make the same code."""
     found = _record(folder / "params" / f"{name_of(folder)}_params.json").get("options")
-    return found if isinstance(found, dict) else {}
+    if not isinstance(found, dict):
+        return {}
+    plan = found.get("plan", [])
+    if not (isinstance(plan, list) and all(type(n) is int and abs(n) <= WIDEST_PLAN for n in plan)):
+        return {}
+    return found
+
+
+def type_of(folder: Path) -> str:
+    """Return the type of the numbers of a generated folder: float, double or q31; float by default."""
+    return str(_record(folder / "params" / f"{name_of(folder)}_params.json").get("type", "float"))
 
 
 # -- the manifest ------------------------------------------------------------------------------------------

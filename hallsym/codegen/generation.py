@@ -13,13 +13,15 @@ from hallsym.codegen.bounds import Bounds, pose_bounds
 from hallsym.codegen.box import box_of
 from hallsym.codegen.checks import check, check_bounds, check_gains, check_same, digest_of, notes_of
 from hallsym.codegen.decoupler import Decoupler
+from hallsym.codegen.entries import short
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
+from hallsym.codegen.folder import options_of as options_before
 from hallsym.codegen.folder import replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
 from hallsym.codegen.lowering import lower, lowering_of, options_of
-from hallsym.codegen.naming import PREFIX, check_prefix, mapping, renamed_files
+from hallsym.codegen.naming import PREFIX, check_distinct, check_prefix, mapping, renamed_files
 from hallsym.codegen.slopes import kinds_of
 from hallsym.errors import InputError, quoted
 from hallsym.estimation.calibration import Fit
@@ -101,6 +103,7 @@ def generate(
     allow_undetermined: bool = False,
     calibration_sha256: str | None = None,
     name: str = PREFIX,
+    like: str | Path | None = None,
 ) -> Generated:
     """Generate the C decoupler of a calibration.
 
@@ -111,7 +114,9 @@ def generate(
     `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of integers 1e-5;
     `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what
     harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and files, so that several
-    decouplers fit in one image. Raises `InputError` for a calibration that cannot be trusted on a controller.
+    decouplers fit in one image. `like`: a generated folder whose code it shall have, for a recalibration:
+    what was chosen there, such as exponents and the form of a table, is taken where it is not given. Raises
+    `InputError` for a calibration that cannot be trusted on a controller.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(
@@ -120,20 +125,34 @@ def generate(
     check_prefix(name)
     check(fit, allow_undetermined)
     named = mapping((*fit.model.channels, *fit.model.state, *fit.model.pose))
+    columns = [(c, short(c)) for c in (*fit.model.channels, *fit.model.state)]
+    check_distinct(columns, map(short, fit.model.pose), ())
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
     record |= {} if name == PREFIX else {"name": name}
-    given: dict[str, Any] = {"accuracy": accuracy, "correction": correction}
+    before = {} if like is None else options_before(Path(like))
+    given: dict[str, Any] = {
+        "accuracy": before.get("accuracy") if accuracy is None else accuracy,
+        "correction": before.get("correction") if correction is None else correction,
+    }
     if arithmetic == "q31":
         for option, unwanted in (("double", double), ("jacobian", bool(jacobian)), ("fma", fma)):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
-        backend: Backend = _integers(fit, record, ranges, given)
+        backend: Backend = _integers(fit, record, ranges, given, before.get("plan"))
     else:
-        real = replace(DOUBLE if double else FLOAT, fused=fma)
+        jacobian = jacobian or str(before.get("jacobian", "")) or False
+        real = replace(DOUBLE if double else FLOAT, fused=fma or bool(before.get("fma")))
         backend = _floats(fit, record, ranges, given, real, kinds_of(jacobian, fit.model))
     errors = backend.errors()
     notes = (*notes_of(fit), *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()))
     return Generated(backend, renamed_files(backend.files(errors, notes), name), errors, notes, name)
+
+
+def _check_names(d: Decoupler) -> None:
+    """Refuse columns that are called like an entry, a step or a flag of the code."""
+    others = [step.name for step in (*d.steps[: -len(d.pose)], *d.at_pose)] + [e.name for e in d.entries]
+    others += [array.name for array in d.arrays] + [flag.name for flag in d.flags]
+    check_distinct([(c, short(c)) for c in d.inputs], map(short, d.pose), others)
 
 
 def _floats(
@@ -145,6 +164,7 @@ def _floats(
     jacobian: tuple[str, ...],
 ) -> FloatBackend:
     found = lower(fit, box_of(fit, ranges), **given)
+    _check_names(found)
     if jacobian and found.bounded is not None:
         raise InputError(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
@@ -166,6 +186,7 @@ def _integers(
     record: Mapping[str, Any],
     ranges: Mapping[str, tuple[float, float]] | None,
     given: Mapping[str, Any],
+    plan: Sequence[int] | None,
 ) -> IntegerBackend:
     has_options = bool(options_of(lowering_of(fit.model)))
     for column in (ranges or {}) if has_options else ():
@@ -176,10 +197,11 @@ def _integers(
             )
     unseen = {name: UNSEEN[name] for name in options_of(lowering_of(fit.model))}
     found = lower(fit, box_of(fit, ranges), **(unseen if has_options else given))
+    _check_names(found)
     check_gains(pose_bounds(found))
     check_same(found)
-    made = integer_program(found, **{name: value for name, value in given.items() if value is not None})
-    return IntegerBackend(found, {**record, **_recorded(made.options, given)}, made)
+    made = integer_program(found, plan, **{name: value for name, value in given.items() if value is not None})
+    return IntegerBackend(found, {**record, **_recorded({**made.options, "plan": made.plan}, given)}, made)
 
 
 def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from hallsym.codegen.backend import bit, ends, of_params, raised
 from hallsym.codegen.binary_angle import UNIT
 from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short
-from hallsym.codegen.fixed_point import Reciprocal, helpers
+from hallsym.codegen.fixed_point import LARGEST, Reciprocal, helpers
 from hallsym.codegen.integer_arithmetic import MOST, IntegerArithmetic
 from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.templates import lines_of
@@ -69,21 +69,27 @@ class IntegerBackend(IntegerArithmetic):
             {
                 "macro": prefix[c.column] + short(c.column).upper(),
                 "exponent": e,
+                "power": repr(2.0**e),
+                "step": repr(2.0**-e),
                 "column": commented(c.column),
                 "unit": c.unit,
+                "input": c.column in p.inputs,
             }
             for c in (*self.inputs, *self.outputs)
-            for e in [self.exponents.get(c.column)]
+            for e in [self.exponents.get(c.column, 0)]
             if c.column not in p.angles
         ]
         said = [f" * {line}" for text in p.said for line in textwrap.wrap(text, 110)]
         bam = f"#define DECOUPLER_RAD_PER_BAM {UNIT!r} /**< binary angles: 2^-32 turn */"
+        of_angles = [bam, *lines_of(f"{FRAGMENTS}angle_conversions.h", {"per_rad": repr(1 / UNIT)})]
         common = {
             "out": self._outputs(errors),
             # header
             "scaled": scales,
+            "scaledinput": [s for s in scales if s["input"]],
+            "conversions": lines_of(f"{FRAGMENTS}conversions.h", {"largest": LARGEST}) if scales else [],
             "no_bits": [] if self.limited or d.flags else [""],
-            "rad_per_bam": [bam] if p.angles else [],
+            "rad_per_bam": of_angles if p.angles else [],
             "said": [*lines_of(f"{FRAGMENTS}binary_angles.txt", {}), *said] if p.angles else said,
             "known_bit": [] if p.angles else [KNOWN_BIT],
             # build files
@@ -217,7 +223,7 @@ class IntegerBackend(IntegerArithmetic):
         yield from faults.of_limits(d, self.limited)
         if not p.angles:
             yield from faults.of_margins(d, reach, write)
-            yield from faults.of_several(d, self.limited, None)
+        yield from faults.of_several(d, self.limited, None, gains=not p.angles)
 
     def _count(self) -> dict[str, Any]:
         """Inputs in range, all above, all below, above and below in turn."""

@@ -21,11 +21,14 @@ private protected public register reinterpret_cast restrict return short signed 
 static_cast struct switch template this thread_local throw true try typedef typeid typename typeof union
 unsigned using virtual void volatile wchar_t while xor xor_eq
 """
-_LOCAL = "bad bits bytes crc found high in k limit low n out p pose result seen slopes status value"
+_LOCAL = """
+angle_of bad bits bytes crc field found greater high in k known limit limited low n negative not_finite out p
+pose pose_of result seen size slopes status upper value within
+"""
 KEYWORDS = frozenset(_WORDS.split())
 """Words of C11 and C++20 that no identifier can be; the header is for both."""
 TAKEN = frozenset(_LOCAL.split())
-"""Names that generated functions use themselves."""
+"""Names that generated functions and status bits use themselves; of integers, lines are q1, q2, ... too."""
 
 
 def identifier(text: str) -> str:
@@ -39,7 +42,8 @@ def identifier(text: str) -> str:
     made = re.sub(r"[^A-Za-z0-9_]", lambda found: f"_x{ord(found[0]):02x}_", text)
     if not re.match(r"[A-Za-z]", made):
         made = f"c_{made}"
-    return f"{made}_" if made in KEYWORDS | TAKEN else made
+    taken = made in KEYWORDS or made.lower() in TAKEN or re.fullmatch(r"q\d+", made)
+    return f"{made}_" if taken else made
 
 
 def mapping(columns: Iterable[str]) -> dict[str, str]:
@@ -56,6 +60,24 @@ def mapping(columns: Iterable[str]) -> dict[str, str]:
                 "rename one of them in the log (--column) and fit again."
             )
     return {column: name for name, column in made.items() if name != column}
+
+
+def check_distinct(columns: Iterable[tuple[str, str]], outputs: Iterable[str], others: Iterable[str]) -> None:
+    """Refuse columns (column, name in C) that are called like another, or like an entry or step of the code.
+
+    Status bits and macros are in capitals, so names that differ by these alone are the same; `outputs` are
+    the names whose macros begin with OUT_.
+    """
+    taken = {name.upper(): "a number of the code" for name in others}
+    taken |= {f"OUT_{name}".upper(): "an output" for name in outputs}
+    for column, name in columns:
+        other = taken.get(name.upper())
+        taken[name.upper()] = quoted(column)
+        if other:
+            raise InputError(
+                f"Column {quoted(column)} would be called {commented(name)[:80]} in C, as {other} is; rename "
+                "it in the log (--column) and fit again."
+            )
 
 
 def commented(text: str) -> str:

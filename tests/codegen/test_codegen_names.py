@@ -55,6 +55,25 @@ def foreign(*channels):
 
 
 @pytest.mark.parametrize("arithmetic", ["float", "q31"])
+@pytest.mark.parametrize(
+    "column",
+    ["zero_x_m", "limit_z_m", "gain_hall_b_m", "x_hall_b_m", "now_hall_b_m", "Z_m", "z_m", "out_x_m"],
+)
+def test_a_probe_that_is_called_like_a_number_of_the_code_is_refused(column, arithmetic):
+    with pytest.raises(InputError, match=r"would be called .* in C, as .* is; rename it"):
+        generate(foreign(column, "hall_b_m", "hall_c_m"), arithmetic=arithmetic)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+def test_probes_that_are_called_like_functions_of_the_code_compile(tmp_path, arithmetic):
+    need("gcc", "make")
+    for column in ("upper_m", "limited_m", "within_m", "q1_m", "known_m", "negative_m", "field_m", "size_m"):
+        generate(foreign(column, "hall_b_m", "hall_c_m"), arithmetic=arithmetic).write(tmp_path / column)
+        assert "as stated" in ran(tmp_path / column, "make", "check")
+
+
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
 def test_probes_of_any_name_give_code_that_compiles(tmp_path, arithmetic):
     need("gcc", "make")
     evil = ("hall_x-1_m", "hall_a; int evil; float q_m", "hall_*/ #error \n_m")

@@ -117,6 +117,43 @@ def test_stated_bits_and_instructions_on_a_cortex_m0(folder):
     assert foreign == ["decoupler_crc"]  # no division, no 64-bit product of a library
 
 
+CORES = {
+    "M0": (),
+    "M3": ("MACHINE=mps2-an385", "CPU=-mcpu=cortex-m3 -mthumb"),
+    "M4": ("MACHINE=mps2-an386", "CPU=-mcpu=cortex-m4 -mthumb"),
+    "M7": ("MACHINE=mps2-an500", "CPU=-mcpu=cortex-m7 -mthumb"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["stage31", "encoder"])
+def test_a_million_inputs_behave_and_give_the_same_bits_on_every_core(case, tmp_path):
+    need("gcc", "make", "arm-none-eabi-gcc", "qemu-system-arm")
+    made_of = made("stage31", arithmetic="q31") if case == "stage31" else encoder()
+    made_of.write(tmp_path / "fw")
+    main_c = tmp_path / "fw/million.c"
+    main_c.write_text(
+        '#include <stdio.h>\n#include "selftest.h"\n'
+        'int main(void) { printf("%lx\\n", (unsigned long)decoupler_hash(1000000U)); return 0; }\n'
+    )
+    sources = ["src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c"]
+    ran(
+        tmp_path / "fw", "gcc", "-std=c99", "-O2", "-fsanitize=undefined",
+        "-fsanitize-undefined-trap-on-error", "-Iinclude", "-Iparams", "-Itest", *sources, "million.c",
+        "-o", "million",
+    )  # fmt: skip
+    assert int(ran(tmp_path / "fw", "./million"), 16) == made_of.backend.hash(1_000_000)
+    for core, machine in CORES.items():
+        ran(tmp_path / "fw", "make", "clean")
+        assert ran(tmp_path / "fw", "make", "qemu", *machine).count("as stated") == 2, core
+
+
+def encoder():
+    from test_codegen_correction import fit_of
+
+    return generate(fit_of("meng volts"), arithmetic="q31")
+
+
 @pytest.mark.slow
 def test_cppcheck_finds_nothing_that_is_not_listed(folder):
     need("cppcheck", "make")

@@ -1,7 +1,8 @@
 """The self-test that goes with generated C, tested: it must notice what is wrong with the code.
 
-Each mutant is the library with one operator, constant or statement changed. Mutants that compute the same
-(such as a comparison that decides between equal values) cannot be noticed; the score counts them as missed.
+Each mutant is the library with one operator, constant or statement changed. A mutant that compiles to the
+same instructions is none (trivial compiler equivalence, Papadakis et al., doi:10.1109/ICSE.2015.103); others
+that compute the same, such as a comparison that decides between equal values, are counted as missed.
 """
 
 import re
@@ -9,9 +10,10 @@ import subprocess
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from firmware import calibration, need
+from test_codegen_correction import fit_of
 
 from hallsym.codegen import generate
-from tests.firmware import calibration, need
 
 LEAST = 0.95
 """Share of the mutants that the self-test must notice."""
@@ -44,6 +46,12 @@ def _other(constant):
     )
 
 
+def machine_code(folder, source):
+    """The machine code of a source, optimized: a mutant with the same is no other program."""
+    command = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", "-w", "-Iinclude", "-S", "-xc", "-", "-o", "-"]
+    return subprocess.run(command, cwd=folder, input=source, capture_output=True, text=True).stdout
+
+
 def noticed(folder, number, name, source):
     """Whether a mutant fails to compile or its self-test says that something is wrong."""
     path, program = folder / "build" / f"{number}.c", folder / "build" / f"{number}"
@@ -63,17 +71,36 @@ def noticed(folder, number, name, source):
     return ran.returncode != 0
 
 
+CASES = {
+    "stage31": lambda: generate(calibration()),
+    "stage31 in integers": lambda: generate(calibration(), arithmetic="q31"),
+    "encoder of two voltages, table": lambda: generate(fit_of("clipped"), accuracy=5e-3),
+    "encoder of a decoded angle": lambda: generate(fit_of("meng angle")),
+    "encoder of two voltages in integers": lambda: generate(fit_of("meng volts"), arithmetic="q31"),
+    "encoder of a decoded angle in integers": lambda: generate(fit_of("meng angle"), arithmetic="q31"),
+}
+
+
+MISSED = pytest.mark.xfail(
+    reason="no step after a zero goes beyond half a turn: wraps of the output are not tried", strict=True
+)
+OF_FLOATS = ("encoder of two voltages, table", "encoder of a decoded angle")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("arithmetic", ["float", "q31"])
-def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, arithmetic):
+@pytest.mark.parametrize("case", [pytest.param(c, marks=MISSED) if c in OF_FLOATS else c for c in CASES])
+def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, case):
     need("gcc")
-    generate(calibration(), arithmetic=arithmetic).write(tmp_path / "fw")
+    CASES[case]().write(tmp_path / "fw")
     folder = tmp_path / "fw"
     (folder / "build").mkdir()
+    names = ("src/decoupler.c", "src/decoupler_check.c")
+    original = {name: machine_code(folder, (folder / name).read_text()) for name in names}
     tried = [
         (number, name, line, source)
-        for name in ("src/decoupler.c", "src/decoupler_check.c")
+        for name in names
         for number, (line, source) in enumerate(mutants((folder / name).read_text()), 10_000 * len(name))
+        if not (compiled := machine_code(folder, source)) or compiled != original[name]
     ]
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(lambda m: noticed(folder, m[0], m[1], m[3]), tried))
@@ -83,5 +110,5 @@ def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, arithmetic)
         if not ok
     ]
     print(f"{sum(found)} of {len(found)} mutants noticed; alive:", *alive, sep="\n")
-    assert len(found) > 60
+    assert len(found) > 50
     assert sum(found) >= LEAST * len(found), alive

@@ -6,6 +6,7 @@ through CORDIC. The correction is looked up, with straight lines between entries
 floating-point unit than any series.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import asin, hypot, pi
 
@@ -15,7 +16,7 @@ from hallsym.codegen import binary_angle
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.entries import Entry, short
 from hallsym.codegen.fixed_point import Fixed, Program
-from hallsym.codegen.integer_c import Compiler, exponent
+from hallsym.codegen.integer_c import DOES_NOT_FIT, Compiler, exponent, planned
 from hallsym.codegen.lowering.correction import (
     ROUNDED,
     SIZES,
@@ -42,11 +43,12 @@ def program(
     *,
     accuracy: float | None = None,
     correction: str = "auto",
+    plan: Sequence[int] | None = None,
 ) -> Program:
     """Return the integer program of an angle; `weak`: share of the amplitude below which a flag is set.
 
     `accuracy`: what the table may leave [rad], default `ENOUGH`, and CORDIC a thirty-second of it;
-    `correction`: as of `table_of`.
+    `correction`: as of `table_of`; `plan`: as of `integer_program`.
     """
     if correction.startswith("series"):
         raise InputError(
@@ -54,7 +56,8 @@ def program(
             "without a floating-point unit: leave out --correction series."
         )
     aim = ENOUGH if accuracy is None else accuracy
-    return _Turns(d, curve, weak, table_of(curve, aim, correction), binary_angle.steps_for(aim)).compile()
+    table, steps = table_of(curve, aim, correction), binary_angle.steps_for(aim)
+    return planned(lambda given: _Turns(d, given, curve, weak, table, steps), plan)
 
 
 def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
@@ -69,8 +72,9 @@ def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
         return like(curve, accuracy, kind, _table(curve, int(entries), int(wide), *map(int, power)))
     if np.abs(curve.needed[1]).max() <= ROUNDED:
         return None
-    for _, bits, count in sorted((bits * n, bits, n) for n in SIZES for bits in (16, 32)):
-        found = _table(curve, count, bits)
+    forms = sorted((bits * n, bits, n, room) for n in SIZES for bits, room in ((16, -1), (16, 0), (32, 0)))
+    for _, bits, count, room in forms:  # room for twice the correction, where it is as near with it
+        found = _table(curve, count, bits, room=-room)
         if sampled(curve, found) <= accuracy:
             sure = replace(found, left=proved(curve, found, accuracy))
             if sure.left <= accuracy:
@@ -78,12 +82,12 @@ def table_of(curve: Curve, accuracy: float, kind: str) -> Grid | None:
     raise InputError(out_of_reach(curve, accuracy, "table", [_table(curve, SIZES[-1], 32)]))
 
 
-def _table(curve: Curve, count: int, bits: int, power: int | None = None) -> Grid:
-    """Return a table in units of 2^`power` BAM, by default the finest that its bits hold."""
+def _table(curve: Curve, count: int, bits: int, power: int | None = None, room: int = 0) -> Grid:
+    """Return a table in units of 2^`power` BAM, by default the finest with `room` bits to spare."""
     middle, rest = curve.needed
     if power is None:
         least = np.log2(max(np.abs(rest).max() / binary_angle.UNIT / WORST, 1.0))
-        power = int(np.ceil(least)) if bits == 16 else 0
+        power = int(np.ceil(least)) + room if bits == 16 else 0
     unit = binary_angle.UNIT * 2.0**power
     values = np.round(rest[:: POINTS // count] / unit)
     constant = float(wrapped(np.array(round(middle / binary_angle.UNIT) * binary_angle.UNIT), 2 * pi))
@@ -91,8 +95,16 @@ def _table(curve: Curve, count: int, bits: int, power: int | None = None) -> Gri
 
 
 class _Turns(Compiler):
-    def __init__(self, d: Decoupler, curve: Curve, weak: float, table: Grid | None, steps: int) -> None:
-        super().__init__(d)
+    def __init__(
+        self,
+        d: Decoupler,
+        plan: Sequence[int] | None,
+        curve: Curve,
+        weak: float,
+        table: Grid | None,
+        steps: int,
+    ) -> None:
+        super().__init__(d, plan)
         self.curve, self.weak, self.table, self.steps = curve, weak, table, steps
 
     def compile(self) -> Program:
@@ -117,7 +129,7 @@ class _Turns(Compiler):
                 "(proved)."
             )
             looked = self._line("look", phase, "correction")
-        if table is not None or shift:
+        if self._shifts(shift):
             angle = self._turn(angle, self._angle("shift", shift, "correction, the same all round"))
             error += binary_angle.UNIT / 2
         if table is not None:
@@ -135,6 +147,14 @@ class _Turns(Compiler):
     def _turn(self, a: str, b: str) -> str:
         return self._line("turn", a, b)
 
+    def _shifts(self, shift: float) -> bool:
+        """Whether a constant is added to the angle."""
+        moves = self.table is not None or abs(shift) >= binary_angle.UNIT / 2
+        planned = bool(self._chosen(lambda: int(moves)))
+        if moves and not planned:
+            raise InputError(f"The calibration's shift of the angle {DOES_NOT_FIT}")
+        return planned
+
     def _read(self) -> tuple[str, float]:
         (column,) = self.d.inputs
         self.p.inputs[column] = 0
@@ -147,14 +167,18 @@ class _Turns(Compiler):
         of a magnet that is much the same needs the same code.
         """
         d, p, off = self.d, self.p, []
-        volts = min(exponent(*d.ends(channel)) for channel in d.inputs)
+        volts = self._exponent(0.0, max(abs(v) for channel in d.inputs for v in d.ends(channel)))
         for channel, center in zip(d.inputs, self.curve.center, strict=True):
             p.inputs[channel] = volts
             given = Fixed(short(channel), volts, *d.ends(channel))
             entry = self._constant(f"center_{short(channel)}", float(center), volts)
             off.append(self._add(given, entry, minus=True))
-        x, y = (self._row(axis, row, off) for axis, row in zip("xy", self.curve.matrix, strict=True))
-        e = min(x.e, y.e, 31 - int(np.ceil(np.log2(binary_angle.SPREAD * max(x.most, y.most)))))
+        most = float(np.abs(self.curve.matrix).max())
+        shared = self._exponent(-most, most)
+        x, y = (self._row(axis, row, off, shared) for axis, row in zip("xy", self.curve.matrix, strict=True))
+        grown = binary_angle.SPREAD * max(x.most, y.most)
+        e = self._chosen(lambda: min(x.e, y.e, exponent(-grown, grown)))
+        self._checked(Fixed("vector", e, -grown, grown))
         x, y = self._cut(x, e), self._cut(y, e)
         field = self._add(self._mul(x, x), self._mul(y, y))
         least = Entry(
@@ -172,10 +196,8 @@ class _Turns(Compiler):
         )
         return self._line("angle", x.text, y.text, self.steps), moved + cordic
 
-    def _row(self, axis: str, row: np.ndarray, off: list[Fixed]) -> Fixed:
+    def _row(self, axis: str, row: np.ndarray, off: list[Fixed], e: int) -> Fixed:
         """One coordinate of the unit circle."""
-        most = float(np.abs(self.curve.matrix).max())
-        e = exponent(-most, most)
         first, second = (
             self._mul(self._constant(f"{axis}_{short(c)}", float(value), e), o)
             for c, value, o in zip(self.d.inputs, row, off, strict=True)

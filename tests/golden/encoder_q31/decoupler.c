@@ -58,7 +58,7 @@ static int32_t correction_at(const decoupler_params_t *p, uint32_t phase)
     const int32_t rest = (int32_t)way;
     const int32_t left = (int32_t)p->correction[cell];
     const int32_t rise = ((int32_t)p->correction[(cell + 1U) & 63U]) - left;
-    return (left * 32) + ((rise * rest) >> 10);
+    return (left * 64) + ((rise * rest) >> 9);
 }
 
 static inline int32_t limited(int32_t value, int32_t low, int32_t high, uint32_t bit, uint32_t *status)

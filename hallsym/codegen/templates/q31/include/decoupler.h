@@ -27,9 +27,20 @@ extern "C" {
 @KNOWN_BIT@
 /** @} */
 
-/** @name Units of inputs and outputs */
+/**
+ * @name Units of inputs and outputs, and conversions
+ *
+ * FROM_SI(si): SI to integer, to the nearest (halves away from zero) in the type of its argument, float or double;
+ * NaN becomes the largest. TO_SI(value): integer to SI, a double. FROM_COUNTS(counts, per_count): counts of a
+ * converter from the zero of its channel, times the constant [SI] that one of them is worth, in 64-bit integers.
+ * What does not fit saturates. All are constant expressions of constants, and evaluate an argument more than once.
+ */
 /** @{ */
+@CONVERSIONS@
 #define @scaled.macro@_EXPONENT @scaled.exponent@ /**< @scaled.column@ = value @scaled.unit@ */
+#define @scaled.macro@_FROM_SI(si) DECOUPLER_SCALED_(si, @scaled.power@)
+#define @scaled.macro@_TO_SI(value) ((double)(value) * @scaled.step@)
+#define @scaledinput.macro@_FROM_COUNTS(counts, per_count) DECOUPLER_COUNTED_(counts, per_count, @scaledinput.power@)
 @RAD_PER_BAM@
 /** @} */
 

@@ -1,0 +1,160 @@
+"""Exponents of the integers outlast a calibration: `--params-only` takes what the same machine may become.
+
+Independent facts: parameters drawn within a hundred times their uncertainty and within their bounds; the
+layout number is that of names, exponents and lines, so the same number is the same code.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from firmware import CASES, calibration, made, need, ran
+from test_codegen_correction import fit_of
+
+from hallsym.cli.main import main
+from hallsym.codegen import box_of, generate, integer_program, lower
+from hallsym.codegen.integer_backend import IntegerBackend
+from hallsym.errors import InputError
+from hallsym.log import Noise, Sigma
+
+
+def drawn(fit, reach, count, seed=0):
+    """Calibrations whose parameters are within `reach` (n,) of those of a fit, and within their bounds."""
+    lower_bound, upper_bound = fit.model.bounds
+    share = np.random.default_rng(seed).uniform(-1, 1, (count, len(reach)))
+    for row in fit.values + share * reach:
+        yield replace(fit, values=np.clip(row, lower_bound, upper_bound))
+
+
+def uncertainty(fit):
+    return 100 * np.nan_to_num(fit.std)
+
+
+def half_of_geometry(fit):
+    """Half of the bounds of positions, tilts and gains; field terms as much again as they are."""
+    lower_bound, upper_bound = fit.model.bounds
+    field = np.array([name[:2] in ("a_", "b_", "c_") for name in fit.model.names])
+    return np.where(field, np.abs(fit.values), (upper_bound - lower_bound) / 4)
+
+
+def backend_of(fit, plan):
+    found = lower(fit, box_of(fit))
+    return IntegerBackend(found, {}, integer_program(found, plan))
+
+
+@pytest.mark.parametrize(
+    ("reach", "count", "most"), [(uncertainty, 25, 0.5e-9), (half_of_geometry, 25, 1e-9)]
+)
+def test_plausible_recalibrations_have_the_same_code(reach, count, most):
+    first = made("stage31", arithmetic="q31").backend
+    for fit in drawn(calibration(), reach(calibration()), count):
+        again = backend_of(fit, first.program.plan)
+        assert again.layout == first.layout
+        for column, error in again.errors(1000).items():
+            assert error <= again.program.bounds[column][2]
+            assert error <= most
+
+
+@pytest.mark.slow
+def test_recalibrations_within_half_of_all_bounds_are_taken_or_refused_by_name():
+    """Bounds of field terms are 25 times what they are: most of these calibrations are of no use at all."""
+    first, fit = made("stage31", arithmetic="q31").backend, calibration()
+    lower_bound, upper_bound = fit.model.bounds
+    counted = {"same": 0, "of no use": 0, "moved": 0}
+    for again in drawn(fit, (upper_bound - lower_bound) / 4, 200):
+        try:
+            generate(again, arithmetic="float")
+        except InputError:
+            counted["of no use"] += 1
+            continue
+        try:
+            assert backend_of(again, first.program.plan).layout == first.layout
+            said = ""
+        except InputError as error:
+            said = str(error)
+        assert not said or "does not fit the exponents of the code" in said
+        counted["moved" if said else "same"] += 1
+    print(counted)
+    assert counted["same"] > 0
+
+
+@pytest.mark.parametrize("case", ["meng angle", "meng volts", "ellipse volts"])
+def test_an_encoder_that_moved_a_little_has_the_same_code(case, tmp_path):
+    fit = fit_of(case)
+    first = generate(fit, arithmetic="q31")
+    first.write(tmp_path / "fw")
+    lower_bound, upper_bound = fit.model.bounds
+    reach = 0.01 * np.minimum(upper_bound - lower_bound, 2.0)
+    for again in drawn(fit, reach, 4):
+        now = generate(again, arithmetic="q31", like=tmp_path / "fw")
+        assert now.backend.layout == first.backend.layout
+        assert now.files["src/decoupler.c"] == first.files["src/decoupler.c"]
+
+
+def test_the_command_recalibrates_by_the_plan_of_the_folder(tmp_path, capsys):
+    need("gcc", "make")
+    folder, fit = tmp_path / "fw", calibration()
+    fit.save(tmp_path / "calib.json")
+    base = ["codegen", str(tmp_path / "calib.json"), "-o", str(folder), "--arithmetic", "q31"]
+    assert main(base) == 0
+    source = (folder / "src/decoupler.c").read_bytes()
+    gains = np.array([name.startswith("eta_") for name in fit.model.names])
+    noise = Noise({c: Sigma(s.value, "given") for c, s in fit.noise.sigmas.items()})
+    moved = replace(fit, values=np.where(gains, 0.97 * fit.values, fit.values * 1.3), noise=noise)
+    lower_bound, upper_bound = fit.model.bounds
+    moved = replace(moved, values=np.clip(moved.values, lower_bound, upper_bound))
+    moved.save(tmp_path / "calib.json")
+    # a folder of its own would get other exponents
+    assert (
+        generate(moved, arithmetic="q31").backend.layout != made("stage31", arithmetic="q31").backend.layout
+    )
+    assert main([*base, "--params-only"]) == 0
+    assert (folder / "src/decoupler.c").read_bytes() == source
+    assert "as stated" in ran(folder, "make", "check")
+    far = replace(fit, values=np.where([n[:2] == "a_" for n in fit.model.names], 6 * fit.values, fit.values))
+    far.save(tmp_path / "calib.json")
+    assert main([*base, "--params-only"]) == 2
+    said = capsys.readouterr().err
+    assert "gain_hall_a_z does not fit the exponents of the code in the folder" in said
+    assert len(said) < 310
+
+
+@pytest.mark.parametrize("edited", [[1000] * 71, ["a"], {"a": 1}, [29] * 71, [29]])
+def test_an_edited_plan_is_no_plan(tmp_path, edited):
+    folder = tmp_path / "fw"
+    made("stage31", arithmetic="q31").write(folder)
+    path = folder / "params/decoupler_params.json"
+    record = json.loads(path.read_text())
+    record["options"]["plan"] = edited
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError):
+        generate(calibration(), arithmetic="q31", like=folder).write(folder, params_only=True)
+
+
+@pytest.mark.parametrize("case", ["stage31", "four probes", "user's height_quadratic"])
+def test_equal_inputs_have_one_exponent(case):
+    found = made(case, arithmetic="q31").backend.exponents
+    model = CASES[case]().model
+    assert len({found[c] for c in model.channels}) == 1
+    assert found["rx_rad"] == found["ry_rad"]
+    assert found["x_m"] == found["y_m"]
+    for c in model.channels:  # and no bit of the largest is given up
+        reach = max(abs(v) for v in made(case, arithmetic="q31").decoupler.ends(c))
+        assert 2**25 <= reach * 2.0 ** found[c] <= 2**30
+
+
+def test_a_probe_of_another_range_keeps_its_own_exponent():
+    small = {"hall_b_m": (-1e-6, 1e-6)}
+    found = generate(calibration(), arithmetic="q31", ranges=small).backend.exponents
+    assert found["hall_a_m"] == found["hall_c_m"] < found["hall_b_m"] - 4
+
+
+@pytest.mark.parametrize("options", [["--arithmetic", "q31"], ["--double"]])
+def test_a_recalibration_takes_the_numbers_of_the_folder(options, tmp_path):
+    calibration().save(tmp_path / "calib.json")
+    base = ["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw")]
+    assert main([*base, *options]) == 0
+    before = (tmp_path / "fw/params/decoupler_params.bin").read_bytes()
+    assert main([*base, "--params-only"]) == 0
+    assert (tmp_path / "fw/params/decoupler_params.bin").read_bytes() == before
