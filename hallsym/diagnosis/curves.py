@@ -29,6 +29,9 @@ FEWEST_PARTS = 3
 """Stretches of a run from which on they may predict one another."""
 FINE = 96
 """Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
+COUPLED = 500
+"""Coefficients of a curve, of all sensors, up to which they are solved for together: the time goes with their
+cube. Beyond, each sensor's are fitted to its own residual; what they explain is counted on all the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,10 @@ class Curve:
     fine: bool = False
 
 
+Fitted = tuple[float, np.ndarray, np.ndarray, float]
+"""What coefficients explain on runs left out, they of all, they without each fold, and the p-value."""
+
+
 class Smooth:
     """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
 
@@ -66,6 +73,9 @@ class Smooth:
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         self.at, self.phi = self._features(values)
         K, nf, n = self.phi.shape
+        self.coupled = K * nf <= COUPLED
+        if not self.coupled:
+            return
         flat = self.phi.reshape(K * nf, n)
         P = np.kron(r.precision, np.ones((nf, nf)))
         self.gram = np.array([flat[:, s] @ flat[:, s].T * P for s in _slices(r.fold)])
@@ -87,14 +97,8 @@ class Smooth:
         """Return the curve of a residual (K, n): a parabola, or a smooth curve where that explains more."""
         if self.values is None:
             return None
-        r = self.r
-        K, nf, n = self.phi.shape
-        weighted = r.precision @ residual
-        b_of = np.einsum("kfn,kn->kfn", self.phi, weighted).reshape(K * nf, n)
-        sums = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.fold)])
-        blocks = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.block)])
-        blocks *= level_weights(r, residual, r.block)[:, None]
-        fits = [self._fit(V, sums, blocks) for V in self._bases()]
+        K, nf, _ = self.phi.shape
+        fits = self._together(residual) if self.coupled else self._one_by_one(residual)
         p = min(1.0, len(fits) * min(f[-1] for f in fits))
         explained, coefficients, left, _ = max(fits, key=lambda f: f[0])
         beta, U, m = coefficients.reshape(K, nf), len(left), len(self.at)
@@ -106,18 +110,63 @@ class Smooth:
             error[:, m:] if both else None, self.scale, explained, p, predicted,
         )  # fmt: skip
 
-    def _bases(self) -> list[np.ndarray]:
-        """Columns that coefficients may be made of: all knots; parabolas through them."""
-        size, m = len(self.penalty), len(self.at)
+    def _together(self, residual: np.ndarray) -> list[Fitted]:
+        """Fit the coefficients of all sensors at once."""
+        r = self.r
+        K, nf, n = self.phi.shape
+        weighted = r.precision @ residual
+        b_of = np.einsum("kfn,kn->kfn", self.phi, weighted).reshape(K * nf, n)
+        sums = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.fold)])
+        blocks = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.block)])
+        blocks *= level_weights(r, residual, r.block)[:, None]
+        return [self._fit(V, sums, blocks) for V in self._bases(K * nf)]
+
+    def _one_by_one(self, residual: np.ndarray) -> list[Fitted]:
+        """Fit the coefficients of each sensor to its own residual; judge them on the residual of all."""
+        r = self.r
+        K, nf, _ = self.phi.shape
+        folds, blocks = _slices(r.fold), _slices(r.block)
+        own = 1 / np.diag(np.linalg.inv(r.precision))
+        level = level_weights(r, residual, r.block)[:, None]
+        bases = self._bases(nf)
+        q = [np.zeros((len(blocks),) * 2) for _ in bases]
+        every = [np.empty((K, nf)) for _ in bases]
+        left = [np.empty((len(folds), K, nf)) for _ in bases]
+        for k, phi in enumerate(self.phi):
+            gram = own[k] * np.array([phi[:, s] @ phi[:, s].T for s in folds])
+            penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at))
+            weighted = own[k] * phi * residual[k]
+            cross = np.array([weighted[:, s].sum(axis=1) for s in folds])
+            parts = level * np.array([weighted[:, s].sum(axis=1) for s in blocks])
+            for j, V in enumerate(bases):
+                inner, pull = V.T @ gram @ V, V.T @ penalty @ V
+                fit, scores = regression(inner, (cross @ V)[:, :, None], pull), parts @ V
+                every[j][k], left[j][:, k] = V @ fit.all[:, 0], fit.left_out[:, :, 0] @ V.T
+                q[j] += scores @ np.linalg.solve(inner.sum(axis=0) + pull, scores.T)
+        run = r.run_of(r.block)
+        return [
+            (self._explains(c, residual, folds), b.ravel(), c.reshape(len(folds), -1), of_signs(a, run))
+            for a, b, c in zip(q, every, left, strict=True)
+        ]
+
+    def _explains(self, left_out: np.ndarray, residual: np.ndarray, folds: list[slice]) -> float:
+        """Squares that coefficients (folds, K, features), each of the other folds, remove."""
+        total = 0.0
+        for beta, s in zip(left_out, folds, strict=True):
+            says = np.einsum("kf,kfn->kn", beta, self.phi[:, :, s])
+            total += float((says * (self.r.precision @ (2 * residual[:, s] - says))).sum())
+        return total
+
+    def _bases(self, size: int) -> list[np.ndarray]:
+        """Columns that `size` coefficients may be made of: all knots; parabolas through them."""
+        m = len(self.at)
         every = [np.eye(size)]
         if not self.coordinate.ordered or m <= 3:
             return every
         x = 2 * (self.at - self.at[0]) / (self.at[-1] - self.at[0]) - 1
         return [np.kron(np.eye(size // m), np.vander(x, 3)), *every]
 
-    def _fit(
-        self, V: np.ndarray, sums: np.ndarray, blocks: np.ndarray
-    ) -> tuple[float, np.ndarray, np.ndarray, float]:
+    def _fit(self, V: np.ndarray, sums: np.ndarray, blocks: np.ndarray) -> Fitted:
         """What coefficients V a explain on runs left out, they of all, they without each, and the p-value."""
         gram, penalty = V.T @ self.gram @ V, V.T @ self.penalty @ V
         fit = regression(gram, (sums @ V)[:, :, None], penalty)

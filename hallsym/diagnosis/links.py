@@ -54,15 +54,18 @@ class Blocks:
         self.readings = float(readings.sum())
         own = span[""].stop
         self.offset = own
-        self.all, parts = _without(M.sum(axis=0), own, M)
-        self.raw = np.diag(M.sum(axis=0))[own:]
-        level = np.sqrt(readings / np.maximum(parts[:, -1, -1], 1e-300))
-        self.scores = parts[:, :-1, -1] * level[:, None]
+        total = M.sum(axis=0)
+        follow = _follow(total, own)
+        self.all, self.raw = eliminated(total, follow), np.diag(total)[own:]
+        last = np.array([eliminated(part, follow)[:, -1] for part in M])  # all of each would be M once more
+        level = np.sqrt(readings / np.maximum(last[:, -1], 1e-300))
+        self.scores = last[:, :-1] * level[:, None]
         order = np.unique(run, return_inverse=True)[1] % PARTS
         self.folds = []
         for k in np.unique(order):
-            train, (test,) = _without(M[order != k].sum(axis=0), own, M[order == k].sum(axis=0)[None])
-            self.folds.append((train, test))
+            train, test = (M.sum(axis=0, where=pick[:, None, None]) for pick in (order != k, order == k))
+            follow = _follow(train, own)
+            self.folds.append((eliminated(train, follow), eliminated(test, follow)))
         self.known: dict[tuple[str, ...], float] = {(): 0.0}
 
     def at(self, names: Sequence[str]) -> np.ndarray:
@@ -93,10 +96,9 @@ class Blocks:
         return of_signs(q, self.run)
 
 
-def _without(total: np.ndarray, own: int, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return products with the first `own` columns taken out as `total` says: of `total` and of `parts`."""
-    follow = -pseudo_inverse(total[:own, :own]) @ total[:own, own:]
-    return eliminated(total, follow), eliminated(parts, follow)
+def _follow(total: np.ndarray, own: int) -> np.ndarray:
+    """Return how the first `own` columns follow the others in products `total`."""
+    return -pseudo_inverse(total[:own, :own]) @ total[:own, own:]
 
 
 def blocks_of(base: Base, tried: Mapping[str, Score]) -> Blocks:

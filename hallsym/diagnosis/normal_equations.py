@@ -143,7 +143,7 @@ class Accumulator:
         near, D = self._near(batch, weights)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
         metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY else D
-        for first, last in batch.groups(TOGETHER):
+        for first, last in batch.groups(max(1, TOGETHER * MANY // max(len(rows), MANY))):
             lay = batch.layout(first, last)
             own, others = lay(near), [lay(r) for r in rows]
             if len(rows) > MANY:
@@ -221,19 +221,28 @@ class Accumulator:
 
     def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
         """Return all columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
+        return self._whitener(batch, weights)(slice(None))
+
+    def _whitener(self, batch: Batch, weights: np.ndarray | None) -> Callable[[slice], np.ndarray]:
+        """Return what gives all columns, whitened, of some samples: of all at once they may be 1 GB."""
         near, _ = self._near(batch, weights)
-        A = np.zeros((self.size, *near.shape[1:]))
-        A[self.near] = near
-        for k, rows in enumerate(self.slopes.rows(batch, self.base.zeros_of(batch), weights)):
-            A[self.z + self.n + self.slopes.column[k], k] = rows
-        return np.einsum("jk,cks->cjs", self.whiten, A)
+        rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
+
+        def white(part: slice) -> np.ndarray:
+            A = np.zeros((self.size, *near[:, :, part].shape[1:]))
+            A[self.near] = near[:, :, part]
+            for k, own in enumerate(rows):
+                A[self.z + self.n + self.slopes.column[k], k] = own[:, part]
+            return self.whiten @ A
+
+        return white
 
     def stretches(self, length: int) -> Iterator[list[Stretch]]:
         """Yield the stretches of `length` samples of each run; zeros are the first columns."""
         run: list[Stretch] = []
         seen, origin = 0, None
         for batch in self.batches("t_s"):
-            white = self.whitened(batch, batch.weights(self.base.keep))
+            white = self._whitener(batch, batch.weights(self.base.keep))
             t = batch.data["t_s"]
             origin = float(t[0]) if origin is None else origin
             for block, part in batch.parts():
@@ -242,7 +251,7 @@ class Accumulator:
                     run, seen = [], 0
                 edges = range(part.start - seen % length, part.stop, length)
                 for low, high in ((max(e, part.start), min(e + length, part.stop)) for e in edges):
-                    here = white[:, :, low:high].reshape(len(white), -1)
+                    here = white(slice(low, high)).reshape(self.size, -1)
                     products = here @ here.T
                     if (seen + low - part.start) % length:  # goes on from the block before
                         run[-1].products += products

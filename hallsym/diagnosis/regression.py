@@ -35,7 +35,9 @@ def regression(gram: np.ndarray, cross: np.ndarray, penalty: np.ndarray) -> Regr
     def solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.asarray(np.linalg.solve((A + penalty) / np.outer(d, d), b / d[:, None]) / d[:, None])
 
-    left = solved(others(gram), others(cross))
+    # one group at a time: stacked, hundreds of features are as many copies of 100 MB as there are operations
+    left = np.array([solved(A, b) for A, b in zip(others(gram), others(cross), strict=True)])
+    left = left.reshape(-1, *cross.shape[1:])
     squares = 2 * (left * cross).sum(axis=(1, 2)) - ((gram @ left) * left).sum(axis=(1, 2))
     return Regression(solved(total, targets), left, squares)
 
@@ -49,5 +51,15 @@ def ridge(gram: np.ndarray) -> np.ndarray:
 
 def others(parts: np.ndarray) -> np.ndarray:
     """Sum of all parts but one, for each; a difference to the total would leave rounding where nothing is."""
-    before, after = np.cumsum(parts[:-1], axis=0), np.cumsum(parts[:0:-1], axis=0)[::-1]
-    return np.concatenate([after[:1], before[:-1] + after[1:], before[-1:]])
+    if len(parts) < 2:
+        return parts[:0]
+    out = np.empty_like(parts)
+    out[-2] = parts[-1]
+    for k in range(len(parts) - 3, -1, -1):
+        out[k] = out[k + 1] + parts[k + 1]
+    before = parts[0].copy()
+    for k in range(1, len(parts) - 1):
+        out[k] += before
+        before += parts[k]
+    out[-1] = before
+    return out

@@ -137,7 +137,8 @@ def structural_null(
         jacobian = (rows * scale)[:, open_]
         jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=1, keepdims=True), 1e-300)
     null = np.zeros((len(scale), int(open_.sum()) - rank))
-    null[open_] = np.linalg.svd(jacobian)[2][rank:].T
+    wide = len(jacobian) < jacobian.shape[1]  # else all right directions come without the square of the rows
+    null[open_] = np.linalg.svd(jacobian, full_matrices=wide)[2][rank:].T
     return null
 
 

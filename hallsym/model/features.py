@@ -210,7 +210,10 @@ def _of_low_degree(model: Model, variables: ca.SX) -> bool:
         line = np.repeat(at[:, None], order + 1, axis=1)
         line[v] += np.linspace(-1.0, 1.0, order + 1)
         terms = np.asarray(read(p, zeros, line)) * weights
-        if not np.all(np.abs(terms.sum(axis=1)) <= 1e-9 * np.abs(terms).sum(axis=1)):
+        # an exponential that leaves the range of numbers is no polynomial
+        if not np.isfinite(terms).all() or not np.all(
+            np.abs(terms.sum(axis=1)) <= 1e-9 * np.abs(terms).sum(axis=1)
+        ):
             return False
     return True
 

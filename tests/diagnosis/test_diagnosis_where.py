@@ -195,6 +195,22 @@ def test_a_smooth_curve_is_found_with_a_band_that_holds_it() -> None:
     assert (value < high).all()
 
 
+def test_curves_of_many_sensors_are_those_of_each_where_their_noise_is_its_own(monkeypatch) -> None:
+    rng = np.random.default_rng(4)
+    x = rng.uniform(-1, 1, 3000)
+    one = made_up(np.zeros((1, 3000)), x)
+    residual = np.outer([1.0, -2.0, 0.5], np.cos(2 * x)) + rng.standard_normal((3, 3000))
+    wide = {"residual": residual, "sensed": rng.uniform(-1, 1, (3, 3000)), "rate": np.zeros((3, 3000))}
+    r = replace(one, channels=("a_m", "b_m", "c_m"), precision=np.eye(3), output=np.ones((1, 3)), **wide)
+    together = Smooth(r, Z).curve(residual)
+    monkeypatch.setattr("hallsym.diagnosis.curves.COUPLED", 1)
+    each = Smooth(r, Z).curve(residual)
+    assert together is not None
+    assert each is not None
+    for name in ("offset", "gain", "spread", "explained", "p_value", "predicted"):
+        np.testing.assert_allclose(getattr(each, name), getattr(together, name), rtol=1e-6, atol=1e-9)
+
+
 def test_the_shape_of_what_is_left_is_plain_data() -> None:
     here = found("bump", "raster", unlisted)
     data = json.loads(json.dumps(asdict(unexplained(here, 0.6)), allow_nan=False))

@@ -7,7 +7,7 @@ import numpy as np
 import hallsym
 from hallsym import Log, Noise, NoiseModel
 from hallsym.diagnosis.setup import prepare
-from hallsym.families.halbach.effects import mechanics, transducer
+from hallsym.families.halbach.effects import magnets, mechanics, transducer
 from hallsym.families.halbach.layout import columns
 from hallsym.families.halbach.models import FAMILY, halbach
 from hallsym.simulation import campaign_from
@@ -23,7 +23,11 @@ def test_products_are_those_of_each_pair_of_channels(monkeypatch):
     made = hallsym.simulate(model, FAMILY.example.values, campaign, NoiseModel(noise), seed=1)
     base = prepare(Log.from_arrays(made, Noise.given(noise, tuple(made))), model, holdout=[1, 4]).base
     tried = {}
-    for effect in (transducer.gain_mismatch, mechanics.time_skew):  # a parameter of one channel, and of all
+    for effect in (
+        transducer.gain_mismatch,
+        mechanics.time_skew,
+        magnets.remanence_spread,
+    ):  # of one channel, of all, of many
         wide = effect(model)
         tried[effect.name] = wide, [n for n in wide.names if n not in model.names]
     found = module.normal_equations(base, tried)

@@ -108,6 +108,73 @@ def test_layouts_that_do_not_tell_six_coordinates_are_refused():
         planar.halbach_planar(long)
 
 
+def test_sums_whose_pitch_does_not_cancel_the_crossing_array_are_refused():
+    layout = planar.pinwheel()
+    first, *others = sensors(layout)
+    wide = Sensor(first.channel, tuple((x, 1.2 * y) for x, y in first.positions), first.array)
+    with pytest.raises(InputError, match=r"The 3 sensors of channel x1_col_0_v leave \d+ % of the field"):
+        planar.halbach_planar((wide, *others, *arrays(layout).values()))
+
+
+def recorded(model, stroke=0.0125, change=None):
+    """A log of the model at its nominal values; `change(data)` spoils it."""
+    turns = np.outer(np.linspace(0, 1, 1200), 2 * np.pi * np.array([3, 7, 5, 4, 6, 8]))
+    poses = np.sin(turns) * [stroke, stroke, 2e-3, 0.01, 0.01, 0.01] + [0, 0, 6.5e-3, 0, 0, 0]
+    v = on_arrays(model.reading)(model.nominal, [], [*poses.T], [])[0]
+    log = log_of(model, poses, v, 1e-3)
+    if change is None:
+        return log
+    data = {c: log.array(c).copy() for c in (*model.references, *model.channels, "t_s", "run")}
+    change(data)
+    return Log.from_arrays(data, log.noise)
+
+
+def spoiled(column, change):
+    def apply(data):
+        data[column] = change(data[column])
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        ({"stroke": 0.003}, "covers 6 mm, 0.20 of a wavelength"),
+        ({"change": spoiled("x_ref_m", lambda x: x + 0.2)}, "goes .* mm beyond sensor x1_col_0_v"),
+        (
+            {"change": spoiled("y1_row_2_v", lambda v: 0.01 * v)},
+            "Channel y1_row_2_v .* hardly sees the field",
+        ),
+        ({"change": spoiled("x1_col_1_v", lambda v: np.clip(v, -0.2, 0.2))}, "x1_col_1_v"),
+    ],
+)
+def test_a_log_that_no_mover_can_have_made_is_refused_in_one_sentence(model, made, says):
+    with pytest.raises(InputError, match=says) as raised:
+        hallsym.fit(recorded(model, **made), model, solver="direct")
+    assert "\n" not in str(raised.value)
+    assert len(str(raised.value)) <= 300
+
+
+def test_another_wavelength_is_named(model):
+    stated = planar.halbach_planar(planar.pinwheel(0.027))
+    layout = (*sensors(model.layout), *(Array(a.name, 0.027, a.along, a.centre, a.length_m, a.width_m)
+                                        for a in arrays(model.layout).values()))  # fmt: skip
+    with pytest.raises(InputError, match="leave"):  # sums of the other wavelength do not cancel either
+        planar.halbach_planar(layout)
+    single_layout = tuple(
+        Array(p.name, 0.027, p.along, p.centre, p.length_m, p.width_m) if isinstance(p, Array) else p
+        for p in single()
+    )
+    log = recorded(planar.halbach_planar(single()))
+    with pytest.raises(InputError, match="repeats every 30 mm, but the layout states a wavelength of 27 mm"):
+        hallsym.fit(log, planar.halbach_planar(single_layout), solver="direct")
+    assert stated.period["x_m"] == 0.027
+
+
+def test_a_travel_within_one_wavelength_is_noted(model):
+    assert "stays within one wavelength" in model.inspect(model, recorded(model)).notes[0]
+
+
 def test_a_layout_is_read_from_meta_and_saved(model):
     from hallsym.families import build
     from hallsym.log import Meta
@@ -117,6 +184,18 @@ def test_a_layout_is_read_from_meta_and_saved(model):
     assert build("planar_h5", meta=Meta(raw=raw)).layout == model.layout
     assert build("halbach_planar", meta=Meta(probes=entries)).layout == model.layout
     assert PLANAR.reads((*model.channels, *model.references))
+
+
+@pytest.mark.parametrize(("moves", "most"), [((1, 1, 1, 0, 0, 1), 1), ((1, 1, 1, 1, 1, 1), 30)])
+def test_the_closed_form_knows_products_of_angle_and_travel(moves, most):
+    """12 mm at 10 mrad are 120 um: small angles alone leave 40 um rms [um] of yaw, 55 um of all six."""
+    model = planar.halbach_planar(single())
+    poses = drawn(np.random.default_rng(0), 200) * moves
+    v = ca.SX.sym("v", len(model.channels))
+    named = {n: ca.SX(x) for n, x in zip(model.names, model.nominal, strict=True)}
+    closed = on_arrays(ca.Function("closed", [v], [planar.begin(v, named, model.layout)]))
+    read = on_arrays(model.reading)(model.nominal, [], [*poses.T], [])[0]
+    assert np.all(rms(closed(read)[0] - poses.T)[:3] < most)
 
 
 # -- finite arrays of cuboids --------------------------------------------------------------------------------
