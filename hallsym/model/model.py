@@ -136,6 +136,8 @@ class Model:
     drawing."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
+    formulas: "Mapping[str, Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX]]" = field(default_factory=dict)
+    """Other closed forms `(reading, parameters) -> pose` by name, as a paper states them."""
     onward: "Callable[[np.ndarray, str, Mapping[str, float]], np.ndarray] | None" = None
     """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: how a pose changes, per unit
     of the nominal period of a coordinate, on the way to the next pose that reads the same; only that

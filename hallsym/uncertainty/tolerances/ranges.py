@@ -95,8 +95,9 @@ def given_tolerances(
 
     A number is a rectangular half width; `{"half_width": h, "distribution": "triangular"}` another one
     (as in a budget: rectangular, triangular, arcsine), `{"std": s}` normal; `[low, high]` are limits, "exact"
-    is no tolerance. The key ends with the unit: a unit of the parameter, `percent` of its nominal value,
-    `per_m` for 1/m. `others`: what holds for parameters that are not named, their "bounds" or "exact".
+    is no tolerance. The key ends with the unit: a unit of the parameter, `percent` of its nominal value (of 1
+    where that is 0), `per_m` for 1/m. `others`: what holds for parameters that are not named, their "bounds"
+    or "exact".
     """
     if others not in OTHERS:
         raise InputError(f'\'others\' in {where} must be "bounds" or "exact"; instead received {others!r}.')
@@ -163,13 +164,30 @@ def _table(value: Mapping[str, Any], key: str, where: str) -> tuple[Any, str]:
     return value[sizes[0]], distribution
 
 
-def _split(model: Model, key: str, where: str) -> tuple[Parameter, str]:
+def read_value(model: Model, text: str, where: str) -> tuple[str, float]:
+    """Return parameter and SI value of `gain_0=0.01` or `gain_0_percent=1`; the unit may be left out if SI.
+
+    `percent` is of the nominal value, of 1 where that is 0. Raises `InputError`.
+    """
+    key, _, said = text.partition("=")
+    parameter, suffix = _split(model, key, where, "Key")
+    factor = _factor(parameter, suffix, key, where, "Key") if suffix else 1.0
+    try:
+        value = float(said)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"{where} must be NAME=VALUE with a number, such as {key}=0.01; got {text!r}.")
+    return parameter.name, value * factor
+
+
+def _split(model: Model, key: str, where: str, what: str = "Tolerance") -> tuple[Parameter, str]:
     """The parameter that a key names, and what follows its name."""
     hits = [p for p in model.parameters if key == p.name or key.startswith(f"{p.name}_")]
     if not hits:
         guess = nearest(key, [_example(p) for p in model.parameters])
         raise InputError(
-            f"Tolerance {key!r} in {where} names no parameter of {model.name}{guess}; known are "
+            f"{what} {key!r} in {where} names no parameter of {model.name}{guess}; known are "
             f"{', '.join(model.names)}, each followed by its unit."
         )
     parameter = max(hits, key=lambda p: len(p.name))
@@ -183,7 +201,7 @@ def units_of(parameter: Parameter) -> dict[str, float]:
     known = {name: u.factor for name, u in UNITS.items() if u.si == base.lower() and u.offset == 0}
     suffixes = {f"per_{name}": 1 / factor for name, factor in known.items()} if inverse else known
     if unit == "1":
-        suffixes = {"": 1.0}
+        suffixes = {"": 1.0, "percent": 0.01}
     if parameter.nominal != 0:
         suffixes = {**suffixes, "percent": abs(parameter.nominal) / 100}
     return suffixes
@@ -196,12 +214,12 @@ def _example(parameter: Parameter) -> str:
     )
 
 
-def _factor(parameter: Parameter, suffix: str, key: str, where: str) -> float:
+def _factor(parameter: Parameter, suffix: str, key: str, where: str, what: str = "Tolerance") -> float:
     known = units_of(parameter)
     if suffix not in known:
         listed = ", ".join(f"{parameter.name}_{s}" if s else parameter.name for s in known)
         raise InputError(
-            f"Tolerance {key!r} in {where} must end with a unit of {parameter.name}: one of {listed}."
+            f"{what} {key!r} in {where} must end with a unit of {parameter.name}: one of {listed}."
         )
     return known[suffix]
 
