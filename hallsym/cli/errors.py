@@ -18,7 +18,7 @@ def add(sub: Any) -> None:
     """Add the command to the parser."""
     parser = command(
         sub, "errors", run,
-        "Read a machine with known deviations over a period (or --over a range) of one coordinate, decode it\n"
+        "Read a machine with known deviations over a period, or a range, of one coordinate, decode it\n"
         "without knowing them, and print the error by cause: each effect alone, then all together.",
         "examples:\n"
         "  hallsym errors --model halbach --effect gain_mismatch --set gain_0_percent=1\n"

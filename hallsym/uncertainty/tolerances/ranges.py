@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from hallsym.toml import Table, number, positive
 from hallsym.uncertainty.gum import DIVISORS
 from hallsym.units import UNITS
 
-EXACT = "exact"
+EXACT, USUAL = "exact", "usual"
 OTHERS = ("bounds", EXACT)
 
 
@@ -23,7 +24,7 @@ class Tolerance:
 
     `width`: half width (rectangular, triangular, arcsine) or 1 sigma (normal); 0 for an exact parameter.
     `centre` is the nominal value unless the range was given by its limits. `source`: "bounds" of the model,
-    or "given".
+    "usual" of the family, or "given".
     """
 
     name: str
@@ -71,21 +72,36 @@ _QUANTILES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def default_tolerances(model: Model) -> tuple[Tolerance, ...]:
-    """Return the ranges of the model: nominal value +- half the width of its bounds, rectangular.
+    """Return the usual tolerances of the family; else nominal value +- half the width of its bounds.
 
     Table 3's intervals for H and theta lie about Table 1's values; those for eta do not (1 is outside), but
     a tolerance is a deviation from the design: its width is Table 3's, its centre the nominal value.
     A fixed parameter is exact. Raises `InputError` for infinite bounds.
     """
+    usual = {p.name: _usual(model, p) for p in model.parameters}
     for p in model.parameters:
-        if not np.isfinite(p.width):
+        if usual[p.name] is None and not np.isfinite(p.width):
             raise InputError(
                 f"Parameter {p.name} of {model.name} has no finite bounds to take a tolerance from; give one."
             )
     return tuple(
-        Tolerance(p.name, p.unit, p.nominal, p.nominal, p.width / 2, source="bounds")
+        usual[p.name] or Tolerance(p.name, p.unit, p.nominal, p.nominal, p.width / 2, source="bounds")
         for p in model.parameters
     )
+
+
+def _usual(model: Model, parameter: Parameter) -> Tolerance | None:
+    """Return the tolerance that the family states for a parameter; one without width stays exact."""
+    if parameter.width == 0:
+        return None
+    keys = [parameter.name, *(f"{parameter.name}_{suffix}" for suffix in units_of(parameter) if suffix)]
+    for lines in model.family.tolerances.values():
+        for pattern, value in lines.items():
+            key = next((k for k in keys if fnmatchcase(k, pattern)), None)
+            if key is not None:
+                found = _tolerance(model, key, value, f"the usual tolerances of {model.family}")
+                return replace(found, source=USUAL)
+    return None
 
 
 def given_tolerances(
