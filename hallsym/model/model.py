@@ -217,6 +217,12 @@ class Model:
             return noise
         return np.array(self.typical)[rng.integers(len(self.typical), size=count)].T * (1 + 0.3 * noise)
 
+    @property
+    def rest(self) -> dict[str, float]:
+        """Where pose and state are if nothing is said: the first typical pose if any is stated, else 0."""
+        pose = self.typical[0] if self.typical else (0.0,) * len(self.pose)
+        return dict(zip(self.pose, pose, strict=True)) | dict.fromkeys(self.state, 0.0)
+
     @cached_property
     def _remembered(self) -> dict[Hashable, Any]:
         return {}

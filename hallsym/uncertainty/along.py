@@ -116,10 +116,7 @@ def _places(model: Model, coordinate: str, places: np.ndarray, at: Mapping[str, 
                 f"Model {model.name} has no coordinate {name!r}{nearest(name, list(names))}; it has "
                 f"{', '.join(names)}."
             )
-    rest = dict.fromkeys(names, 0.0)
-    if model.typical:
-        rest |= dict(zip(model.pose, model.typical[0], strict=True))
-    rest |= at
+    rest = model.rest | dict(at)
     return np.array([places if n == coordinate else np.full(len(places), rest[n]) for n in names])
 
 

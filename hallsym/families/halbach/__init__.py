@@ -1,5 +1,8 @@
 """Halbach arrays on a mover over a board of Hall sensors: x and z of one array, six coordinates of four."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from hallsym.families.halbach import models, planar
 from hallsym.families.halbach.effects import EFFECTS, PLANAR_EFFECTS
 from hallsym.model import Example, Family, PoseMetric
@@ -33,7 +36,7 @@ MOTIONS = tuple(
 )
 """All six coordinates at once, at frequencies that do not come back together."""
 
-SENSORS = {
+SENSORS: Mapping[str, Mapping[str, Any]] = {
     "gain_mismatch": {"gain_*_percent": 2.5},
     "offset_error": {"offset_error_*_mv": 10},
     "sensor_position_error": {"d?_*_um": 50},
