@@ -64,7 +64,15 @@ def add(sub: Any) -> None:
         "several decouplers then fit in one image",
     )
     parser.add_argument("--double", action="store_true", help="double instead of float, for hosts")
-    parser.add_argument("--jacobian", action="store_true", help="with d pose / d reading, for Kalman filters")
+    parser.add_argument(
+        "--fma",
+        action="store_true",
+        help="fused multiply-add, where the core has it (Cortex-M4F, M7): fewer instructions and roundings",
+    )
+    parser.add_argument(
+        "--jacobian", nargs="?", const="reading", metavar="reading,state",
+        help="with d pose / d reading (default), d pose / d state, or both, for Kalman filters and observers",
+    )  # fmt: skip
     parser.add_argument(
         "--allow-undetermined", action="store_true", help="use values that the log does not determine"
     )
@@ -96,7 +104,8 @@ def _made(fit: Fit, options: Namespace) -> Generated:
         arithmetic=options.arithmetic,
         ranges=ranges,
         double=options.double,
-        jacobian=options.jacobian,
+        jacobian=options.jacobian or str(before.get("jacobian", "")) or False,
+        fma=options.fma or bool(before.get("fma")),
         accuracy=accuracy,
         correction=correction,
         allow_undetermined=allow,

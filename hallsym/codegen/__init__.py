@@ -8,9 +8,11 @@ from hallsym.codegen.checks import notes_of
 from hallsym.codegen.cost import Cost, cost_of, firmware_cost
 from hallsym.codegen.decoupler import Array, Bits, Decoupler, Flag, Lookup, Margin, Step, Whole
 from hallsym.codegen.entries import Entry
+from hallsym.codegen.execution import on_arrays
 from hallsym.codegen.fixed_point import Line, Program
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT
+from hallsym.codegen.fused import fused_multiply_add
 from hallsym.codegen.generation import Generated, decouple, generate
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
@@ -44,11 +46,13 @@ __all__ = [
     "decouple",
     "enclose",
     "firmware_cost",
+    "fused_multiply_add",
     "generate",
     "integer_program",
     "limits",
     "lower",
     "mix",
     "notes_of",
+    "on_arrays",
     "pose_bounds",
 ]

@@ -245,6 +245,8 @@ class Backend(Arithmetic):
             "flag": flags,
             "entry": [{"name": e.name} for e in self.entries if not e.values.ndim],
             "model": commented(d.model.name),
+            "quantity": d.quantity,
+            "decoded": f"{'Decoupled' if len(d.pose) > 1 else 'Corrected'} {d.quantity}",
             "family": d.model.family,
             "sha256": self.record["calibration_sha256"],
             "version": VERSION,

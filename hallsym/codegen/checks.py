@@ -7,6 +7,7 @@ import numpy as np
 
 from hallsym.codegen.bounds import LEAST_GAIN, Bounds
 from hallsym.codegen.decoupler import Decoupler
+from hallsym.codegen.execution import on_arrays
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit
 from hallsym.model import Model
@@ -95,7 +96,7 @@ def check_same(d: Decoupler) -> None:
     rng = np.random.default_rng(0)
     share = np.hstack([rng.choice([0.0, 1.0], (len(low), 256)), rng.random((len(low), 2048))])
     inputs = low + (high - low) * share if d.drawn is None else d.drawn(rng, 2304)
-    printed, *seen = d.on_arrays()(list(inputs), d.constants)
+    printed, *seen = on_arrays(d)(inputs, d.constants)
     if seen:
         clear = d.raised(seen[0]) == 0
         printed, inputs = printed[:, clear], inputs[:, clear]

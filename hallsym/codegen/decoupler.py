@@ -4,7 +4,7 @@ A family's own file makes a `Decoupler` (`hallsym.codegen.lowering`); source, ta
 and reports are made from it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -13,11 +13,10 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.box import Box
-from hallsym.codegen.entries import Entry, short
+from hallsym.codegen.entries import Entry, unit
 from hallsym.codegen.intervals import Enclosure
 from hallsym.log.phase import wrapped
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 
 ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
@@ -155,6 +154,12 @@ class Decoupler:
         return ENOUGH if self.at_pose else self.approximation
 
     @property
+    def quantity(self) -> str:
+        """What its output is: a pose, or an angle or a position where that is all of it."""
+        names = {"rad": "angle", "m": "position"}
+        return names.get(unit(self.pose[0]), "pose") if len(self.pose) == 1 else "pose"
+
+    @property
     def tried(self) -> int:
         """Random inputs that errors are met over, where nothing else is said: fewer through an iterated
         model."""
@@ -208,49 +213,6 @@ class Decoupler:
             made = _replaced(step.expression, earlier)
             done[step.name] = _whole(step, made)
         return done
-
-    @cached_property
-    def slopes(self) -> dict[str, ca.SX]:
-        """d pose / d reading by CasADi's differentiation of the printed expressions, by name: `x_hall_a`."""
-        channels, n = self.model.channels, len(self.model.channels)
-        jacobian = ca.jacobian(self.folded, ca.vertcat(*(self.symbols[c] for c in channels)))
-        flat = ca.cse(ca.vertcat(*(jacobian[i, k] for i in range(len(self.pose)) for k in range(n))))
-        names = [f"{short(c)}_{short(m)}" for c in self.pose for m in channels]
-        return dict(zip(names, ca.vertsplit(ca.densify(flat)), strict=True))
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """`(inputs, coefficients and zeros) -> pose`, and the values that flags look at, if any."""
-        table = [*self.table, *self.zeros]
-        given = [self._column(names) for names in (self.inputs, [e.name for e in table])]
-        given += [self._column([s.name for s in self.lookups])] if self.lookups else []
-        seen = [ca.densify(ca.vertcat(*(self._done[f.step] for f in self.flags)))] if self.flags else []
-        return ca.Function("folded", given, [ca.densify(self.folded), *seen])
-
-    def _column(self, names: Sequence[str]) -> ca.SX:
-        return ca.vertcat(*(self.symbols[n] for n in names))
-
-    @property
-    def lookups(self) -> list[Lookup]:
-        """The steps that take an entry of an array."""
-        return [step for step in self.steps if isinstance(step, Lookup)]
-
-    def on_arrays(self, real: type = float) -> Callable[..., list[np.ndarray]]:
-        """Return `run(inputs, coefficients and zeros)` of `function` on arrays, in the type `real`."""
-        run, lookups = on_arrays(self.function, real), self.lookups
-        if not lookups:
-            return run
-        cells = ca.vertcat(*(self._done[step.expression.name()] for step in lookups))
-        place = on_arrays(ca.Function("cells", self.function.sx_in()[:2], [cells]), real)
-
-        def looked_up(inputs: Sequence, constants: Sequence) -> list[np.ndarray]:
-            entries = []
-            for step, cell in zip(lookups, place(inputs, constants)[0], strict=True):
-                values: np.ndarray = np.array(step.array.values, dtype=real)
-                entries.append(values[(cell.astype(np.int64) + step.ahead) % len(values)])
-            return run(inputs, constants, entries)
-
-        return looked_up
 
     def raised(self, seen: np.ndarray, dtype: type = float) -> np.ndarray:
         """Return the bits (s,) of the flags that their values (n_flags, s) raise."""

@@ -12,6 +12,7 @@ from hallsym.codegen.arithmetic import COUNT, Port, mix
 from hallsym.codegen.backend import VERSION, Backend, Stored
 from hallsym.codegen.bounds import Bounds, pose_bounds
 from hallsym.codegen.entries import Entry, unit
+from hallsym.codegen.execution import on_arrays
 from hallsym.codegen.float_c import Real, statements
 from hallsym.codegen.naming import identifier
 
@@ -20,11 +21,12 @@ from hallsym.codegen.naming import identifier
 class FloatArithmetic(Backend):
     """IEEE 754 leaves no freedom to +, -, *, / and comparisons that round to nearest one by one.
 
-    So numpy computes the same bits as C. `jacobian` adds d pose / d reading.
+    So numpy computes the same bits as C. `jacobian`: kinds of input by which the pose is differentiated, of
+    `slopes.KINDS`.
     """
 
     real: Real
-    jacobian: bool = False
+    jacobian: tuple[str, ...] = ()
 
     tree: ClassVar[str] = "float"
     hashed: ClassVar[tuple[int, int]] = (4096, 1_000_000)
@@ -37,7 +39,7 @@ class FloatArithmetic(Backend):
     @cached_property
     def bounds(self) -> Bounds:
         """By interval arithmetic on the printed expressions; approximations are not in it."""
-        return pose_bounds(self.decoupler, self.real.digits)
+        return pose_bounds(self.decoupler, self.real.digits, self.real.fused)
 
     @property
     def error_bound(self) -> Mapping[str, float]:
@@ -46,7 +48,8 @@ class FloatArithmetic(Backend):
 
     def summary(self) -> dict[str, Any]:
         """CRC of the table, and how near to zero gains come."""
-        return {"crc32": f"0x{self.crc:08x}", "least_gain": dict(self.bounds.least_gain)}
+        fused = {"fma": True} if self.real.fused else {}
+        return {"crc32": f"0x{self.crc:08x}", **fused, "least_gain": dict(self.bounds.least_gain)}
 
     # -- the arithmetic ------------------------------------------------------------------------------------
 
@@ -74,7 +77,7 @@ class FloatArithmetic(Backend):
 
     @cached_property
     def _run(self) -> Callable[..., list[np.ndarray]]:
-        return self.decoupler.on_arrays(self.real.dtype)
+        return on_arrays(self.decoupler, self.real.dtype, self.real.fused)
 
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """By the bits of its size where a range is symmetric: NaN goes to the end of its sign."""
@@ -92,8 +95,8 @@ class FloatArithmetic(Backend):
         constants: list[np.ndarray] = [np.array([c], dtype=dtype) for c in self.decoupler.constants]
         with np.errstate(under="ignore"):
             pose, *seen = self._run(held.astype(dtype), constants)
-        flags = self.decoupler.raised(seen[0].astype(dtype), dtype) if seen else np.uint32(0)
-        return pose.astype(dtype), np.asarray(flags)
+        flags = self.decoupler.raised(seen[0], dtype) if seen else np.uint32(0)
+        return pose, np.asarray(flags)
 
     def sample(self, numbers: np.ndarray) -> np.ndarray:
         """Most lie in the box, every 16th has any bits at all, every 16th is four times too large."""

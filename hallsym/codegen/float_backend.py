@@ -2,7 +2,8 @@
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -11,19 +12,23 @@ import numpy as np
 from hallsym.codegen import faults
 from hallsym.codegen.arithmetic import Port
 from hallsym.codegen.backend import bit, ends, raised, status_bit
-from hallsym.codegen.bounds import LEAST_GAIN, slope_errors, spreads
+from hallsym.codegen.bounds import LEAST_GAIN, spreads
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.float_arithmetic import FloatArithmetic
-from hallsym.codegen.float_c import shared_statements, statements, straight
+from hallsym.codegen.float_c import statements, straight
 from hallsym.codegen.gappa import gappa
-from hallsym.codegen.naming import commented, identifier
+from hallsym.codegen.naming import PREFIX, commented, identifier
+from hallsym.codegen.slopes import Slopes
 from hallsym.codegen.templates import lines_of
-from hallsym.model.arrays import on_arrays
 
-M4 = "-mcpu=cortex-m4 -mthumb"
+M4 = ("-mcpu=cortex-m4 -mthumb", "mps2-an386")
+"""Compiler options and QEMU's machine of a Cortex-M4F."""
 FPU = {4: "-mfloat-abi=hard -mfpu=fpv4-sp-d16", 8: "-mfloat-abi=soft"}
-"""Compiler options of a Cortex-M4F by bytes of a number; its unit has no double."""
+"""Compiler options of its floating-point unit by bytes of a number; it has no double."""
+M7 = ("-mcpu=cortex-m7 -mthumb", "mps2-an500")
+DOUBLE_FPU = "-mfloat-abi=hard -mfpu=fpv5-d16"
+"""Of a Cortex-M7 whose unit has double, fused multiply-add too."""
 MOST_STEPS = 20
 """Steps of the arithmetic that the report lists."""
 UNIONS = ["misra-c2012-19.2:src/decoupler.c", "misra-c2012-19.2:src/decoupler_check.c"]
@@ -68,19 +73,20 @@ class FloatBackend(FloatArithmetic):
 
     def _fields(self, errors: Mapping[str, float], notes: Sequence[str]) -> dict[str, Any]:
         d, c = self.decoupler, self.real.constant
-        work = firmware_cost(d)
+        work = firmware_cost(d, self.real.fused)
         common = {
             "real": self.type,
             "builtin_fabs": self.real.fabs,
             "zero": c(0.0),
             "out": self._outputs(errors),
             "in": self._inputs(),
-            "slope": self._slope_records(),
+            "slope": self.slopes.records() if self.jacobian else [],
+            **(self.slopes.fields() if self.jacobian else {}),
             # build files
             "all_nan": ", all NaN",
-            "deviations": UNIONS if any(map(self.by_size, d.inputs)) else [],
-            "cpu": f"{M4} {FPU[self.real.size]}",
-            "machine": "mps2-an386",
+            "deviations": self._deviations(),
+            **self._core(),
+            **self._fused(),
             # proofs
             "nan_included": ", NaN and infinity included",
             "any": self.type,
@@ -101,18 +107,43 @@ class FloatBackend(FloatArithmetic):
             common |= part
         return common
 
+    @cached_property
+    def slopes(self) -> Slopes:
+        """The slopes that `decoupler_jacobian()` gives."""
+        return Slopes(self.decoupler, self.jacobian)
+
+    def _core(self) -> dict[str, str]:
+        """Return the Cortex-M that runs the self-test in QEMU."""
+        if self.real.fused and self.real.size == 8:
+            (core, machine), unit_options = M7, DOUBLE_FPU
+        else:
+            (core, machine), unit_options = M4, FPU[self.real.size]
+        return {"cpu": f"{core} {unit_options}", "machine": machine}
+
+    def _fused(self) -> dict[str, Any]:
+        """Return what is said and defined of fused multiply-add."""
+        if not self.real.fused:
+            return {"fused": [], "with_fused": "", "fused_bits": [], "libraries": "", "linked": []}
+        linked, elsewhere = "", " by double"
+        if self.real.size == 8:
+            linked, elsewhere = " -lm", " through the library of its compiler, or does not compile"
+        return {
+            "fused": lines_of(f"{FRAGMENTS}fused_{self.type}.c", {}),
+            "with_fused": " with fused multiply-add",
+            "fused_bits": lines_of(f"{FRAGMENTS}fused_bits.md", {"elsewhere": elsewhere}),
+            "libraries": linked,
+            "linked": [f"target_link_libraries({PREFIX} PUBLIC $<$<NOT:$<PLATFORM_ID:Windows>>:m>)"]
+            if linked
+            else [],
+        }
+
+    def _deviations(self) -> list[str]:
+        by_size = any(map(self.by_size, self.decoupler.inputs))
+        step, check = UNIONS
+        return [step] * (by_size or (self.real.fused and self.real.size == 4)) + [check] * by_size
+
     def _if_jacobian(self, fragment: str, fields: Mapping[str, Any] | None = None) -> list[str]:
         return lines_of(FRAGMENTS + fragment, fields or {}) if self.jacobian else []
-
-    def _slope_records(self) -> list[dict[str, Any]]:
-        d = self.decoupler
-        if not self.jacobian:
-            return []
-        pairs = [(c, m) for c in d.pose for m in d.model.channels]
-        return [
-            {"name": name, "index": k, "unit": f"{unit(c)}/{unit(m)}", "of": commented(c), "by": commented(m)}
-            for k, (name, (c, m)) in enumerate(zip(d.slopes, pairs, strict=True))
-        ]
 
     def _arithmetic(self) -> list[str]:
         steps = self.decoupler.steps
@@ -140,7 +171,7 @@ class FloatBackend(FloatArithmetic):
             "least_gain": f"{LEAST_GAIN:g}",
             "and_flags": [f" *         (and {flags})"] if flags else [],
             "jacobian_type": self._if_jacobian("jacobian_type.h", common),
-            "jacobian_function": self._if_jacobian("jacobian.h"),
+            "jacobian_function": self._if_jacobian("jacobian.h", common),
         }
 
     def _bits(self) -> dict[str, str]:
@@ -179,15 +210,15 @@ class FloatBackend(FloatArithmetic):
         whole = {**names, **{e.name: f"p->{e.name}" for e in d.zeros}}
         slopes: list[str] = []
         if self.jacobian:
-            flat = ca.vertcat(*d.slopes.values())
-            slopes = self._held(flat)
-            slopes += shared_statements(flat, whole, real, [f"slopes->{n}" for n in d.slopes])
+            slopes = self._held(self.slopes.whole)
+            slopes += statements(self.slopes.steps, whole, real, self.slopes.stored)
         magnitude = lines_of(f"{FRAGMENTS}magnitude.c", common)
         by_size = list(map(self.by_size, d.inputs))
         within = lines_of(f"{FRAGMENTS}within.c", {**common, **self._bits()}) if any(by_size) else []
         limited = lines_of(f"{FRAGMENTS}limited.c", common)
         if all(by_size):
             limited = ["#if defined(__FRAMAC__)", *limited[:-1], "#endif", ""]
+        helpers = [*(magnitude if any("MAGNITUDE(" in line for line in body) else []), *common["fused"]]
         zeros = [e.name for e in d.zeros]
         none = {"pose": len(d.pose), "no_zeros": ", ".join(real.constant(0.0) for _ in zeros)}
         iterated = {"all_held": self._held(), "at_pose": statements(d.at_pose, whole, real, {})}
@@ -205,7 +236,7 @@ class FloatBackend(FloatArithmetic):
             "take_zero": lines_of(FRAGMENTS + zero, {**common, **none, **iterated}),
             "bare_includes": [],
             "magnitude": magnitude if any("MAGNITUDE(" in line for line in (*body, *within)) else [],
-            "bare_helpers": [*magnitude, ""] if any("MAGNITUDE(" in line for line in body) else [],
+            "bare_helpers": [*helpers, ""] if helpers else [],
             "bare_body": [
                 *(f"const {self.type} {short(c)} = in->{identifier(c)};" for c in used),
                 *(f"const {self.type} {name} = p->{name};" for name in zeros),
@@ -215,7 +246,7 @@ class FloatBackend(FloatArithmetic):
         }
 
     def _check(self) -> dict[str, Any]:
-        d, real = self.decoupler, self.real
+        d, real = self.decoupler, replace(self.real, fused=False)
         share = real.constant(round(1 - LEAST_GAIN, 6))
         gains, sides = spreads(d), {c: ends(d, c) for c in d.inputs}
         filled = [
@@ -248,8 +279,8 @@ class FloatBackend(FloatArithmetic):
     # -- self-test and proofs ------------------------------------------------------------------------------
 
     def _selftest(self) -> dict[str, Any]:
-        d, found, c = self.decoupler, self.vectors, self.real.constant
-        slopes, slope_bounds = self._slopes() if self.jacobian else (found.pose, [])
+        found, c = self.vectors, self.real.constant
+        slopes, slope_bounds = self._slope_vectors() if self.jacobian else (found.pose, [])
         rows = []
         for k in range(found.inputs.shape[1]):
             inputs = ", ".join(self._input(float(v)) for v in found.inputs[:, k])
@@ -268,7 +299,7 @@ class FloatBackend(FloatArithmetic):
             "wild": lines_of(f"{FRAGMENTS}wild_{size}.c", {}),
             "scale": c(2.0**-24),
             "four": c(4.0),
-            "slope_field": [f"double slopes[{len(d.slopes)}];"] if self.jacobian else [],
+            "slope_field": [f"double slopes[{len(self.slopes.expressions)}];"] if self.jacobian else [],
             "slope_step": self._if_jacobian("slope_step.c"),
             "slope_status": [status] if self.jacobian else [],
             "near": c(self._near),
@@ -333,14 +364,10 @@ class FloatBackend(FloatArithmetic):
                     value = c(2.0 * sign * share * d.known(column))
                     yield from faults.expect([f"table.{zero.name} = {value};"], found)
 
-    def _slopes(self) -> tuple[np.ndarray, list[str]]:
+    def _slope_vectors(self) -> tuple[np.ndarray, list[str]]:
         """Return the slopes (n_slopes, s) of the vectors in double, and the line of their bounds."""
-        d = self.decoupler
-        given = [ca.vertcat(*(d.symbols[n] for n in d.inputs))]
-        given.append(ca.vertcat(*(d.symbols[e.name] for e in (*d.table, *d.zeros))))
-        run = on_arrays(ca.Function("slopes", given, [ca.vertcat(*d.slopes.values())]))
-        slopes = run(list(self.vectors.held), d.constants)[0]
-        errors = slope_errors(d, self.real.digits).values()
+        slopes = self.slopes.of(self.vectors.held)
+        errors = self.slopes.errors(self.real)
         # the reference is computed in double and written with 13 digits
         limits = [error + 1e-12 * np.abs(row).max() for error, row in zip(errors, slopes, strict=True)]
         listed = ", ".join(f"{limit:.3e}" for limit in limits)

@@ -1,7 +1,7 @@
 """From a calibration to the files of a decoupler."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,13 @@ from hallsym.codegen.box import box_of
 from hallsym.codegen.checks import check, check_bounds, check_gains, check_same, digest_of, notes_of
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.float_backend import FloatBackend
-from hallsym.codegen.float_c import DOUBLE, FLOAT
+from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
 from hallsym.codegen.folder import replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
 from hallsym.codegen.lowering import lower, lowering_of, options_of
 from hallsym.codegen.naming import PREFIX, check_prefix, mapping, renamed_files
+from hallsym.codegen.slopes import kinds_of
 from hallsym.errors import InputError, quoted
 from hallsym.estimation.calibration import Fit
 
@@ -93,7 +94,8 @@ def generate(
     arithmetic: str = "float",
     ranges: Mapping[str, tuple[float, float]] | None = None,
     double: bool = False,
-    jacobian: bool = False,
+    jacobian: bool | str | Sequence[str] = False,
+    fma: bool = False,
     accuracy: float | None = None,
     correction: str | None = None,
     allow_undetermined: bool = False,
@@ -104,12 +106,12 @@ def generate(
 
     `arithmetic`: "float", or "q31" for 32-bit integers, where a controller has no floating-point unit.
     `ranges`: least and greatest value by column [SI] in place of what the log recorded. `double`: for hosts.
-    `jacobian`: with `decoupler_jacobian()`. Models of an angle: `accuracy` is what the correction of it
-    may leave besides rounding [rad], default 3e-8, of integers 1e-5; `correction` is "series", "table", or
-    "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what harmonics and polynomials may leave
-    of a place [m]. `name`: prefix of symbols and files, so that several decouplers fit in one image. Raises
-    `InputError` for a calibration that cannot be trusted on a
-    controller.
+    `jacobian`: with `decoupler_jacobian()`, by "reading" (True), "state", or "reading,state". `fma`: products
+    and the sums that take them rounded once, by an instruction where the core has it. Models of an angle:
+    `accuracy` is what the correction of it may leave besides rounding [rad], default 3e-8, of integers 1e-5;
+    `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what
+    harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and files, so that several
+    decouplers fit in one image. Raises `InputError` for a calibration that cannot be trusted on a controller.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(
@@ -122,12 +124,13 @@ def generate(
     record |= {} if name == PREFIX else {"name": name}
     given: dict[str, Any] = {"accuracy": accuracy, "correction": correction}
     if arithmetic == "q31":
-        for option, unwanted in (("double", double), ("jacobian", jacobian)):
+        for option, unwanted in (("double", double), ("jacobian", bool(jacobian)), ("fma", fma)):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
         backend: Backend = _integers(fit, record, ranges, given)
     else:
-        backend = _floats(fit, record, ranges, given, double, jacobian)
+        real = replace(DOUBLE if double else FLOAT, fused=fma)
+        backend = _floats(fit, record, ranges, given, real, kinds_of(jacobian, fit.model))
     errors = backend.errors()
     notes = (*notes_of(fit), *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()))
     return Generated(backend, renamed_files(backend.files(errors, notes), name), errors, notes, name)
@@ -138,8 +141,8 @@ def _floats(
     record: Mapping[str, Any],
     ranges: Mapping[str, tuple[float, float]] | None,
     given: Mapping[str, Any],
-    double: bool,
-    jacobian: bool,
+    real: Real,
+    jacobian: tuple[str, ...],
 ) -> FloatBackend:
     found = lower(fit, box_of(fit, ranges), **given)
     if jacobian and found.bounded is not None:
@@ -147,8 +150,11 @@ def _floats(
             f"--jacobian is not generated for {found.model.name} of the family {found.model.family}, whose "
             "rounding is bounded by an argument of its own that does not cover slopes; leave it out."
         )
-    record = {**record, **_recorded(found.options, given)}
-    backend = FloatBackend(found, record, DOUBLE if double else FLOAT, jacobian)
+    variant: dict[str, Any] = {"fma": True} if real.fused else {}
+    if jacobian:
+        variant["jacobian"] = ",".join(jacobian)
+    record = {**record, **_recorded({**found.options, **variant}, given)}
+    backend = FloatBackend(found, record, real, jacobian)
     check_gains(backend.bounds)
     check_bounds(found, backend.bounds)
     check_same(found)

@@ -90,6 +90,8 @@ class IntegerBackend(IntegerArithmetic):
             "all_nan": "",
             "deviations": [STEP, *([SHIFTS] if p.shifts else [])],
             "cpu": "-mcpu=cortex-m0 -mthumb",
+            "libraries": "",
+            "linked": [],
             "machine": "microbit",
             # report
             "notes": "\n".join(f"- {commented(note)}" for note in (*p.said, *notes)),

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import casadi as ca
 import numpy as np
 
-_UNARY: dict[int, Callable] = {
+UNARY: dict[int, Callable] = {
     ca.OP_ASSIGN: lambda a: a,
     ca.OP_NEG: np.negative,
     ca.OP_EXP: np.exp,
@@ -34,7 +34,7 @@ _UNARY: dict[int, Callable] = {
     ca.OP_INV: lambda a: np.divide(1.0, a),
     ca.OP_NOT: lambda a: np.where(a == 0, 1.0, 0.0),
 }
-_BINARY: dict[int, Callable] = {
+BINARY: dict[int, Callable] = {
     ca.OP_ADD: np.add,
     ca.OP_SUB: np.subtract,
     ca.OP_MUL: np.multiply,
@@ -103,10 +103,10 @@ def _compile(function: ca.Function, real: type) -> list[tuple]:
             program.append(("input", None, tuple(i), o[0]))
         elif code == ca.OP_OUTPUT:
             program.append(("output", None, tuple(i), tuple(o)))
-        elif code in _BINARY:
-            program.append(("binary", _BINARY[code], tuple(i), o[0]))
-        elif code in _UNARY:
-            program.append(("unary", _UNARY[code], tuple(i), o[0]))
+        elif code in BINARY:
+            program.append(("binary", BINARY[code], tuple(i), o[0]))
+        elif code in UNARY:
+            program.append(("unary", UNARY[code], tuple(i), o[0]))
         else:
             raise NotImplementedError(f"operation {code} of {function.name()} has no array form")
     return program

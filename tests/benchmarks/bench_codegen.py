@@ -1,8 +1,9 @@
-"""The generated decoupler beside CasADi's own C of the same expressions: instructions, bytes, stack, error.
+"""The generated decoupler beside what else writes C of it: instructions, cycles, bytes, stack, error.
 
-Cortex-M4F in QEMU, arm-none-eabi-gcc -O2 -std=c99 -ffp-contract=off. CasADi's code is generated from
-`decouple(fit)` (parameters as constants) and from the model with its parameters as inputs, in double and with
-`casadi_real = float`; errors over 100000 random inputs on this machine. Neither checks its inputs.
+Cortex-M4F in QEMU, arm-none-eabi-gcc -O2 -std=c99 -ffp-contract=off; cycles by Arm's tables,
+memory without wait states (`test/cycles.awk` of a generated folder). Code is the function alone; libraries
+are counted while they run. Errors against the model in double, over random inputs in the box that float holds
+exactly, on this machine. None of the others checks its inputs, or has a table that can be replaced.
 """
 
 import ctypes
@@ -11,159 +12,237 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 
-import hallsym
-from hallsym.codegen import decouple, generate
-from hallsym.codegen.templates import template
+sys.path.insert(0, str(Path(__file__).parent))
 
-FLAGS = [
-    "-std=c99",
-    "-O2",
-    "-ffp-contract=off",
-    "-mcpu=cortex-m4",
-    "-mthumb",
-    "-mfloat-abi=hard",
-    "-mfpu=fpv4-sp-d16",
-]
+import _rivals as rivals
+
+import hallsym
+from hallsym.codegen import Generated, generate
+from hallsym.codegen.templates import ROOT, template
+
+CORE = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+FLAGS = ("-w", "-std=c99", "-O2", "-ffp-contract=off")
 SAMPLES = 100_000
+TESTS = Path(__file__).parents[1]
 CALLER = """
-typedef {real} real;
-int {name}(const real **arg, real **res, long long *iw, real *w, int mem);
-static const real p[] = {{{p}}};
-static const real m[] = {{1e-4, -1e-4, 2e-4}};
-static const real s[] = {{1e-4, 1e-4, -2e-4}};
-static real q[3], w[200];
+{declared}
+static const {real} in[] = {{{inputs}}};
+static {real} out[8];
 int main(void)
 {{
-    const real *arg[8] = {{{arguments}}};
-    real *res[4] = {{q}};
-    volatile int status = {name}(arg, res, 0, w, 0);
-    return status;
+{before}    {call}
+    return 0;
+}}
+"""
+BATCH = """
+{declared}
+void batch(const {real} *in, {real} *out, int count, int inputs, int outputs);
+void batch(const {real} *in, {real} *out, int count, int inputs, int outputs)
+{{
+    for (int k = 0; k < count; k++, in += inputs, out += outputs)
+    {{
+{before}    {call}
+    }}
 }}
 """
 
 
+@dataclass(frozen=True)
+class Row:
+    """What is measured of one function; `instructions` and `cycles` typical and, where they differ, worst."""
+
+    label: str
+    instructions: str
+    cycles: str
+    code: str
+    table: str
+    stack: str
+    errors: tuple[float, ...]
+
+    @property
+    def count(self) -> int:
+        """Instructions of an input within its range."""
+        return int(self.instructions.split()[0])
+
+
 def main() -> int:
-    """Print the table."""
-    missing = [t for t in ("arm-none-eabi-gcc", "qemu-system-arm", "gcc", "make") if shutil.which(t) is None]
+    """Print a table for each decoder."""
+    tools = ("arm-none-eabi-gcc", "qemu-system-arm", "gcc", "make", "awk")
+    missing = [tool for tool in tools if shutil.which(tool) is None]
     if missing:
         print(f"not run: {', '.join(missing)} not installed (make tools, as root on Debian and Ubuntu)")
         return 0
-    fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
-    print(f"{'':34s}{'instructions':>14s}{'code':>8s}{'table':>7s}{'stack':>7s}{'x, y':>10s}{'Rz':>11s}")
-    with tempfile.TemporaryDirectory() as folder:
-        _ours(fit, Path(folder) / "ours")
-        for symbolic in (False, True):
-            for real in ("float", "double"):
-                _casadi(fit, Path(folder), symbolic, real)
-    print("instructions: within range / worst; code: without libm; errors: largest met")
+    for title, rows, units in tables():
+        print(f"\n{title}\n")
+        print(f"| | instructions | cycles | code | table | stack | {' | '.join(units)} |")
+        print("|---|---:|---:|---:|---:|---:|" + "---:|" * len(units))
+        for row in rows:
+            errors = " | ".join(f"{1e9 * error:.{2 if error < 1e-8 else 0}f}" for error in row.errors)
+            cells = (row.label, row.instructions, row.cycles, row.code, row.table, row.stack, errors)
+            print(f"| {' | '.join(cells)} |")
+        print("| MATLAB Coder | not run | | | | | " + " | ".join("" for _ in units) + " |")
     return 0
 
 
-def _row(name: str, count: str, code: int, table: int, stack: str, error: np.ndarray) -> None:
-    x_y, rz = 1e9 * max(error[:2]), 1e9 * error[2]
-    print(f"{name:34s}{count:>14s}{code:7d}B{table:6d}B{stack:>6s}B{x_y:8.2g}nm{rz:7.2g}nrad")
+def tables() -> Iterator[tuple[str, Iterator[Row], tuple[str, ...]]]:
+    """Yield title, rows and errors of each decoder."""
+    stage = hallsym.load_fit(TESTS / "golden/calib.json")
+    yield "stage31, bundled campaign", stage_rows(stage), ("x, y in nm", "Rz in nrad")
+    encoder = hallsym.load_fit(TESTS / "goldens/calibrations/rotary_volts.json")
+    yield "rotary, two voltages", encoder_rows(encoder), ("angle in nrad",)
 
 
-def _ours(fit: hallsym.Fit, folder: Path) -> None:
-    made = generate(fit)
+def stage_rows(fit: hallsym.Fit) -> Iterator[Row]:
+    """Measure decoders of the stage."""
+    others = [rivals.by_hand(fit), rivals.sympy_stage(fit)]
+    others += [rivals.casadi(fit, real, given) for given in (False, True) for real in ("float", "double")]
+    for row in rows_of(fit, others):
+        x, y, rz = row.errors
+        yield Row(**{**vars(row), "errors": (max(x, y), rz)})
+
+
+def encoder_rows(fit: hallsym.Fit) -> Iterator[Row]:
+    """Measure decoders of an encoder."""
+    others = [rivals.encoder_by_hand(fit), rivals.sympy_encoder(fit)]
+    yield from rows_of(fit, [*others, *(rivals.casadi(fit, real) for real in ("float", "double"))])
+
+
+def rows_of(fit: hallsym.Fit, others: list[rivals.Rival]) -> Iterator[Row]:
+    """Measure our code with and without fused multiply-add, and the others."""
+    with tempfile.TemporaryDirectory() as place:
+        for fma in (False, True):
+            yield from ours(generate(fit, fma=fma), Path(place) / f"ours{fma}", " --fma" if fma else "")
+        made = generate(fit)
+        for number, other in enumerate(others):
+            folder = Path(place) / str(number)
+            folder.mkdir()
+            yield measured(other, made, folder)
+
+
+def ours(made: Generated, folder: Path, option: str) -> Iterator[Row]:
+    """Measure a generated folder by its own `make count`."""
     made.write(folder)
-    said = ran("make", "-C", str(folder), "count")
-    bare = re.search(r"decoupler_bare, (\d+) bytes, instructions per call: (\d+)", said)
-    step = re.search(r"decoupler_step, (\d+) bytes, instructions per call: (.*)", said)
-    if bare is None or step is None:
+    said = run("make", "-C", str(folder), "count")
+    errors = tuple(made.backend.errors(SAMPLES).values())
+    stack = re.search(r"decoupler_step=(\d+)", said)
+    for label, name in (("range test and status", "decoupler_step"), ("arithmetic alone", "decoupler_bare")):
+        size, counts, cycles = counted(said, name)
+        table = f"{len(made.backend.binary)} B"
+        pushed = f"{stack[1] if stack and name == 'decoupler_step' else 0} B"
+        yield Row(f"hallsym{option}, {label}", both(counts), both(cycles), f"{size} B", table, pushed, errors)
+
+
+def counted(said: str, name: str) -> tuple[int, list[str], list[str]]:
+    """Return bytes, instructions and cycles of each call from what `test/cycles.awk` says."""
+    count = re.search(rf"^{name}, (\d+) bytes, instructions per call: (.*)$", said, re.MULTILINE)
+    cycles = re.search(rf"^cycles of {name} per call, .*: (.*)$", said, re.MULTILINE)
+    if count is None or cycles is None:
         raise SystemExit(said)
-    counts = [int(n) for n in step[2].split()]
-    error = np.array(list(made.backend.errors(SAMPLES).values()))
-    table = len(made.backend.binary)
-    _row("hallsym, range test and status", f"{counts[0]} / {max(counts)}", int(step[1]), table, "0", error)
-    _row("hallsym, bare arithmetic", f"{bare[2]}", int(bare[1]), table, "0", error)
+    return int(count[1]), count[2].split(), cycles[1].split()
 
 
-def _casadi(fit: hallsym.Fit, folder: Path, symbolic: bool, real: str) -> None:
-    name = f"casadi_{'symbolic' if symbolic else 'constants'}_{real}"
-    model = fit.model
-    p, m, s = (ca.SX.sym(n, k) for n, k in (("p", len(model.names)), ("m", 3), ("s", 3)))
-    if symbolic:
-        f = ca.Function(name, [p, m, s], [model.decoded(p, np.zeros(3), m, s, np.ones(3))])
-    else:
-        f = ca.Function(name, [m, s], [decouple(fit)(m, s)])
-    generator = ca.CodeGenerator(f"{name}.c", {"casadi_real": real})
-    generator.add(f)
-    generator.generate(f"{folder}/")
-    numbers = ", ".join(f"{v:.17g}" for v in fit.values)
-    (folder / "caller.c").write_text(
-        CALLER.format(real=real, name=name, p=numbers, arguments="p, m, s" if symbolic else "m, s")
-    )
-    (folder / "startup.c").write_text(template("common/test/startup.c"))
-    (folder / "m.ld").write_text(template("common/test/cortex_m.ld"))
-    elf = folder / f"{name}.elf"
-    files = [str(folder / f) for f in ("startup.c", "caller.c", f"{name}.c")]
-    link = ["-nostartfiles", "--specs=rdimon.specs", "-T", str(folder / "m.ld"), "-Wl,--gc-sections"]
-    compiler = ("arm-none-eabi-gcc", "-w", *FLAGS)
-    ran(*compiler, "-fstack-usage", "-c", files[2], "-o", str(folder / "f.o"))
-    ran(*compiler, *link, *files, "-lm", "-o", str(elf))
-    size = int(ran("arm-none-eabi-size", str(folder / "f.o")).splitlines()[1].split()[0])
-    stack = max(int(line.split("\t")[1]) for line in (folder / "f.su").read_text().splitlines())
-    count = counted_instructions(elf, name, folder / "trace.log")
-    _row(name.replace("_", ", "), str(count), size, 0, str(stack), _error(fit, folder, name, real, symbolic))
+def both(counts: list[str]) -> str:
+    """Return the first, which is typical, and the largest where there are several."""
+    worst = max(counts, key=lambda text: int(text.rpartition("-")[2]))
+    return counts[0] if worst == counts[0] else f"{counts[0]} / {worst}"
 
 
-def counted_instructions(elf: Path, name: str, log: Path) -> int:
-    """Executed from the call to the return, library functions included."""
-    symbols = ran("arm-none-eabi-nm", str(elf)).splitlines()
-    start = next(int(line.split()[0], 16) for line in symbols if line.endswith(f" {name}"))
-    back = re.search(rf"bl\s+\w+ <{name}>\n\s*(\w+):", ran("arm-none-eabi-objdump", "-d", str(elf)))
+def measured(rival: rivals.Rival, made: Generated, folder: Path) -> Row:
+    """Compile a rival, run it in QEMU and on this machine."""
+    d = made.decoupler
+    (folder / "function.c").write_text(rival.source)
+    low, high = np.array([d.ends(c) for c in d.inputs]).T
+    inputs = rivals.numbers(0.5 * (low + high) + 0.2 * (high - low), rival.real)
+    declared, _, before = rival.before.partition("@")
+    fields = {
+        "declared": declared,
+        "before": before,
+        "call": rival.call,
+        "real": rival.real,
+        "inputs": inputs,
+    }
+    (folder / "caller.c").write_text(CALLER.format(**fields))
+    (folder / "batch.c").write_text(BATCH.format(**fields))
+    _, counts, cycles = counted(in_qemu(rival.name, folder), rival.name)
+    size = code_of(rival.name, folder)
+    stack = max(int(line.split("\t")[1]) for line in (folder / "function.su").read_text().splitlines())
+    table = f"{rival.table} B" if rival.table else ""
+    errors = tuple(errors_of(rival, made, folder))
+    return Row(rival.label, both(counts), both(cycles), f"{size} B", table, f"{stack} B", errors)
+
+
+def in_qemu(name: str, folder: Path) -> str:
+    """Run function.c and caller.c of a folder on a Cortex-M4F; what the script says of one function."""
+    elf, log = folder / "program.elf", folder / "program.log"
+    for part in ("startup.c", "cortex_m.ld"):
+        (folder / part).write_text(template(f"common/test/{part}"))
+    compiler = ("arm-none-eabi-gcc", *FLAGS, *CORE)
+    run(*compiler, "-fstack-usage", "-c", str(folder / "function.c"), "-o", str(folder / "function.o"))
+    link = ("-nostartfiles", "--specs=rdimon.specs", "-T", str(folder / "cortex_m.ld"))
+    sources = [str(folder / file) for file in ("startup.c", "caller.c", "function.o")]
+    run(*compiler, *link, *sources, "-lm", "-o", str(elf))
     qemu = ("qemu-system-arm", "-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none")
-    step = ("-singlestep", "-d", "exec,nochain", "-D", str(log))
+    help_text = subprocess.run(
+        ["qemu-system-arm", "-help"], capture_output=True, text=True, check=False
+    ).stdout
+    step = ("-accel", "tcg,one-insn-per-tb=on") if "one-insn" in help_text else ("-singlestep",)
     semihosting = ("-semihosting-config", "enable=on,target=native")
-    subprocess.run([*qemu, *step, *semihosting, "-kernel", str(elf)], check=False)
-    pcs = [int(m[1], 16) for m in re.finditer(r"\[[0-9a-f]+/([0-9a-f]+)/", log.read_text())]
-    first = pcs.index(start)
-    if back is None:
-        raise SystemExit(f"no call of {name} found")
-    return pcs.index(int(back[1], 16), first) - first
+    run(*qemu, *step, "-d", "exec,nochain", "-D", str(log), *semihosting, "-kernel", str(elf))
+    (folder / "listing").write_text(run("arm-none-eabi-objdump", "-d", str(elf)))
+    symbols = dict.fromkeys(("main", name), ("0", "0"))
+    for line in run("arm-none-eabi-nm", "-S", str(elf)).splitlines():
+        start, *size, _, symbol = line.split()
+        if symbol in symbols and size:
+            symbols[symbol] = (start, size[0])
+    of = {
+        "core": "cortex-m4", "name": name, "start": symbols[name][0], "size": symbols[name][1],
+        "caller": symbols["main"][0], "caller_size": symbols["main"][1],
+    }  # fmt: skip
+    options = [text for pair in of.items() for text in ("-v", "=".join(pair))]
+    script = str(ROOT / "common/test/cycles.awk")
+    return run("awk", *options, "-f", script, str(folder / "listing"), str(log))
 
 
-def _error(fit: hallsym.Fit, folder: Path, name: str, real: str, symbolic: bool) -> np.ndarray:
-    """Largest error against the model in double, over inputs that float holds exactly."""
-    library = folder / f"{name}.so"
-    ran(
-        "gcc",
-        "-w",
-        "-std=c99",
-        "-O2",
-        "-shared",
-        "-fPIC",
-        str(folder / f"{name}.c"),
-        "-lm",
-        "-o",
-        str(library),
+def code_of(name: str, folder: Path) -> int:
+    """Return the bytes of a function and of the static ones that it calls."""
+    listed = (line.split() for line in run("arm-none-eabi-nm", "-S", str(folder / "function.o")).splitlines())
+    sized = [parts for parts in listed if len(parts) == 4]
+    return sum(
+        int(size, 16) for _, size, kind, symbol in sized if kind == "t" or (kind == "T" and symbol == name)
     )
-    call = getattr(ctypes.CDLL(str(library)), name)
-    dtype = np.float32 if real == "float" else np.float64
-    d = generate(fit).decoupler
+
+
+def errors_of(rival: rivals.Rival, made: Generated, folder: Path) -> np.ndarray:
+    """Return the largest error of each pose coordinate, over inputs that float holds exactly."""
+    library, d = folder / "library.so", made.decoupler
+    files = [str(folder / name) for name in ("function.c", "batch.c")]
+    run("gcc", *FLAGS, "-shared", "-fPIC", *files, "-lm", "-o", str(library))
+    dtype = np.float32 if rival.real == "float" else np.float64
     low, high = np.array([d.ends(c) for c in d.inputs]).T[:, :, None]
-    inputs = (low + (high - low) * np.random.default_rng(0).random((6, SAMPLES // 10))).astype(np.float32)
-    expected = d.exact(inputs.astype(float))
-    p, worst_error, q = fit.values.astype(dtype), np.zeros(3), np.zeros(3, dtype)
-    work = np.zeros(400, dtype)
-    for k, column in enumerate(inputs.T.astype(dtype)):
-        parts = (
-            [p, column[:3].copy(), column[3:].copy()] if symbolic else [column[:3].copy(), column[3:].copy()]
-        )
-        arg = (ctypes.c_void_p * 8)(*(a.ctypes.data for a in parts))
-        res = (ctypes.c_void_p * 4)(q.ctypes.data)
-        call(arg, res, None, work.ctypes.data_as(ctypes.c_void_p), 0)
-        worst_error = np.maximum(worst_error, np.abs(q - expected[:, k]))
-    return worst_error
+    share = np.random.default_rng(0).random((len(low), SAMPLES))
+    inputs = (low + (high - low) * share).astype(np.float32)
+    clear = made.backend.step(inputs.astype(made.backend.real.dtype))[1] == 0
+    given = np.ascontiguousarray(inputs[:, clear].T, dtype=dtype)
+    found = np.zeros((len(given), len(d.pose)), dtype)
+    call = ctypes.CDLL(str(library)).batch
+    call(
+        *(a.ctypes.data_as(ctypes.c_void_p) for a in (given, found)),
+        len(given),
+        given.shape[1],
+        found.shape[1],
+    )
+    difference = d.difference(found.T.astype(float), d.exact(inputs[:, clear].astype(float)))
+    return np.abs(difference).max(axis=1)
 
 
-def ran(*command: str) -> str:
+def run(*command: str) -> str:
+    """Return what a command prints; it must succeed."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(command)}\n{done.stdout}{done.stderr}")

@@ -18,13 +18,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from bench_codegen import FLAGS, counted_instructions, ran
+from bench_codegen import code_of, counted, in_qemu, run
 from waves import calibrated, calibrated_planar
 
 import hallsym
 from hallsym import Fit
 from hallsym.codegen import generate
-from hallsym.codegen.templates import template
 from hallsym.families.halbach import models
 
 CALLER = """
@@ -96,7 +95,7 @@ def _one_step(fit: Fit) -> Callable[..., ca.SX]:
 def _ours(name: str, fit: Fit, accuracy: float | None, folder: Path) -> None:
     made = generate(fit, accuracy=accuracy)
     made.write(folder)
-    said = ran("make", "-C", str(folder), "count")
+    said = run("make", "-C", str(folder), "count")
     step = re.search(r"decoupler_step, (\d+) bytes, instructions per call: (.*)", said)
     stack = re.search(r"decoupler_step=(\d+)", said)
     if step is None or stack is None:
@@ -119,21 +118,14 @@ def _casadi(name: str, fit: Fit, folder: Path, decoded: Callable[..., ca.SX]) ->
     f = ca.Function(code, [readings, start], [ca.densify(decoded(model, readings, np.ones(n), start))])
     generator = ca.CodeGenerator(f"{code}.c", {"casadi_real": "float"})
     generator.add(f)
-    generator.generate(f"{folder}/")
+    (folder / "function.c").write_text(generator.dump())
     (folder / "caller.c").write_text(
         CALLER.format(name=code, work=f.sz_w() + 1, readings=", ".join(["0.3f"] * n))
     )
-    (folder / "startup.c").write_text(template("common/test/startup.c"))
-    (folder / "m.ld").write_text(template("common/test/cortex_m.ld"))
-    elf, files = folder / f"{code}.elf", [str(folder / f) for f in ("startup.c", "caller.c", f"{code}.c")]
-    link = ["-nostartfiles", "--specs=rdimon.specs", "-T", str(folder / "m.ld"), "-Wl,--gc-sections"]
-    compiler = ("arm-none-eabi-gcc", "-w", *FLAGS)
-    ran(*compiler, "-fstack-usage", "-c", files[2], "-o", str(folder / "f.o"))
-    ran(*compiler, *link, *files, "-lm", "-o", str(elf))
-    size = int(ran("arm-none-eabi-size", str(folder / "f.o")).splitlines()[1].split()[0])
-    stack = max(int(line.split("\t")[1]) for line in (folder / "f.su").read_text().splitlines())
-    count = counted_instructions(elf, code, folder / "trace.log")
-    print(f"{name:38s}{count:>14d}{size:7d}B{0:7d}B{stack:6d}B")
+    _, counts, _ = counted(in_qemu(code, folder), code)
+    size = code_of(code, folder)
+    stack = max(int(line.split("\t")[1]) for line in (folder / "function.su").read_text().splitlines())
+    print(f"{name:38s}{counts[0]:>14s}{size:7d}B{0:7d}B{stack:6d}B")
 
 
 if __name__ == "__main__":

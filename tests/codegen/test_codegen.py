@@ -30,11 +30,11 @@ from hallsym.codegen import (
     generate,
     lower,
     mix,
+    on_arrays,
     pose_bounds,
 )
 from hallsym.errors import InputError
 from hallsym.families import adapted, effects
-from hallsym.model import on_arrays
 
 
 def inputs_of(d, count=2000, seed=0, dtype=float):
@@ -47,7 +47,7 @@ def test_the_printed_expressions_are_the_model(case):
     fit = CASES[case]()
     d = lower(fit, box_of(fit))
     inputs = inputs_of(d)
-    folded = on_arrays(d.function)(list(inputs), d.constants)[0]
+    folded = on_arrays(d)(inputs, d.constants)[0]
     linear = np.abs(folded - d.exact(inputs)).max(axis=1)
     assert linear.max() <= d.slack + 1e-16
 
@@ -114,7 +114,7 @@ def test_more_probes_than_coordinates_are_weighted_least_squares():
         weights.append(p[f"eta_{probe.label}"] / fit.noise.sigmas[probe.channel].value)
     w = np.array(weights)
     expected = np.linalg.lstsq(np.array(rows) * w[:, None], np.array(seen) * w, rcond=None)[0]
-    found = on_arrays(d.function)(list(np.concatenate([readings, state])[:, None]), d.constants)[0].ravel()
+    found = on_arrays(d)(np.concatenate([readings, state])[:, None], d.constants)[0].ravel()
     assert np.abs(found - expected).max() < 1e-15
 
 
@@ -320,7 +320,7 @@ def test_every_effect_without_a_history_has_its_c(name):
     fit = with_effect(effects()[name], 1e-3)
     d = lower(fit, box_of(fit))
     inputs = inputs_of(d)
-    found = on_arrays(d.function)(list(inputs), d.constants)[0]
+    found = on_arrays(d)(inputs, d.constants)[0]
     assert np.abs(found - d.exact(inputs)).max() <= d.slack + 1e-16
     assert np.isfinite(list(pose_bounds(d).error.values())).all()
 

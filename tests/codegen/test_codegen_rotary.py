@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import hallsym
 from hallsym.cli.main import main
-from hallsym.codegen import notes_of
+from hallsym.codegen import firmware_cost, notes_of
 from hallsym.codegen.lowering import ARCTANGENT, SINE, arctangent_error, sine_error, wrapped
 from hallsym.errors import InputError
 from hallsym.families import effects
@@ -56,7 +56,8 @@ def calibrated(model, values):
     n = len(p)
     return replace(
         calibration(), model=model, values=p, std=np.zeros(n), determined=np.ones(n, bool), zeros={},
-        covariance=np.zeros((n, n)),
+        covariance=np.zeros((n, n)), degrees_of_freedom=np.full(n, np.inf), errors=None, error_rows={},
+        noise_floor={},
         noise=Noise({c: Sigma(3e-4, "given") for c in (*model.channels, *model.references)}),
         log={"span": {"angle_ref_rad": [0.0, 12.0], "temperature_degc": [20.0, 30.0]}, "sha256": 64 * "0"},
     )  # fmt: skip
@@ -206,6 +207,19 @@ def test_the_folder_passes_its_self_test(case, form, tmp_path):
     assert "table good, 0 of" in said
     assert said.count("as stated") == 2
     assert "0 faults of a table not found, 0 zeros wrong" in said
+
+
+@pytest.mark.parametrize(
+    ("case", "form"), [BUILT[0], pytest.param(*BUILT[1], marks=pytest.mark.slow), *LATER]
+)
+def test_with_fused_multiply_add(case, form, tmp_path):
+    need("gcc", "make")
+    code = made(case, form, fma=True)
+    code.write(tmp_path / "fw")
+    assert ran(tmp_path / "fw", "make", "check").count("as stated") == 2
+    assert code.errors["angle_rad"] <= code.backend.error_bound["angle_rad"]
+    fused, plain = (firmware_cost(code.decoupler, fused=fused).instructions for fused in (True, False))
+    assert fused < 0.95 * plain
 
 
 @settings(max_examples=30, deadline=None)

@@ -195,6 +195,8 @@ CODE: dict[str, tuple[str, tuple[str, ...]]] = {
     "stage31": ("stage31", ()),
     "stage31_double": ("stage31", ("--double",)),
     "stage31_jacobian": ("stage31", ("--jacobian",)),
+    "stage31_slopes": ("stage31", ("--jacobian", "reading,state")),
+    "stage31_fma": ("stage31", ("--fma",)),
     "stage31_q31": ("stage31", ("--arithmetic", "q31")),
     "stage31_range": ("stage31", ("--range", "z_um=-200:200", "--range", "x_um=-250:250")),
     "stage30_holdout": ("stage30_table6", ()),
@@ -220,6 +222,7 @@ SLOW_CODE = {
     "stage31_jacobian",
 }  # fmt: skip
 TEXTS = {
+    "stage31_fma",
     "stage31_double", "stage31_q31", "stage31_jacobian", "rotary_volts", "rotary_volts_q31", "rotary_angle",
     "rotary_angle_q31", "homed_angle", "meng_angle_table", "third_wave_series",
 }  # fmt: skip

@@ -30,6 +30,10 @@ SIGMA |= {"rz_ref_rad": 5e-7} | VERTICAL_NOISE
 ENCODER_SIGMA = {"v_sin_v": 3.5e-4, "v_cos_v": 3.5e-4, "angle_ref_rad": 2e-5}
 
 
+Ends = Literal["refusal", "note", "remark"]
+"""Exit code 2; 3 with the sentence on stderr; 0 with a note on what may be meant so (a side of mounting)."""
+
+
 @dataclass(frozen=True)
 class Mistake:
     """One mistake. `says`: a regular expression that one sentence must match; it names column, run, remedy.
@@ -41,7 +45,7 @@ class Mistake:
     name: str
     make: Make
     says: str
-    ends: Literal["refusal", "note"]
+    ends: Ends
     found: Literal["log", "fit"] = "log"
     on: tuple[str, ...] = STAGE
 
@@ -254,11 +258,11 @@ _REPAIR = r".*--drop-bad"
 _LEFT_OUT = r".*left out: "
 
 
-def of_stage(name: str, make: Make, says: str, ends: Literal["refusal", "note"]) -> Mistake:
+def of_stage(name: str, make: Make, says: str, ends: Ends) -> Mistake:
     return Mistake(name, make, says, ends)
 
 
-def of_encoder(name: str, make: Make, says: str, ends: Literal["refusal", "note"]) -> Mistake:
+def of_encoder(name: str, make: Make, says: str, ends: Ends) -> Mistake:
     return Mistake(f"encoder: {name}", make, says, ends, on=ENCODER)
 
 
@@ -571,7 +575,7 @@ def times(factor: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda values: factor * values
 
 
-def of_fit(name: str, make: Make, says: str, ends: Literal["refusal", "note"] = "refusal") -> Mistake:
+def of_fit(name: str, make: Make, says: str, ends: Ends = "refusal") -> Mistake:
     return Mistake(f"encoder: {name}", make, says, ends, found="fit", on=ENCODER)
 
 
@@ -602,9 +606,9 @@ ENCODERS = (
         "mV for V, less swing", turned(times(300.0), *_PLATES), r"v_sin_v .* check its unit, such as .*_mv="
     ),
     of_fit("mV for V in one column, less swing", turned(times(300.0), "v_cos_v"), r"v_cos_v .*v_cos_mv="),
-    of_fit("an inverted plate", turned(np.negative, "v_cos_v"), _REVERSED, "note"),
-    of_fit("exchanged plates", exchanged(), _REVERSED, "note"),
-    of_fit("an inverted reference", turned(np.negative, "angle_ref_rad"), _REVERSED, "note"),
+    of_fit("an inverted plate", turned(np.negative, "v_cos_v"), _REVERSED, "remark"),
+    of_fit("exchanged plates", exchanged(), _REVERSED, "remark"),
+    of_fit("an inverted reference", turned(np.negative, "angle_ref_rad"), _REVERSED, "remark"),
     of_fit(
         "the sine inverted in one run",
         turned(np.negative, "v_sin_v", run=2),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.log.quality.explain import BEYOND, Explanation, Slopes, Units, explanations, widened
-from hallsym.log.quality.findings import Finding
+from hallsym.log.quality.findings import Finding, name_of
 from hallsym.log.quality.responses import Responses
 from hallsym.log.quality.units import option, other_units
 from hallsym.model import Model
@@ -87,7 +87,7 @@ def _whole(log: Any, model: Model, found: Sequence[Explanation]) -> Iterator[Fin
     if found:
         text = "; or ".join(said(e) for e in found)
         ways = dict.fromkeys(r for e in found for r in remedies(log, e))
-        yield sentence(f"In {log.name} {text} against the layout of {model.name}", ways)
+        yield sentence(f"In {name_of(log)} {text} against the layout of {model.name}", ways)
 
 
 def sentence(text: str, ways: Iterable[str]) -> Finding:
@@ -175,7 +175,7 @@ def run_finding(
     them, used = "it" if len(runs) == 1 else "them", [run for run in runs if run not in holdout]
     leave = f"leave {them} out with --holdout {','.join(map(str, used[:NAMED]))}"
     remedy = f"correct {them}, or {leave}" if used else f"correct {them} before judging a fit by {them}"
-    whole, short = (f"In {few(runs)}{of} {text}, beside the other runs" for of in (f" of {log.name}", ""))
+    whole, short = (f"In {few(runs)}{of} {text}, beside the other runs" for of in (f" of {name_of(log)}", ""))
     fits = len(whole) + len(remedy) + len(": .") <= LONGEST
     return Finding(whole if fits else short, refuse and bool(used), remedy=remedy)
 

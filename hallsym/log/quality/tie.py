@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.log.quality.explain import Explanation, Units, change_of
-from hallsym.log.quality.findings import Finding
+from hallsym.log.quality.findings import Finding, name_of
 from hallsym.log.quality.gains import listed, remedies, said, sentence
 from hallsym.log.quality.responses import Coupling
 from hallsym.log.quality.units import other_units
@@ -84,7 +84,9 @@ def judge_ties(log: Any, model: Model, seen: Coupling) -> Iterator[Finding]:
         0.0,
     )
     what = model.family.together or listed(model.state)
-    yield sentence(f"In {log.name} {said(found)}, judged by how gains follow {what}", remedies(log, found))
+    yield sentence(
+        f"In {name_of(log)} {said(found)}, judged by how gains follow {what}", remedies(log, found)
+    )
 
 
 def _may_be_small(model: Model, seen: Coupling, told: np.ndarray) -> bool:

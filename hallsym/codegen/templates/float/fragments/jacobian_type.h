@@ -1,5 +1,5 @@
 
-/** Slopes of the pose by the readings. */
+/** Slopes of the @QUANTITY@ by @BY_KINDS@. */
 typedef struct
 {
     @REAL@ @slope.name@; /**< [@slope.unit@] d @slope.of@ / d @slope.by@ */

@@ -17,6 +17,7 @@
 #define INLINE static inline
 #endif
 @MAGNITUDE@
+@FUSED@
 
 @LIMITED_FUNCTION@
 @WITHIN@
