@@ -85,7 +85,6 @@ PLANAR = Family(
         "": {"a1_percent": 2, "a5_mv": 0.5, "[xy]0": "exact", "r[xyz]0": "exact"},
         "gain_mismatch": SENSORS["gain_mismatch"],
         "offset_error": SENSORS["offset_error"],
-        "array_geometry_error:array=all": {"d[xyz]_*_um": 50, "r[xyz]_*_urad": 500},
     },
     example=Example(
         campaign={"step_s": 8e-3, "run": list(MOTIONS)},
