@@ -61,7 +61,9 @@ if TYPE_CHECKING:
     from hallsym.trajectory import choose_curve as choose_curve
     from hallsym.trajectory import read_curve as read_curve
     from hallsym.uncertainty import Budget as Budget
+    from hallsym.uncertainty import ErrorModel as ErrorModel
     from hallsym.uncertainty import Source as Source
+    from hallsym.uncertainty import error_model as error_model
     from hallsym.uncertainty import position_budget as position_budget
     from hallsym.uncertainty import read_budget as read_budget
     from hallsym.uncertainty import uncertainty_map as uncertainty_map
@@ -87,7 +89,9 @@ _PUBLIC = {
         "Matching", "Sorting", "change_probability", "match_sensors", "read_readings", "sort_sensors",
     ),
     "hallsym.trajectory": ("Curve", "choose_curve", "read_curve"),
-    "hallsym.uncertainty": ("Budget", "Source", "position_budget", "read_budget", "uncertainty_map"),
+    "hallsym.uncertainty": (
+        "Budget", "ErrorModel", "Source", "error_model", "position_budget", "read_budget", "uncertainty_map",
+    ),
     "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
 }  # fmt: skip
 """Where each public name stands; it is imported when it is first used, so that `import hallsym` is quick."""

@@ -40,6 +40,7 @@ COMMANDS = (
     "codegen",
     "plan",
     "tolerances",
+    "errors",
     "simulate",
     "sort",
     "trajectory",

@@ -12,6 +12,7 @@ COMMANDS = {
     "codegen": "C for the controller",
     "plan": "choose what to record next, within your ranges and your time",
     "tolerances": "which tolerance of the machine is worth money, before any data",
+    "errors": "what known causes make of the decoded position along a coordinate",
     "sort": "sensors by gain, in bins and in sets that an array decodes best with",
     "trajectory": "a curve through points or of an expression, with the error it makes",
     "simulate": "write the log a known machine would record",

@@ -175,7 +175,7 @@ def _position(options: Namespace) -> int:
         "log": None if log is None else str(options.log),
         "model": fit.model.name,
         "covariance": fit.covariance_method,
-        "at": {c: at.get(c, 0.0) for c in (*fit.model.pose, *fit.model.state)},
+        "at": fit.model.rest | at,
         "budgets": {c: b.to_dict() for c, b in budgets.items()},
         "monte_carlo": {c: v.to_dict() for c, v in found.items()} or None,
         "recorded": recorded.to_dict() if recorded else None,
@@ -185,9 +185,8 @@ def _position(options: Namespace) -> int:
     pictures = _pictures(options, worst or budgets, grid, worst=log is not None or grid is not None)
     shown = grid if options.map or options.range else None
     parts = _position_text(budgets, list(found.values()), recorded, shown, settings)
-    parts.insert(
-        0, f"position at {position_words(at, fit.model.period)}; fit covariance: {fit.covariance_method}"
-    )
+    place = position_words(fit.model.rest | at, fit.model.period)
+    parts.insert(0, f"position at {place}; fit covariance: {fit.covariance_method}")
     parts += ["", *noted(said)] if said else []
     say(options, record, lambda: "\n".join([*parts, *pictures]))
     return NOT_DETERMINED if fit.undetermined_by_log else OK

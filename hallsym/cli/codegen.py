@@ -12,6 +12,7 @@ from hallsym.codegen.folder import name_of, type_of
 from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.codegen.naming import PREFIX
 from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.units import fitting
 
 EPILOG = """\
 examples:
@@ -109,13 +110,19 @@ def _made(fit: Fit, options: Namespace) -> Generated:
     )
 
 
+def _small(error: float, si: str) -> str:
+    """Return an error of `si` as nm or nrad, from 1000 on in a larger unit."""
+    factor, unit = fitting(si, error)
+    return f"{error * factor:.3g} {unit}"
+
+
 def _text(made: Generated, options: Namespace) -> list[str]:
     record, tried = made.to_dict(), made.decoupler.tried
     lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
     for c, met in record["error_met"].items():
         unit, bound = c.rpartition("_")[2], record.get("error_bound", {}).get(c)
-        most = "" if bound is None else f"error at most {1e9 * bound:.3g} n{unit} over the box, "
-        lines.append(f"  {c}: {most}{1e9 * met:.3g} n{unit} met over {tried} random inputs")
+        most = "" if bound is None else f"error at most {_small(bound, unit)} over the box, "
+        lines.append(f"  {c}: {most}{_small(met, unit)} met over {tried} random inputs")
     lines += [f"  {c}: {low:g} to {high:g}" for c, (low, high) in record["box"].items()]
     wrote = sorted(made.params) if options.params_only else sorted(made.files)
     lines += [f"wrote {Path(options.output) / name}" for name in wrote]

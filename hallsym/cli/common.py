@@ -151,15 +151,17 @@ def column_numbers(text: str, columns: Sequence[str], option: str, example: str)
     return column, found
 
 
-def column_ranges(given: Sequence[str], columns: Sequence[str]) -> dict[str, tuple[float, float]]:
+def column_ranges(
+    given: Sequence[str], columns: Sequence[str], option: str = "--range"
+) -> dict[str, tuple[float, float]]:
     """Read every `--range x_um=-300:300`: column -> least and greatest SI value."""
     ranges = {}
     for text in given:
         example = f"{text.partition('=')[0]}=-300:300"
-        column, (low, high) = column_numbers(text, columns, "--range", example)
+        column, (low, high) = column_numbers(text, columns, option, example)
         if not low < high:
             raise InputError(
-                f"--range must go from the lesser to the greater value; instead received {text!r}."
+                f"{option} must go from the lesser to the greater value; instead received {text!r}."
             )
         ranges[column] = low, high
     return ranges

@@ -9,6 +9,7 @@ from hallsym.cli.common import campaign_of, command, model_options, say, seed
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.log import Meta
+from hallsym.model import Model
 from hallsym.simulation.paper import DESIGNED
 
 
@@ -22,6 +23,7 @@ def add(sub: Any) -> None:
         "pip install 'hallsym[sobol]'.",
         "examples:\n"
         "  hallsym tolerances                                 Table 1 with the ranges of Table 3\n"
+        "  hallsym tolerances --model halbach                 usual tolerances of sensors and boards\n"
         "  hallsym tolerances --ranges drawing.toml --machine mystage.toml --plots pictures\n"
         "\n"
         "a tolerance file:\n"
@@ -38,7 +40,8 @@ def add(sub: Any) -> None:
     parser.add_argument(
         "--ranges",
         metavar="TOML",
-        help="tolerances; the model's bounds about the nominal values if not given",
+        help="tolerances; if not given, the usual ones of such machines with their effects, else the "
+        "model's bounds about the nominal values",
     )
     parser.add_argument(
         "--samples", type=int, default=1024, metavar="N",
@@ -56,12 +59,14 @@ def run(options: Namespace) -> int:
     from hallsym.uncertainty.tolerances import read_tolerances, tolerances
 
     machine = read_machine(options.machine)
-    model = build(
-        options.model or DESIGNED,
-        meta=machine.applied(Meta()),
-        added=tuple(options.effect),
-        parameters=machine.parameters,
-    )
+
+    def made(*effects: str) -> Model:
+        name, meta = options.model or DESIGNED, machine.applied(Meta())
+        return build(name, meta=meta, added=effects, parameters=machine.parameters)
+
+    model = made(*options.effect)
+    if not options.effect and options.ranges is None:
+        model = made(*filter(None, model.family.tolerances))
     ranges = None if options.ranges is None else read_tolerances(options.ranges, model)
     found = tolerances(model, campaign_of(options), ranges=ranges, samples=options.samples, seed=options.seed)
     pictures = []

@@ -91,6 +91,9 @@ class Family:
     together: str = ""
     """What a person calls all state columns together."""
     example: Example | None = None
+    tolerances: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Usual tolerances: effect as `--effect` takes it ("" for the models themselves) -> lines of a tolerance
+    file, where `*` stands for any label: {"gain_mismatch": {"gain_*_percent": 2}}."""
     endless: tuple[str, ...] = ()
     """Pose coordinates that can move on and on in one direction, as a shaft turns."""
     direct: Callable[[Model], Model] = _itself

@@ -136,6 +136,8 @@ class Model:
     drawing."""
     begin: "Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX] | None" = None
     """`(reading, parameters) -> pose` near which decoding begins; the zero pose otherwise."""
+    formulas: "Mapping[str, Callable[[ca.SX, Mapping[str, ca.SX]], ca.SX]]" = field(default_factory=dict)
+    """Other closed forms `(reading, parameters) -> pose` by name, as a paper states them."""
     onward: "Callable[[np.ndarray, str, Mapping[str, float]], np.ndarray] | None" = None
     """`(poses (n_pose, samples), coordinate, parameters) -> (n_pose, samples)`: how a pose changes, per unit
     of the nominal period of a coordinate, on the way to the next pose that reads the same; only that
@@ -214,6 +216,12 @@ class Model:
         if not self.typical:
             return noise
         return np.array(self.typical)[rng.integers(len(self.typical), size=count)].T * (1 + 0.3 * noise)
+
+    @property
+    def rest(self) -> dict[str, float]:
+        """Where pose and state are if nothing is said: the first typical pose if any is stated, else 0."""
+        pose = self.typical[0] if self.typical else (0.0,) * len(self.pose)
+        return dict(zip(self.pose, pose, strict=True)) | dict.fromkeys(self.state, 0.0)
 
     @cached_property
     def _remembered(self) -> dict[Hashable, Any]:

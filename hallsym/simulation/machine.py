@@ -9,6 +9,7 @@ from hallsym.errors import InputError
 from hallsym.families.cordic import MOST_STEPS, cordic_angle
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
+from hallsym.model.derived import Stretch
 from hallsym.simulation.campaign import Campaign, Run
 
 BLOCK = 65_536
@@ -87,7 +88,7 @@ def simulate_blocks(
     _check_axes(model, campaign)
     p, rng = model.vector(values), np.random.default_rng(seed)
     disturb = _Disturbance(model, noise or NoiseModel(), campaign.step_s, rng)
-    read = on_arrays(model.reading)
+    read, made = on_arrays(model.reading), {c.name for c in model.computed}
     start = 0.0
     for number, run in enumerate(campaign.runs):
         zeros = _zeros(model, p, run, campaign, rng)
@@ -95,10 +96,12 @@ def simulate_blocks(
         for first in range(0, total, BLOCK):
             t = np.arange(first, min(first + BLOCK, total)) * campaign.step_s
             pose = [run.position(c, t) for c in model.pose]
-            state = [run.position(c, t) for c in model.state]
-            (reading,) = read(p, zeros, pose, state)
+            logged = {c: run.position(c, t) for c in model.state if c not in made}
+            known = {**dict(zip(model.references, pose, strict=True)), **logged, "t_s": start + t}
+            state = logged | _computed(model, p, Stretch(number, known, start, 0.0, {}, {}))
+            (reading,) = read(p, zeros, pose, [state[c] for c in model.state])
             columns = dict(zip(model.channels, reading, strict=True))
-            columns |= dict(zip(model.state, state, strict=True))
+            columns |= logged
             columns |= dict(zip(model.references, pose, strict=True))
             yield {
                 "run": np.full(len(t), number),
@@ -106,6 +109,15 @@ def simulate_blocks(
                 **{name: disturb(name, column) for name, column in columns.items()},
             }
         start += total * campaign.step_s + 1.0
+
+
+def _computed(model: Model, p: np.ndarray, stretch: Stretch) -> dict[str, np.ndarray]:
+    """Return the columns that are computed from others, as a fit computes them; 0 without what they need."""
+    none, out = np.zeros(len(stretch.data["t_s"])), {}
+    for column in model.computed:
+        taken = column.at(model.named(p)) if column.at else column
+        out[column.name] = taken.rule(stretch) if set(taken.needs) <= set(stretch.data) else none
+    return out
 
 
 def _check_axes(model: Model, campaign: Campaign) -> None:

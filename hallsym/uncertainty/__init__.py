@@ -1,9 +1,18 @@
 """Uncertainty budgets: stand-alone by the GUM, and of a decoded position, confirmed by Monte Carlo.
 
 `gum` is the arithmetic, `files` and `settings` read TOML, `inputs` lists what a position is computed from,
-`position` propagates it linearly, `following` does so along a curve, `monte_carlo` as distributions.
+`position` propagates it linearly, `following` does so along a curve, `monte_carlo` as distributions. `along`
+is the error of known causes along a coordinate.
 """
 
+from hallsym.uncertainty.along import (
+    ErrorModel,
+    ErrorsAlong,
+    decoders,
+    error_model,
+    errors_along,
+    usual_range,
+)
 from hallsym.uncertainty.files import read_budget
 from hallsym.uncertainty.following import AlongCurve, along_curve, curve_error, with_curve
 from hallsym.uncertainty.gum import DIVISORS, Budget, Source
@@ -33,6 +42,8 @@ __all__ = [
     "AlongCurve",
     "Budget",
     "Comparison",
+    "ErrorModel",
+    "ErrorsAlong",
     "Input",
     "Linear",
     "Recorded",
@@ -44,6 +55,9 @@ __all__ = [
     "budget_monte_carlo",
     "curve_error",
     "decoded_at_random",
+    "decoders",
+    "error_model",
+    "errors_along",
     "independent_inputs",
     "map_axes",
     "notes",
@@ -56,5 +70,6 @@ __all__ = [
     "slopes",
     "tolerance",
     "uncertainty_map",
+    "usual_range",
     "with_curve",
 ]

@@ -36,9 +36,9 @@ def position_budget(
 ) -> dict[str, Budget]:
     """Return one budget per pose coordinate for the position decoded at a pose and vertical state.
 
-    `at`: pose or state column -> value in SI, 0 where not given. The fit covariance is one source, "fit";
-    with `split` every determined parameter is one, correlated with the others. Raises `InputError` where a
-    gain crosses zero and for a calibration without covariance.
+    `at`: pose or state column -> value in SI, `Model.rest` where not given. The fit covariance is one source,
+    "fit"; with `split` every determined parameter is one, correlated with the others. Raises `InputError`
+    where a gain crosses zero and for a calibration without covariance.
     """
     settings = settings or Settings()
     check_fit(fit)
@@ -106,7 +106,7 @@ def fit_degrees_of_freedom(fit: Fit, slope: np.ndarray) -> np.ndarray:
 
 
 def place(model: Model, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return pose (n_pose,) and state (n_state,) of `at`, 0 where not given; unknown columns are an error."""
+    """Return pose (n_pose,) and state (n_state,) of `at`, at rest where not given; refuse unknown columns."""
     columns = [*model.pose, *model.state]
     for column, value in at.items():
         if column not in columns:
@@ -116,7 +116,8 @@ def place(model: Model, at: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray
             )
         if not np.isfinite(value):
             raise InputError(f"Position {column} must be a finite number; instead received {value!r}.")
-    pose, state = (np.array([float(at.get(c, 0.0)) for c in names]) for names in (model.pose, model.state))
+    whole = model.rest | dict(at)
+    pose, state = (np.array([float(whole[c]) for c in names]) for names in (model.pose, model.state))
     return pose, state
 
 
@@ -254,7 +255,7 @@ def uncertainty_map(
     *,
     fixed: Mapping[str, float] | None = None,
 ) -> UncertaintyMap:
-    """Return U on the grid of `axes`: column -> values. Other columns are `fixed`, or 0.
+    """Return U on the grid of `axes`: column -> values. Other columns are `fixed`, or `Model.rest`.
 
     Two values are least and greatest: 41 points along a pose coordinate, 5 along a state column.
     """
@@ -262,16 +263,16 @@ def uncertainty_map(
     check_fit(fit)
     lines = {c: _line(model, c, np.asarray(v, dtype=float)) for c, v in axes.items()}
     place(model, dict.fromkeys(lines, 0.0) | dict(fixed or {}))
+    rest = model.rest | dict(fixed or {})
     mesh = np.meshgrid(*lines.values(), indexing="ij")
     size = mesh[0].size
-    at = {c: np.full(size, v) for c, v in (fixed or {}).items()}
+    at = {c: np.full(size, v) for c, v in rest.items()}
     at |= {c: grid.ravel() for c, grid in zip(lines, mesh, strict=True)}
     pose, state = (
-        np.array([at.get(c, np.zeros(size)) for c in names]).reshape(len(names), size)
-        for names in (model.pose, model.state)
+        np.array([at[c] for c in names]).reshape(len(names), size) for names in (model.pose, model.state)
     )
     flat = expanded_at(fit, pose, state, settings)
-    others = {c: float((fixed or {}).get(c, 0.0)) for c in (*model.pose, *model.state) if c not in lines}
+    others = {c: float(v) for c, v in rest.items() if c not in lines}
     U = flat.T.reshape(-1, *mesh[0].shape)
     return UncertaintyMap(model.pose, lines, others, U, settings, model.period)
 

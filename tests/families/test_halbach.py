@@ -17,8 +17,6 @@ from hallsym.families.halbach import FAMILY
 from hallsym.families.halbach.effects import field, magnets, mechanics, transducer
 from hallsym.families.halbach.error_model import (
     harmonic_over_remanence,
-    period_error,
-    table,
     temperature_error_m,
     trace_field_t,
 )
@@ -28,6 +26,7 @@ from hallsym.families.published import table as published
 from hallsym.log import Meta
 from hallsym.model import on_arrays
 from hallsym.simulation import campaign_from
+from hallsym.uncertainty import errors_along
 
 LC = 0.03 / (2 * pi)
 PRINTED = dict(zip(published("numbers")["quantity"], published("numbers")["value"], strict=True))
@@ -59,16 +58,14 @@ def test_figure_2_6():
     """Gains 1/1.1, 1/1.1, 1/.9: x by (2-19), z by (2-20) from the sum of squares, which counts z up."""
     model = transducer.gain_mismatch(halbach())
     gains = {"gain_0": 1 / 1.1 - 1, "gain_1": 1 / 1.1 - 1, "gain_2": 1 / 0.9 - 1}
-    found = period_error(model, gains, closed_form=True)
-    x = found.error[0]
+    found = errors_along(model, gains, decoder="sum-of-squares")
+    x, z = found.error[0], -found.error[1]
     assert x.max() == pytest.approx(PRINTED["x error of Fig. 2-6"], abs=1e-7)
     assert x.min() == pytest.approx(-PRINTED["x error of Fig. 2-6"], abs=1e-7)
-    assert 1e3 * found.x_m[x.argmax()] == pytest.approx(6.1, abs=0.05)
-    assert (1e3 * found.x_m[x.argmin()] + 1.1) % 15 == pytest.approx(0, abs=0.05)
+    assert 1e3 * found.at[x.argmax()] == pytest.approx(6.1, abs=0.05)
+    assert (1e3 * found.at[x.argmin()] + 1.1) % 15 == pytest.approx(0, abs=0.05)
     assert found.waves == (2, 2)  # a period of 15 mm
-    places = found.x_m
-    v = read(model, gains, places, np.full(len(places), 5e-3))
-    z = LC / 2 * np.log((v**2).sum(axis=0) / (1.5 * 0.6**2))
+    places = found.at
     assert z.max() == pytest.approx(PRINTED["largest z error of Fig. 2-6"], abs=1e-7)
     assert z.min() == pytest.approx(PRINTED["least z error of Fig. 2-6"], abs=1e-7)
     assert 1e3 * places[z.argmax()] % 15 == pytest.approx(10, abs=0.05)
@@ -122,7 +119,8 @@ def test_periods_of_the_error_by_cause():
         "one height": (stretch, {"dz_0": 1e-4}),
         "one offset": (transducer.offset_error(model), {"offset_error_0": 5e-3}),
     }
-    for name, waves, *_ in table(causes, closed_form=True):
+    for name, (model, values) in causes.items():
+        waves = max(errors_along(model, values, decoder="closed-form").waves)
         assert waves == (round(0.03 / period) if (period := PRINTED[f"error period of {name}"]) else 0), name
 
 

@@ -234,3 +234,16 @@ def test_a_noise_free_axis_that_rests_in_two_runs_of_three_repeats_nothing():
         {"run": run, "t_s": t, "x_ref_m": x, "hall_a_m": x + 1e-7 * rng.standard_normal(300)}
     )
     assert check_log(log) == []
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.5e-3, 5e-3])
+@pytest.mark.parametrize("phase", [0.0, 5e-3])
+@pytest.mark.parametrize("digits", [16, 6])
+def test_a_wave_that_comes_back_to_the_same_phase_is_on_no_rail(
+    step: float, phase: float, digits: int
+) -> None:
+    """A machine steps x over periods of 15 mm: tops have one value, other phases one but for rounding."""
+    x = np.arange(round(0.24 / step) + 1) * step
+    v = np.round(0.6 * np.cos(2 * np.pi / 0.015 * (x - phase)), digits)
+    log = Log.from_arrays({"run": np.zeros(len(x), int), "x_ref_m": x, "col_0_v": v})
+    assert not any("saturated" in note for note in check_log(log))

@@ -501,3 +501,33 @@ def test_a_picture_has_a_bar_per_tolerance_and_index(paper):
             widths = sorted(bar.get_width() for bar in ax.patches)
             assert widths == pytest.approx(sorted(100 * np.r_[indices.first, indices.total]))
         assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == list(paper.ranking)
+
+
+def test_usual_tolerances_of_a_family():
+    """What the family states, by the pattern of the parameter; else the bounds; a fixed one stays exact."""
+    model = build("halbach", added=("gain_mismatch", "wavelength_error"))
+    fixed = model.with_parameters({"gain_2": {"lower": 0.0, "upper": 0.0}})
+    found = {t.name: t for t in default_tolerances(fixed)}
+    assert found["a1"].width == pytest.approx(0.02 * 0.6)
+    assert found["gain_0"].width == pytest.approx(0.025)
+    assert {found[n].source for n in ("a1", "gain_0", "b5")} == {"usual"}
+    assert (found["b5"].width, found["gain_2"].width) == (0, 0)
+    other = next(t for n, t in found.items() if n not in ("a1", "b1", "a5", "b5") and "gain" not in n)
+    assert other.source == "bounds"
+
+
+@pytest.mark.parametrize("name", ["halbach", "halbach_planar"])
+def test_lines_of_usual_tolerances_name_parameters(name):
+    model = build(name)
+    for effect, lines in model.family.tolerances.items():
+        own = build(name, added=(effect,) if effect else ())
+        usual = [t.name for t in default_tolerances(own) if t.source == "usual"]
+        assert len(usual) >= len(lines)
+        assert set(own.names) - set(model.names) <= set(usual)
+
+
+def test_command_takes_usual_tolerances_and_their_effects(capsys):
+    assert main(["tolerances", "--model", "halbach", "--samples", "16"]) == 0
+    said = capsys.readouterr().out
+    assert "usual tolerances of such machines" in said
+    assert "offset_error_0" in said

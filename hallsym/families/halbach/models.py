@@ -87,6 +87,7 @@ def halbach(layout: Layout | None = None) -> Model:
         period=dict.fromkeys(("x_m", "x_ref_m"), array.wavelength_m),
         absolute=("x_ref_m",),
         begin=lambda v, p: begin(v, p, layout),
+        formulas={SUM_OF_SQUARES: lambda v, p: sum_of_squares(v, p, layout)} if _thirds(layout) else {},
         onward=onward,
         typical=tuple((k * array.wavelength_m / 8, array.level_m) for k in range(8)),
         inspect=inspect,
@@ -202,6 +203,26 @@ def begin(v: ca.SX, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     turn = ca.atan2(im * a + re * b, re * a - im * b)  # of Z over (a - i b)
     fade = ca.log((re**2 + im**2) / (a**2 + b**2)) / 2
     return ca.vertcat(lc * turn, array.level_m - lc * fade)
+
+
+SUM_OF_SQUARES = "sum-of-squares"
+"""The thesis's (2-19) and (2-20)."""
+
+
+def _thirds(layout: Layout) -> bool:
+    """Return whether three channels stand a third of the wavelength apart, as (2-20) takes them."""
+    rows = phasor_of(layout)
+    return rows is not None and rows.shape[1] == 3 and bool(np.allclose(rows @ rows.T, np.eye(2) / 1.5))
+
+
+def sum_of_squares(v: ca.SX, p: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
+    """Return x as `begin` does and z from the sum of all squares, (2-20) with 1.5 for its 1.32.
+
+    What the three readings have in common is taken for a field, which `begin` leaves out.
+    """
+    array, x = array_of(layout), begin(v, p, layout)[0]
+    fade = ca.log(ca.sumsqr(v) / (1.5 * (p["a1"] ** 2 + p["b1"] ** 2))) / 2
+    return ca.vertcat(x, array.level_m - fade / array.wavenumber)
 
 
 def closed_form(model: Model, coefficients: Mapping[str, np.ndarray]) -> np.ndarray:

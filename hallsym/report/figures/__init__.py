@@ -16,6 +16,7 @@ from pathlib import Path
 from hallsym.estimation import ErrorTable, Fit, as_read
 from hallsym.log import Log, Weigh
 from hallsym.report.data import look_over
+from hallsym.report.figures.along import save_errors
 from hallsym.report.figures.by_setting import errors_by_setting
 from hallsym.report.figures.captions import broken
 from hallsym.report.figures.correlation import blocks, correlation
@@ -58,6 +59,7 @@ __all__ = [
     "parameters",
     "profiles",
     "save_budget_pictures",
+    "save_errors",
     "save_figures",
     "save_pictures",
     "save_plan_pictures",

@@ -9,6 +9,7 @@ from hallsym.uncertainty.tolerances.ranges import (
     default_tolerances,
     given_tolerances,
     read_tolerances,
+    read_value,
 )
 from hallsym.uncertainty.tolerances.result import ENOUGH, Tolerances
 from hallsym.uncertainty.tolerances.sobol import Indices
@@ -25,6 +26,7 @@ __all__ = [
     "default_tolerances",
     "given_tolerances",
     "read_tolerances",
+    "read_value",
     "tolerances",
     "workspace_of",
 ]

@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
-from hallsym.estimation import Coefficients, scales, structural_null
+from hallsym.estimation import Coefficients, exact, scales, structural_null
 from hallsym.log.phase import near
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -76,7 +77,24 @@ def _some(where: Workspace) -> Workspace:
     return Workspace(where.pose[:, pick], where.state[:, pick])
 
 
+UNSEEN = 1e-9
+"""Singular value over the largest below which a direction changes no reading: rounding is 1e-3 of it."""
+
+
+def _null_at(model: Model, space: Workspace, machine: np.ndarray) -> np.ndarray:
+    """Return the directions (n, k) in scaled parameters that change no reading in the workspace."""
+    s, n = model.symbols, len(model.names)
+    slopes = ca.densify(ca.jacobian(s.full(s.reading), s.parameters))
+    function = ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], [slopes])
+    (rows,) = on_arrays(function)(machine, np.zeros(len(model.zeros)), space.pose, space.state)
+    jacobian = rows.reshape(n, -1).T * scales(model)
+    _, values, directions = np.linalg.svd(jacobian, full_matrices=False)
+    return directions[values < UNSEEN * values[0]].T
+
+
 def _null(model: Model, space: Workspace, machine: np.ndarray) -> np.ndarray:
+    if not exact(model):
+        return _null_at(model, space, machine)
     features = find_features(model)
     centre = np.zeros(len(model.pose) + len(model.state) + model.symbols.derived.numel())
     (values,) = features.values(space.pose, space.state, centre)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from hallsym.toml import Table, number, positive
 from hallsym.uncertainty.gum import DIVISORS
 from hallsym.units import UNITS
 
-EXACT = "exact"
+EXACT, USUAL = "exact", "usual"
 OTHERS = ("bounds", EXACT)
 
 
@@ -23,7 +24,7 @@ class Tolerance:
 
     `width`: half width (rectangular, triangular, arcsine) or 1 sigma (normal); 0 for an exact parameter.
     `centre` is the nominal value unless the range was given by its limits. `source`: "bounds" of the model,
-    or "given".
+    "usual" of the family, or "given".
     """
 
     name: str
@@ -71,21 +72,36 @@ _QUANTILES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def default_tolerances(model: Model) -> tuple[Tolerance, ...]:
-    """Return the ranges of the model: nominal value +- half the width of its bounds, rectangular.
+    """Return the usual tolerances of the family; else nominal value +- half the width of its bounds.
 
     Table 3's intervals for H and theta lie about Table 1's values; those for eta do not (1 is outside), but
     a tolerance is a deviation from the design: its width is Table 3's, its centre the nominal value.
     A fixed parameter is exact. Raises `InputError` for infinite bounds.
     """
+    usual = {p.name: _usual(model, p) for p in model.parameters}
     for p in model.parameters:
-        if not np.isfinite(p.width):
+        if usual[p.name] is None and not np.isfinite(p.width):
             raise InputError(
                 f"Parameter {p.name} of {model.name} has no finite bounds to take a tolerance from; give one."
             )
     return tuple(
-        Tolerance(p.name, p.unit, p.nominal, p.nominal, p.width / 2, source="bounds")
+        usual[p.name] or Tolerance(p.name, p.unit, p.nominal, p.nominal, p.width / 2, source="bounds")
         for p in model.parameters
     )
+
+
+def _usual(model: Model, parameter: Parameter) -> Tolerance | None:
+    """Return the tolerance that the family states for a parameter; one without width stays exact."""
+    if parameter.width == 0:
+        return None
+    keys = [parameter.name, *(f"{parameter.name}_{suffix}" for suffix in units_of(parameter) if suffix)]
+    for lines in model.family.tolerances.values():
+        for pattern, value in lines.items():
+            key = next((k for k in keys if fnmatchcase(k, pattern)), None)
+            if key is not None:
+                found = _tolerance(model, key, value, f"the usual tolerances of {model.family}")
+                return replace(found, source=USUAL)
+    return None
 
 
 def given_tolerances(
@@ -95,8 +111,9 @@ def given_tolerances(
 
     A number is a rectangular half width; `{"half_width": h, "distribution": "triangular"}` another one
     (as in a budget: rectangular, triangular, arcsine), `{"std": s}` normal; `[low, high]` are limits, "exact"
-    is no tolerance. The key ends with the unit: a unit of the parameter, `percent` of its nominal value,
-    `per_m` for 1/m. `others`: what holds for parameters that are not named, their "bounds" or "exact".
+    is no tolerance. The key ends with the unit: a unit of the parameter, `percent` of its nominal value (of 1
+    where that is 0), `per_m` for 1/m. `others`: what holds for parameters that are not named, their "bounds"
+    or "exact".
     """
     if others not in OTHERS:
         raise InputError(f'\'others\' in {where} must be "bounds" or "exact"; instead received {others!r}.')
@@ -163,13 +180,30 @@ def _table(value: Mapping[str, Any], key: str, where: str) -> tuple[Any, str]:
     return value[sizes[0]], distribution
 
 
-def _split(model: Model, key: str, where: str) -> tuple[Parameter, str]:
+def read_value(model: Model, text: str, where: str) -> tuple[str, float]:
+    """Return parameter and SI value of `gain_0=0.01` or `gain_0_percent=1`; the unit may be left out if SI.
+
+    `percent` is of the nominal value, of 1 where that is 0. Raises `InputError`.
+    """
+    key, _, said = text.partition("=")
+    parameter, suffix = _split(model, key, where, "Key")
+    factor = _factor(parameter, suffix, key, where, "Key") if suffix else 1.0
+    try:
+        value = float(said)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"{where} must be NAME=VALUE with a number, such as {key}=0.01; got {text!r}.")
+    return parameter.name, value * factor
+
+
+def _split(model: Model, key: str, where: str, what: str = "Tolerance") -> tuple[Parameter, str]:
     """The parameter that a key names, and what follows its name."""
     hits = [p for p in model.parameters if key == p.name or key.startswith(f"{p.name}_")]
     if not hits:
         guess = nearest(key, [_example(p) for p in model.parameters])
         raise InputError(
-            f"Tolerance {key!r} in {where} names no parameter of {model.name}{guess}; known are "
+            f"{what} {key!r} in {where} names no parameter of {model.name}{guess}; known are "
             f"{', '.join(model.names)}, each followed by its unit."
         )
     parameter = max(hits, key=lambda p: len(p.name))
@@ -183,7 +217,7 @@ def units_of(parameter: Parameter) -> dict[str, float]:
     known = {name: u.factor for name, u in UNITS.items() if u.si == base.lower() and u.offset == 0}
     suffixes = {f"per_{name}": 1 / factor for name, factor in known.items()} if inverse else known
     if unit == "1":
-        suffixes = {"": 1.0}
+        suffixes = {"": 1.0, "percent": 0.01}
     if parameter.nominal != 0:
         suffixes = {**suffixes, "percent": abs(parameter.nominal) / 100}
     return suffixes
@@ -196,12 +230,12 @@ def _example(parameter: Parameter) -> str:
     )
 
 
-def _factor(parameter: Parameter, suffix: str, key: str, where: str) -> float:
+def _factor(parameter: Parameter, suffix: str, key: str, where: str, what: str = "Tolerance") -> float:
     known = units_of(parameter)
     if suffix not in known:
         listed = ", ".join(f"{parameter.name}_{s}" if s else parameter.name for s in known)
         raise InputError(
-            f"Tolerance {key!r} in {where} must end with a unit of {parameter.name}: one of {listed}."
+            f"{what} {key!r} in {where} must end with a unit of {parameter.name}: one of {listed}."
         )
     return known[suffix]
 

@@ -12,7 +12,7 @@ from hallsym.errors import InputError
 from hallsym.model import Model
 from hallsym.simulation import Campaign, paper_campaign
 from hallsym.uncertainty.tolerances.calibrated import after_calibration
-from hallsym.uncertainty.tolerances.ranges import Tolerance, default_tolerances, given_tolerances
+from hallsym.uncertainty.tolerances.ranges import USUAL, Tolerance, default_tolerances, given_tolerances
 from hallsym.uncertainty.tolerances.result import Errors95, Tolerances, Worth
 from hallsym.uncertainty.tolerances.sobol import (
     COVERAGE,
@@ -261,6 +261,12 @@ def _notes(model: Model, all_: tuple[Tolerance, ...]) -> Iterator[str]:
         yield (
             f"the ranges of {len(bounds)} parameters are half the width of the model's bounds about the "
             "nominal value: search ranges of a calibration, not drawing tolerances."
+        )
+    usual = [t.name for t in all_ if t.source == USUAL and t.width > 0]
+    if usual:
+        yield (
+            f"the ranges of {len(usual)} parameters are usual tolerances of such machines, not yours: state "
+            "yours in a tolerance file."
         )
     lower, upper = model.bounds
     outside = [

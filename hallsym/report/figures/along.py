@@ -1,0 +1,65 @@
+"""Picture `errors`: errors of the decoded pose along a coordinate by cause, one panel per coordinate."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.style import (
+    BLACK,
+    DASHES,
+    FAINT,
+    LINE,
+    SERIES,
+    key,
+    label_x,
+    label_y,
+    legend,
+    panels,
+)
+from hallsym.report.text.errors import span
+from hallsym.report.words import largest, name, scale
+from hallsym.units import typeset
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hallsym.uncertainty import ErrorModel
+
+PANEL, COLUMNS = 1.25, 3  # inches; entries of the legend in a line
+
+
+def errors(found: ErrorModel) -> Figure:
+    """Draw the error of each coordinate of the pose over the one that moves, a line per cause."""
+    pose, causes = found.model.pose, found.causes
+    lines = -(-len(causes) // COLUMNS)
+    figure, axes = panels(len(pose), 1, PANEL, top=0.1 + lines * LINE, bottom=0.42, sharex=True)
+    looks = [
+        {"color": BLACK, "ls": "-", "lw": 1.4}
+        if k and k == len(causes) - 1
+        else {"color": SERIES[k % len(SERIES)], "ls": DASHES[k % len(DASHES)]}
+        for k in range(len(causes))
+    ]
+    *_, factor, unit, moving = span(found)
+    for k, (ax, column) in enumerate(zip(axes[:, 0], pose, strict=True)):
+        y_factor, y_unit = scale(
+            column, largest(np.array([e.error[k] for *_, e in causes])), found.model.period
+        )
+        ax.axhline(0, color=FAINT, lw=0.6, zorder=0)
+        for (*_, e), look in zip(causes, looks, strict=True):
+            ax.plot(factor * e.at, y_factor * e.error[k], **look)
+        ax.margins(x=0)
+        label_y(ax, f"error of {name(column)} [{y_unit}]")
+    label_x(axes[-1, 0], f"{moving} [{typeset(unit)}]")
+    keys = [key(cause, **look) for (cause, *_), look in zip(causes, looks, strict=True)]
+    legend(figure, keys, "upper left", ncols=COLUMNS)
+    return figure
+
+
+def save_errors(found: ErrorModel, folder: Path) -> list[Path]:
+    """Save the picture into `folder` (made if missing) and return the files written."""
+    return save_figures({"errors": partial(errors, found)}, folder)

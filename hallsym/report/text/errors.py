@@ -1,0 +1,100 @@
+"""What a person reads of errors along a coordinate by cause."""
+
+from collections.abc import Iterator
+
+from hallsym.report.tables import grid
+from hallsym.uncertainty import ErrorModel
+from hallsym.units import fitting, parameter_unit, readable
+
+
+def errors_text(found: ErrorModel) -> str:
+    """Return what `hallsym errors` prints: errors by cause, and what makes how many waves."""
+    return "\n".join([_first(found), "", error_table(found), *_values(found), *_waves(found)])
+
+
+def span(found: ErrorModel) -> tuple[float, float, float, str, str]:
+    """Return first place, end of the range, factor, unit and name of the coordinate that moves."""
+    column, at = found.coordinate, found.causes[0][2].at
+    low, high = float(at[0]), float(at[0] + (at[1] - at[0]) * len(at))
+    factor, unit, name = readable(column, found.model.period)
+    if unit != "deg":
+        factor, unit = fitting(column.rpartition("_")[2], max(abs(low), abs(high)))
+    return low, high, factor, unit, name
+
+
+def _first(found: ErrorModel) -> str:
+    low, high, factor, unit, name = span(found)
+    shown = ((*readable(c, found.model.period), v) for c, v in found.at.items())
+    rest = "".join(f", {n} = {v * f:.6g} {u}" for f, u, n, v in shown)
+    return (
+        f"{found.model.name}: error (decoded less true) over {name} = {factor * low:.6g} to "
+        f"{factor * high:.6g} {unit}{rest}; decoder: {found.decoder}, nominal values, no noise"
+    )
+
+
+def error_table(found: ErrorModel) -> str:
+    """Return one line per cause and coordinate of the pose."""
+    *_, factor, unit, name = span(found)
+    shown = [readable(c, found.model.period) for c in found.model.pose]
+    rows = [
+        [
+            "cause",
+            "error",
+            "mean",
+            "rms",
+            "largest",
+            f"at {name} [{unit}]",
+            "least",
+            f"at {name} [{unit}]",
+            "waves",
+        ]
+    ]
+    for cause, _, errors in found.causes:
+        for k, (f, u, coordinate) in enumerate(shown):
+            (high, there), (low, here) = errors.extremes(k)
+            numbers = (errors.error[k].mean() * f, errors.rms[k] * f, high * f, low * f)
+            mean, rms, most, least = (_number(v) for v in numbers)
+            places = (f"{at * factor:.4g}" for at in (there, here))
+            ends = (c for pair in zip((most, least), places, strict=True) for c in pair)
+            label = cause if k == 0 else ""
+            rows.append([label, f"{coordinate} [{u}]", mean, rms, *ends, str(errors.waves[k])])
+    return grid(rows, left=2)
+
+
+def _number(value: float) -> str:
+    return "0" if abs(value) < SHOWN else f"{value:.4g}"
+
+
+SHOWN = 1e-4
+"""Least error shown [um, urad, mdeg]: a decoder that has converged only rounds below it."""
+
+
+def _values(found: ErrorModel) -> Iterator[str]:
+    parameters = {p.name: p for p in found.model.parameters}
+    yield ""
+    yield "values of the machine, where the decoder has the nominal ones"
+    for name in {n: None for _, values, _ in found.causes for n in values}:
+        p, value = parameters[name], next(v[name] for _, v, _ in found.causes if name in v)
+        factor, unit = parameter_unit(p.unit, millimetres=True)
+        nominal = f" (nominal {p.nominal * factor:.6g})" if p.nominal else ""
+        yield f"  {name} = {value * factor:.6g} {'' if unit == '1' else unit}".rstrip() + nominal
+
+
+def _waves(found: ErrorModel) -> Iterator[str]:
+    expected = found.expected_waves
+    if not expected:
+        return
+    low, high, factor, unit, name = span(found)
+    yield ""
+    yield f"causes by the waves of their error per {factor * (high - low):.6g} {unit} of {name}"
+    yield grid(
+        [
+            ["waves", f"period [{unit}]", "effects"],
+            *(
+                [str(n), f"{factor * (high - low) / n:.4g}", ", ".join(effects)]
+                for n, effects in expected.items()
+                if n
+            ),
+        ],
+        left=3,
+    )

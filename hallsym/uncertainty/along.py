@@ -1,0 +1,229 @@
+"""Error model: what known causes make of the decoded pose along one coordinate, alone and together."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hallsym.errors import InputError, nearest
+from hallsym.families import effect_named
+from hallsym.families import plain as without_effects
+from hallsym.log.phase import near
+from hallsym.model import Model, on_arrays
+
+LEAST_SQUARES, CLOSED_FORM = "least-squares", "closed-form"
+"""Decoders that every model may have, beside the formulas that it states by name."""
+NOTHING = 1e-9
+"""Error [m or rad] that counts as none: a decoder that has converged rounds below it."""
+LEAST_SAMPLES, MOST_SAMPLES = 8, 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorsAlong:
+    """Errors of the decoded pose of one machine along a coordinate.
+
+    `at`: (n,) places of `coordinate` [SI]. `error`: (n_pose, n) decoded less true [SI]. `waves`: of each
+    coordinate of the pose, the number of waves over the range that is largest; 0 where the error is constant.
+    """
+
+    coordinate: str
+    at: np.ndarray
+    error: np.ndarray
+    waves: tuple[int, ...]
+
+    @property
+    def peak(self) -> np.ndarray:
+        """Largest deviation of each error from its mean, (n_pose,)."""
+        return np.abs(self.error - self.error.mean(axis=1, keepdims=True)).max(axis=1)
+
+    @property
+    def rms(self) -> np.ndarray:
+        """Root of the mean square of each error, its mean included, (n_pose,)."""
+        return np.sqrt((self.error**2).mean(axis=1))
+
+    def extremes(self, k: int) -> Iterator[tuple[float, float]]:
+        """Largest and least error of coordinate `k` of the pose, each with its place."""
+        for sign in (1.0, -1.0):
+            e = sign * self.error[k]
+            at = int(np.argmax(e >= e.max() - NOTHING))  # the first of those that are equal but for rounding
+            yield float(self.error[k, at]), float(self.at[at])
+
+
+def decoders(model: Model) -> tuple[str, ...]:
+    """Return the names of the ways in which the pose of `model` can be decoded."""
+    return LEAST_SQUARES, *((CLOSED_FORM,) if model.begin else ()), *model.formulas
+
+
+def usual_range(model: Model) -> tuple[str, float, float] | None:
+    """Return the first coordinate that repeats and one period of it from 0; None where none repeats."""
+    return next(((c, 0.0, model.period[c]) for c in model.pose if c in model.period), None)
+
+
+def errors_along(
+    model: Model,
+    values: Mapping[str, float],
+    *,
+    over: tuple[str, float, float] | None = None,
+    at: Mapping[str, float] | None = None,
+    plain: Model | None = None,
+    decoder: str = LEAST_SQUARES,
+    samples: int = 360,
+) -> ErrorsAlong:
+    """Return the error that a machine with `values` of the parameters of `model` makes along a coordinate.
+
+    No noise, no zero deviations. `over`: coordinate of pose or state, from and to [SI], the end left out; one
+    period of the first that repeats by default. `at`: where the others rest [SI]; a typical pose of the
+    model by default, state 0. `plain`: the model whose nominal values decode, `model` without effects by
+    default. `decoder`: "least-squares" over all channels, "closed-form", or a formula of the model. Raises
+    `InputError`.
+    """
+    plain = without_effects(model) if plain is None else plain
+    if not LEAST_SAMPLES <= samples <= MOST_SAMPLES:
+        raise InputError(
+            f"'samples' must be {LEAST_SAMPLES} to {MOST_SAMPLES}; instead received {samples!r}."
+        )
+    over = over or usual_range(model)
+    if over is None:
+        raise InputError(
+            f"No coordinate of {model.name} repeats: state the range to look at, such as {model.pose[0]}."
+        )
+    coordinate, low, high = over
+    places = low + (high - low) * np.arange(samples) / samples
+    true = _places(model, coordinate, places, at or {})
+    pose, state = true[: len(model.pose)], true[len(model.pose) :]
+    nothing = np.zeros(len(model.zeros))
+    with np.errstate(all="ignore"):
+        (reading,) = on_arrays(model.reading)(model.vector(values), nothing, pose, state)
+        kept = [state[model.state.index(c)] for c in plain.state]
+        found = np.array(_decode(plain, decoder, reading, kept))
+    if not np.isfinite(found).all():
+        raise InputError(
+            f"The decoder of {plain.name} finds no pose for some readings of this machine; state smaller "
+            "deviations."
+        )
+    error = near(plain, found, pose) - pose
+    return ErrorsAlong(coordinate, places, error, tuple(_waves(e) for e in error))
+
+
+def _places(model: Model, coordinate: str, places: np.ndarray, at: Mapping[str, float]) -> np.ndarray:
+    """Return pose and state (n_pose + n_state, n): one coordinate moves, the others rest."""
+    names = (*model.pose, *model.state)
+    for name in (coordinate, *at):
+        if name not in names:
+            raise InputError(
+                f"Model {model.name} has no coordinate {name!r}{nearest(name, list(names))}; it has "
+                f"{', '.join(names)}."
+            )
+    rest = model.rest | dict(at)
+    return np.array([places if n == coordinate else np.full(len(places), rest[n]) for n in names])
+
+
+def _decode(plain: Model, decoder: str, reading: np.ndarray, state: list[np.ndarray]) -> np.ndarray:
+    if decoder not in decoders(plain):
+        raise InputError(
+            f"Model {plain.name} has no decoder {decoder!r}{nearest(decoder, list(decoders(plain)))}; it has "
+            f"{', '.join(decoders(plain))}."
+        )
+    if decoder == LEAST_SQUARES:
+        weight = np.ones(len(plain.channels))
+        return on_arrays(plain.decoded)(plain.nominal, np.zeros(len(plain.zeros)), reading, state, weight)[0]
+    formula: Any = plain.begin if decoder == CLOSED_FORM else plain.formulas[decoder]
+    v = ca.SX.sym("v", len(plain.channels))
+    named = {n: ca.SX(a) for n, a in plain.named(plain.nominal).items()}
+    return on_arrays(ca.Function("closed", [v], [ca.densify(formula(v, named))]))(reading)[0]
+
+
+def _waves(error: np.ndarray) -> int:
+    """Return the number of waves over the range that is largest; 0 where the error is constant."""
+    spectrum = np.abs(np.fft.rfft(error - error.mean())) / len(error)
+    return int(spectrum.argmax()) if 2 * spectrum.max() > NOTHING else 0
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModel:
+    """Errors along a coordinate by cause: `causes` (name, values, errors), each alone, then all together."""
+
+    model: Model
+    decoder: str
+    at: Mapping[str, float]
+    causes: tuple[tuple[str, Mapping[str, float], ErrorsAlong], ...]
+
+    @property
+    def coordinate(self) -> str:
+        """The coordinate that moves."""
+        return self.causes[0][2].coordinate
+
+    @property
+    def expected_waves(self) -> dict[int, tuple[str, ...]]:
+        """Waves per period -> effects of the family that make them; empty where the range is no period."""
+        places = self.causes[0][2].at
+        whole = self.model.period.get(self.coordinate)
+        span = (places[1] - places[0]) * len(places)
+        return self.model.family.waves if whole and np.isclose(span, whole) else {}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record in SI units."""
+        pose = self.model.pose
+        return {
+            "model": self.model.name,
+            "decoder": self.decoder,
+            "over": self.coordinate,
+            "at": dict(self.at),
+            "places": self.causes[0][2].at.tolist(),
+            "causes": [
+                {
+                    "name": name,
+                    "values": dict(values),
+                    "rms": dict(zip(pose, e.rms.tolist(), strict=True)),
+                    "peak": dict(zip(pose, e.peak.tolist(), strict=True)),
+                    "waves": dict(zip(pose, e.waves, strict=True)),
+                    "error": dict(zip(pose, e.error.tolist(), strict=True)),
+                }
+                for name, values, e in self.causes
+            ],
+            "expected_waves": {str(n): list(names) for n, names in self.expected_waves.items()},
+        }
+
+
+TOGETHER = "all together"
+DEVIATION = "other values"
+"""Causes that are not one effect: all of them, and parameters that differ from the decoder's."""
+
+
+def error_model(model: Model, values: Mapping[str, float], **about: Any) -> ErrorModel:
+    """Return the errors that each effect of `model` makes alone at `values`, and all together.
+
+    `values` of parameters without an effect make the machine differ from what decodes it. `about`: as for
+    `errors_along`. Raises `InputError` for an effect without a value.
+    """
+    plain = about.pop("plain", None) or without_effects(model)
+    model.vector(values)
+    groups = {DEVIATION: {n: v for n, v in values.items() if n in plain.names}}
+    for effect, own in _parameters_by_effect(model, plain).items():
+        groups[effect] = {n: v for n, v in values.items() if n in own}
+        if own and not groups[effect]:
+            raise InputError(
+                f"Effect {effect} has no value to make an error with; state one or more of "
+                f"{', '.join(own[:6])}{', ...' if len(own) > 6 else ''}."
+            )
+    groups = {name: own for name, own in groups.items() if own}
+    if not groups:
+        raise InputError("An error needs a cause: state effects and their values.")
+    if len(groups) > 1:
+        groups[TOGETHER] = dict(values)
+    found = tuple((n, v, errors_along(model, v, plain=plain, **about)) for n, v in groups.items())
+    return ErrorModel(model, about.get("decoder", LEAST_SQUARES), dict(about.get("at") or {}), found)
+
+
+def _parameters_by_effect(model: Model, plain: Model) -> dict[str, tuple[str, ...]]:
+    """Return the parameters that each effect brings, in the order in which effects were added."""
+    out, built = {}, plain
+    for effect in model.effects:
+        if effect not in built.effects:
+            text = model.texts.get(effect, effect)
+            wider = effect_named(text, built).added(built, text)
+            out[effect] = tuple(n for n in wider.names if n not in built.names)
+            built = wider
+    return out
