@@ -307,7 +307,7 @@ def test_a_full_standard_output(log, arguments):
 
 READY = """
 import sys
-import hallsym.__main__ as command
+import hallsym.cli.program as command
 sys.argv = ["hallsym", "fit", sys.argv[1]]
 print("ready", flush=True)
 sys.exit(command.program())

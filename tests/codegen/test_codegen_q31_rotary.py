@@ -244,7 +244,7 @@ def test_the_command_writes_and_recalibrates_it(tmp_path, capsys):
     fit_of("meng angle").save(tmp_path / "calib.json")
     base = ["codegen", str(tmp_path / "calib.json"), "-o", str(tmp_path / "fw"), "--arithmetic", "q31"]
     assert main(base) == 0
-    assert "table of 532 bytes" in capsys.readouterr().out
+    assert "table of 548 bytes" in capsys.readouterr().out
     header = (tmp_path / "fw/include/decoupler.h").read_text()
     assert "uint32_t angle_bam; /**< [2^-32 turn] */" in header
     assert "table of 256 entries of 16 bits" in " ".join(header.replace(" * ", "").split())

@@ -12,7 +12,6 @@ from hallsym import InputError, Log, Noise, NoiseModel
 from hallsym.families.halbach import travel
 from hallsym.families.halbach.effects import ends, magnets
 from hallsym.families.halbach.ends import strength
-from hallsym.families.halbach.error_model import table
 from hallsym.families.halbach.layout import Sensor, arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.model import on_arrays
@@ -150,8 +149,5 @@ def test_steps_where_sensors_change_are_no_harmonic():
     ]
     model = halbach((*sums, *columns((0.0,), length_m=0.06)[-1:]))
     wide = ends.array_edges(model, reads="nearest")
-    waves, x, z = next(iter(table({"ends": (wide, {"edges": 1.0})}, closed_form=True)))[1:]
-    assert waves == 3
-    assert min(x, z) > 1e-4
     found = hallsym.diagnose(swept(wide, {"edges": 1.0}, (4.2e-3,)), model, holdout=[1])
     assert found.ranked == ("array_edges",)

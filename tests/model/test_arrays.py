@@ -79,8 +79,8 @@ def points(low: float, high: float) -> np.ndarray:
 
 
 def test_the_table_of_operations_is_tested_whole():
-    assert set(arrays._UNARY) == set(UNARY) | BY_SAMPLE
-    assert set(arrays._BINARY) == set(BINARY)
+    assert set(arrays.UNARY) == set(UNARY) | BY_SAMPLE
+    assert set(arrays.BINARY) == set(BINARY)
 
 
 @pytest.mark.parametrize("code", sorted(UNARY) + sorted(BINARY))
