@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hallsym.errors import InputError
 from hallsym.estimation.likelihood import Cost
 from hallsym.estimation.responses import coupling_of, products_of, responses_of
@@ -13,6 +15,7 @@ from hallsym.log import Log
 from hallsym.log.quality.explain import Explanation
 from hallsym.log.quality.findings import Finding
 from hallsym.log.quality.gains import judge_gains, said
+from hallsym.log.quality.responses import Coupling
 from hallsym.log.quality.runs_against_model import judge_runs
 from hallsym.log.quality.tie import judge_ties
 
@@ -53,12 +56,20 @@ def judge(
     seen = responses_of(everything)
     if seen is None:
         return Judgement()
-    gains = judge_gains(log, seen, holdout)
+    coupling = coupling_of(merged, linear, len(seen.runs))
+    gains = judge_gains(log, seen, holdout, _moved(coupling, everything))
     if gains.findings:
         return Judgement(gains.findings, gains.whole)
     runs = tuple(judge_runs(log, seen.model, products_of(everything, merged, linear), holdout))
     if runs:
         return Judgement(runs)
-    coupling = coupling_of(merged, linear, len(seen.runs))
     ties = () if coupling is None else tuple(judge_ties(log, seen.model, coupling))
     return Judgement(ties)
+
+
+def _moved(coupling: Coupling | None, everything: Cost) -> np.ndarray | float:
+    """Return how far the state of each run moves the gain of each channel, relative, (runs, n_channels)."""
+    if coupling is None:
+        return 0.0
+    state = everything.summary.first_state
+    return np.asarray(np.abs(state - np.median(state, axis=0)) @ np.abs(coupling.found))

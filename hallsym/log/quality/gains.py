@@ -17,7 +17,9 @@ from hallsym.model.response import Response, response_of
 
 VARIES = 0.2
 """Share of the largest slope of a reference by which slopes of one run may differ from those of the others:
-height, tilts and temperature move gains that far."""
+temperature and effects move gains that far, beside what the log says of its state columns."""
+MOST = 0.9
+"""Most of it with the state: a gain that falls further is none, and a unit or a sign is far beyond."""
 ALIEN, USUAL = 0.5, 0.1
 """Share of a reading's variance that its reference leaves: in a run to which it does not belong, and in the
 others at most for that to say anything."""
@@ -42,8 +44,13 @@ class Judged:
     whole: tuple[Explanation, ...] = ()
 
 
-def judge_gains(log: Any, seen: Responses, holdout: Collection[int] = ()) -> Judged:
-    """Judge what the readings of a log answered to its references; no run in `holdout` is a refusal."""
+def judge_gains(
+    log: Any, seen: Responses, holdout: Collection[int] = (), moved_by_state: np.ndarray | float = 0.0
+) -> Judged:
+    """Judge what the readings of a log answered to its references; no run in `holdout` is a refusal.
+
+    `moved_by_state`: (runs, n_channels) relative change of gains by the state of each run, as the log has it.
+    """
     possible = response_of(seen.model)
     if possible is None or not seen.moved.any():
         return Judged()
@@ -54,7 +61,7 @@ def judge_gains(log: Any, seen: Responses, holdout: Collection[int] = ()) -> Jud
     if not usual.possible():
         found = explanations(usual, model.references, model.channels, _units(log, model))
         return Judged(tuple(_whole(log, model, found)), tuple(found))
-    return Judged(tuple(_by_run(log, seen, usual, holdout)))
+    return Judged(tuple(_by_run(log, seen, usual, holdout, moved_by_state)))
 
 
 def _units(log: Any, model: Model) -> Units:
@@ -138,7 +145,9 @@ def remedies(log: Any, found: Explanation) -> Iterator[str]:
 # -- single runs -----------------------------------------------------------------------------------------
 
 
-def _by_run(log: Any, seen: Responses, usual: Slopes, holdout: Collection[int]) -> Iterator[Finding]:
+def _by_run(
+    log: Any, seen: Responses, usual: Slopes, holdout: Collection[int], moved_by_state: np.ndarray | float
+) -> Iterator[Finding]:
     """Runs whose slopes are not those of the others, each way of being wrong in one sentence."""
     if len(seen.runs) < 2:
         return
@@ -147,8 +156,9 @@ def _by_run(log: Any, seen: Responses, usual: Slopes, holdout: Collection[int]) 
     foreign, model, searched = _foreign(seen), seen.model, 0
     strength = seen.signal / np.maximum(seen.signal.max(axis=1, keepdims=True), 1e-300)
     off = (seen.misfit(usual.found) * strength).max(axis=1) > OFF
+    varies = np.minimum(VARIES + np.broadcast_to(moved_by_state, seen.signal.shape), MOST)
     for r in np.flatnonzero(foreign | off):
-        near = _near(seen, usual, int(r))
+        near = _near(seen, usual, int(r), varies[r])
         if not foreign[r] and near.possible():
             continue
         text = ""
@@ -180,9 +190,9 @@ def run_finding(
     return Finding(whole if fits else short, refuse and bool(used), remedy=remedy)
 
 
-def _near(seen: Responses, usual: Slopes, r: int) -> Slopes:
-    """Slopes of run r beside those of the others."""
-    room = VARIES * np.abs(usual.found).max(axis=1, keepdims=True)
+def _near(seen: Responses, usual: Slopes, r: int, varies: np.ndarray) -> Slopes:
+    """Slopes of run r beside those of the others, which may differ by the share `varies` (n_channels,)."""
+    room = varies * np.abs(usual.found).max(axis=1, keepdims=True)
     return Slopes(seen.slopes[r], seen.std[r], seen.moved[r], usual.found - room, usual.found + room)
 
 
