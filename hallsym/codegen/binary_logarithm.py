@@ -1,7 +1,7 @@
 """Natural logarithms of the length of a vector of integers: the same in numpy as in C, and their error.
 
-Shifts bring the larger coordinate to 2^30 .. 2^31 and then the sum of squares; what is left of it, 1 to 2, has
-a polynomial, whose error is bounded on a grid and between its points. No division, no libm, any range.
+Shifts bring the larger coordinate to 2^30 .. 2^31, and then the sum of squares; what is left of it, 1 to 2,
+has a polynomial, whose error is bounded on a grid and between its points. No division, no libm, any range.
 """
 
 from functools import cache
@@ -55,7 +55,7 @@ def degree_for(accuracy: float) -> int:
 
 
 def logarithm_of(x: np.ndarray, y: np.ndarray, degree: int, twice: int = 0) -> np.ndarray:
-    """Return ln(hypot(x, y) 2^(-twice / 2)) in 2^-26, as `logarithm_of` of the generated C; |x|, |y| < 2^31."""
+    """Return ln(hypot(x, y) 2^(-twice / 2)) in 2^-26, as `logarithm_of` of the C; |x|, |y| < 2^31."""
     across, up = np.abs(np.asarray(x, dtype=np.int64)), np.abs(np.asarray(y, dtype=np.int64))
     wide = spare_bits(across | up | 1)
     square = upper(across << wide, across << wide) + upper(up << wide, up << wide)

@@ -49,8 +49,8 @@ class IntegerBackend(IntegerArithmetic):
 
     @property
     def _whole(self) -> bool:
-        """Whether Frama-C EVA is given all of the step: no reciprocal, whose range it would not see."""
-        return bool(self.program.angles) or ("wrap" in self._operations and not self.program.reciprocals)
+        """Whether Frama-C EVA is given all of the step, which calls functions; no reciprocal is in it."""
+        return bool(self._operations & {"angle", "look", "turn", "log"}) and not self.program.reciprocals
 
     @property
     def _operations(self) -> set[str]:

@@ -18,7 +18,6 @@ from functools import partial
 from math import ceil, floor, log2
 from typing import Any, cast
 
-import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Decoupler, Flag, Step, Whole
@@ -162,7 +161,7 @@ class Compiler:
             result = self._line("add", v.text, f"zero_{short(c)}", v.e - e)
             p.outputs[c] = (self._wrapped(result, c, e), e)
             error = v.error + self.d.left(c) + self.d.cut + (2.0**-e if v.e > e else 0.0)
-            p.bounds[c] = (v.low, v.high, error)
+            p.bounds[c] = (float(v.low), float(v.high), float(error))
 
     def _wrapped(self, name: str, column: str, e: int) -> str:
         """A coordinate that repeats: within half a period of zero."""

@@ -6,17 +6,26 @@ overflow nothing: each exponent comes from the range over all readings within th
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import asin, hypot, log, pi
+from dataclasses import dataclass, replace
+from functools import cache
+from math import asin, ceil, exp, hypot, log, pi
+
+import numpy as np
 
 from hallsym.codegen import binary_angle, binary_logarithm
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.fixed_point import Fixed, Program
-from hallsym.codegen.integer_c import ROOM, Compiler, exponent, planned
+from hallsym.codegen.integer_c import DOES_NOT_FIT, ROOM, Compiler, exponent, planned
 from hallsym.codegen.operations import Operation
+from hallsym.errors import InputError
 
 LONGEST = 30
 """Largest exponent of a vector whose logarithm is taken: what is subtracted for it still fits."""
+LADDER = 10
+"""Ends of the polynomial of an exponential are whole multiples of 1 / LADDER: so code outlasts a
+calibration."""
+MOST_DEGREE = 12
+GRID = 1 << 14
 SHORT = 1 - 1e-5
 """Share of the least length that rounding of the flag's own value leaves at least."""
 
@@ -47,12 +56,12 @@ class Waves(Compiler):
         self, d: Decoupler, plan: Sequence[int] | None, least: Mapping[str, float], accuracy: float
     ) -> None:
         super().__init__(d, plan)
-        self.least = least
+        self.least, self.accuracy = least, accuracy
         self.steps = self._chosen(lambda: binary_angle.steps_for(32 * accuracy))
         self.degree = self._chosen(lambda: binary_logarithm.degree_for(accuracy))
         self.p.said += [
-            f"Angles come from {self.steps} steps of CORDIC, a loop of fixed length, logarithms from shifts and "
-            f"a polynomial of degree {self.degree}: errors of both are proved and counted in the bounds.",
+            f"Angles come from {self.steps} steps of CORDIC, a loop of fixed length, logarithms from shifts "
+            f"and a polynomial of degree {self.degree}: errors of both are proved and counted in the bounds.",
         ]
 
     def _other(self, operation: Operation, args: Sequence[Fixed], step: str) -> Fixed:
@@ -66,6 +75,8 @@ class Waves(Compiler):
             return self._add(args[0], args[0])
         if operation.op == "atan2":
             return self._angle(args[1], args[0], self.least[step])
+        if operation.op == "exp":
+            return self._exponential(args[0])
         if operation.op == "hypot":
             most = hypot(args[0].most, args[1].most)
             return _Vector("", 0, 0.0, most, 0.0, *args)
@@ -85,7 +96,7 @@ class Waves(Compiler):
         return super()._mul(self._full(a), self._full(b))
 
     def _full(self, v: Fixed) -> Fixed:
-        """Shift left as far as the range allows: a product keeps the upper bits. Entries stand as they are."""
+        """Shift left as far as the range allows: a product keeps the upper bits. Entries are full."""
         return v if v.text in self.p.table or v.text.endswith(")") else self._grown(v)
 
     def _number(self, value: float) -> Fixed:
@@ -145,3 +156,32 @@ class Waves(Compiler):
         e = binary_logarithm.FRACTION
         none = 29 + 2 * x.e  # halves of ln 2 below those of a vector of length 1
         return self._checked(Fixed(name, e, -none * log(2) / 2, log(most), error))
+
+    def _exponential(self, v: Fixed) -> Fixed:
+        """exp, by a polynomial over a range on both sides of zero."""
+        rungs = self._chosen(lambda: ceil(v.most * LADDER * (1 + 1e-6)))
+        if v.most > rungs / LADDER:
+            raise InputError(f"The calibration's range of heights {DOES_NOT_FIT}")
+        degree = self._chosen(lambda: _degree(rungs / LADDER, self.accuracy))
+        coefficients, left = _exponential(rungs / LADDER, degree)
+        total = self._number(coefficients[-1])
+        for c in reversed(coefficients[:-1]):
+            total = self._add(self._mul(total, v), self._number(c))
+        return replace(total, low=exp(v.low), high=exp(v.high), error=total.error + left)
+
+
+def _degree(end: float, accuracy: float) -> int:
+    """Return the least degree of a polynomial of exp over -end .. end that leaves at most an accuracy."""
+    return next((n for n in range(2, MOST_DEGREE) if _exponential(end, n)[1] <= accuracy), MOST_DEGREE)
+
+
+@cache
+def _exponential(end: float, degree: int) -> tuple[tuple[float, ...], float]:
+    """Return the coefficients, lowest first, and a bound of what they leave (see `binary_logarithm`)."""
+    nodes = np.polynomial.chebyshev.chebpts1(degree + 1)
+    found = np.polynomial.chebyshev.chebfit(nodes, np.exp(end * nodes), degree)
+    a = np.polynomial.chebyshev.cheb2poly(found) / end ** np.arange(degree + 1)
+    x, k, h = np.linspace(-end, end, GRID + 1), np.arange(degree + 1), 2 * end / GRID
+    most = float(np.abs(np.polyval(a[::-1], x) - np.exp(x)).max())
+    bend = float((k * (k - 1) * np.abs(a) * end ** np.maximum(k - 2, 0)).sum()) + exp(end)
+    return tuple(a.tolist()), most + h * h / 8 * bend + 1e-14
