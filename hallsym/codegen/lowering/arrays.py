@@ -23,7 +23,7 @@ from hallsym.codegen.lowering.arrays_fit import Arrays
 from hallsym.codegen.lowering.arrays_steps import Pieces
 from hallsym.codegen.lowering.wave_groups import groups_of
 from hallsym.codegen.lowering.wave_integers import program
-from hallsym.codegen.lowering.wave_steps import POLYNOMIALS, Collected, Wave, logarithm_steps, wave_of
+from hallsym.codegen.lowering.wave_steps import Collected, Wave, logarithm_steps, wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -33,6 +33,8 @@ SWING = 0.1
 """Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 NEAR = 0.3
 """Share of a period by which what says the period may be off, and trials let it be."""
+FUNCTIONS = 1 / 16
+"""Share of an accuracy that each function of integers may take: their errors add up in the pose."""
 SAFE = 1.5
 """What errors met over trial poses are multiplied by where they are stated."""
 TRIALS = 20_000
@@ -58,7 +60,7 @@ def decoupler(
     def integers(accuracy: float = aim, plan: Sequence[int] | None = None) -> Program:
         waves = _waves(found, accuracy, radial=False)
         native = _Assembly(found, waves, Collected(native=True), given=box)
-        share = POLYNOMIALS * accuracy / min(g.phasor.lc for g in groups)
+        share = FUNCTIONS * accuracy / max(g.phasor.lc for g in groups)
         return program(native.make(), native.made.least, share, plan)
 
     return replace(made, integers=integers)

@@ -33,6 +33,8 @@ ROOMY = 1.1
 """Times the largest tangent of the box: end of the polynomial of a turn."""
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
+ONCE = 1.01
+"""Times the largest power of a phasor where no flag is set: end of what integers hold it in."""
 LOST = 1e-12
 """Displacement [m] that is rounding of the analysis."""
 ONE = 1e-9
@@ -95,14 +97,13 @@ class Pieces:
         return out
 
     def _held(self, log: ca.SX, name: str) -> ca.SX:
-        """A logarithm, of integers held where the flag is set, so that they need no more room."""
-        made = self.made
-        if not made.native:
+        """A logarithm, of integers held where the flag is set."""
+        if not self.made.native:
             return log
-        value = max(-float(np.log(w.least)) for w in self.waves)
-        known = "most_log" in made.symbols
-        most = made.symbols["most_log"] if known else made.entry("most_log", value, "1", "largest logarithm")
-        return made.step(f"held_log_{name}", ca.fmin(ca.fmax(log, -most), most))
+        most = max(-float(np.log(w.least)) for w in self.waves)
+        return self.made.step(
+            f"held_log_{name}", self.made.held(log, "most_log", most, "1", "largest logarithm")
+        )
 
     def places(self, vectors: Sequence[Pair]) -> list[ca.SX]:
         """For each axis: the mean place [m] from the middle, then the turns of the other arrays from the
@@ -325,6 +326,12 @@ class Pieces:
             else:
                 held = self._held_size(name)
                 re, im = c / held, -(d / held)
+        power = 4 if kind in ("4", "6") else 0
+        most = ONCE * max(1 / w.least for w in self.waves) ** power
+        re, im = (
+            made.held(v, f"most_power_{power}", most, "1", f"length of a phasor to the {power}")
+            for v in (re, im)
+        )
         return made.step(f"{key}_re", re), made.step(f"{key}_im", im)
 
     def _held_size(self, name: str) -> ca.SX:
@@ -379,6 +386,10 @@ class Pieces:
         most = float(((TILT * self.found.half[3:]) ** 2).sum())
         made.entry("least_turns", -most, "rad2", "less the largest sum of the squares of the rotations")
         made.step("turns", -(out[3] * out[3] + out[4] * out[4] + out[5] * out[5]))
+        if made.native:
+            for i in (3, 4, 5):
+                held = made.held(out[i], "most_turn", most**0.5, "rad", "largest rotation")
+                out[i] = made.step(f"held_{short(self.found.model.pose[i])}", held)
         return out
 
     def bent(self, linear: Sequence[ca.SX]) -> list[ca.SX]:

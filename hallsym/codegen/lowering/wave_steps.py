@@ -196,6 +196,16 @@ class Collected:
         self.steps.append(Step(name, expression, remark))
         return self.symbols.setdefault(name, ca.SX.sym(name))
 
+    def held(self, value: ca.SX, name: str, most: float, unit: str, meaning: str) -> ca.SX:
+        """Return a value, of integers held within +- `most`, an entry, so that they need no more room.
+
+        Beyond it a flag must be set: nothing is claimed there.
+        """
+        if not self.native:
+            return value
+        end = self.symbols[name] if name in self.symbols else self.entry(name, most, unit, meaning, name)
+        return ca.fmin(ca.fmax(value, -end), end)
+
     def keep(self, wanted: Sequence[str]) -> None:
         """Leave out the steps that none of the wanted ones needs."""
         needed, kept = set(wanted), []
@@ -265,16 +275,7 @@ def phasor_steps(made: Collected, wave: Wave, readings: Mapping[str, ca.SX], tag
 
 
 def _within(made: Collected, value: ca.SX, wave: Wave, tag: str) -> ca.SX:
-    """Return a coordinate of a vector, held where the flag is set so that integers need no more room."""
-    if not made.native:
-        return value
-    name = f"longest{tag}"
-    most = (
-        made.symbols[name]
-        if name in made.symbols
-        else made.entry(name, wave.outer, "1", "most of a phasor", "vector")
-    )
-    return ca.fmin(ca.fmax(value, -most), most)
+    return made.held(value, f"longest{tag}", wave.outer, "1", "most of a phasor")
 
 
 def _shared(shares: Mapping[int, list[ca.SX]], powers: Sequence[Pair]) -> Pair:
