@@ -13,6 +13,7 @@ from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import (
     columns_of,
     error_tables,
+    knows_rails,
     logged_columns,
     nominal_variance,
 )
@@ -149,7 +150,8 @@ class Task:
         if first is not None:
             log = rewired(self.log, self.model.channels, first.wiring)
             task = replace(self, log=log, known_noise=first.noise)
-            keep = outliers.beside_rails(first.keep, first.source, log, logged_columns(self.model))
+            # the corners that a rail cuts look like spikes to a model that knows of none
+            keep = None if knows_rails(self.model) else first.keep
             known = first.model.named(first.values)
             begin = self.model.vector({n: v for n, v in known.items() if n in self.model.names})
         begin = begin if self.begin_at is None else self.begin_at
