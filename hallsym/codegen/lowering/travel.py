@@ -65,13 +65,14 @@ class _Tried:
         pose = row.poses(rng, TRIALS)
         readings = row.readings(pose)
         noisy = readings + rng.standard_normal(readings.shape) / np.sqrt(row.weight)[:, None]
-        found = self.row.decoded(noisy, 0)
-        for rounds in range(1, MOST_ROUNDS + 1):
-            again = self.row.decoded(noisy, rounds)
-            if np.abs(again - found).max() < accuracy / 4:
-                break
-            found, self.rounds = again, rounds
-        off = found - pose
+        with np.errstate(all="ignore"):  # where no sensor counts there is no pose
+            found = self.row.decoded(noisy, 0)
+            for rounds in range(1, MOST_ROUNDS + 1):
+                again = self.row.decoded(noisy, rounds)
+                if not np.abs(again - found).max() >= accuracy / 4:
+                    break
+                found, self.rounds = again, rounds
+            off = found - pose
         self.resolved = bool(np.abs(off[0]).max() < row.wavelength / 4)
         self.size = float(np.sqrt((off**2).mean())) if np.isfinite(off).all() else np.inf
 

@@ -26,6 +26,8 @@ TINY = 1e-12
 """Added to the energy of all sensors [V2]: it may be zero."""
 RAMP = 0.5
 """Wavelengths over which the weight of a sensor goes from 0 to 1."""
+NO_COVER = 1e-9
+"""Determinant of the normal matrix [V4] of no sensors."""
 BATCH = 1000
 FROM_END = 0.75
 """Wavelengths from the ends of the wave from which on what a sensor reads is fitted."""
@@ -140,7 +142,7 @@ class Row:
             rows = np.stack([self.factor[:, 0].real, -self.factor[:, 0].imag])  # 2, n
             normal = np.einsum("ik,jk,ks->sij", rows, rows, w)
             seen = np.einsum("ik,ks,ks->si", rows, w, r)
-            inverse = np.linalg.inv(normal + np.where(np.abs(np.linalg.det(normal)) > 0, 0, 1)[:, None, None])
+            inverse = np.linalg.inv(normal + np.eye(2) * (np.linalg.det(normal) < NO_COVER)[:, None, None])
             u = _complex(inverse, seen)
             for _ in range(rounds):
                 left = seen.copy()
