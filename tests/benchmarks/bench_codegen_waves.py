@@ -2,10 +2,10 @@
 
 Cortex-M4F in QEMU, arm-none-eabi-gcc -O2 -std=c99 -ffp-contract=off, as `bench_codegen`; integers on a
 Cortex-M0. Place and height from three sums, absolute ones over a longer board, then six coordinates of a
-mover over four arrays (tests/waves.py); `--quick`: the first row and its rivals. SymPy's code is the closed form of
-the first harmonic with numbers. CasADi's is that of `model.decoded` (a start by arctangent and logarithm where
-the model has one, then weighted least-squares steps) in float with the parameters as constants. Both call
-libm, whose instructions count, and check nothing.
+mover over four arrays (tests/waves.py); `--quick`: the first row and its rivals. SymPy's code is the closed
+form of the first harmonic with numbers. CasADi's is that of `model.decoded` (a start by arctangent and
+logarithm where the model has one, then weighted least-squares steps) in float with the parameters as
+constants. Both call libm, whose instructions count, and check nothing.
 """
 
 import re

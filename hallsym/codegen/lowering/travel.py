@@ -137,7 +137,7 @@ class _Assembly:
             for c, v in zip(self.row.model.pose, off, strict=True)
         }
 
-    def _said(self, leaves: dict[str, float]) -> Sequence[str]:
+    def _said(self, leaves: dict[str, float]) -> tuple[str, ...]:
         row = self.row
         listed = ", ".join(f"{c} {v:.2g} {unit(c)}" for c, v in leaves.items())
         return (
