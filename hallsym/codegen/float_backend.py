@@ -78,6 +78,7 @@ class FloatBackend(FloatArithmetic):
             "real": self.type,
             "builtin_fabs": self.real.fabs,
             "zero": c(0.0),
+            "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),
             "out": self._outputs(errors),
             "in": self._inputs(),
             "slope": self.slopes.records() if self.jacobian else [],

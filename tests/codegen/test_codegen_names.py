@@ -140,21 +140,41 @@ def test_three_decouplers_compile_for_a_controller(image, core):
             )
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_arithmetic_without_nan_is_refused_by_the_compiler(image, compiler):
+COMPILED = ("-std=c99", "-O2", "-Istage/include", "-c", "stage/src/stage.c", "-o", "x.o")
+WITHOUT_NAN = ("-ffast-math", "-Ofast", "-ffinite-math-only")
+REORDERED = (("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"), ("-freciprocal-math",))
+"""What lets a compiler compute another number than IEEE 754 does; gcc takes the first only with the others."""
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang", "arm-none-eabi-gcc"])
+@pytest.mark.parametrize("source", ["stage.c", "stage_check.c"])
+@pytest.mark.parametrize("flag", WITHOUT_NAN)
+def test_arithmetic_without_nan_is_refused_by_the_compiler(image, compiler, source, flag):
     need(compiler)
     with pytest.raises(AssertionError, match="NaN must be told from numbers"):
-        ran(
-            image,
-            compiler,
-            "-std=c99",
-            "-ffast-math",
-            "-Istage/include",
-            "-c",
-            "stage/src/stage.c",
-            "-o",
-            "x.o",
-        )
+        ran(image, compiler, *(a.replace("stage.c", source) for a in COMPILED), flag)
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "arm-none-eabi-gcc"])
+@pytest.mark.parametrize("flags", [*REORDERED, ("-funsafe-math-optimizations",)])
+def test_another_order_of_operations_is_refused_where_the_compiler_tells(image, compiler, flags):
+    need(compiler)
+    with pytest.raises(AssertionError, match="bounds and bits are those of IEEE 754"):
+        ran(image, compiler, *COMPILED, *flags)
+
+
+HARMLESS = [(c, f) for c in ("gcc", "clang") for f in (("-fno-signed-zeros",), ("-fno-trapping-math",))]
+UNDONE = [("clang", flags) for flags in REORDERED]
+
+
+@pytest.mark.parametrize(("compiler", "flags"), [*HARMLESS, *UNDONE])
+def test_flags_that_are_not_refused_change_no_bit(image, compiler, flags):
+    need(compiler, "make")
+    folder = image / "enc_left"
+    ran(folder, "make", "clean")
+    said = ran(folder, "make", "check", f"CC={compiler} {' '.join(flags)}")
+    assert said.count("as stated") == 2
+    assert "0 faults of a table not found, 0 zeros wrong" in said
 
 
 def test_nothing_of_a_library_is_needed(image):

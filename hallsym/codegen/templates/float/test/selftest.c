@@ -16,9 +16,7 @@ typedef struct
 
 #include "selftest_vectors.h"
 
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF
-#endif
+@IEEE@
 
 static uint32_t mix(uint32_t x)
 {
