@@ -143,7 +143,7 @@ def test_three_decouplers_compile_for_a_controller(image, core):
 COMPILED = ("-std=c99", "-O2", "-Istage/include", "-c", "stage/src/stage.c", "-o", "x.o")
 WITHOUT_NAN = ("-ffast-math", "-Ofast", "-ffinite-math-only")
 REORDERED = (("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"), ("-freciprocal-math",))
-"""What lets a compiler compute another number than IEEE 754 does; gcc takes the first only with the others."""
+"""What lets a compiler compute another number than IEEE 754; gcc takes the first with the others only."""
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang", "arm-none-eabi-gcc"])
