@@ -310,24 +310,13 @@ class FloatBackend(FloatArithmetic):
             "slope_field": [f"double slopes[{len(self.slopes.expressions)}];"] if self.jacobian else [],
             "slope_step": self._if_jacobian("slope_step.c"),
             "slope_status": [status] if self.jacobian else [],
-            **self._flags(),
+            **self._flags_raised(self._most),
+            "flag_includes": ["#include <float.h>"] if self.decoupler.flags else [],
             "near": c(self._near),
             "at_known": c(2.0**-12),
             **self._known(),
             "fault_includes": ["#include <float.h>", "#include <math.h>"],
             "faults": list(self._faults()),
-        }
-
-    def _flags(self) -> dict[str, Any]:
-        """A table whose flags are all raised, whatever else a vector raises."""
-        d = self.decoupler
-        bits = " | ".join(["wanted->status", *(status_bit(f.name) for f in d.flags)])
-        call = "decoupler_step(&strict, &wanted->in, &out)"
-        return {
-            "flag_includes": ["#include <float.h>"] if d.flags else [],
-            "strict": ["decoupler_params_t strict = decoupler_params;"] * bool(d.flags)
-            + [f"strict.{f.least} = {self._most};" for f in d.flags],
-            "raised": [f"failed |= ({call} == ({bits})) ? 0U : 1U;"] if d.flags else [],
         }
 
     @property

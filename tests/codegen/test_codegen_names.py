@@ -259,6 +259,62 @@ def test_the_sketch_compiles_and_packages_name_files_that_are_there(image, name)
     assert f"config {name.upper()}_LIB" in (folder / "zephyr/Kconfig").read_text()
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_the_simulink_example_compiles_and_calls_the_decoupler(image, name, tmp_path):
+    """The C that its block calls; the script itself needs MATLAB and is not run."""
+    need("gcc")
+    folder = image / name
+    script = (folder / f"examples/Simulink/{name}_model.m").read_text()
+    assert f"'FunctionName', '{name}_simulink'" in script
+    named = re.findall(rf"'({name}\w*\.c)'", script)
+    files = [str(next(folder.rglob(source))) for source in named]
+    assert len(files) == 4
+    kind = "int32_t" if name == "enc_right" else "float"
+    (tmp_path / "main.c").write_text(
+        f'#include "{name}_simulink.h"\nint main(void)\n{{\n    const {kind} in[6] = {{0}};\n'
+        f"    {kind} out[3];\n    return (int){name}_simulink(in, out);\n}}\n"
+    )
+    paths = [f"-I{folder / place}" for place in ("include", "params", "examples/Simulink")]
+    ran(tmp_path, "gcc", *STRICT, *paths, *files, "main.c", "-o", "called")
+    ran(tmp_path, "./called")
+
+
+ZEPHYR = """
+cmake_minimum_required(VERSION 3.13)
+project(image C)
+macro(zephyr_library_named name)
+  set(library ${name})
+  add_library(${library} STATIC)
+endmacro()
+macro(zephyr_library_sources)
+  target_sources(${library} PRIVATE ${ARGV})
+endmacro()
+macro(zephyr_library_compile_options)
+  target_compile_options(${library} PRIVATE ${ARGV})
+endmacro()
+macro(zephyr_include_directories)
+  target_include_directories(${library} PUBLIC ${ARGV})
+endmacro()
+set(CONFIG_ENC_LEFT_LIB y)
+add_subdirectory(MODULE/zephyr module)
+add_executable(image main.c)
+target_link_libraries(image enc_left)
+"""
+"""Zephyr's functions as its own CMake files define them, as far as a module of one library goes."""
+
+
+def test_the_zephyr_module_builds_with_a_stand_in_of_its_functions(image, tmp_path):
+    need("cmake", "gcc")
+    (tmp_path / "CMakeLists.txt").write_text(ZEPHYR.replace("MODULE", str(image / "enc_left")))
+    (tmp_path / "main.c").write_text(
+        '#include "enc_left.h"\n#include "enc_left_params.h"\n'
+        "int main(void) { return (int)enc_left_check(&enc_left_params); }\n"
+    )
+    ran(tmp_path, "cmake", "-S", ".", "-B", "b", "-DCMAKE_POLICY_DEFAULT_CMP0076=NEW")
+    ran(tmp_path, "cmake", "--build", "b")
+    ran(tmp_path, "b/image")
+
+
 def test_the_update_over_a_serial_line_takes_good_tables_only(image):
     """The C of docs/controller.md, with the table that it is about."""
     need("gcc")
