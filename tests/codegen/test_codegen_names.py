@@ -295,7 +295,7 @@ def test_the_simulink_example_compiles_and_calls_the_decoupler(image, name, tmp_
 
 
 HOST_PLATFORM = {
-    "platform.json": '{"name": "host", "title": "host", "version": "1.0.0", "frameworks": {}, "packages": {}}',
+    "platform.json": json.dumps({"name": "host", "title": "host", "version": "1.0.0", "packages": {}}),
     "platform.py": (
         "from platformio.public import PlatformBase\n\n\nclass HostPlatform(PlatformBase):\n"
         "    def is_embedded(self):\n        return False\n"
