@@ -14,7 +14,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, calibration, four_probes, made, with_effect
+from firmware import CASES, GOLDEN, calibration, four_probes, made, need, ran, with_effect
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -553,6 +553,8 @@ def test_a_range_that_became_lopsided_is_cut_to_the_limit_that_the_code_has(tmp_
     report = (out / "doc/report.md").read_text()
     assert "| z_m | -0.0001 | 0.0001 |" in report
     assert "was recorded from" in report
+    need("gcc", "make")
+    assert "0 faults of a table not found, 0 zeros wrong" in ran(out, "make", "check")
     without_zero = recorded(tmp_path, z_m=[1e-5, 2.5e-4])
     code, _, err = run(capsys, "codegen", without_zero, "-o", out, "--params-only")
     assert code == 2
