@@ -7,7 +7,6 @@ of the rest and the end of the row say it. Least squares of the weighted sensors
 endless wave; how far from its ends a sensor must be to count is chosen by what ends and noise leave.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
