@@ -13,7 +13,7 @@ import numpy as np
 from hallsym.errors import InputError, nearest, quoted
 from hallsym.reading import MOST_NUMBER
 from hallsym.toml import Table
-from hallsym.units import Array, quantity, require_unit, si_name, split_unit
+from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_unit
 
 RUN = "run"
 
@@ -67,8 +67,7 @@ def parse_column_option(text: str) -> tuple[str, str]:
             f"Option --column must be OUR_NAME=ITS_NAME, such as hall_a_um=HallA; it is '{text}'."
         )
     ours = ours.strip()
-    if ours != RUN:
-        require_unit(ours)
+    _check_ours(ours)
     return ours, foreign.strip()
 
 
@@ -102,13 +101,15 @@ def bind(
     wanted: Mapping[str, str | Foreign],
     where: str,
     counts_per_turn: float | None = None,
-) -> dict[str, Binding]:
-    """Return the SI columns that a file with columns `found` offers, by SI name.
+    units: Mapping[str, str] | None = None,
+) -> tuple[dict[str, Binding], list[str]]:
+    """Return the SI columns that a file with columns `found` offers, by SI name, and what to say of them.
 
-    A file's own column whose name states its unit needs no mapping; one without a unit is left out. Angles in
-    counts need `counts_per_turn`.
+    A file's own column whose name states its unit, or beside whose name the file does (`units`, by name),
+    needs no mapping; one without a unit is left out. Angles in counts need `counts_per_turn`.
     """
     bindings: dict[str, Binding] = {}
+    stated, said = units or {}, []
     for ours, entry in wanted.items():
         foreign = Foreign(entry) if isinstance(entry, str) else entry
         if foreign.name not in found:
@@ -116,16 +117,38 @@ def bind(
                 f"{where} has no column '{foreign.name}' for {ours}{nearest(foreign.name, list(found))};"
                 f" it has {listed(found)}."
             )
+        unit = stated.get(foreign.name)
+        if ours != RUN and unit and split_unit(ours)[1] is None:
+            ours = f"{ours}_{unit}"
+        elif ours != RUN and unit and unit != require_unit(ours).name:
+            said.append(
+                f"Column '{foreign.name}' is read in {require_unit(ours).name} as stated; its header says"
+                f" {unit}."
+            )
         _add(bindings, _binding(ours, foreign, where, counts_per_turn), where)
     taken = {b.source for b in bindings.values()}
     for column in found:
-        if column in taken or not (column == RUN or split_unit(column)[1]):
+        name = _named(column, stated.get(column), where)
+        if column in taken or not (name == RUN or split_unit(name)[1]):
             continue
-        own = _binding(column, Foreign(column), where, counts_per_turn)
+        own = _binding(name, Foreign(column), where, counts_per_turn)
         if own.name in bindings and bindings[own.name].source in _names(wanted):
             continue  # the mapping, which somebody wrote, wins over the file's own name
         _add(bindings, own, where)
-    return bindings
+    return bindings, said
+
+
+def _named(column: str, unit: str | None, where: str) -> str:
+    """Return a column with the unit that the file states beside its name: `x_ref` [um] -> `x_ref_um`."""
+    stem, own = split_unit(column)
+    if unit is None or column == RUN:
+        return column
+    if own and quantity(stem) and own != UNITS[unit]:
+        raise InputError(
+            f"Column '{column}' of {where} must have one unit; its name says {own.name}, the file {unit}:"
+            f" state the right one with --column {stem}_{unit}={column} or --column {column}={column}."
+        )
+    return column if own and quantity(stem) else f"{column}_{unit}"
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:
@@ -164,8 +187,7 @@ def _add(bindings: dict[str, Binding], new: Binding, where: str) -> None:
 
 
 def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
-    if ours != RUN:
-        require_unit(ours)
+    _check_ours(ours)
     if isinstance(entry, str):
         return Foreign(entry)
     known = isinstance(entry, dict) and set(entry) <= {"name", "sign", "scale", "counts_per_turn"}
@@ -180,6 +202,12 @@ def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
     counts = entry.get("counts_per_turn")
     counts = None if counts is None else counts_in_turn(counts, f"Column file {path}: {ours}")
     return Foreign(entry["name"], sign * float(scale), counts)
+
+
+def _check_ours(ours: str) -> None:
+    """Refuse a name without a unit, unless it is one of ours: then the file may state the unit."""
+    if ours != RUN and not (quantity(ours) and split_unit(ours)[1] is None):
+        require_unit(ours)
 
 
 def _whole(raw: Array, source: str) -> Array:

@@ -1,4 +1,4 @@
-"""Parquet logs, through pyarrow (an extra)."""
+"""Parquet logs, through pyarrow."""
 
 from __future__ import annotations
 

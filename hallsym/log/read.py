@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,13 +18,13 @@ from hallsym.log.columns import (
     read_column_file,
 )
 from hallsym.log.core import Log, run_notes
-from hallsym.log.format_csv import CsvSource
 from hallsym.log.formats import FORMATS, format_of
 from hallsym.log.guarded import Guarded
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
+from hallsym.log.text import stated_delimiter
 from hallsym.reading import regular
 from hallsym.units import split_unit
 
@@ -36,6 +36,8 @@ def read_log(
     column_file: str | Path | None = None,
     format: str | None = None,
     delimiter: str | None = None,
+    decimal: str | None = None,
+    sheet: str | None = None,
     drop_bad: bool = False,
     noise: Mapping[str, float] | None = None,
     counts_per_turn: float | None = None,
@@ -47,10 +49,12 @@ def read_log(
     `{"hall_a_um": "HallA"}` gives the SI column `hall_a_m`. A column file (TOML) says the same and may give
     noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
     `counts_per_turn`: of angles in counts (`{"angle_count": "raw"}`); it wins in the same way.
+    Of a text file delimiter and decimal sign are recognised; `delimiter` ("tab" and "blank" are words for
+    them) and `decimal` state them. `sheet`: of a workbook that has several.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
     file, folder = _locate(Path(path))
-    source = _open(file, format, delimiter)
+    source = _open(file, format, {"delimiter": delimiter, "decimal": decimal, "sheet": sheet})
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
@@ -61,7 +65,8 @@ def read_log(
     )
     turn = None if counts is None else counts_in_turn(counts, quoted(file))
     where = quoted(file)
-    table = Table(source, bind(source.names, wanted, where, turn), where)
+    bindings, changed = bind(source.names, wanted, where, turn, source.units)
+    table = Table(source, bindings, where)
     if not any(name != RUN for name in table.columns):
         raise InputError(
             f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"
@@ -70,7 +75,7 @@ def read_log(
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
     check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
-    log = Log(table, known, meta, file, (*run_notes(table.bindings), *_notes(source)))
+    log = Log(table, known, meta, file, (*run_notes(table.bindings), *_notes(source), *changed))
     return clean_log(log) if drop_bad else log
 
 
@@ -87,19 +92,22 @@ def _locate(path: Path) -> tuple[Path, Path | None]:
     return regular(path, "Log"), None
 
 
-def _open(file: Path, format: str | None, delimiter: str | None) -> Source:
+def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> Source:
     entry = format_of(file, format)
     if file.stat().st_size == 0:
         raise InputError(f"Log {quoted(file)} is empty (0 bytes); record or copy it again.")
-    opens: Callable[[Path], Source] = entry.open
-    if entry.name == "csv":
-        opens = partial(CsvSource, delimiter=delimiter)
-    elif delimiter is not None:
-        raise InputError(
-            f"Option delimiter must be left out for {quoted(file)}: a {entry.name} file has none."
-        )
+    options = {name: text for name, text in stated.items() if text is not None}
+    for name in options:
+        if name not in entry.options:
+            raise InputError(
+                f"Option {name} must be left out for {quoted(file)}: a {entry.name} file has none."
+            )
+    if options.get("decimal", ".") not in (".", ","):
+        raise InputError(f"Decimal sign must be '.' or ','; instead received {options['decimal']!r}.")
+    if "delimiter" in options:
+        options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
-    return Guarded(file, opens, fault, "copy it again")
+    return Guarded(file, partial(entry.open, **options), fault, "copy it again")
 
 
 def _notes(source: Source) -> tuple[str, ...]:

@@ -24,8 +24,9 @@ class Source(ABC):
     """A file's columns under their own names; each format has one.
 
     `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
-    name. `aliases`: short names by long name, a path in a struct or a group. `notes`: what has to be said
-    about the file.
+    name. `aliases`: short names by long name, a path in a struct or a group. `units`: what the file states
+    beside a name, by name (`hallsym.units`). `notes`: what has to be said about the file; `recognised`: what
+    it is, where that had to be found out.
     """
 
     names: tuple[str, ...]
@@ -33,6 +34,8 @@ class Source(ABC):
     small: bool
     left_out: Mapping[str, str] = {}
     aliases: Mapping[str, str] = {}
+    units: Mapping[str, str] = {}
+    recognised: str = ""
     notes: tuple[str, ...] = ()
 
     def count(self) -> int:
