@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import IO
 
 from hallsym.errors import InputError, quoted
+from hallsym.log.arrow import array_of
 from hallsym.log.extras import load
 from hallsym.log.table import Source, label
 from hallsym.log.text import MISSING, Cleaner, Dialect, Encoded, TableStream, as_float, end_of, sniffed
@@ -109,7 +110,7 @@ class CsvSource(Source):
         try:
             with csv.open_csv(stream, **options) as reader:
                 for batch in reader:
-                    yield [column.to_numpy(zero_copy_only=False) for column in batch.columns]
+                    yield [array_of(column) for column in batch.columns]
         except arrow.ArrowInvalid as error:
             if "Empty CSV" not in str(error):
                 raise
@@ -166,13 +167,15 @@ def _clean_numbers(dialect: Dialect) -> Convention:
 
 
 def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputError:
-    decimal = source.dialect.numbers.decimal
-    other = "." if decimal == "," else ","
-    swapped = other in cell and as_float(cell, Convention(other)) is not None
-    names = {",": "comma", ".": "point"}
-    sign = f" with a decimal {names[decimal]}, not a {names[other]}"
-    remedy = f": write all numbers alike, or state --decimal {other}" if swapped else ""
+    decimal, what = source.dialect.numbers.decimal, {",": "comma", ".": "point"}
+    other = "," if decimal == "." else "."
+    said = remedy = ""
+    if as_float(cell, Convention(decimal, other)) is not None:
+        remedy = f"; if a {what[other]} separates thousands, state --decimal {decimal}"
+    elif as_float(cell, Convention(other)) is not None:
+        said = f" with a decimal {what[decimal]}, not a {what[other]}"
+        remedy = f": write all numbers alike, or state --decimal {other}"
     return InputError(
-        f"Line {number}, column '{name}' of {source.where} must be a number{sign if swapped else ''}; it is "
+        f"Line {number}, column '{name}' of {source.where} must be a number{said}; it is "
         f"'{cell[:40]}'{remedy}."
     )

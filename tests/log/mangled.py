@@ -14,6 +14,9 @@ UNITS = {
     "x_ref_m": ("µm", 1e6), "y_ref_m": ("µm", 1e6), "rz_ref_rad": ("µrad", 1e6),
 }  # fmt: skip
 """Unit in which a variant with a row of units writes a column, and its factor."""
+FINE = UNITS | {"x_ref_m": ("nm", 1e9), "y_ref_m": ("nm", 1e9)}
+"""Units in which numbers have thousands."""
+Units = Mapping[str, tuple[str, float]]
 Columns = Mapping[str, np.ndarray]
 
 
@@ -22,12 +25,14 @@ def si_cells(columns: Columns) -> list[list[str]]:
     return [list(map(repr, row)) for row in zip(*(v.tolist() for v in columns.values()), strict=True)]
 
 
-def cells(columns: Columns, form: Callable[[float], str] = lambda v: f"{v:.20f}") -> list[list[str]]:
+def cells(
+    columns: Columns, form: Callable[[float], str] = lambda v: f"{v:.20f}", units: Units = UNITS
+) -> list[list[str]]:
     """Cells in laboratory units."""
     out = []
     for row in zip(*(v.tolist() for v in columns.values()), strict=True):
         pairs = zip(columns, row, strict=True)
-        out.append([str(v) if name == "run" else form(v * UNITS[name][1]) for name, v in pairs])
+        out.append([str(v) if name == "run" else form(v * units[name][1]) for name, v in pairs])
     return out
 
 
@@ -35,10 +40,10 @@ def stems(columns: Columns) -> list[str]:
     return [name.rpartition("_")[0] or name for name in columns]
 
 
-def with_units(columns: Columns, left: str = " [", right: str = "]") -> list[str]:
+def with_units(columns: Columns, left: str = " [", right: str = "]", units: Units = UNITS) -> list[str]:
     """Names with their unit behind them."""
     found = zip(stems(columns), columns, strict=True)
-    return [stem + (f"{left}{UNITS[name][0]}{right}" if UNITS[name][0] else "") for stem, name in found]
+    return [stem + (f"{left}{units[name][0]}{right}" if units[name][0] else "") for stem, name in found]
 
 
 def rows(names: Sequence[str], body: Sequence[Sequence[str]], by: str = ",", end: str = "\n") -> str:
@@ -64,7 +69,7 @@ def variants(columns: Columns) -> dict[str, tuple[str, bytes]]:
     german = [comma(row) for row in lab]
     units = [UNITS[name][0] for name in columns]
     brackets = [f"[{unit}]" if unit else "-" for unit in units]
-    head, named = stems(columns), with_units(columns)
+    head, named, fine = stems(columns), with_units(columns), with_units(columns, units=FINE)
     two = rows(head, [units, *german], ";")
     above = "Device: stage 3\nOperator;Meier\n\n"
     quotes = [[f'"{cell}"' for cell in row] for row in german]
@@ -91,7 +96,7 @@ def variants(columns: Columns) -> dict[str, tuple[str, bytes]]:
         "quotes and decimal commas": ("log.csv", rows([f'"{n}"' for n in named], quotes).encode()),
         "quotes": ("log.csv", rows([f'"{n}"' for n in names], [[f'"{c}"' for c in r] for r in si]).encode()),
         "delimiters at the end": ("log.csv", rows([*names, ""], [[*row, ""] for row in si], ";").encode()),
-        "thousands": ("log.csv", rows(named, cells(columns, grouped), ";").encode()),
+        "thousands": ("log.csv", rows(fine, cells(columns, grouped, FINE), ";").encode()),
         "blanks beside commas": ("log.csv", rows(names, si, " , ").encode()),
         "sep= of a spreadsheet": ("log.csv", ("sep=;\n" + rows(named, german, ";")).encode()),
         "percent comments": ("log.txt", ("% rig 2\n% 60 s\n" + rows(named, lab, "\t")).encode()),

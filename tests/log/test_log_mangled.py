@@ -128,7 +128,7 @@ print(rows, peak() - before, log.table.in_memory)
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
 @pytest.mark.slow
 def test_a_large_file_is_read_in_64_MB(tmp_path: Path, columns: dict[str, np.ndarray]) -> None:
-    few = {name: values[:500] for name, values in columns.items()}
+    few = {name: 0 * values[:500] if name == "run" else values[:500] for name, values in columns.items()}
     body = rows(["run", *with_units(few)[1:]], cells(few), ";").replace(".", ",")
     head, _, lines = body.partition("\n")
     with open(tmp_path / "log.csv", "w", encoding="latin-1") as file:

@@ -45,7 +45,7 @@ _PATTERNS = {c: c.pattern for c in CONVENTIONS}
 _ANY = re.compile(rf"[-+]?[\d.,{_GAPS}]*\d[\d.,{_GAPS}]*{_POWER}|{_INFINITE}", re.IGNORECASE)
 
 
-@lru_cache(maxsize=1 << 16)
+@lru_cache(maxsize=1 << 12)
 def is_number(cell: str) -> bool:
     """Say whether a cell is a number under some convention; a missing one is none."""
     return bool(_ANY.fullmatch(cell)) and any(p.fullmatch(cell) for p in _PATTERNS.values())

@@ -18,8 +18,8 @@ SAMPLE = 1 << 18
 """Characters of the beginning that are looked at, and more where its lines are long."""
 FEW = 12
 """Lines that are looked at at least."""
-MOST = 100
-"""Lines that are looked at at most."""
+MOST, NUMBERS = 100, 4000
+"""Lines that are looked at at most to find the table, and for how its numbers are written."""
 LONGEST_FOOTER = 20
 """Lines after a table that are taken for words about it; more are damage."""
 _COMMENTS = ("#", "%", "//", "!")
@@ -41,18 +41,21 @@ def sniffed(file: Encoded, where: str, delimiter: str | None = None, decimal: st
         raise InputError(
             f"{where} is empty: it must hold a header line with column names and one line per sample."
         )
-    table, names, header = _table(lines, comments, delimiter, where)
+    table, names, header = _table(lines[:MOST], comments, delimiter, where)
     first, units_line, units = _units(table, lines)
     stems = _stems(names, units, where)
-    body = [row for row in table.rows[first:] if len(row) == table.width]
-    numbers = _numbers(body, table.delimiter, decimal, where)
+    below = lines[min(first, len(lines)) :]
+    rows = (split(line.text, table.delimiter) for line in below)
+    body = [row for row in rows if len(row) == table.width]
+    quotes = _quotes(below, table.delimiter)
+    numbers = _numbers(body, "" if quotes == "inside" else table.delimiter, decimal, where)
     found = Dialect(
         file.encoding, file.compressed, table.delimiter, tuple(stems), header,
         lines[first].number if first < len(lines) else lines[-1].number + 1, numbers,
         {stem: unit for stem, (_, unit) in stems.items() if unit},
         {text: stem for stem, (text, _) in stems.items() if text != stem},
         units_line, marks, above=sum(line.number < header for line in lines),
-        quoted=_quotes(lines[first:], table.delimiter), padded=_padded(lines[first:], table.delimiter),
+        quoted=quotes, padded=_padded(below, table.delimiter),
     )  # fmt: skip
     return _with_footer(found, end_of(file), body)
 
@@ -76,7 +79,7 @@ def _sample(file: Encoded, where: str) -> tuple[list[Line], list[tuple[int, str]
             comments.append((number, text.strip(' \t"')))
         elif text.strip():
             lines.append(Line(number, text))
-        if (length > SAMPLE and len(lines) >= FEW) or len(lines) >= MOST:
+        if (length > SAMPLE and len(lines) >= FEW) or len(lines) >= NUMBERS:
             break
     return lines, comments
 
@@ -177,14 +180,16 @@ def _stems(names: list[str], units: list[str], where: str) -> dict[str, tuple[st
 
 
 def _numbers(body: list[list[str]], delimiter: str, decimal: str | None, where: str) -> Convention:
-    cells = (cell for row in body for cell in row)
-    found, cell = conventions_of(cells, decimal)
+    """Return how numbers are written; beside a stated decimal sign the other may separate thousands."""
+    found, cell = conventions_of((cell for row in body for cell in row), decimal)
     if len(found) > 1:
         raise InputError(
             f"Numbers such as '{cell}' of {where} can be read in two ways: say --decimal , if the comma is"
             " the decimal sign, or --decimal . if it separates thousands (in Python decimal=',' or '.')."
         )
-    return found[0]
+    other = "," if decimal == "." else "."
+    stated = decimal and not found[0].grouping and other != delimiter
+    return Convention(found[0].decimal, other) if stated else found[0]
 
 
 def _quotes(lines: list[Line], delimiter: str) -> str:
