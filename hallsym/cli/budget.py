@@ -10,6 +10,7 @@ import numpy as np
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import (
+    FILE_OPTIONS,
     assignment,
     column_numbers,
     column_ranges,
@@ -51,7 +52,7 @@ from hallsym.uncertainty import (
     with_curve,
 )
 
-LOG_OPTIONS = ("column", "column_file", "format", "delimiter", "drop_bad")
+LOG_OPTIONS = ("column", "column_file", *FILE_OPTIONS, "drop_bad")
 EPILOG = """\
 examples:
   hallsym budget budget.toml                          any budget: one [[source]] table for each input

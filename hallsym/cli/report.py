@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, say
+from hallsym.cli.common import FILE_OPTIONS, command, log_options, open_log, own_effects, own_option, say
 from hallsym.estimation import as_read, load_fit, logged_columns
 from hallsym.files import atomic_write
 from hallsym.log import check_log
@@ -54,7 +54,7 @@ def _typed(options: Namespace) -> str:
     words = ["hallsym", "report", options.calibration, options.log]
     words += [word for column in options.column for word in ("--column", column)]
     words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("effects", "column_file", "format", "delimiter"):
+    for option in ("effects", "column_file", *FILE_OPTIONS):
         if getattr(options, option) is not None:
             words += [f"--{option.replace('_', '-')}", getattr(options, option)]
     return shlex.join([*words, *(["--drop-bad"] if options.drop_bad else [])])

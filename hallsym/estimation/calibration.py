@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,13 +16,13 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import build, known_effect, plain
-from hallsym.files import atomic_write
 from hallsym.log import Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
 from hallsym.reading import read_json
 from hallsym.records import structured
+from hallsym.shown import Shown
 
 if TYPE_CHECKING:
     from hallsym.estimation.calibration_file import CalibrationRecord
@@ -114,8 +113,8 @@ class Errors:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Shown):
     """What `fit` returns and `calib.json` holds.
 
     `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do
@@ -229,11 +228,6 @@ class Fit:
             "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
             "versions": dict(self.versions),
         }
-
-    def save(self, path: str | Path) -> None:
-        """Write the calibration as JSON; a file that was there is replaced only by a complete new one."""
-        text = json.dumps(self.to_dict(), indent=1, allow_nan=False)
-        atomic_write(Path(path), (text + "\n").encode())
 
 
 def load_fit(

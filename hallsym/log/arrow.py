@@ -9,7 +9,6 @@ import numpy as np
 from hallsym.log.extras import load
 from hallsym.units import Array
 
-
 _FLOATS = {"double": "float64", "float": "float32", "halffloat": "float16"}
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.columns import (
@@ -19,6 +20,7 @@ from hallsym.log.columns import (
 )
 from hallsym.log.core import Log, run_notes
 from hallsym.log.formats import FORMATS, format_of
+from hallsym.log.frames import is_table, source_of
 from hallsym.log.guarded import Guarded
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
@@ -29,8 +31,13 @@ from hallsym.reading import regular
 from hallsym.units import split_unit
 
 
+def as_log(data: Any) -> Log:
+    """Return a log: itself, or what `read_log` makes of a path or of a table in memory."""
+    return data if isinstance(data, Log) else read_log(data)
+
+
 def read_log(
-    path: str | Path,
+    path: Any,
     *,
     columns: Mapping[str, str] | None = None,
     column_file: str | Path | None = None,
@@ -44,7 +51,9 @@ def read_log(
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
-    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`.
+    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; or a
+    table in memory: a dict of arrays, or a data frame of any library that speaks Arrow (pandas, polars,
+    pyarrow, DuckDB), whose names state their unit as those of a file do: `x_ref_um`, `x_ref [um]`.
     `columns` maps our name, ending with the unit the foreign column is in, to the foreign name:
     `{"hall_a_um": "HallA"}` gives the SI column `hall_a_m`. A column file (TOML) says the same and may give
     noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
@@ -53,8 +62,18 @@ def read_log(
     them) and `decimal` state them. `sheet`: of a workbook that has several.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
-    file, folder = _locate(Path(path))
-    source = _open(file, format, {"delimiter": delimiter, "decimal": decimal, "sheet": sheet})
+    stated_of_file = {"delimiter": delimiter, "decimal": decimal, "sheet": sheet}
+    if is_table(path):
+        file, folder, where = None, None, "The table"
+        source: Source = source_of(path, where)
+    elif isinstance(path, str | Path):
+        file, folder = _locate(Path(path))
+        where, source = quoted(file), _open(file, format, stated_of_file)
+    else:
+        raise InputError(
+            "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "
+            f"{type(path).__name__}."
+        )
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
@@ -63,8 +82,7 @@ def read_log(
         if counts_per_turn is not None
         else stated.counts_per_turn or meta.raw.get("counts_per_turn")
     )
-    turn = None if counts is None else counts_in_turn(counts, quoted(file))
-    where = quoted(file)
+    turn = None if counts is None else counts_in_turn(counts, where)
     bindings, changed = bind(source.names, wanted, where, turn, source.units)
     table = Table(source, bindings, where)
     if not any(name != RUN for name in table.columns):

@@ -71,11 +71,13 @@ def test_a_truncated_parquet(capsys, written):
     assert "cut short" in refused(capsys, "fit", path)
 
 
-def test_a_wrong_delimiter_and_the_option_that_helps(capsys, written, tmp_path):
+def test_another_delimiter_is_recognised_and_a_wrong_one_refused(capsys, written, tmp_path):
     path = written(name="log.csv")
     path.write_text(path.read_text().replace(",", ";"))
-    assert "';'" in refused(capsys, "fit", path)
-    assert run(capsys, "fit", path, "--delimiter", ";", "--solver", "direct")[0] == 0
+    code, out, _ = run(capsys, "fit", path, "--solver", "direct")
+    assert code == 0
+    assert "columns separated by semicolons" in out
+    assert "leave --delimiter out" in refused(capsys, "fit", path, "--delimiter", ",")
 
 
 def renamed(d):
