@@ -33,15 +33,13 @@ def fit(columns: dict[str, np.ndarray]) -> hallsym.Fit:
 @pytest.fixture(scope="module")
 def results(columns: dict[str, np.ndarray], fit: hallsym.Fit) -> dict[str, Any]:
     """One result of each kind."""
-    ranges = hallsym.paper_ranges()
+    ranges, values = hallsym.paper_ranges(), dict(zip(fit.model.names, fit.values, strict=True))
     return {
         "Fit": fit,
         "Evaluation": hallsym.evaluate(fit, columns),
-        "Diagnosis": hallsym.diagnose(columns, "stage30", holdout=[2, 8]),
+        "Diagnosis": hallsym.diagnose(hallsym.bundled_campaign(), "stage30"),
         "Identifiability": hallsym.identify(fit, profiles="none", bootstrap=0),
-        "Plan": hallsym.plan(
-            ranges, "stage31", dict(zip(fit.model.names, fit.values, strict=True)), fit.noise.std, runs=6
-        ),
+        "Plan": hallsym.plan(ranges, "stage31", values, fit.noise.std, runs=6),
         "Budget": hallsym.position_budget(fit)["x_m"],
     }
 
@@ -59,7 +57,7 @@ def test_a_result_shows_itself(results: dict[str, Any], kind: str, tmp_path: Pat
     assert len(result.summary().split("\n")) >= 3
     frame = result.to_dataframe()
     assert len(frame) > 0
-    assert list(frame.columns)[0] in ("parameter", "run", "effect", "runs", "source")
+    assert frame.columns[0] in ("parameter", "run", "effect", "runs", "source")
     page = result._repr_html_()
     assert page.count("<tr") == len(frame) + 1
     assert "<script" not in page
@@ -95,13 +93,13 @@ def test_a_frame_of_any_library_gives_the_same_fit(
 ) -> None:
     pandas, polars = pytest.importorskip("pandas"), pytest.importorskip("polars")
     duckdb, arrow = pytest.importorskip("duckdb"), pytest.importorskip("pyarrow")
-    table = arrow.table(columns)
+    recorded = arrow.table(columns)
     hallsym.write_log(columns, tmp_path / "log.parquet")
     frames = {
         "pandas": pandas.DataFrame(columns),
         "polars": polars.DataFrame(columns),
-        "pyarrow": table,
-        "duckdb": duckdb.sql("select * from table"),
+        "pyarrow": recorded,
+        "duckdb": duckdb.sql("select * from recorded"),
         "lists": {name: values.tolist() for name, values in columns.items()},
         "log": hallsym.Log.from_arrays(columns),
         "path": tmp_path / "log.parquet",
@@ -154,6 +152,7 @@ def test_help_lists_columns_units_results_and_an_example() -> None:
 
 
 def test_importing_hallsym_loads_no_library() -> None:
-    code = "import hallsym, sys; print(*{'numpy', 'pyarrow', 'matplotlib', 'pandas', 'casadi'} & set(sys.modules))"
+    heavy = "{'numpy', 'pyarrow', 'matplotlib', 'pandas', 'casadi'}"
+    code = f"import hallsym, sys; print(*{heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""

@@ -183,8 +183,8 @@ def identify(
 
     `known`: a fit, with `on` its log (not needed for a fit just made), another log (as `fit` takes it) or a
     campaign that is not recorded yet; or a model with a campaign. For a campaign: `values` are the machine's
-    (default: the fit's, or nominal), `noise` the standard deviation by column (default: the fit's, the campaign's, or Table 8's),
-    `name` what to call it.
+    (default: the fit's, or nominal), `noise` the standard deviation by column (default: the fit's, the
+    campaign's, or Table 8's), `name` what to call it.
     `profiles`: "auto" where the normal interval is not good enough, "all", or "none".
     `bootstrap`: resample runs so many times; None when white noise does not explain the scatter, 0 never.
 

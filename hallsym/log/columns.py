@@ -112,6 +112,8 @@ def bind(
     stated, said = units or {}, []
     for ours, entry in wanted.items():
         foreign = Foreign(entry) if isinstance(entry, str) else entry
+        if ours != RUN and foreign.name not in stated:
+            require_unit(ours)
         if foreign.name not in found:
             raise InputError(
                 f"{where} has no column '{foreign.name}' for {ours}{nearest(foreign.name, list(found))};"
