@@ -132,6 +132,7 @@ def open_log(options: Namespace, machine: Machine | None = None, known: Fit | No
         drop_bad=options.drop_bad,
         noise=dict(assignment(text) for text in options.noise),
         counts_per_turn=options.counts_per_turn,
+        remembered=None if known is None else known.columns,
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 

@@ -1,17 +1,22 @@
 """`hallsym info`: what a file holds, or what hallsym knows."""
 
+import shlex
 from argparse import Namespace
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, log_options, noted, open_log, say
+from hallsym.cli.common import FILE_OPTIONS, command, log_options, noted, open_log, say
 from hallsym.cli.trajectory import about_curve
+from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, models
-from hallsym.log import Log, check_log, estimate_noise, spans
+from hallsym.files import atomic_write
+from hallsym.log import Log, check_log, estimate_noise, open_source, spans
+from hallsym.log.limits import is_moving
+from hallsym.log.table import Source
 from hallsym.report.tables import grid
 from hallsym.report.text.effect import effect_record, effect_text, is_explained
 from hallsym.report.text.fit import fit_text
@@ -19,6 +24,9 @@ from hallsym.report.text.model import model_record, model_text
 from hallsym.simulation import Campaign, read_campaign
 from hallsym.trajectory import is_curve, read_curve
 from hallsym.units import readable
+
+HINT = "'hallsym info {} --suggest' writes a column file to check"
+COLUMN_FILE = "columns.toml"
 
 
 def add(sub: Any) -> None:
@@ -29,7 +37,8 @@ def add(sub: Any) -> None:
         "saved curve or a campaign file. A model by name: its chain of links, parameters, zeros, effects it\n"
         "can take. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
         "separates it from others. Without an argument: the models, effects and solvers there are.\n\n"
-        "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis",
+        "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis\n"
+        "  hallsym info lab.csv --suggest",
     )  # fmt: skip
     parser.add_argument(
         "file",
@@ -37,6 +46,12 @@ def add(sub: Any) -> None:
         nargs="?",
         help="log, calibration or curve (.json), campaign (.toml), or the name of a model or an effect",
     )
+    parser.add_argument(
+        "--suggest", nargs="?", const=COLUMN_FILE, metavar="TOML",
+        help="of a log whose columns have other names: write a column file with the best guess for each, "
+        f"to be checked (default {COLUMN_FILE})",
+    )  # fmt: skip
+    parser.add_argument("--model", help="what --suggest is for, such as stage31 (default: by the names)")
     log_options(parser)
 
 
@@ -65,11 +80,62 @@ def run(options: Namespace) -> int:
     elif options.file.endswith(".toml"):
         record = _about_campaign(read_campaign(options.file))
         say(options, record, lambda: "\n".join(f"{k}: {v}" for k, v in record.items()))
+    elif options.suggest:
+        return _suggest(options)
     else:
         options.log = options.file
-        log = open_log(options)
+        source = _source(options)
+        try:
+            log = open_log(options)
+        except InputError:
+            if not options.json:
+                print(_head_text(source))
+            raise
         record, text = _about_log(log, options)
+        record["recognised"] = source.recognised
+        if not any(map(is_moving, log.columns)):
+            text += f"\nnote: no column has one of hallsym's names; {HINT.format(shlex.quote(options.file))}."
+        text = f"{_head_text(source)}\n\n{text}"
         say(options, record, lambda: text)
+    return OK
+
+
+SHOWN_ROWS, SHOWN_COLUMNS = 3, 12
+
+
+def _source(options: Namespace) -> Source:
+    stated = {name: getattr(options, name) for name in FILE_OPTIONS}
+    return open_source(options.file, **stated)[2]
+
+
+def _head_text(source: Source) -> str:
+    """What a file was recognised as, and its first rows under its own names."""
+    rows = source.head(SHOWN_ROWS, SHOWN_COLUMNS)
+    units = [f" [{source.units[n]}]" if n in source.units else "" for n in source.names[:SHOWN_COLUMNS]]
+    head = [name + unit for name, unit in zip(source.names, units, strict=False)]
+    whole = [row + [""] * (len(head) - len(row)) for row in rows]
+    more = len(source.names) - SHOWN_COLUMNS
+    lines = [f"read as {source.recognised}", ""] if source.recognised else []
+    lines += [grid([head, *(row[: len(head)] for row in whole)], left=0)] if head else []
+    return "\n".join([*lines, *([f"and {counted(more, 'column')} more"] if more > 0 else [])])
+
+
+def _suggest(options: Namespace) -> int:
+    """Write the column file that is to be checked."""
+    from hallsym.families.suggest import suggest
+
+    source = _source(options)
+    found = suggest(source, options.model)
+    text = found.to_toml(options.file)
+    atomic_write(options.suggest, text)
+    record = {
+        "model": found.model,
+        "columns": {g.stem: {**vars(g), "line": g.line} for g in found.guesses},
+        "rest": list(found.rest),
+    }
+    typed = shlex.join(["hallsym", "fit", options.file, "--column-file", options.suggest])
+    said = f"{_head_text(source)}\n\n{text}\nCheck {options.suggest}, then: {typed}"
+    say(options, record, lambda: said, wrote=[options.suggest])
     return OK
 
 
@@ -102,6 +168,8 @@ MOST_ESTIMATED = 256
 
 def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     notes = list(log.notes) if options.drop_bad else check_log(log)
+    told = log.table.source.recognised  # stands above the table
+    notes = [note for note in notes if not told or told not in note]
     extent = spans(log)
     columns = [c for c in log.columns if c != "run"]
     sensed = [c for c in columns if c != "t_s" and c in extent.overall]

@@ -32,7 +32,7 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     known = load_fit(options.calibration, own_effects(options))
-    log = open_log(options)
+    log = open_log(options, known=known)
     if not options.drop_bad:
         columns, wired = logged_columns(known.model), as_read(log, known.model, known.wiring)
         log = replace(log, notes=tuple(check_log(wired, columns)))

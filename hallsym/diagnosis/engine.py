@@ -62,9 +62,10 @@ def diagnose(
 
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
+    log = as_log(log, model.columns if isinstance(model, Fit) else None)
     return examine(
         prepare(
-            as_log(log), model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
+            log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,
             policy=policy, on_progress=on_progress,
         )
     ).diagnosis  # fmt: skip

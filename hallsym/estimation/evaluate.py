@@ -64,7 +64,8 @@ def evaluate(
     """
     known = calibration if isinstance(calibration, Fit) else load_fit(calibration)
     model = known.model
-    given, notes = usable(as_log(log), logged_columns(model), drop_bad=drop_bad, rails=not knows_rails(model))
+    given, rails = as_log(log, known.columns), not knows_rails(model)
+    given, notes = usable(given, logged_columns(model), drop_bad=drop_bad, rails=rails)
     _belongs(given, known)
     seen = as_read(given, model, known.wiring)
     noise = noise_of(seen, model)

@@ -13,7 +13,7 @@ from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, spans, usable
 from hallsym.log.quality.findings import Fault
 from hallsym.log.quality.scan import Span, Spans
-from hallsym.log.read import as_log, read_log
+from hallsym.log.read import as_log, open_source, read_log
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [
@@ -41,6 +41,7 @@ __all__ = [
     "estimate_noise",
     "extended",
     "near",
+    "open_source",
     "parse_column_option",
     "read_column_file",
     "read_log",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +29,25 @@ class Foreign:
     scale: float = 1.0
     counts_per_turn: float | None = None
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record, as a column file has it."""
+        return {k: v for k, v in vars(self).items() if v is not None and (k, v) != ("scale", 1.0)}
+
 
 @dataclass(frozen=True)
 class Binding:
-    """SI column `name` is `factor * file[source] + offset`; `counts_per_turn`: of an angle in counts."""
+    """SI column `name` is `factor * file[source] + offset`; `counts_per_turn`: of an angle in counts.
+
+    `asked`: our name with its unit, as somebody mapped it, "" for the file's own; `scale`: stated beside it.
+    """
 
     name: str
     source: str
     factor: float = 1.0
     offset: float = 0.0
     counts_per_turn: float | None = None
+    asked: str = ""
+    scale: float = 1.0
 
     def si(self, raw: Array) -> Array:
         """Return SI values (float64; the run column as integers) of raw values of shape (rows,)."""
@@ -119,7 +128,7 @@ def bind(
                 f"{where} has no column '{foreign.name}' for {ours}{nearest(foreign.name, list(found))};"
                 f" it has {listed(found)}."
             )
-        unit = stated.get(foreign.name)
+        unit, asked = stated.get(foreign.name), ours
         if ours != RUN and unit and split_unit(ours)[1] is None:
             ours = f"{ours}_{unit}"
         elif ours != RUN and unit and unit != require_unit(ours).name:
@@ -127,13 +136,16 @@ def bind(
                 f"Column '{foreign.name}' is read in {require_unit(ours).name} as stated; its header says"
                 f" {unit}."
             )
-        _add(bindings, _binding(ours, foreign, where, counts_per_turn), where)
+        binding = replace(_binding(ours, foreign, where, counts_per_turn), asked=asked, scale=foreign.scale)
+        _add(bindings, binding, where)
     taken = {b.source for b in bindings.values()}
     for column in found:
-        name = _named(column, stated.get(column), where)
+        name = column if column in taken else _named(column, stated.get(column), where)
         if column in taken or not (name == RUN or split_unit(name)[1]):
             continue
         own = _binding(name, Foreign(column), where, counts_per_turn)
+        if own.counts_per_turn:
+            own = replace(own, asked=name)
         if own.name in bindings and bindings[own.name].source in _names(wanted):
             continue  # the mapping, which somebody wrote, wins over the file's own name
         _add(bindings, own, where)
@@ -151,6 +163,32 @@ def _named(column: str, unit: str | None, where: str) -> str:
             f" state the right one with --column {stem}_{unit}={column} or --column {column}={column}."
         )
     return column if own and quantity(stem) else f"{column}_{unit}"
+
+
+def still_missing(
+    known: Mapping[str, Foreign],
+    found: Sequence[str],
+    wanted: Mapping[str, str | Foreign],
+    units: Mapping[str, str],
+) -> dict[str, Foreign]:
+    """Return those columns of an earlier mapping that a file has and nothing else gives.
+
+    `found`, `units`: as in `bind`; `wanted`: what was mapped for this file.
+    """
+    given = {_stem(ours) for ours in wanted} | {_stem(column) for column in found}
+    used = set(_names(wanted))
+    return {
+        ours: foreign
+        for ours, foreign in known.items()
+        if foreign.name in found
+        and foreign.name not in used
+        and (_stem(ours) not in given or _stem(ours) == _stem(foreign.name))
+        and (ours == RUN or split_unit(ours)[1] or foreign.name in units)
+    }
+
+
+def _stem(column: str) -> str:
+    return split_unit(column)[0]
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:

@@ -65,6 +65,13 @@ class CsvSource(Source):
         self._rows = len(next(iter(columns.values()), ())) if names else self._rows
         return columns
 
+    def head(self, count: int, most: int) -> list[list[str]]:
+        """Return the first rows as the file writes them."""
+        piece = next(self._pieces(), b"").decode("utf-8", "replace")
+        delimiter = Cleaner(self.dialect).delimiter
+        rows = [line.split(delimiter)[:most] for line in piece.split("\n")[:count] if line]
+        return [[cell.strip().replace(INSIDE, delimiter) for cell in row] for row in rows]
+
     def labels(self, name: str) -> list[str]:
         """Return the cells of one column as text, without quotes; numbers as `label` has them."""
         at, delimiter = self.names.index(name), Cleaner(self.dialect).delimiter

@@ -54,6 +54,11 @@ class Guarded(Source):
             columns = self.inner.read(names)
         return self._judged(names, columns)
 
+    def head(self, count: int, most: int) -> list[list[str]]:
+        """Return the first rows as text."""
+        with self._reading():
+            return self.inner.head(count, most)
+
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""
         self._check_rows()

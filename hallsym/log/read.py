@@ -17,6 +17,7 @@ from hallsym.log.columns import (
     counts_in_turn,
     listed,
     read_column_file,
+    still_missing,
 )
 from hallsym.log.core import Log, run_notes
 from hallsym.log.formats import FORMATS, format_of
@@ -31,9 +32,9 @@ from hallsym.reading import regular
 from hallsym.units import split_unit
 
 
-def as_log(data: Any) -> Log:
+def as_log(data: Any, remembered: Mapping[str, Foreign] | None = None) -> Log:
     """Return a log: itself, or what `read_log` makes of a path or of a table in memory."""
-    return data if isinstance(data, Log) else read_log(data)
+    return data if isinstance(data, Log) else read_log(data, remembered=remembered)
 
 
 def read_log(
@@ -48,6 +49,7 @@ def read_log(
     drop_bad: bool = False,
     noise: Mapping[str, float] | None = None,
     counts_per_turn: float | None = None,
+    remembered: Mapping[str, Foreign] | None = None,
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
@@ -60,23 +62,17 @@ def read_log(
     `counts_per_turn`: of angles in counts (`{"angle_count": "raw"}`); it wins in the same way.
     Of a text file delimiter and decimal sign are recognised; `delimiter` ("tab" and "blank" are words for
     them) and `decimal` state them. `sheet`: of a workbook that has several.
+    `remembered`: columns as an earlier log was mapped (`Fit.columns`); those that this file has, and that
+    nothing else gives, are read under the same names, and a note says so.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
-    stated_of_file = {"delimiter": delimiter, "decimal": decimal, "sheet": sheet}
-    if is_table(path):
-        file, folder, where = None, None, "The table"
-        source: Source = source_of(path, where)
-    elif isinstance(path, str | Path):
-        file, folder = _locate(Path(path))
-        where, source = quoted(file), _open(file, format, stated_of_file)
-    else:
-        raise InputError(
-            "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "
-            f"{type(path).__name__}."
-        )
+    file, folder, source = open_source(path, format=format, delimiter=delimiter, decimal=decimal, sheet=sheet)
+    where = "The table" if file is None else quoted(file)
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
+    again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units)
+    wanted |= again
     counts = (
         counts_per_turn
         if counts_per_turn is not None
@@ -88,12 +84,15 @@ def read_log(
     if not any(name != RUN for name in table.columns):
         raise InputError(
             f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"
-            f" {listed(source.names)}; map them with --column hall_a_um=ITS_NAME."
+            f" {listed(source.names, 8)}; map them with --column hall_a_um=ITS_NAME, or have 'hallsym info"
+            " FILE --suggest' write a column file."
         )
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
     check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
-    log = Log(table, known, meta, file, (*run_notes(table.bindings), *_notes(source), *changed))
+    log = Log(
+        table, known, meta, file, (*run_notes(table.bindings), *_notes(source), *changed, *_again(again))
+    )
     return clean_log(log) if drop_bad else log
 
 
@@ -132,6 +131,29 @@ def _notes(source: Source) -> tuple[str, ...]:
     """Return what has to be said about a file: columns that state a unit and cannot be used, and its own."""
     left = [(name, why) for name, why in source.left_out.items() if split_unit(name)[1]]
     return (*source.notes, *(f"Column {name} is left out: {why}." for name, why in left))
+
+
+def open_source(
+    path: Any, *, format: str | None = None, **stated: str | None
+) -> tuple[Path | None, Path | None, Source]:
+    """Return the data file, the folder of a log that is given as one, and its columns under their own names.
+
+    Arguments as for `read_log`; neither file nor folder for a table in memory.
+    """
+    if is_table(path):
+        return None, None, source_of(path, "The table")
+    if isinstance(path, str | Path):
+        file, folder = _locate(Path(path))
+        return file, folder, _open(file, format, stated)
+    raise InputError(
+        "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "
+        f"{type(path).__name__}."
+    )
+
+
+def _again(columns: Mapping[str, Foreign]) -> tuple[str, ...]:
+    said = [f"{ours} is '{foreign.name}'" for ours, foreign in columns.items() if ours != foreign.name]
+    return (f"Columns are named as in the calibration: {', '.join(said)}.",) if said else ()
 
 
 def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:
