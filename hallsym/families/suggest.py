@@ -66,7 +66,7 @@ class Suggestion:
         others = [f"# not recognised: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
             f"# Suggested for {log}, as {self.model} needs it. Check every line: nothing of it is used",
-            "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um, mv, ...).",
+            "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um, mv).",
         ]
         return "\n".join([*head, "", "[columns]", *lines, *others, ""])
 
@@ -195,9 +195,8 @@ def _with_unit(source: Source, values: Array, guess: Guess) -> Guess:
     stated = _stated(source, guess.theirs)
     kinds = quantity(guess.stem)
     if stated and UNITS[stated].si == "count" and "rad" in kinds:
-        return replace(
-            guess, unit="count", counts_per_turn=_turn(values), why=f"{guess.why}; its unit is stated"
-        )
+        why = f"{guess.why}; its unit is stated, THE TURN ONLY BY ITS SIZE"
+        return replace(guess, unit="count", counts_per_turn=_turn(values), why=why)
     if stated:
         return replace(guess, unit=stated, why=f"{guess.why}; its unit is stated")
     span = float(np.nanmax(values) - np.nanmin(values))

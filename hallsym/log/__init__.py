@@ -10,7 +10,7 @@ from hallsym.log.guarded import MOST_ROWS
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, Sigma, check_noise_keys
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
-from hallsym.log.quality.check import check_log, clean_log, spans, usable
+from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
 from hallsym.log.quality.findings import Fault
 from hallsym.log.quality.scan import Span, Spans
 from hallsym.log.read import as_log, open_source, read_log
@@ -41,6 +41,7 @@ __all__ = [
     "estimate_noise",
     "extended",
     "near",
+    "on_rails",
     "open_source",
     "parse_column_option",
     "read_column_file",

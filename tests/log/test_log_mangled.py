@@ -140,3 +140,47 @@ def test_a_large_file_is_read_in_64_MB(tmp_path: Path, columns: dict[str, np.nda
     count, megabytes, in_memory = result.stdout.split()
     assert (int(count), in_memory) == (1_300_000, "False")
     assert float(megabytes) < 64
+
+
+def test_a_calibration_remembers_the_names_of_its_log(
+    tmp_path: Path, columns: dict[str, np.ndarray], usual: Fit
+) -> None:
+    """The next log of the machine needs no option, in another format neither; ours need none anyway."""
+    named = {"hall_a_m": "HallA", "x_ref_m": "IFM"}
+    table = {
+        named.get(c, c): v * (1e6 if c == "hall_a_m" else -1.0 if c == "x_ref_m" else 1.0)
+        for c, v in columns.items()
+    }
+    (tmp_path / "columns.toml").write_text(
+        '[columns]\nhall_a_um = "HallA"\nx_ref_m = { name = "IFM", sign = -1 }\n'
+    )
+    hallsym.write_log({c: v for c, v in table.items() if c not in named.values()}, tmp_path / "own.csv")
+    path = tmp_path / "lab.csv"
+    path.write_text(
+        rows(
+            list(table),
+            [list(map(repr, row)) for row in zip(*(v.tolist() for v in table.values()), strict=True)],
+        )
+    )
+    first = fit(read_log(path, column_file=tmp_path / "columns.toml"), "stage31", solver="direct")
+    assert same(first, usual)
+    first.save(tmp_path / "calib.json")
+    known = hallsym.load_fit(tmp_path / "calib.json")
+    assert dict(known.columns) == dict(first.columns)
+    found = hallsym.evaluate(known, path)
+    assert "Columns are named as in the calibration: hall_a_um is 'HallA', x_ref_m is 'IFM'." in found.notes
+    direct = hallsym.evaluate(known, columns)
+    assert not any("named as in" in note for note in direct.notes)
+    assert found.table.over()["rmse"]["x_m"] == pytest.approx(direct.table.over()["rmse"]["x_m"], rel=1e-9)
+    assert "columns" not in usual.to_dict()
+
+
+def test_head_of_a_file(tmp_path: Path) -> None:
+    from hallsym.log import open_source
+
+    path = tmp_path / "lab.csv"
+    path.write_text("Time;HallA;Note\ns;um;\n0;1,50;ok\n1;2,50;ok\n")
+    source = open_source(path)[2]
+    assert source.head(1, 2) == [["0", "1,50"]]
+    assert dict(source.units) == {"Time": "s", "HallA": "um"}
+    assert source.recognised.startswith("UTF-8, columns separated by semicolons, decimal comma")
