@@ -14,6 +14,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.families import FAMILIES, build
 from hallsym.families.naming import BARE, RUN, TIME, likeness, numbers_of
+from hallsym.log import Meta
 from hallsym.log.limits import likely_units, limit_of
 from hallsym.log.table import Source
 from hallsym.model import Model
@@ -23,6 +24,8 @@ ROWS = 50_000
 """Samples that are looked at."""
 MOVES = 0.9
 """Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
+LIKE = 0.5
+"""The same of one that the readings tell: which axis of the nominal, not yet calibrated, machine it is."""
 NEAR = 3.0
 """Ratio of sizes up to which a unit fits: gains and nominal values are not exact."""
 OTHERS = ("temperature", "current", "speed")
@@ -66,7 +69,7 @@ class Suggestion:
         others = [f"# not recognised: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
             f"# Suggested for {log}, as {self.model} needs it. Check every line: nothing of it is used",
-            "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um, mv).",
+            "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um).",
         ]
         return "\n".join([*head, "", "[columns]", *lines, *others, ""])
 
@@ -79,7 +82,7 @@ def suggest(source: Source, model: str | None = None) -> Suggestion:
     data = _numbers(source)
     if not data:
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
-    chosen = build(model) if model else _model(source)
+    chosen = _model(source, model)
     named = _by_name(source, data, chosen)
     guesses = [*named, *_by_motion(source, data, chosen, named)]
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
@@ -93,6 +96,8 @@ def suggest(source: Source, model: str | None = None) -> Suggestion:
 
 def _numbers(source: Source) -> dict[str, Array]:
     """Return the first samples of the columns that hold numbers."""
+    if not source.names:
+        return {}
     try:
         return _head(source, source.names)
     except InputError:
@@ -129,15 +134,23 @@ def _measured(model: Model) -> tuple[str, ...]:
     return tuple(c for c in model.state if c not in computed)
 
 
-def _model(source: Source) -> Model:
-    """Return the model whose columns the names of a file fit best."""
+def _model(source: Source, name: str | None) -> Model:
+    """Return the model whose columns the names of a file fit best, in the form in which it is read there."""
     numbers = numbers_of(source.names)
 
     def fits(model: Model) -> float:
         stems = _stems(model)
         return sum(max(likeness(s, name, numbers) for name in source.names) for s in stems) / len(stems)
 
-    return max((build(family.default) for family in FAMILIES), key=fits)
+    names = [name] if name else [family.default for family in FAMILIES]
+    return max((form for name in names for form in _forms(name)), key=fits)
+
+
+def _forms(name: str) -> list[Model]:
+    """Return a model as it is read by its channels, and where that is another one, as its pose is read."""
+    usual = build(name)
+    other = build(name, meta=Meta(columns=(*usual.pose, *usual.references)))
+    return [usual] if other.channels == usual.channels else [usual, other]
 
 
 # -- by name ---------------------------------------------------------------------------------------------
@@ -242,8 +255,17 @@ def _by_motion(
     missing = [c for c in model.references if split_unit(c)[0] in lacking]
     if missing and all(split_unit(c)[0] in known for c in model.channels):
         decoded = _decoded(model, known)
-        return _matched(source, data, free, {split_unit(c)[0]: decoded[c] for c in missing})
+        readings = np.array([known[split_unit(c)[0]] for c in model.channels])
+        told = [n for n in free if _told(data[n], readings)]
+        return _matched(source, data, told, {split_unit(c)[0]: decoded[c] for c in missing}, LIKE)
     return []
+
+
+def _told(values: Array, readings: Array) -> bool:
+    """Say whether a column is a linear function of the readings, but for a small part."""
+    matrix = np.vstack([readings, np.ones(readings.shape[1])]).T
+    left = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
+    return bool(np.var(left) <= (1 - MOVES**2) * np.var(values))
 
 
 def _si(values: Array, guess: Guess) -> Array:
@@ -285,7 +307,11 @@ def _decoded(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _matched(
-    source: Source, data: Mapping[str, Array], free: Sequence[str], expected: Mapping[str, Array]
+    source: Source,
+    data: Mapping[str, Array],
+    free: Sequence[str],
+    expected: Mapping[str, Array],
+    least: float = MOVES,
 ) -> list[Guess]:
     """Return the pairs of columns and stems that move together, the surest first."""
     pairs = []
@@ -296,7 +322,7 @@ def _matched(
     found: dict[str, Guess] = {}
     taken: set[str] = set()
     for r, stem, name in sorted(pairs, key=lambda p: -abs(p[0])):
-        if abs(r) < MOVES or stem in found or name in taken:
+        if abs(r) < least or stem in found or name in taken:
             continue
         why = f"moves as {stem} should (r = {r:.3f})"
         guess = Guess(stem, name, "", why, 1 if r > 0 else -1)

@@ -91,8 +91,8 @@ def test_the_column_file_that_is_written_is_read(columns: dict[str, np.ndarray],
     path.write_text(guessed(columns, hall_b_m=("U2", -1e6)).to_toml("lab.csv"), encoding="utf-8")
     stated = read_column_file(path)
     assert stated.columns["hall_b_um"].scale == -1.0
-    log = read_log({LAB[c][0]: v * LAB[c][1] for c, v in columns.items()} | {"U2": -1e6 * columns["hall_b_m"]},
-                   column_file=path)  # fmt: skip
+    table = {LAB[c][0]: v * LAB[c][1] for c, v in columns.items()} | {"U2": -1e6 * columns["hall_b_m"]}
+    log = read_log(table, column_file=path)
     assert np.allclose(log.array("hall_b_m"), columns["hall_b_m"], rtol=1e-12)
 
 

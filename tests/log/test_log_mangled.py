@@ -154,7 +154,6 @@ def test_a_calibration_remembers_the_names_of_its_log(
     (tmp_path / "columns.toml").write_text(
         '[columns]\nhall_a_um = "HallA"\nx_ref_m = { name = "IFM", sign = -1 }\n'
     )
-    hallsym.write_log({c: v for c, v in table.items() if c not in named.values()}, tmp_path / "own.csv")
     path = tmp_path / "lab.csv"
     path.write_text(
         rows(
