@@ -92,7 +92,8 @@ def run(options: Namespace) -> int:
                 print(_head_text(source))
             raise
         record, text = _about_log(log, options)
-        record["recognised"] = source.recognised
+        if source.recognised:
+            record["recognised"] = source.recognised
         if not any(map(is_moving, log.columns)):
             text += f"\nnote: no column has one of hallsym's names; {HINT.format(shlex.quote(options.file))}."
         text = f"{_head_text(source)}\n\n{text}"
