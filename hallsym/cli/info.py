@@ -169,8 +169,6 @@ MOST_ESTIMATED = 256
 
 def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     notes = list(log.notes) if options.drop_bad else check_log(log)
-    told = log.table.source.recognised  # stands above the table
-    notes = [note for note in notes if not told or told not in note]
     extent = spans(log)
     columns = [c for c in log.columns if c != "run"]
     sensed = [c for c in columns if c != "t_s" and c in extent.overall]
@@ -204,4 +202,6 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     head = f"{log.name}: {log.rows} samples in {len(log.runs)} runs"
     if log.meta.holdout:
         head += f"; held out by its meta.json: {', '.join(map(str, log.meta.holdout))}"
-    return record, "\n".join([head, "", grid(rows), *noted(notes)])
+    told = log.table.source.recognised  # stands above the first rows already
+    others = [note for note in notes if not told or told not in note]
+    return record, "\n".join([head, "", grid(rows), *noted(others)])
