@@ -3,7 +3,9 @@
 import shlex
 from argparse import Namespace
 from collections.abc import Callable, Mapping
+from itertools import accumulate, zip_longest
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import Any
 
 from hallsym.cli import OK
@@ -101,7 +103,9 @@ def run(options: Namespace) -> int:
     return OK
 
 
-SHOWN_ROWS, SHOWN_COLUMNS = 3, 12
+SHOWN_ROWS, SHOWN_COLUMNS = 3, 40
+ACROSS = 110
+"""Characters of a line where no terminal says how many it has."""
 
 
 def _source(options: Namespace) -> Source:
@@ -110,14 +114,20 @@ def _source(options: Namespace) -> Source:
 
 
 def _head_text(source: Source) -> str:
-    """What a file was recognised as, and its first rows under its own names."""
+    """What a file was recognised as, and its first rows under its own names, as many as fit."""
     rows = source.head(SHOWN_ROWS, SHOWN_COLUMNS)
-    units = [f" [{source.units[n]}]" if n in source.units else "" for n in source.names[:SHOWN_COLUMNS]]
-    head = [name + unit for name, unit in zip(source.names, units, strict=False)]
-    whole = [row + [""] * (len(head) - len(row)) for row in rows]
-    more = len(source.names) - SHOWN_COLUMNS
+    names = source.names[:SHOWN_COLUMNS]
+    units = [f" [{source.units[name]}]" if name in source.units else "" for name in names]
+    columns = [
+        [name + unit, *(row[k] for row in rows if k < len(row))]
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
+    ]
+    ends = list(accumulate(max(map(len, column)) + 2 for column in columns))
+    fit = max(1, sum(end <= get_terminal_size((ACROSS, 0)).columns for end in ends))
+    table = list(zip_longest(*columns[:fit], fillvalue=""))
+    more = len(source.names) - fit
     lines = [f"read as {source.recognised}", ""] if source.recognised else []
-    lines += [grid([head, *(row[: len(head)] for row in whole)], left=0)] if head else []
+    lines += [grid(table, left=0)] if table else []
     return "\n".join([*lines, *([f"and {counted(more, 'column')} more"] if more > 0 else [])])
 
 

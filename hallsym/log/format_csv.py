@@ -158,9 +158,12 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
             continue
         cells = text.split(clean.delimiter)
         if len(cells) != len(dialect.names):
+            decimal = clean.delimiter == "," and len(cells) == 2 * len(dialect.names)
+            why = "the file may be cut short or two lines may have run together"
+            why = "commas may be decimal signs too: export it with another delimiter" if decimal else why
             return InputError(
                 f"Line {number} of {source.where} must have {len(dialect.names)} cells as the header has;"
-                f" it has {len(cells)}, so the file may be cut short or two lines may have run together."
+                f" it has {len(cells)}, so {why}."
             )
         for index in indices:
             cell = cells[index].strip()

@@ -183,3 +183,46 @@ def test_head_of_a_file(tmp_path: Path) -> None:
     assert source.head(1, 2) == [["0", "1,50"]]
     assert dict(source.units) == {"Time": "s", "HallA": "um"}
     assert source.recognised.startswith("UTF-8, columns separated by semicolons, decimal comma")
+
+
+COUNTED = [f"{k};{k},5" for k in range(30)]
+
+
+@pytest.mark.parametrize(
+    ("head", "body"),
+    [
+        (["LabVIEW Measurement", "Separator;;", "***End_of_Header***;", ";", "t [s];x_ref [um]"], COUNTED),
+        (["t;x_ref;run", "s;um;1"], [f"{line};0" for line in COUNTED]),
+        (["Datum;t_s;x_ref µm"], [f"22.11.2026;{line}" for line in COUNTED]),
+        (["Time;t [s];x_ref (um)"], [f"2026-11-22 12:00:{k:02d},5;{k};{k},5" for k in range(30)]),
+        (["t_s;ok;x_ref/um"], [f"{k};TRUE;{k},5" for k in range(30)]),
+        (["t (s)   x_ref (um)"], [f"  {k}    {k}.5" for k in range(30)]),
+        (["t_s;x_ref_um"], [*COUNTED[:-1], "29;29,5", "", "Messung beendet", ""]),
+        (["t_s,x_ref_um"], [f'{k},"{k},5"' for k in range(30)]),
+        (["t_s;x_ref_mm"], [f"{k};0,{k:03d}5" for k in range(30)]),
+    ],
+)
+def test_what_programs_write(tmp_path: Path, head: list[str], body: list[str]) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([*head, *body, ""]), encoding="utf-8")
+    log = read_log(path)
+    assert log.array("t_s").tolist() == list(map(float, range(30)))
+    assert log.array("x_ref_m")[-1] == pytest.approx(29.5e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("".join(f"{k};{k},5\n" for k in range(30)), "must hold column names"),
+        ("t_s,x_ref_mm\n" + "".join(f"{k},0,{k},5\n" for k in range(30)), "commas may be decimal signs too"),
+        ("t_s,x_um\n" + "".join(f"{k},{k}\n" for k in range(9)) * 2 + "t_s,x_um\n", "Line 20, column"),
+        ("t_s,x_ref\n" + "".join(f"{k},{k},{k}\n" for k in range(30)), "Line 2 of .* must have 2 cells"),
+        ("t;x_ref_um\n0;1\n" + "".join(f"{k};{k % 900},5\n" for k in range(40000)) + "1;1.234,5\n",
+         "Line 40003.*if a point separates thousands, state --decimal ,"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says):
+        list(read_log(path).blocks())

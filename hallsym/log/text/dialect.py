@@ -52,7 +52,8 @@ class Dialect:
             self.encoding, self.encoding.upper().replace("LATIN", "Latin")
         )
         by = SAID.get(self.delimiter, repr(self.delimiter))
-        text = f"{coding}{', gzip' if self.compressed else ''}, columns separated by {by}"
+        columns = f"columns separated by {by}" if len(self.names) > 1 else "one column"
+        text = f"{coding}{', gzip' if self.compressed else ''}, {columns}"
         words = [f"sheet '{sheet}'" if sheet else text]
         group = f" and {self.numbers.grouping!r} between thousands" if self.numbers.grouping else ""
         words.append(f"decimal {'comma' if self.numbers.decimal == ',' else 'point'}{group}")

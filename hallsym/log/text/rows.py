@@ -98,12 +98,25 @@ def table_under(lines: Sequence[Line], delimiter: str) -> Table:
     numeric = [_numeric(row) for row in rows]
     start = _start(rows, numeric, width)
     top = _top(rows, numeric, width, start)
+    if top >= 0 and delimiter == BLANKS and len(rows[top]) > width:
+        rows[top] = _glued(rows[top], width)
     data = top + 1 if top >= 0 else start
     body = [k for k in range(data, len(rows)) if len(rows[k]) == width]
     cells = sum(min(width, LOOKED_AT) for _ in body)
     held = sum(numeric[k] + sum(map(is_missing, rows[k][:LOOKED_AT])) for k in body)
     share = len(body) / max(1, len(rows) - data)
     return Table(delimiter, rows, width, top, data, share * held / cells if cells else 0.0)
+
+
+def _glued(names: list[str], width: int) -> list[str]:
+    """Return names with the units that stand in brackets behind them: `Time (s)` was two cells."""
+    glued: list[str] = []
+    for name in names:
+        if glued and name[:1] in "([{<":
+            glued[-1] += f" {name}"
+        else:
+            glued.append(name)
+    return glued if len(glued) == width else names
 
 
 def _numeric(row: list[str]) -> int:

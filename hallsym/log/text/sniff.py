@@ -105,8 +105,10 @@ def _table(
     best = max(several, key=lambda t: (round(t.quality, 2), t.width)) if several else None
     if best is None or (single and best.quality < 0.5):
         best = single[0] if single else best
+    if any(t.top < 0 and t.width > 1 and t.quality > (best.quality if best else 0.5) for t in tables):
+        best = None  # numbers from the first line on
     chosen = best or _commented(tables, lines, comments)
-    chosen = chosen or max(tables, key=lambda t: (t.top >= 0, t.width, t.quality))
+    chosen = chosen or max(tables, key=lambda t: (round(t.quality, 2), t.top >= 0, t.width))
     if chosen.top < 0:
         for number, text in reversed([c for c in comments if c[0] < lines[0].number]):
             names = split(text.lstrip("#%/! \t"), chosen.delimiter)

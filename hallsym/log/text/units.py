@@ -36,6 +36,14 @@ _BEHIND = (
 )
 
 
+_PLAIN = re.compile(r"(.*\S)\s+(\S+)")
+_SURE = {
+    "um", "nm", "mm", "urad", "mrad", "nrad", "deg", "mdeg", "arcsec", "ms", "us", "mv", "uv", "mt", "ut",
+    "rpm", "degc",
+}  # fmt: skip
+"""Units that are no words: x um is x in micrometres, Hall A and y min are names."""
+
+
 def unit_of(text: str) -> str | None:
     """Return hallsym's name of a unit as people write it; None for what is none.
 
@@ -71,6 +79,9 @@ def split_header(text: str) -> tuple[str, str | None]:
         unit = unit_of(match[2]) if match else None
         if match and unit:
             return match[1], unit
+    plain = _PLAIN.fullmatch(text)
+    if plain and unit_of(plain[2]) in _SURE:
+        return plain[1], unit_of(plain[2])
     return text, None
 
 
