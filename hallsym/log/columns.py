@@ -170,14 +170,16 @@ def still_missing(
     found: Sequence[str],
     wanted: Mapping[str, str | Foreign],
     units: Mapping[str, str],
+    where: str,
 ) -> dict[str, Foreign]:
     """Return those columns of an earlier mapping that a file has and nothing else gives.
 
-    `found`, `units`: as in `bind`; `wanted`: what was mapped for this file.
+    `found`, `units`, `where`: as in `bind`; `wanted`: what was mapped for this file. Raises `InputError`
+    where the file states another unit than the mapping, which was made for another file.
     """
     given = {_stem(ours) for ours in wanted} | {_stem(column) for column in found}
     used = set(_names(wanted))
-    return {
+    again = {
         ours: foreign
         for ours, foreign in known.items()
         if foreign.name in found
@@ -185,6 +187,14 @@ def still_missing(
         and (_stem(ours) not in given or _stem(ours) == _stem(foreign.name))
         and (ours == RUN or split_unit(ours)[1] or foreign.name in units)
     }
+    for ours, foreign in again.items():
+        own, unit = split_unit(ours)[1], units.get(foreign.name)
+        if own and unit and UNITS[unit] != own:
+            raise InputError(
+                f"Column '{foreign.name}' of {where} is in {unit} by its header; in the calibration's log"
+                f" it was in {own.name}: say which it is with --column {_stem(ours)}_{unit}={foreign.name}."
+            )
+    return again
 
 
 def _stem(column: str) -> str:

@@ -71,7 +71,7 @@ def read_log(
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
-    again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units)
+    again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
     wanted |= again
     counts = (
         counts_per_turn

@@ -174,6 +174,27 @@ def test_a_calibration_remembers_the_names_of_its_log(
     assert "columns" not in usual.to_dict()
 
 
+def test_a_remembered_name_in_another_unit_is_asked_about(tmp_path: Path) -> None:
+    from hallsym.log import Foreign
+
+    path = tmp_path / "next.csv"
+    path.write_text("t_s;HallA [mm]\n0;1,5\n1;2,5\n")
+    with pytest.raises(InputError, match=r"is in mm by its header; .* it was in um: .*hall_a_mm=HallA"):
+        read_log(path, remembered={"hall_a_um": Foreign("HallA")})
+    log = read_log(path, remembered={"hall_a_um": Foreign("HallA")}, columns={"hall_a_mm": "HallA"})
+    assert log.array("hall_a_m")[0] == pytest.approx(1.5e-3)
+    assert (
+        read_log(path, remembered={"hall_a": Foreign("HallA")}).array("hall_a_m")[0]
+        == log.array("hall_a_m")[0]
+    )
+
+
+@pytest.mark.parametrize("name", ["log.xlsx", "log.csv.gz"])
+def test_what_is_only_read_is_not_written(tmp_path: Path, columns: dict[str, np.ndarray], name: str) -> None:
+    with pytest.raises(InputError, match=r"not written as .*end .* with \.parquet"):
+        hallsym.write_log(columns, tmp_path / name)
+
+
 def test_head_of_a_file(tmp_path: Path) -> None:
     from hallsym.log import open_source
 
