@@ -512,6 +512,12 @@ def test_stated_bounds_hold_against_fifty_digits(double):
             lambda r: r["parameters"]["theta_A"].update(value=9.0),
             "theta_A of the calibration is 9, outside its",
         ),
+        (lambda r: r["added"].append("wobble"), "Effect must be one of"),
+        (lambda r: r["added"].append("saturation:most=1"), "has no number 'most'"),
+        (
+            lambda r: [probe.update(senses=[0.0, 1.0]) for probe in r["layout"]],
+            "all sense along one direction",
+        ),
     ],
 )
 def test_a_calibration_that_cannot_be_is_refused(tmp_path, capsys, change, says):
@@ -522,6 +528,12 @@ def test_a_calibration_that_cannot_be_is_refused(tmp_path, capsys, change, says)
     assert code == 2
     assert says in err
     assert not (tmp_path / "fw").exists()
+
+
+def test_an_empty_folder_name_is_refused(capsys):
+    code, _, err = run(capsys, "codegen", GOLDEN / "calib.json", "-o", "")
+    assert code == 2
+    assert err == "hallsym: 'output' must not be empty; give a value or leave it out.\n"
 
 
 # -- recalibrations with other ranges --------------------------------------------------------------------
