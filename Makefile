@@ -6,6 +6,7 @@ VENV   ?= .venv
 BIN       := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 BENCHABLE := $(VENV)/.installed-bench
+WRITABLE  := $(VENV)/.installed-docs
 PIP       := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
 # What compiles, runs and proves the generated C; the tests that need them are skipped, with their name, without.
@@ -15,7 +16,7 @@ FIRMWARE := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck c
 SLOW := $(if $(filter true,$(CI)),-m "slow or not slow")
 
 .DEFAULT_GOAL := help
-.PHONY: help install tools demo test bench lint clean browser
+.PHONY: help install tools demo test bench docs lint clean browser
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -53,13 +54,17 @@ bench: $(BENCHABLE) ## the benchmarks in tests/benchmarks
 	    echo "== $$script"; $(BIN)/python "$$script"; \
 	done
 
+docs: $(WRITABLE) ## the documentation site, in build/site (warnings are errors)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -b html -q -W --keep-going docs build/site
+	@echo "open build/site/index.html"
+
 lint: install ## ruff and mypy
 	$(BIN)/python -m ruff check
 	$(BIN)/python -m ruff format --check
 	$(BIN)/python -m mypy
 
 clean: ## remove caches, builds and the output of demo and bench (the environment stays)
-	rm -rf build dist demo bench *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf build dist demo bench docs/examples docs/reference/generated docs/sg_execution_times.rst *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Debian and Ubuntu ship Python without ensurepip: there pip is put into the environment from outside.
@@ -77,6 +82,11 @@ $(INSTALLED): pyproject.toml
 	            "(Debian, Ubuntu: apt install python3-venv) and try again." >&2; exit 1; }; }
 	@echo "installing hallsym and its dependencies into $(VENV)"
 	@$(PIP) -e '.[all,test,lint]'
+	@touch $@
+
+$(WRITABLE): $(INSTALLED)
+	@echo "installing what builds the documentation into $(VENV)"
+	@$(PIP) -e '.[docs]'
 	@touch $@
 
 $(BENCHABLE): $(INSTALLED)
