@@ -7,7 +7,6 @@ BIN       := $(VENV)/bin
 PLAIN     := $(VENV)/.installed-plain
 INSTALLED := $(VENV)/.installed
 BENCHABLE := $(VENV)/.installed-bench
-WRITABLE  := $(VENV)/.installed-docs
 PIP       := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
 # What compiles, runs and proves the generated C; the tests that need them are skipped, with their name, without.
@@ -55,7 +54,7 @@ bench: $(BENCHABLE) ## the benchmarks in tests/benchmarks
 	    echo "== $$script"; $(BIN)/python "$$script"; \
 	done
 
-docs: $(WRITABLE) ## the documentation site, in build/site (warnings are errors)
+docs: install ## the documentation site, in build/site (warnings are errors)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -b html -q -W --keep-going docs build/site
 	@echo "open build/site/index.html"
 
@@ -87,12 +86,7 @@ $(PLAIN): pyproject.toml
 
 $(INSTALLED): $(PLAIN)
 	@echo "installing extras, tests and linters into $(VENV)"
-	@$(PIP) -e '.[all,test,lint]'
-	@touch $@
-
-$(WRITABLE): $(INSTALLED)
-	@echo "installing what builds the documentation into $(VENV)"
-	@$(PIP) -e '.[docs]'
+	@$(PIP) -e '.[all,test,lint,docs]'
 	@touch $@
 
 $(BENCHABLE): $(INSTALLED)

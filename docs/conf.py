@@ -17,7 +17,6 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
@@ -26,11 +25,8 @@ extensions = [
 default_role = "code"
 exclude_patterns = [
     "gallery",
-    "examples/*.ipynb",
-    "examples/*.zip",
-    "examples/*.json",
-    "sg_execution_times.rst",
-    "**/sg_execution_times.rst",
+    *(f"examples/**/*.{kind}" for kind in ("ipynb", "json", "md5", "zip")),
+    "**sg_execution_times.rst",
 ]
 suppress_warnings = ["config.cache"]
 

@@ -2,8 +2,8 @@
 An encoder over one turn
 ========================
 
-The arctangent of the two voltages is off by up to a degree: offsets make one wave per turn, unequal amplitudes and
-a phase other than 90 degrees make two. The fitted ellipse takes both out.
+The arctangent of the two voltages is off by up to a degree: offsets make one wave per turn, unequal
+amplitudes and a phase other than 90 degrees make two. The fitted ellipse takes both out.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 The ellipse of an encoder
 =========================
 
-The two voltages against each other. Centre, axes and tilt of the ellipse are what the fit finds; a perfect encoder
-draws the dashed circle.
+The two voltages against each other. Centre, axes and tilt of the ellipse are what the fit finds; a
+perfect encoder draws the dashed circle.
 """
 
 import matplotlib.pyplot as plt

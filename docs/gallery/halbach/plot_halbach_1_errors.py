@@ -2,8 +2,8 @@
 Errors of a magnet array by their period
 ========================================
 
-A gain off by 1 % at one sensor and an offset of 5 mV each leave an error of their own period: half a wavelength and a
-whole one.
+A gain off by 1 % at one sensor and an offset of 5 mV each leave an error of their own period: half
+a wavelength and a whole one.
 """
 
 import hallsym

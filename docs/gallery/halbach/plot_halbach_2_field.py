@@ -2,8 +2,8 @@
 What a sensor under a magnet array reads
 ========================================
 
-The first harmonic decays with the gap by a factor of e every 4.8 mm at a wavelength of 30 mm, the fifth five times as
-fast: near the array it bends the wave, far from it none is left.
+The first harmonic decays with the gap by a factor of e every 4.8 mm at a wavelength of 30 mm, the
+fifth five times as fast: near the array it bends the wave, far from it none is left.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 Sensors that were measured twice
 ================================
 
-Of 799 sensors of one bin, how many came out in a neighbouring bin the second time: counted by the thesis, and predicted
-from a drift of -0.049 % and a scatter of 0.157 % between the measurements.
+Of 799 sensors of one bin, how many came out in a neighbouring bin the second time: counted by the
+thesis, and predicted from a drift of -0.049 % and a scatter of 0.157 % between the measurements.
 """
 
 import matplotlib.pyplot as plt

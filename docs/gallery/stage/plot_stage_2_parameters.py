@@ -2,8 +2,8 @@
 Parameters and their uncertainties
 ==================================
 
-Estimates against the design's values, each with its 95 % interval. Parameters that no recording determines are listed
-with the combination that is.
+Estimates against the design's values, each with its 95 % interval. Parameters that no recording
+determines are listed with the combination that is.
 """
 
 import hallsym

@@ -2,8 +2,8 @@
 What the data determine
 =======================
 
-Each parameter's interval relative to its size. The colour says whether the recording determines it well, poorly or
-not at all.
+Each parameter's interval relative to its size. The colour says whether the recording determines it
+well, poorly or not at all.
 """
 
 import hallsym

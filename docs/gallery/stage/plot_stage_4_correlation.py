@@ -2,7 +2,8 @@
 Which parameters are traded
 ===========================
 
-Correlation of the estimates. Two parameters near +1 or -1 can change together without changing the readings.
+Correlation of the estimates. Two parameters near +1 or -1 can change together without changing the
+readings.
 """
 
 import hallsym

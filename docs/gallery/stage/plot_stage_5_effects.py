@@ -2,7 +2,8 @@
 How much a parameter matters
 ============================
 
-The error of position that one standard uncertainty, or 1 %, of each parameter makes, beside the noise of one reading.
+The error of position that one standard uncertainty, or 1 %, of each parameter makes, beside the
+noise of one reading.
 """
 
 import hallsym

@@ -2,7 +2,8 @@
 A budget of one position
 ========================
 
-Which source makes the uncertainty of the decoded position: noise, the steps of the converter, the calibration itself.
+Which source makes the uncertainty of the decoded position: noise, the steps of the converter, the
+calibration itself.
 """
 
 import hallsym

@@ -2,7 +2,8 @@
 What to record next
 ===================
 
-The settings of a campaign that determines the parameters as well as Table 6 of the paper does, in fewer runs.
+The settings of a campaign that determines the parameters as well as Table 6 of the paper does, in
+fewer runs.
 """
 
 from dataclasses import replace
