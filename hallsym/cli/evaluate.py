@@ -23,7 +23,8 @@ from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.estimation.channel_assignment import as_read, rewired
 from hallsym.estimation.decoding import ErrorTable, logged_columns
 from hallsym.estimation.gauss_newton import Shifts, judged
-from hallsym.log import Log, usable
+from hallsym.estimation.recorded import recording_notes
+from hallsym.log import Fault, Log, usable
 from hallsym.log.phase import LISTED
 from hallsym.model import Model
 from hallsym.report.tables import error_rows
@@ -40,7 +41,8 @@ def add(sub: Any) -> None:
         sub, "evaluate", run,
         "Decode a log with a saved calibration and tabulate the errors against its reference. The zero\n"
         "deviations of each run are estimated from that run: a reset is a reset. Where the calibration does\n"
-        "not describe the log, the report begins with that, and the exit code is 3.",
+        "not describe the log, the report begins with that, and the exit code is 3, as for faults of the\n"
+        "recording, which are judged as 'hallsym fit' does.",
     )  # fmt: skip
     parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
     parser.add_argument("log", metavar="LOG", help="log to judge on")
@@ -65,6 +67,7 @@ def run(options: Namespace) -> int:
     _belongs(log, known)
     log = as_read(log, known.model, known.wiring)
     noise = noise_of(log, known.model)
+    notes += recording_notes(log, known.model, known.values, noise.std)
     found = judged(log, known.model, known.values, noise.std, own_zero=options.own_zero)
     table = found.table
     notes += _shift_notes(known.model, table, found.shifts, taken_out=options.own_zero)
@@ -98,9 +101,10 @@ def run(options: Namespace) -> int:
             ]
         ),
     )
-    if amiss and options.json:
-        print(f"hallsym: {amiss}", file=sys.stderr)
-    return NOT_DESCRIBED if amiss else OK
+    faults = [note for note in notes if isinstance(note, Fault)]
+    for said in (*faults, *([amiss] if amiss and options.json else [])):
+        print(f"hallsym: {said}", file=sys.stderr)
+    return NOT_DESCRIBED if amiss or faults else OK
 
 
 def _shift_notes(model: Model, table: ErrorTable, shifts: Shifts, *, taken_out: bool) -> list[str]:
