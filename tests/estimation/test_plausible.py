@@ -108,6 +108,37 @@ def test_two_explanations_are_both_named_and_the_other_is_a_note_where_one_is_ta
     assert any("the sign of x_ref_m, y_ref_m and rz_ref_rad looks inverted" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(("factor", "refused"), [(0.5, True), (0.57, False), (1.7, False), (1.9, True)])
+def test_a_gain_of_one_run_is_that_of_another_machine_beyond_a_factor(six, factor, refused):
+    """From .53 to 1.8 an effect may make it: a note; no effect makes more."""
+    first = six["run"] == 0
+    log = log_of(six | {"hall_a_m": np.where(first, factor, 1.0) * six["hall_a_m"]})
+    if refused:
+        with pytest.raises(InputError, match=r"In run 0 .* hall_a_m changes by .* where 0.873 is usual"):
+            fit(log, "stage31", solver="direct")
+    else:
+        notes = fit(log, "stage31", solver="direct").notes
+        assert any("In run 0 " in note and "the gain of hall_a_m differs by" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("usual", "share", "refused"),
+    [(0.0, 0.38, False), (0.0, 0.6, True), (0.07, 0.7, True), (0.15, 0.7, False)],
+)
+def test_a_run_is_another_s_where_its_references_explain_less_than_half(six, usual, share, refused):
+    """Noise makes `share` of the variance of the readings of run 0, and `usual` of that of the others."""
+    rng, arrays = np.random.default_rng(1), dict(six)
+    part = np.where(six["run"] == 0, share, usual)
+    for c in HALL:
+        still = np.array([six[c][six["run"] == run].std() for run in range(6)])[six["run"].astype(int)]
+        arrays[c] = six[c] + np.sqrt(part / (1 - part)) * still * rng.standard_normal(len(part))
+    try:
+        notes = fit(log_of(arrays), "stage31", solver="direct", loss="none").notes
+    except InputError as error:
+        notes = (str(error),)
+    assert any("In run 0 " in n and "explain less than half of the readings" in n for n in notes) is refused
+
+
 def test_a_held_out_run_is_a_note(six):
     here = six["run"] == 4
     wrong = log_of(six | {"hall_a_m": np.where(here, -six["hall_a_m"], six["hall_a_m"])})
