@@ -117,6 +117,15 @@ def test_a_little_more_noise_is_significant_and_not_material():
     assert found.residual_over_noise == pytest.approx(1.1, abs=0.02)
 
 
+@pytest.mark.parametrize(("excess", "significant"), [(0.02, False), (0.04, True)])
+def test_three_standard_deviations_are_significant(excess, significant):
+    """20,000 readings tell the mean square of noise to 1 %."""
+    found = goodness(record(seed=1))
+    found = replace(found, cost_per_degree_of_freedom=1 + excess, degrees_of_freedom=20_000.0)
+    assert found.scatter == pytest.approx(0.01)
+    assert found.significant is significant
+
+
 def test_a_fifth_more_noise_is_material():
     found = goodness(louder(record(seed=4), 1.2))
     assert found.material
@@ -177,6 +186,19 @@ def test_one_run_counts_although_the_whole_does_not():
     assert found.residual_over_noise < found.limit
     assert found.material
     assert found.worst_run == 12
+
+
+@pytest.mark.parametrize(("times", "counts"), [(1.25, False), (1.8, True)])
+def test_a_channel_in_a_run_counts_from_twice_the_variance_on(times, counts):
+    columns = record(seed=6, samples=400)
+    cost = cost_on(with_noise(columns), MODEL)
+    usual = np.sqrt(cost.at(MODEL.nominal).covariance[12, 1, 1])
+    more = np.where(columns["run"] == 12, np.sqrt(times**2 - 1) * usual, 0.0)
+    noise = more * np.random.default_rng(1).standard_normal(len(more))
+    found = goodness(columns | {"hall_b_m": columns["hall_b_m"] + noise}, loss="none")
+    assert found.residual_over_noise < 1.1
+    assert (found.worst_run, found.worst_channel) == (12, "hall_b_m")
+    assert found.material is counts
 
 
 def test_a_short_run_is_not_worst_by_chance():

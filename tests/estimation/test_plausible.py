@@ -3,6 +3,8 @@
 What is said of each mistake stands in the table of `tests/log`.
 """
 
+import re
+
 import numpy as np
 import pytest
 from twins import HALL, record, with_noise
@@ -137,6 +139,53 @@ def test_a_run_is_another_s_where_its_references_explain_less_than_half(six, usu
     except InputError as error:
         notes = (str(error),)
     assert any("In run 0 " in n and "explain less than half of the readings" in n for n in notes) is refused
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    truth = published.values("table7_estimates")
+    return simulate(build("stage31"), truth, paper_campaign(step_s=1e-2), NoiseModel(SIGMA), seed=1)
+
+
+def gains(rows, **changes):
+    """Return what multiplies gains of channels in the runs that `rows` chooses, and adds noise [m]."""
+
+    def change(arrays):
+        here, rng = rows(arrays["run"]), np.random.default_rng(3)
+        out = {f"hall_{c}_m": np.where(here, 1 + v, 1) for c, v in changes.items() if c != "noise"}
+        out = {c: arrays[c] * v for c, v in out.items()}
+        more = here * changes.get("noise", 0.0) * rng.standard_normal(len(here))
+        return arrays | out | {"hall_a_m": out["hall_a_m"] + more}
+
+    return change
+
+
+def at(run):
+    return lambda runs: runs == run
+
+
+def since(run):
+    return lambda runs: runs >= run
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (gains(since(30), a=0.022), None),  # a mount may slip so far
+        (gains(since(30), a=0.045), r"The gain of hall_a_m .* changes by \+4.4 % from run 30"),
+        (gains(at(0), a=0.005), None),  # by chance
+        (gains(at(0), a=0.0075), r"In run 0 .* the gain of hall_a_m differs by \+0.7\d? %"),
+        (gains(at(30), a=0.1, b=0.014), r"In run 30 .* the gain of hall_a_m differs by \+10 %"),
+        (gains(at(30), a=0.1, b=0.03), r"In run 30 .* hall_a_m and hall_b_m differ by \+10 % and \+3 %"),
+        (gains(at(30), a=0.02, noise=3e-6), r"In run 30 .* the gain of hall_a_m differs by \+1.8 %"),
+        (gains(at(30), a=0.02, noise=5e-6), None),  # its noise is another: that is for goodness of fit
+    ],
+)  # fmt: skip
+def test_a_run_that_the_others_contradict(campaign, change, says):
+    notes = fit(log_of(change(campaign)), "stage31", solver="direct", loss="none").notes
+    found = [note for note in notes if "gain" in note]
+    assert len(found) == (says is not None), notes
+    assert says is None or re.search(says, found[0])
 
 
 def test_a_held_out_run_is_a_note(six):

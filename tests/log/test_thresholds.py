@@ -77,7 +77,7 @@ SIDES = (
     ("six values", levels(6), "takes 6 values only", False),
     ("twelve values", levels(12), None, False),
     ("3 % old values", now_and_then(B, 0.03), "repeats the value before it", False),
-    ("1.2 % old values", now_and_then(B, 0.012), None, False),
+    ("1.6 % old values", now_and_then(B, 0.016), None, False),
     ("120 rows again", again(120), "120 samples .* are there twice", True),
     ("40 rows again", again(40), None, False),
     ("a tick of .7 s", scale("t_s", 350.0), None, False),
