@@ -166,6 +166,42 @@ def test_a_reference_that_is_late(samples, runs):
     assert "next: hallsym.diagnose(log" in found.goodness.sentence
 
 
+def early(by: tuple[float, ...], louder: float = 1.0, bent: float = 0.0) -> Log:
+    """18 runs whose readings are early by samples, channel by channel; noise `louder` times, as is stated.
+
+    `bent`: share by which gains grow towards the ends of x, which no model here knows.
+    """
+    log, rng = bundled_campaign(), np.random.default_rng(1)
+    data = {c: v[log.array("run") < 18] for c, v in columns_of(log).items()}
+    out, std = dict(data), log.noise.std
+    for c, samples in zip(HALL, by, strict=True):
+        parts = [data[c][data["run"] == run] for run in range(18)]
+        moved = [np.interp(np.arange(len(v)) + samples, np.arange(len(v)), v) for v in parts]
+        more = np.sqrt(louder**2 - 1) * std[c] * rng.standard_normal(len(data[c]))
+        out[c] = np.concatenate(moved) * (1 + bent * np.abs(data["x_ref_m"]) / 3e-4) + more
+    return Log.from_arrays(
+        out, Noise({c: Sigma(louder * s if c in HALL else s, "given") for c, s in std.items()})
+    )
+
+
+@pytest.mark.parametrize(
+    ("log", "late"),
+    [
+        ({"by": (0.3, 0.3, 0.3)}, False),  # a lag, or half a sample of a logger
+        ({"by": (0.7, 0.7, 0.7)}, True),
+        ({"by": (2.0, 2.0, 2.3)}, True),
+        ({"by": (2.0, 2.0, 2.6)}, False),  # channels of their own
+        ({"by": (0.7, 0.7, 0.7), "louder": 15.0}, True),
+        ({"by": (0.7, 0.7, 0.7), "louder": 20.0}, False),  # 1.4 times the variance of noise
+        ({"by": (0.7, 0.7, 0.7), "bent": 0.1}, True),
+        ({"by": (0.7, 0.7, 0.7), "bent": 0.14}, False),  # another cause makes as much
+    ],
+)
+def test_a_delay_is_named_where_it_explains_the_misfit(log, late):
+    notes = fit(early(**log), "stage31", solver="direct", loss="none").notes
+    assert any("late beside the readings" in note for note in notes) is late
+
+
 def test_a_channel_that_lags_in_one_run_is_named():
     data = columns_of(bundled_campaign())
     late = np.flatnonzero(data["run"] == 5)
