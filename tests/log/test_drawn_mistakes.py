@@ -1,4 +1,4 @@
-"""Mistakes of a size drawn by a seed, in healthy logs of any kind: those that a threshold elsewhere would miss.
+"""Mistakes of a size drawn by a seed, in healthy logs of any kind: those that another threshold would miss.
 
 Each was found by changing one threshold by a factor two.
 """
