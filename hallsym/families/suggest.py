@@ -224,7 +224,7 @@ def _own(name: str) -> str:
 
 
 def _unit_fits(source: Source, name: str, stem: str, model: Model) -> bool:
-    """Say whether the unit of a column, where it is stated, is one that the model takes; counts are angles."""
+    """Say whether the unit of a column, where it is stated, is one that the model takes, or counts of it."""
     stated = _stated(source, name)
     taken = {
         split_unit(c)[0]: c.rpartition("_")[2] for c in (*model.channels, *model.state, *model.references)
