@@ -175,7 +175,8 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
     numbers = numbers_of(source.names)
     stems = [RUN, TIME, *_stems(model), *OTHERS]
     pairs = [(likeness(stem, name, numbers), stem, name) for stem in stems for name in data]
-    pairs += [(BARE / 2, stem, name) for stem in (RUN, TIME) for name in data if _behaves(stem, data[name])]
+    alone = [(stem, name) for stem in (RUN, TIME) for name in data if _behaves(stem, data[name])]
+    pairs += [(BARE / 2, s, n) for s, n in alone if s == RUN or not _whole(data[n])]  # an index is no time
     found: dict[str, Guess] = {}
     taken: set[str] = set()
     for score, stem, name in sorted(pairs, key=lambda p: (-p[0], stems.index(p[1]))):
@@ -201,9 +202,13 @@ def _behaves(stem: str, values: Array) -> bool:
     steps = np.diff(values)
     if stem == RUN:
         changes = np.count_nonzero(steps)
-        return bool((values == np.floor(values)).all() and changes <= len(values) / 8 and (steps >= 0).all())
+        return bool(_whole(values) and changes <= len(values) / 8 and (steps >= 0).all())
     usual = np.median(steps)
     return bool(usual > 0 and (np.abs(steps - usual) < 0.5 * usual).mean() > 0.8)
+
+
+def _whole(values: Array) -> bool:
+    return bool((values == np.floor(values)).all())
 
 
 def _stated(source: Source, name: str) -> str:
@@ -256,8 +261,7 @@ def _with_unit(source: Source, values: Array, guess: Guess) -> Guess:
 
 def _turning(values: Array, guess: Guess, span: float) -> Guess:
     """An angle that goes round: whole numbers are counts, up to 7 radians, up to 400 degrees."""
-    whole = bool((values == np.floor(values)).all())
-    if whole and span > 400:
+    if _whole(values) and span > 400:
         turn = _turn(values)
         return replace(guess, unit="count", counts_per_turn=turn, why=f"{guess.why}; COUNTS ONLY BY SIZE")
     unit = "rad" if span < 7 else "deg" if span < 400 else ""
@@ -283,8 +287,13 @@ def _by_motion(
     references = [split_unit(c)[0] for c in model.references]
     channels = [c for c in model.channels if split_unit(c)[0] in lacking]
     if channels and any(r in known for r in references):
-        expected = _readings(model, known)
-        return _matched(source, data, free, {split_unit(c)[0]: expected[c] for c in channels}, model)
+        expected = {split_unit(c)[0]: _readings(model, known)[c] for c in channels}
+        round_ = {split_unit(c)[0] for c in channels if c in model.period}
+        turning = [
+            g for stem in sorted(round_) if (g := _going_round(source, data, free, stem, expected[stem]))
+        ]
+        straight = {stem: values for stem, values in expected.items() if stem not in round_}
+        return [*turning, *_matched(source, data, free, straight, model)]
     missing = [c for c in model.references if split_unit(c)[0] in lacking]
     if missing and all(split_unit(c)[0] in known for c in model.channels):
         decoded = _decoded(model, known)
@@ -299,6 +308,26 @@ def _told(values: Array, readings: Array) -> bool:
     matrix = np.vstack([readings, np.ones(readings.shape[1])]).T
     left = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
     return bool(np.var(left) <= (1 - MOVES**2) * np.var(values))
+
+
+def _going_round(
+    source: Source, data: Mapping[str, Array], free: Sequence[str], stem: str, expected: Array
+) -> Guess | None:
+    """Return the column that goes round as an angle should, in the unit in which it does it best."""
+    best: tuple[float, Guess] | None = None
+    for name in free:
+        values, stated = data[name], _stated(source, name)
+        units = {"rad": 1.0, "deg": np.pi / 180} | (
+            {"count": 2 * np.pi / _turn(values)} if _whole(values) else {}
+        )
+        for unit, factor in units.items():
+            for sign in (1, -1):
+                r = float(np.abs(np.nanmean(np.exp(1j * (sign * factor * values - expected)))))
+                if stated in ("", unit) and r >= MOVES and (best is None or r > best[0]):
+                    turn = _turn(values) if unit == "count" else None
+                    why = f"goes round as {stem} should (coherence {r:.3f}); UNIT AND TURN ONLY BY THAT"
+                    best = r, Guess(stem, name, unit, why, sign, turn)
+    return best[1] if best else None
 
 
 def _si(values: Array, guess: Guess) -> Array:
