@@ -57,6 +57,9 @@ class NormalEquations:
 
 MANY = 6
 """Channels above which products are made candidate by candidate, not for each pair of channels."""
+ENTRIES, FEWEST = 2_000_000, 256
+"""Derivatives with respect to the model's own parameters that are held at once, 16 MB, and samples that are
+taken together at least: a refit of many channels with a number each would hold all channels times itself."""
 Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 """Runs, products for the likelihood, products in the output, samples."""
 
@@ -78,7 +81,9 @@ def normal_equations(
     """
     work = Accumulator(base, candidates)
     for batch in work.batches():
-        work.add(batch, batch.weights(base.keep))
+        weights = batch.weights(base.keep)
+        for piece, at in batch.pieces(work.most):
+            work.add(piece, None if weights is None else weights[at])
     return work.result()
 
 
@@ -122,6 +127,7 @@ class Accumulator:
         self.span = {"": slice(0, self.n)}
         self.span |= {k: slice(self.n + s.start, self.n + s.stop) for k, s in self.slopes.span.items()}
         self.near = np.array([*range(own), self.size - 1])
+        self.most = max(FEWEST, ENTRIES // (len(self.near) * len(model.channels)))
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
         self.run: int | None = None
