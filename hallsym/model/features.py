@@ -135,7 +135,7 @@ class Features:
 
     @property
     def std(self) -> np.ndarray | None:
-        """Noise (n_columns,) of the logged columns where it is known: their `slope_pairs` are one column then."""
+        """Noise (n_columns,) of the logged columns where it is known: `slope_pairs` are one column then."""
         return None
 
     @property
