@@ -71,7 +71,9 @@ class Blocks:
         self.readings = float(readings.sum())
         self.own = own = sums.own
         self.groups = [sums.groups[k] for k in sorted(sums.groups)]
-        self.total = np.sum(self.groups, axis=0)
+        self.total = self.groups[0].copy()
+        for group in self.groups[1:]:
+            self.total += group
         follow = _follow(self.total, own)
         self.all, self.raw = eliminated(self.total, follow), np.diag(self.total)[own:]
         last = np.array([_eliminated_residual(sums.near[k], follow) for k in keys])
@@ -138,9 +140,10 @@ def blocks_of(base: Base, tried: Mapping[str, Score]) -> Blocks:
     length = max(SHORTEST, -(-base.log.rows // BLOCKS)) if len(runs) < FEWEST else base.log.rows
     sums = Sums(work.n)
     for run in work.stretches(length):
-        _, follow = eliminate(np.sum([s.products for s in run], axis=0), work.z)
+        follow = eliminate(np.sum([s.products for s in run], axis=0), work.z)[1] if work.z else None
         for part, s in enumerate(run):
-            sums.add(group[s.run], part, eliminated(s.products, follow), s.size)
+            left = s.products if follow is None else eliminated(s.products, follow)
+            sums.add(group[s.run], part, left, s.size)
     span = {k: v for k, v in work.span.items() if k and k not in work.slopes.spoiled}
     return Blocks(sums, span, _bounds(candidates))
 
