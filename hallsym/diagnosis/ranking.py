@@ -187,8 +187,8 @@ def plain_pairs_first(
 
     An effect with many parameters may take small imperfections along and so explain more than the plain cause
     does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
-    and the flexible effect with a second one leaves nearly as much as these two. The best effect stays
-    first before a later one of the catalogue if it has a variant as plain that explains as much.
+    and the flexible effect with a second one leaves nearly as much as these two. A plain effect that
+    explains no more than a variant of the best one with as few parameters is no plainer cause.
     """
     if not exact:
         return exact
@@ -198,7 +198,10 @@ def plain_pairs_first(
         for e in exact[1:]
         if e.score.size < best.score.size
         and e.score.gain >= policy.promising * best.score.gain
-        and not (best.score.place < e.score.place and _own_as_plain(e, best, scored, policy))
+        and (
+            e.score.gain >= policy.simpler_gain * best.score.gain
+            or not _own_as_plain(e, best, scored, policy)
+        )
     ]
     found: list[tuple[float, Exact, float]] = []
     for e in plain[: policy.plain_pairs]:
