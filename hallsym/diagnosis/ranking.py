@@ -186,7 +186,7 @@ def plain_pairs_first(
     """Put a plain effect first if it and a second explain more than the flexible best one, by BIC.
 
     An effect with many parameters may take small imperfections along and so explain more than the plain cause
-    does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
+    does. Then the plain cause and one of the imperfections, of no more parameters, together explain as much,
     and the flexible effect with a second one leaves nearly as much as these two. A plain effect that
     explains no more than a variant of the best one with as few parameters is no plainer cause.
     """
@@ -205,8 +205,8 @@ def plain_pairs_first(
     ]
     found: list[tuple[float, Exact, float]] = []
     for e in plain[: policy.plain_pairs]:
-        second = _second(e, catalogue, runs, facts, policy, most=best.score.size - e.score.size)
-        if second is None:
+        second = _second(e, catalogue, runs, facts, policy)
+        if second is None or second.size > best.score.size:
             continue
         both = second.bic + e.score.size * float(np.log(max(count_of(e.fit) / policy.inflation, 2.0)))
         if both < best.bic:
@@ -221,17 +221,12 @@ def plain_pairs_first(
 
 
 def _second(
-    e: Exact,
-    catalogue: Sequence[Effect],
-    runs: Sequence[int],
-    facts: Facts,
-    policy: Policy,
-    most: float = np.inf,
+    e: Exact, catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
 ) -> Score | None:
-    """Return the best second effect beside one, by its score, of those with at most so many parameters."""
+    """Return the best second effect beside one, by its score."""
     tried, _ = candidates(e.fit.base, catalogue, facts)
     ranked, _ = scores(e.fit.base, tried, runs, policy.inflation)
-    return next((s for s in ranked if not s.absorbed and s.size <= most), None)
+    return next((s for s in ranked if not s.absorbed), None)
 
 
 def _first(first: Exact, exact: Sequence[Exact]) -> list[Exact]:

@@ -10,6 +10,7 @@ from halbach_plant import magnets, readings
 import hallsym
 from hallsym import Log, Noise
 from hallsym.families.halbach import planar
+from hallsym.families.halbach.effects import ends, planar_ends
 from hallsym.families.halbach.layout import Array, Sensor, arrays, sensors
 from hallsym.families.halbach.models import halbach
 
@@ -70,6 +71,7 @@ def campaign(model, seed, count=240):
 def deviations(model, seed, count=240):
     """Estimates less the truth over their standard uncertainty, by name of the parameter."""
     log, true = campaign(model, seed, count)
+    model = finite(model)
     fit = hallsym.fit(log, model, effects=EFFECTS, solver="direct", loss="none")
     assert fit.status == "converged"
     out = {}
@@ -86,6 +88,12 @@ def deviations(model, seed, count=240):
         std = np.sqrt(np.diag(contrast @ fit.covariance[np.ix_(at, at)] @ contrast.T))
         out |= dict(zip(own, error / std, strict=True))
     return out
+
+
+def finite(model):
+    """The model with the ends of its arrays, as long as the layout states."""
+    known = {"edges": {"nominal": 1.0, "lower": 1.0, "upper": 1.0}}
+    return (planar_ends if len(model.pose) == 6 else ends).array_edges(model).with_parameters(known)
 
 
 def four_arrays():
