@@ -141,18 +141,13 @@ def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> 
         e.score.size < best.score.size
         and e.fit.cost - best.fit.cost <= (1 - policy.simpler_gain) * best.score.gain
         and e.gap <= best.gap * (1 + policy.simpler_gap)
-        and not _own_as_plain(e, best, scored, policy)
-    )
-
-
-def _own_as_plain(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> bool:
-    """Return whether the best effect has a variant with as few parameters as `e` that explains as much."""
-    return any(
-        s.effect is best.score.effect
-        and s.size <= e.score.size
-        and s.gain >= (1 - policy.simpler_gap) * e.score.gain
-        and s.bic <= e.score.bic + policy.as_good
-        for s in scored
+        and not any(
+            s.effect is best.score.effect
+            and s.size <= e.score.size
+            and s.gain >= (1 - policy.simpler_gap) * e.score.gain
+            and s.bic <= e.score.bic + policy.as_good
+            for s in scored
+        )
     )
 
 
@@ -176,19 +171,13 @@ def _better_predicting_first(exact: list[Exact], policy: Policy) -> list[Exact]:
 
 
 def plain_pairs_first(
-    exact: list[Exact],
-    scored: Sequence[Score],
-    catalogue: Sequence[Effect],
-    runs: Sequence[int],
-    facts: Facts,
-    policy: Policy,
+    exact: list[Exact], catalogue: Sequence[Effect], runs: Sequence[int], facts: Facts, policy: Policy
 ) -> list[Exact]:
     """Put a plain effect first if it and a second explain more than the flexible best one, by BIC.
 
     An effect with many parameters may take small imperfections along and so explain more than the plain cause
-    does. Then the plain cause and one of the imperfections, of no more parameters, together explain as much,
-    and the flexible effect with a second one leaves nearly as much as these two. A plain effect that
-    explains no more than a variant of the best one with as few parameters is no plainer cause.
+    does. Then the plain cause and one of the imperfections together explain as much with no more parameters,
+    and the flexible effect with a second one leaves nearly as much as these two.
     """
     if not exact:
         return exact
@@ -196,17 +185,12 @@ def plain_pairs_first(
     plain = [
         e
         for e in exact[1:]
-        if e.score.size < best.score.size
-        and e.score.gain >= policy.promising * best.score.gain
-        and (
-            e.score.gain >= policy.simpler_gain * best.score.gain
-            or not _own_as_plain(e, best, scored, policy)
-        )
+        if e.score.size < best.score.size and e.score.gain >= policy.promising * best.score.gain
     ]
     found: list[tuple[float, Exact, float]] = []
     for e in plain[: policy.plain_pairs]:
         second = _second(e, catalogue, runs, facts, policy)
-        if second is None or second.size > best.score.size:
+        if second is None or second.size + e.score.size > best.score.size:
             continue
         both = second.bic + e.score.size * float(np.log(max(count_of(e.fit) / policy.inflation, 2.0)))
         if both < best.bic:

@@ -227,7 +227,7 @@ class _Search:
             self.owner |= dict.fromkeys(c.new, c.effect.name)
         exact = refitted(at.base, ranked, self.runs, facts, worth, lambda e: self.stands(e, at), self.policy)
         if self.setup.base.model.family.pairs:
-            exact = plain_pairs_first(exact, ranked, self.setup.catalogue, self.runs, facts, self.policy)
+            exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
         return exact
 
     def stands(self, exact: Exact, at: Refitted) -> bool:

@@ -84,7 +84,10 @@ def deviations(model, seed, count=240):
     for (kind, _), own in groups.items():
         at = [names.index(n) for n in own]
         contrast = np.eye(len(own)) - (0 if kind == "offset" else 1 / len(own))
-        error = contrast @ [fit.value(n) - true[n] for n in own]
+        found, known = (np.array([of(n) for n in own]) for of in (fit.value, true.__getitem__))
+        if kind == "gain":  # gains are told up to a factor of all
+            found, known = ((1 + g) / np.mean(1 + g) for g in (found, known))
+        error = contrast @ (found - known)
         std = np.sqrt(np.diag(contrast @ fit.covariance[np.ix_(at, at)] @ contrast.T))
         out |= dict(zip(own, error / std, strict=True))
     return out

@@ -58,7 +58,6 @@ FAMILY = Family(
     tables=("arrays",),
     decoder="wave",
     effects=EFFECTS,
-    pairs=True,
     words={"x_ref_m": "x along the array", "z_ref_m": "gap z"},
     tolerances={"": {"a1_percent": 2, "b1_mv": 6, "a5_mv": 0.5, "b5": "exact"}, **SENSORS},
     example=Example(
@@ -81,7 +80,6 @@ PLANAR = Family(
     tables=("arrays", "channels"),
     decoder="wave",
     effects=PLANAR_EFFECTS,
-    pairs=True,
     words={"z_ref_m": "gap z"},
     tolerances={
         "": {"a1_percent": 2, "a5_mv": 0.5, "[xy]0": "exact", "r[xyz]0": "exact"},
