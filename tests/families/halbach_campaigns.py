@@ -21,10 +21,11 @@ REFERENCE = {"m": 5e-7, "rad": 3e-6}
 SPREAD = {"gain": 0.02, "offset_error": 0.01, "d": 5e-5}
 
 
-def one_array():
-    """Nine sums of three sensors at a third of the wavelength, under an array of eight periods."""
-    rows = [Sensor(f"col_{j}_v", tuple(((j - 4) * 0.01, (i - 1) * 0.01) for i in range(3))) for j in range(9)]
-    return halbach((*rows, Array("X", 0.03)))
+def one_array(rows=3):
+    """Nine columns at a third of the wavelength, sums of so many sensors, under an array of eight periods."""
+    across = [(i - (rows - 1) / 2) * 0.01 for i in range(rows)]
+    made = [Sensor(f"col_{j}_v", tuple(((j - 4) * 0.01, y) for y in across)) for j in range(9)]
+    return halbach((*made, Array("X", 0.03)))
 
 
 def poses(model, rng, count):

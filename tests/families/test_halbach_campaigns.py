@@ -15,18 +15,17 @@ def recovered(model, seed):
     assert 0.6 < np.sqrt(np.mean(off**2)) < 1.6  # nor are the uncertainties larger than they need be
 
 
-@pytest.mark.parametrize("seed", [100, 101])
-def test_sensors_under_one_array_are_recovered(seed):
-    recovered(one_array(), seed)
+def test_sensors_under_one_array_are_recovered():
+    recovered(one_array(rows=1), 100)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(24))
-def test_sensors_under_one_array_are_recovered_from_many_campaigns(seed):
+def test_sums_under_one_array_are_recovered(seed):
     recovered(one_array(), seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-def test_sensors_under_four_arrays_are_recovered(seed):
+def test_sums_under_four_arrays_are_recovered(seed):
     recovered(four_arrays(), seed)
