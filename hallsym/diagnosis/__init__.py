@@ -19,6 +19,7 @@ from hallsym.diagnosis.facts import facts_of, instants, rails_of
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
 from hallsym.diagnosis.features import Key
 from hallsym.diagnosis.findings import firmware_cost, operations
+from hallsym.diagnosis.flexible import PAST, flexible, resemblances
 from hallsym.diagnosis.gap import remains, used_up
 from hallsym.diagnosis.holdout_pieces import knot_group, split
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
@@ -39,6 +40,7 @@ from hallsym.diagnosis.record import (
     LogRecord,
     Metric,
     NoiseFloor,
+    Resemblance,
     Separation,
     Share,
     Shrinkage,
@@ -72,20 +74,20 @@ from hallsym.families.user import load_effects
 from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
-    "NO_EFFECT", "POLICY", "RATIOS", "ROWS", "Accumulator", "Band", "Base", "Bench", "BlockErrors",
+    "NO_EFFECT", "PAST", "POLICY", "RATIOS", "ROWS", "Accumulator", "Band", "Base", "Bench", "BlockErrors",
     "Comparison", "Coordinate", "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact",
     "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Key",
-    "LackOfFit", "Located", "LogRecord", "Metric", "NoiseFloor", "ParameterChange", "PlaceChange",
-    "Policy", "Range", "Refitted", "ResidualTable", "Score", "Selected", "SelfTest", "Separation",
-    "Shape", "Share", "Shrinkage", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum",
-    "Statement", "Trial", "Unexplained", "Variant", "as_many", "as_often", "base_of", "beyond",
-    "block_errors", "both", "candidates", "compare", "confusable", "coordinates", "cordic", "decide",
-    "decimated", "decrease_p", "degrees_of", "diagnose", "distance", "errors_of", "examine", "exceeds",
-    "facts_of", "faults", "firmware_cost", "gap_text", "gap_unit", "generator", "hats", "injections",
-    "inside_bounds", "instants", "interval", "knot_group", "knots", "lack_of_fit", "load_effects",
-    "located", "machine_of", "model_on", "normal_equations", "of_signs", "operations", "ordered",
-    "others", "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit",
-    "remains", "residual_noise", "residual_table", "run_gains", "scores", "selftest", "separation",
-    "shape", "shown", "sized", "sizes", "smaller_findings", "smoothed", "split", "student", "survey",
-    "unexplained", "used_up", "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
+    "LackOfFit", "Located", "LogRecord", "Metric", "NoiseFloor", "ParameterChange", "PlaceChange", "Policy",
+    "Range", "Refitted", "Resemblance", "ResidualTable", "Score", "Selected", "SelfTest", "Separation",
+    "Shape", "Share", "Shrinkage", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement",
+    "Trial", "Unexplained", "Variant", "as_many", "as_often", "base_of", "beyond", "block_errors", "both",
+    "candidates", "compare", "confusable", "coordinates", "cordic", "decide", "decimated", "decrease_p",
+    "degrees_of", "diagnose", "distance", "errors_of", "examine", "exceeds", "facts_of", "faults",
+    "firmware_cost", "flexible", "gap_text", "gap_unit", "generator", "hats", "injections", "inside_bounds",
+    "instants", "interval", "knot_group", "knots", "lack_of_fit", "load_effects", "located", "machine_of",
+    "model_on", "normal_equations", "of_signs", "operations", "ordered", "others", "prepare", "rails_of",
+    "range_of", "readings_of", "recorded", "recordings", "refit", "remains", "resemblances",
+    "residual_noise", "residual_table", "run_gains", "scores", "selftest", "separation", "shape", "shown",
+    "sized", "sizes", "smaller_findings", "smoothed", "split", "student", "survey", "unexplained",
+    "used_up", "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

@@ -196,7 +196,7 @@ def confusable(
     if effects and effects[0].name in EITHER and len(setup.base.model.pose) == 1:
         groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
     names = [e.name for e in effects if e.share > 0] + [name for group in groups for name in group]
-    if verdict == "explained":
+    if verdict in ("explained", "behaves like"):
         for held in found.effects:
             rivals = _not_excluded(setup, held.selected, found.inflation)
             names += [r.score.effect.name for r in rivals]

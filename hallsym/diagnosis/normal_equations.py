@@ -61,7 +61,8 @@ Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 """Runs, products for the likelihood, products in the output, samples."""
 
 
-def _reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
+def reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return what computes the reading and its derivatives in parameters and zeros, on arrays."""
     s = model.symbols
     reading = s.full(s.reading)
     parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
@@ -112,7 +113,7 @@ class Accumulator:
     ) -> None:
         self.base = base
         model = base.model
-        self.read = model.remember("reading, derivatives", lambda: _reading_and_derivatives(model))
+        self.read = model.remember("reading, derivatives", lambda: reading_and_derivatives(model))
         self.gain = decoding_gain(model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})

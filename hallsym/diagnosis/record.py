@@ -68,6 +68,20 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Resemblance:
+    """Why the machine only behaves like an effect: a free variation of it predicts other runs better.
+
+    `by`: columns that the strength of the effect follows then; "the past" where the readings respond to the
+    past of what the effect makes. `misfit`: rms of the variation over rms of what the effect makes, on runs
+    left out. `p_value`: of no better prediction, corrected for all variations that were tried.
+    """
+
+    by: tuple[str, ...]
+    misfit: float
+    p_value: float
+
+
+@dataclass(frozen=True)
 class FoundEffect:
     """An effect that lowers the gap, with all other effects of the list in place.
 
@@ -75,8 +89,9 @@ class FoundEffect:
     resampled blocks. `share`: part of the excess above the noise floor that it closes. `p_value`: of its
     absence, valid for residuals that are correlated within a run, corrected for everything that was tested.
     `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
-    `at_bound`: parameters that ended at a bound; they have no uncertainty, and `note` says so. `note` also
-    says what to do about a fault.
+    `at_bound`: parameters that ended at a bound; they have no uncertainty. `behaves_like`: why the machine only
+    behaves like the effect; None where no flexible alternative beats it. `note` says both in words, and what
+    to do about a fault.
     """
 
     name: str
@@ -91,6 +106,7 @@ class FoundEffect:
     text: str = ""
     at_bound: tuple[str, ...] = ()
     note: str = ""
+    behaves_like: Resemblance | None = None
 
 
 @dataclass(frozen=True)
@@ -279,6 +295,8 @@ class LogRecord:
 class Diagnosis:
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
+    `verdict`: "no gap", "explained", "behaves like" (what is named closes the gap, but a flexible alternative
+    beats the effect that closes most of it) or "unexplained".
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
     "unexplained". `unexplained`: share and shape of that rest. `size`: the gap per output and sensor, on

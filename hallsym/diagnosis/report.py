@@ -188,6 +188,12 @@ def sentence(
     if not effects:
         return f"{said}; no known effect explains it."
     named = " and ".join(_with_group(e.name, groups) for e in effects)
+    if verdict == "behaves like":
+        first = next(e.name for e in effects if e.behaves_like)
+        return (
+            f"{said}. The machine behaves like {first}, but a flexible alternative predicts other runs "
+            f"better, so the cause is not known. With {named} it falls to {after}."
+        )
     rest = "" if verdict == "explained" else "; the rest has no known cause"
     return f"{said}. With {named} it falls to {after}{rest}."
 
