@@ -89,9 +89,9 @@ class FoundEffect:
     resampled blocks. `share`: part of the excess above the noise floor that it closes. `p_value`: of its
     absence, valid for residuals that are correlated within a run, corrected for everything that was tested.
     `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
-    `at_bound`: parameters that ended at a bound; they have no uncertainty. `behaves_like`: why the machine only
-    behaves like the effect; None where no flexible alternative beats it. `note` says both in words, and what
-    to do about a fault.
+    `at_bound`: parameters that ended at a bound; they have no uncertainty. `behaves_like`: why the machine
+    only behaves like the effect; None where no flexible alternative beats it. `note` says both in words, and
+    what to do about a fault.
     """
 
     name: str

@@ -16,7 +16,8 @@ def effects_section(d: Diagnosis) -> Markup:
     """Return the ranking of the effects, and groups that the log cannot tell apart."""
     if not (d.effects or d.groups or d.ranked):
         return tag("p", "None. No effect of the catalogue lowers the gap by what is worth reporting.")
-    return join([_ranking(d), _ranked(d), _groups(d)])
+    notes = [join([tag("strong", e.name), ": ", e.note]) for e in d.effects if e.note]
+    return join([_ranking(d), _ranked(d), *([items(notes)] if notes else []), _groups(d)])
 
 
 def _ranking(d: Diagnosis) -> Markup:
