@@ -222,9 +222,9 @@ class Accumulator:
 
     def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
         """Return all columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
-        return self._whitener(batch, weights)(slice(None))
+        return self.whitener(batch, weights)(slice(None))
 
-    def _whitener(self, batch: Batch, weights: np.ndarray | None) -> Callable[[slice], np.ndarray]:
+    def whitener(self, batch: Batch, weights: np.ndarray | None) -> Callable[[slice], np.ndarray]:
         """Return what gives all columns, whitened, of some samples: of all at once they may be 1 GB."""
         near, _ = self._near(batch, weights)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
@@ -243,7 +243,7 @@ class Accumulator:
         run: list[Stretch] = []
         seen, origin = 0, None
         for batch in self.batches("t_s"):
-            white = self._whitener(batch, batch.weights(self.base.keep))
+            white = self.whitener(batch, batch.weights(self.base.keep))
             t = batch.data["t_s"]
             origin = float(t[0]) if origin is None else origin
             for block, part in batch.parts():

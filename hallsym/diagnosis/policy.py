@@ -157,6 +157,14 @@ class Policy:
     """Standard deviations of a slow average at which two effects are told apart.
 
     The convention of 5 sigma."""
+    most_in_set: int = 3
+    """Effects that a set may have which stands beside selected effects.
+
+    An eccentricity in any direction is as many: offset, gain and angle of the axes. More explain anything."""
+    nearly_linear: float = 0.02
+    """Part of what the selected effects explain that a set may miss to first order and be refitted exactly.
+
+    An effect of a tenth of the reading changes by a tenth to second order: a hundredth of its squares."""
     reason: float = 20.0
     """Difference of BIC from which on unneeded parameters make an effect no competitor of a plainer one.
 

@@ -29,6 +29,8 @@ def cancelled(
     """
     own, known = start.base.model.names, beside.base.model.names
     new = [n for n in fit.base.model.names if n not in known]
+    if cancels(fit, new, over):
+        return True
     whole = moved(start, start.base.p - designed(start.base.model, start.base.p))
     if _alone(fit, new) > over * np.hypot(whole, start.gap(start.fitted)):
         return True
@@ -38,6 +40,11 @@ def cancelled(
         if n not in own:
             groups.setdefault(owner.get(n, n), []).append(n)
     return any(_alone(fit, g) > over * np.hypot(_alone(beside, g), lower) for g in groups.values())
+
+
+def cancels(fit: Refitted, names: Sequence[str], over: float) -> bool:
+    """Return whether parameters undo each other: one alone makes `over` times what all of them make."""
+    return len(names) > 1 and max(_alone(fit, [n]) for n in names) > over * _alone(fit, names)
 
 
 def _alone(fit: Refitted, names: Sequence[str]) -> float:
