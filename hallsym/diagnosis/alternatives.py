@@ -8,7 +8,7 @@ refitted exactly, and stands beside the selected effects if its residual cannot 
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import log
@@ -16,6 +16,7 @@ from math import log
 import numpy as np
 
 from hallsym.diagnosis.normal_equations import Accumulator, coefficients
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.ranking import count_of, distance
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.residuals import Base
@@ -27,8 +28,9 @@ from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.log.batches import Batch
 
 SHOWN = 2
-"""Sets that stand beside the same effects at most: further ones exchange a member for one like it."""
-KEPT = 4
+"""Sets that stand beside the same effects at most, of one size none with an effect of another: most further
+ones only exchange a member for one like it."""
+KEPT = 6
 """Sets that are grown further at each size: those that explain most."""
 COLUMNS = 400
 """Parameters of effects that are screened together, those that explain most alone: 1.3 MB of products."""
@@ -49,13 +51,23 @@ class Alternative:
     """
 
     instead_of: tuple[str, ...]
-    names: tuple[str, ...]
+    scores: tuple[Score, ...]
     fit: Refitted
     distance: float
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(s.effect.name for s in self.scores)
 
-def alternatives(setup: Setup, selection: Selection, found: Validation) -> list[Alternative]:
-    """Return the sets of effects that stand beside selected ones: of one set none holds another that does."""
+
+def alternatives(
+    setup: Setup, selection: Selection, found: Validation, known: Mapping[str, Collection[str]]
+) -> list[Alternative]:
+    """Return the sets of effects that stand beside selected ones: of one set none holds another that does.
+
+    `known`: effect -> those of which the log is known not to tell it apart.
+    """
     if not found.effects:
         return []
     tried = _tried(selection, found)
@@ -65,10 +77,13 @@ def alternatives(setup: Setup, selection: Selection, found: Validation) -> list[
     out: list[Alternative] = []
     refits: Counter[tuple[str, ...]] = Counter()
     seen: set[tuple[tuple[str, ...], tuple[str, ...]]] = set()
-    for proposal in sorted(_proposals(setup, found, products), key=lambda p: p.order):
+    for proposal in _ordered(list(_proposals(setup, found, products)), setup.policy):
         of = proposal.of
-        full = sum(a.instead_of == of for a in out) == SHOWN or refits[of] == setup.policy.starts
-        if full or (of, proposal.names) in seen or any(proposal.holds(a) for a in out):
+        beside = [a for a in out if a.instead_of == of]
+        full = len(beside) == SHOWN or refits[of] == setup.policy.starts
+        like = any(len(a.names) == len(proposal.names) and set(a.names) & set(proposal.names) for a in beside)
+        like |= any(set(proposal.names) & set(known.get(name, ())) for name in of)
+        if full or like or (of, proposal.names) in seen or any(proposal.holds(a) for a in out):
             continue
         refits[of] += 1
         seen.add((of, proposal.names))
@@ -99,7 +114,7 @@ def _tried(selection: Selection, found: Validation) -> dict[str, Score]:
 
 @dataclass(frozen=True, eq=False)
 class _Products:
-    """Products of the model's columns, those of all effects, contributions of the selected ones, and residual.
+    """Products of columns: of the model, of all effects, contributions of the selected ones, and residual.
 
     The zeros of each run are eliminated. `own`: columns of the model without effects; `selected`, `others`:
     those of each effect; `made`: the contribution of each selected effect. `count`: readings.
@@ -111,6 +126,7 @@ class _Products:
     others: Mapping[str, np.ndarray]
     made: Mapping[str, int]
     names: Mapping[str, str]
+    places: Mapping[str, int]
     count: float
 
 
@@ -123,7 +139,8 @@ def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _P
     near, far = Accumulator(end), Accumulator(plain, {key: (made[key], new[key]) for key in tried})
     n, z = len(end.free), len(end.model.zeros)
     bare = {h.selected.name: _without(end, h) for h in found.effects}
-    runs, total = {}, 0.0
+    runs: dict[int, np.ndarray] = {}
+    total = 0.0
     every = max(1, setup.log.rows // SAMPLES)
     known = set(setup.runs)
     for k, (one, other) in enumerate(zip(near.batches(), far.batches(), strict=True)):
@@ -156,6 +173,7 @@ def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _P
         others={key: n + np.arange(s.start, s.stop) - far.n for key, s in far.span.items() if key in tried},
         made={name: first + k for k, name in enumerate(bare)},
         names={key: s.effect.name for key, s in tried.items()},
+        places={key: s.place for key, s in tried.items()},
         count=total * every,
     )
 
@@ -198,11 +216,7 @@ class _Proposal:
     keys: tuple[str, ...]
     names: tuple[str, ...]
     bic: float
-
-    @property
-    def order(self) -> tuple[int, float]:
-        """Few effects first, then the likely ones."""
-        return len(self.of) + len(self.names), self.bic
+    places: tuple[int, ...]
 
     def holds(self, other: Alternative) -> bool:
         """Return whether it only adds effects to an alternative that is known."""
@@ -232,7 +246,22 @@ def _proposals(setup: Setup, found: Validation, P: _Products) -> Iterator[_Propo
                     len(theta) - sum(len(P.selected[n]) for n in of)
                 )
                 if bic < policy.reason and not (size == len(keys) == 1 and names[0] in known[of[0]]):
-                    yield _Proposal(of, keys, names, float(bic))
+                    places = tuple(sorted(P.places[k] for k in keys))
+                    yield _Proposal(of, keys, names, float(bic), places)
+
+
+def _ordered(proposals: Sequence[_Proposal], policy: Policy) -> list[_Proposal]:
+    """Return few effects first, then those that explain as much as the best, usual causes first."""
+    best: dict[tuple[tuple[str, ...], int], float] = {}
+    for p in proposals:
+        size = p.of, len(p.names)
+        best[size] = min(p.bic, best.get(size, np.inf))
+
+    def order(p: _Proposal) -> tuple[int, bool, tuple[int, ...], float]:
+        worse = p.bic - best[p.of, len(p.names)] >= policy.as_good
+        return len(p.of) + len(p.names), worse, p.places, p.bic
+
+    return sorted(proposals, key=order)
 
 
 def _with_target(P: _Products, of: Sequence[str]) -> np.ndarray:
@@ -279,7 +308,11 @@ def _sets(
         ranked = sorted(tried, key=lambda keys: tried[keys][1])
         done = [keys for keys in ranked if tried[keys][1] <= enough]
         out += [(keys, *tried[keys]) for keys in done]
-        grown = [keys for keys in ranked if tried[keys][1] > enough][:KEPT]
+        best: dict[tuple[str, ...], tuple[str, ...]] = {}  # of the same effects the best variants
+        for keys in ranked:
+            if tried[keys][1] > enough:
+                best.setdefault(tuple(sorted(P.names[k] for k in keys)), keys)
+        grown = list(best.values())[:KEPT]
     return out
 
 
@@ -311,4 +344,4 @@ def _exact(
     if fit.cost - one.cost >= limit:
         return None
     apart = distance(one, fit)
-    return Alternative(proposal.of, proposal.names, fit, apart) if apart < limit else None
+    return Alternative(proposal.of, tuple(scores), fit, apart) if apart < limit else None

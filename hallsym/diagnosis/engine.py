@@ -79,6 +79,6 @@ def examine(setup: Setup) -> Examined:
     verdict = decide(setup, found, resembled)
     named = findings(setup, found, resembled)
     quiet = verdict == "no gap"
-    alike = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
+    alike = Confusable((), (), ()) if quiet else confusable(setup, selection, found, named, verdict)
     diagnosis = report(setup, selection, found, named, verdict, alike)
     return Examined(diagnosis, setup.fit, setup.base, found.base if diagnosis.effects else None)

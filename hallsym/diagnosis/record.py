@@ -162,7 +162,8 @@ class Separation:
     whether `recording` was simulated with the members' models; then one such run of `run_s` seconds adds
     `sigma` standard deviations to the `sigma_now` of this log, and `runs` of them (`seconds` in all) reach 5.
     `tried`: every simulated recording, with its sigma per run. Where no recording can be simulated, or none
-    separates, `recording` is the advice of the catalogue.
+    separates, `recording` is the advice of the catalogue. `sides`: sets of effects that cannot be told apart;
+    empty where each effect of `group` stands alone.
     """
 
     group: tuple[str, ...]
@@ -177,6 +178,12 @@ class Separation:
     runs: int | None = None
     seconds: float | None = None
     tried: dict[str, float] = field(default_factory=dict)
+    sides: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def said(self) -> str:
+        """The sets that cannot be told apart, in words."""
+        return ", ".join(" + ".join(side) for side in self.sides or [(n,) for n in self.group])
 
 
 @dataclass(frozen=True)

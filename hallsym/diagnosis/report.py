@@ -1,6 +1,6 @@
 """The Diagnosis, put together from what the stages found. Nothing is decided here."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
 
@@ -48,7 +48,7 @@ def report(
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(
-            verdict, named, alike.groups, metric, gap_unit(setup.fit.model.pose), setup.held_out
+            verdict, named, alike.instead_of, metric, gap_unit(setup.fit.model.pose), setup.held_out
         ),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
@@ -166,14 +166,14 @@ def _source(fit: Fit) -> str:
 def sentence(
     verdict: str,
     effects: Sequence[FoundEffect],
-    groups: Sequence[tuple[str, ...]],
+    instead_of: Callable[[str], Sequence[str]],
     gap: Metric,
     unit: tuple[float, str],
     held_out: str = "holdout run",
 ) -> str:
     """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
 
-    `held_out`: what judges.
+    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges.
     """
     judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
@@ -187,7 +187,7 @@ def sentence(
     said = f"The error on the {judges} is {before}, {times:.3g} x the noise floor"
     if not effects:
         return f"{said}; no known effect explains it."
-    named = " and ".join(_with_group(e.name, groups) for e in effects)
+    named = " and ".join(_with_others(e.name, instead_of(e.name)) for e in effects)
     if verdict == "behaves like":
         first = next(e.name for e in effects if e.behaves_like)
         return (
@@ -198,10 +198,8 @@ def sentence(
     return f"{said}. With {named} it falls to {after}{rest}."
 
 
-def _with_group(name: str, groups: Sequence[tuple[str, ...]]) -> str:
-    """Return an effect with the others that the log cannot tell from it: `time_skew (or first_order_lag)`."""
-    group = next((g for g in groups if name in g), (name,))
-    others = [other for other in group if other != name]
+def _with_others(name: str, others: Sequence[str]) -> str:
+    """Return an effect with those that the log cannot tell from it: `time_skew (or first_order_lag)`."""
     return f"{name} (or {' or '.join(others)})" if others else name
 
 

@@ -61,10 +61,14 @@ def _groups(d: Diagnosis) -> Markup:
     """Return what the log cannot tell apart, and the recording that would."""
     found = {s.group: s for s in d.separate_by}
     lines = [
-        join([tag("strong", ", ".join(group)), *_separation(found.get(group))])
+        join([tag("strong", _said(group, found.get(group))), *_separation(found.get(group))])
         for group in dict.fromkeys([*d.groups, *found])
     ]
     return join([tag("h3", "Confusable effects"), items(lines)]) if lines else Markup("")
+
+
+def _said(group: tuple[str, ...], s: Separation | None) -> str:
+    return s.said if s else ", ".join(group)
 
 
 def _separation(s: Separation | None) -> list[object]:
