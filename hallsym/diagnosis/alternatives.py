@@ -127,6 +127,7 @@ class _Products:
     made: Mapping[str, int]
     names: Mapping[str, str]
     places: Mapping[str, int]
+    searched: Mapping[str, bool]
     count: float
 
 
@@ -174,6 +175,7 @@ def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _P
         made={name: first + k for k, name in enumerate(bare)},
         names={key: s.effect.name for key, s in tried.items()},
         places={key: s.place for key, s in tried.items()},
+        searched={key: s.variant.tried > 1 for key, s in tried.items()},
         count=total * every,
     )
 
@@ -217,6 +219,7 @@ class _Proposal:
     names: tuple[str, ...]
     bic: float
     places: tuple[int, ...]
+    """Numbers that were searched, then the places in the catalogue."""
 
     def holds(self, other: Alternative) -> bool:
         """Return whether it only adds effects to an alternative that is known."""
@@ -246,12 +249,13 @@ def _proposals(setup: Setup, found: Validation, P: _Products) -> Iterator[_Propo
                     len(theta) - sum(len(P.selected[n]) for n in of)
                 )
                 if bic < policy.reason and not (size == len(keys) == 1 and names[0] in known[of[0]]):
-                    places = tuple(sorted(P.places[k] for k in keys))
+                    searched = sum(P.searched[k] for k in keys)
+                    places = (searched, *sorted(P.places[k] for k in keys))
                     yield _Proposal(of, keys, names, float(bic), places)
 
 
 def _ordered(proposals: Sequence[_Proposal], policy: Policy) -> list[_Proposal]:
-    """Return few effects first, then those that explain as much as the best, usual causes first."""
+    """Return small sets first, of these the ones that explain as much as the best, usual causes first."""
     best: dict[tuple[tuple[str, ...], int], float] = {}
     for p in proposals:
         size = p.of, len(p.names)
@@ -286,11 +290,21 @@ def _sets(
 ) -> list[tuple[tuple[str, ...], np.ndarray, float]]:
     """Return sets that leave at most `enough`, with their coefficients and what they leave.
 
-    Grown one effect at a time from the `KEPT` best of each size.
+    Grown one effect at a time from the `KEPT` best of each size: once from effects that search no number,
+    which sets with flexible effects would crowd out, and once from all.
     """
     seen = {
         key: at[np.diag(R)[at] > NIL * np.maximum(np.diag(P.M)[at], 1e-300)] for key, at in P.others.items()
     }
+    plain = {key: at for key, at in seen.items() if not P.searched[key]}
+    found = {entry[0]: entry for pool in (plain, seen) for entry in _grown(R, P, pool, most, enough)}
+    return list(found.values())
+
+
+def _grown(
+    R: np.ndarray, P: _Products, seen: Mapping[str, np.ndarray], most: int, enough: float
+) -> list[tuple[tuple[str, ...], np.ndarray, float]]:
+    """Return the sets of a pool that leave at most `enough`; none holds another."""
     grown: list[tuple[str, ...]] = [()]
     out: list[tuple[tuple[str, ...], np.ndarray, float]] = []
     for _ in range(most):
