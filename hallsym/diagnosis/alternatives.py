@@ -296,6 +296,9 @@ def _sets(
     seen = {
         key: at[np.diag(R)[at] > NIL * np.maximum(np.diag(P.M)[at], 1e-300)] for key, at in P.others.items()
     }
+    together = np.concatenate(list(seen.values()))
+    if not len(together) or R[-1, -1] - coefficients(R, together) @ R[together, -1] > enough:
+        return []  # not even all of them
     plain = {key: at for key, at in seen.items() if not P.searched[key]}
     found = {entry[0]: entry for pool in (plain, seen) for entry in _grown(R, P, pool, most, enough)}
     return list(found.values())

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from hallsym.diagnosis.derivatives import slope_of
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap import remains, slow_share, used_up
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
@@ -43,8 +44,15 @@ def cancelled(
 
 
 def cancels(fit: Refitted, names: Sequence[str], over: float) -> bool:
-    """Return whether parameters undo each other: one alone makes `over` times what all of them make."""
-    return len(names) > 1 and max(_alone(fit, [n]) for n in names) > over * _alone(fit, names)
+    """Return whether parameters undo each other: one alone makes `over` times what all of them make.
+
+    Parameters that do nothing where the others are nil, such as a rail of what is not clipped, have no size.
+    """
+    model, p = fit.base.model, fit.base.p.copy()
+    at = [model.names.index(n) for n in names]
+    p[at] = model.nominal[at]
+    sized = [names[k] for k in np.unique(slope_of(model, p, names).column)]
+    return len(sized) > 1 and max(_alone(fit, [n]) for n in sized) > over * _alone(fit, names)
 
 
 def _alone(fit: Refitted, names: Sequence[str]) -> float:
