@@ -44,15 +44,25 @@ def cancelled(
 
 
 def cancels(fit: Refitted, names: Sequence[str], over: float) -> bool:
-    """Return whether parameters undo each other: one alone makes `over` times what all of them make.
+    """Return whether parameters of the same readings undo each other.
 
+    Then one alone makes more than `over` times what all of them make, such as a cubic and a quintic term.
     Parameters that do nothing where the others are nil, such as a rail of what is not clipped, have no size.
     """
     model, p = fit.base.model, fit.base.p.copy()
     at = [model.names.index(n) for n in names]
     p[at] = model.nominal[at]
-    sized = [names[k] for k in np.unique(slope_of(model, p, names).column)]
-    return len(sized) > 1 and max(_alone(fit, [n]) for n in sized) > over * _alone(fit, names)
+    slope = slope_of(model, p, names)
+    same: dict[tuple[int, ...], list[str]] = {}
+    for k, name in enumerate(names):
+        moved_readings = tuple(slope.channel[slope.column == k].tolist())
+        if moved_readings:
+            same.setdefault(moved_readings, []).append(name)
+    return any(
+        max(_alone(fit, [n]) for n in group) > over * _alone(fit, group)
+        for group in same.values()
+        if len(group) > 1
+    )
 
 
 def _alone(fit: Refitted, names: Sequence[str]) -> float:

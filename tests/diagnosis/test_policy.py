@@ -18,7 +18,7 @@ from test_compare import diagnosis
 from test_compare import effect as effect_record
 from test_diagnosis_holding import turn
 from test_diagnosis_rotary import bearing, machine, third
-from test_diagnosis_turn import LIKE_A_TABLE, overdriven, table
+from test_diagnosis_turn import LIKE_A_TABLE, table
 
 from hallsym.diagnosis import (
     POLICY,
@@ -52,7 +52,9 @@ from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.log import Log
 
-CONFUSABLE, FLEXIBLE = (sys.modules[f"hallsym.diagnosis.{name}"] for name in ("confusable", "flexible"))
+CONFUSABLE, FLEXIBLE, RANKING = (
+    sys.modules[f"hallsym.diagnosis.{name}"] for name in ("confusable", "flexible", "ranking")
+)
 """The modules; the package has functions of these names."""
 
 LEVEL = 0.05
@@ -344,11 +346,20 @@ def test_two_plain_effects_win_against_a_flexible_one():
     assert (off.verdict, off.ranked) == ("unexplained", ("magnet_tilt",))
 
 
-def test_a_flexible_effect_stays_where_a_second_one_beside_it_leaves_far_less():
-    """A rail and an old reading: a saturated field and a delay explain more than the rail alone."""
-    kept, off = without(overdriven(0.654, 0.034, -0.0024), "rotary", no_substitute=0.0)
-    assert kept.ranked[0] == "saturation"
-    assert off.ranked[0] == "field_saturation"
+def test_a_flexible_effect_stays_where_a_second_one_beside_it_leaves_far_less(monkeypatch):
+    """Two plain effects leave 300 squares with fewer parameters, the flexible one and a second one 100."""
+    flexible, plain = effect("flexible", 4, 400.0, 1e-6, bic=50.0), effect("plain", 1, 450.0, 1e-6)
+    gains = {"flexible": 300.0, "plain": 150.0}
+    monkeypatch.setattr(
+        RANKING, "_second", lambda e, *_: SimpleNamespace(gain=gains[e.score.effect.name], size=1, bic=0.0)
+    )
+
+    def best(policy: Policy) -> str:
+        order = RANKING.plain_pairs_first([flexible, plain], (), (), None, policy)
+        return str(order[0].score.effect.name)
+
+    assert best(POLICY) == "flexible"
+    assert best(replace(POLICY, no_substitute=0.0)) == "plain"
 
 
 def test_an_effect_that_other_parameters_undo_is_rejected():
