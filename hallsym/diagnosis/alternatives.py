@@ -163,8 +163,7 @@ def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _P
     first = n + far.slopes.columns
     index = {end.model.names[k]: j for j, k in enumerate(end.free)}
     selected = {
-        h.selected.name: np.array([index[q] for q in _added(h) if q in index], dtype=int)
-        for h in found.effects
+        h.selected.name: np.array([index[q] for q in h.added if q in index], dtype=int) for h in found.effects
     }
     taken = np.concatenate(list(selected.values()))
     return _Products(
@@ -180,16 +179,9 @@ def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _P
     )
 
 
-def _added(held: Held) -> list[str]:
-    """Return the parameters that an effect adds."""
-    model = held.selected.exact.score.model
-    before = held.without.base.model.names
-    return [n for n in model.names if n not in before]
-
-
 def _without(base: Base, held: Held) -> np.ndarray:
     """Return the values of `base` with an effect undone."""
-    return np.where(np.isin(base.model.names, _added(held)), base.model.nominal, base.p)
+    return np.where(np.isin(base.model.names, held.added), base.model.nominal, base.p)
 
 
 def _contributions(

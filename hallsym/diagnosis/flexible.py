@@ -88,8 +88,7 @@ class _Work:
         self.features = Features(base, runs)
         self.read = model.remember("reading, derivatives", lambda: reading_and_derivatives(model))
         self.plain = on_arrays(model.reading)
-        added = [n for n in model.names if n not in held.without.base.model.names]
-        self.p = np.where(np.isin(model.names, added), model.nominal, base.p)
+        self.p = np.where(np.isin(model.names, held.added), model.nominal, base.p)
         self.z, self.n = len(model.zeros), len(base.free)
         self.sums: dict[tuple[str, ...], dict[int, np.ndarray]] = {}
         self.shares: dict[tuple[str, ...], list[np.ndarray]] = {}

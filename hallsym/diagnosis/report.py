@@ -189,10 +189,15 @@ def sentence(
         return f"{said}; no known effect explains it."
     named = " and ".join(_with_others(e.name, instead_of(e.name)) for e in effects)
     if verdict == "behaves like":
-        first = next(e.name for e in effects if e.behaves_like)
+        first = next(e for e in effects if e.behaves_like or e.at_bound)
+        why = (
+            "a flexible alternative predicts other runs better"
+            if first.behaves_like
+            else "parameters of it ended at their bounds"
+        )
         return (
-            f"{said}. The machine behaves like {first}, but a flexible alternative predicts other runs "
-            f"better, so the cause is not known. With {named} it falls to {after}."
+            f"{said}. The machine behaves like {first.name}, but {why}, so the cause is not known. "
+            f"With {named} it falls to {after}."
         )
     rest = "" if verdict == "explained" else "; the rest has no known cause"
     return f"{said}. With {named} it falls to {after}{rest}."

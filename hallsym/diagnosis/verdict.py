@@ -17,7 +17,8 @@ def decide(setup: Setup, found: Validation, resembled: Collection[str] = ()) -> 
     """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
 
     `resembled`: effects that a flexible alternative beats. Where the effect that closes most of the gap is
-    one of them, the machine behaves like it, and the cause is not known.
+    one of them, or its parameters ended at their bounds, the machine behaves like it, and the cause is not
+    known.
 
     What is named must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`)
     makes the verdict "unexplained", unless what is named closes nearly all of the excess above the noise
@@ -33,7 +34,10 @@ def decide(setup: Setup, found: Validation, resembled: Collection[str] = ()) -> 
     if gap and share < setup.policy.closes:
         return "unexplained"
     main = max(found.effects, key=lambda h: h.errors.metric, default=None)
-    return "behaves like" if main and main.selected.name in resembled else "explained"
+    if main is None:
+        return "explained"
+    ended = {found.base.model.names[k] for k in found.fit.at_bound()}
+    return "behaves like" if main.selected.name in resembled or ended & set(main.added) else "explained"
 
 
 def closed(before: float, after: float, floor: float) -> float:
