@@ -176,6 +176,8 @@ class Confusable:
     groups: tuple[tuple[str, ...], ...]
     separate: tuple[Separation, ...]
     ranked: tuple[str, ...]
+    fits: tuple[Refitted, ...] = ()
+    """Models that the log does not exclude, each with everything else that was found in place."""
 
     def instead_of(self, name: str) -> list[str]:
         """Return what the log cannot tell from an effect: others, and sets of others that act together."""
@@ -202,15 +204,18 @@ def confusable(
     separate = []
     members = {h.selected.name: _members(setup, h.selected, found.inflation) for h in found.effects}
     known = {name: {r.score.effect.name for r, _ in rivals} for name, rivals in members.items()}
-    sets = []
+    sets, fits = [], []
     for other in alternatives(setup, selection, found, known):
         if len(other.instead_of) == len(other.names) == 1:
             one = Exact(other.scores[0], other.fit, other.fit.cost)
             members[other.instead_of[0]].append((one, other.distance))
         else:
             sets.append(other)
+        fits.append(other.fit)
     for held in found.effects:
         rivals = members[held.selected.name]
+        rest = {h.selected.name for h in found.effects} - {held.selected.name}
+        fits += [r.fit for r, _ in rivals if rest <= set(r.fit.base.model.effects) and r.fit not in fits]
         if rivals:
             groups.append((held.selected.name, *(r.score.effect.name for r, _ in rivals)))
             separate.append(_separation(setup, groups[-1], held.selected.exact, rivals, found.inflation))
@@ -224,7 +229,7 @@ def confusable(
         for held in found.effects:
             others = _not_excluded(setup, held.selected, found.inflation)
             names += [r.score.effect.name for r in others]
-    return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)))
+    return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)), tuple(fits))
 
 
 def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[Exact, float]]:

@@ -286,6 +286,33 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
+class NotExcluded:
+    """A model that the log does not exclude.
+
+    `effects`: as `--effect` takes them. `values`: of its parameters, by name [SI]. `weight`: its probability
+    among these models, by BIC.
+    """
+
+    effects: tuple[str, ...]
+    values: dict[str, float]
+    weight: float
+
+
+@dataclass(frozen=True)
+class ModelLeft:
+    """What the error of the model adds to the uncertainty of a position, for `hallsym budget --diagnosis`.
+
+    `rest`: standard uncertainty by output of what is left above the noise, without its shape where
+    `shape_counts`: then `unexplained.curve` holds that as a function of the pose or the state. `candidates`:
+    the named model first, then the others that the log does not exclude; none where there is no other.
+    """
+
+    rest: dict[str, float] = field(default_factory=dict)
+    shape_counts: bool = False
+    candidates: tuple[NotExcluded, ...] = ()
+
+
+@dataclass(frozen=True)
 class LogRecord:
     """The log that was diagnosed. `span`: least and greatest value by column of reference and state."""
 
@@ -306,7 +333,8 @@ class Diagnosis:
     beats the effect that closes most of it) or "unexplained".
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
-    "unexplained". `unexplained`: share and shape of that rest. `size`: the gap per output and sensor, on
+    "unexplained". `unexplained`: share and shape of that rest. `model_error`: what the budget of a position
+    takes of it. `size`: the gap per output and sensor, on
     fitted and on holdout runs. `shares`: what each coordinate, link, output, sensor, frequency and run takes
     of the excess alone; empty where noise explains it. `waves`: the harmonics of the error over each periodic
     coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found;
@@ -336,6 +364,7 @@ class Diagnosis:
     seconds: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     unexplained: Unexplained | None = None
+    model_error: ModelLeft = field(default_factory=ModelLeft)
     size: Sizes = field(default_factory=Sizes)
     shares: tuple[Share, ...] = ()
     next_step: tuple[str, ...] = ()

@@ -9,6 +9,7 @@ from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.decoded_errors import block_errors, interval, waves
 from hallsym.diagnosis.gap import worth_reporting
 from hallsym.diagnosis.localisation import Located, both, located
+from hallsym.diagnosis.model_error import model_error
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import (
     Diagnosis,
@@ -45,6 +46,8 @@ def report(
     metric = Metric(found.before.metric, after, found.floor.metric)
     share = closed(metric.before, metric.after, metric.floor)
     where, rest = _located(setup, selection, found, verdict)
+    left = unexplained(rest, 1 - share) if rest else None
+    gap_after = Gap(**found.before.gap()) if quiet else _gap_after(found)
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(
@@ -53,7 +56,7 @@ def report(
         held_out=setup.held_out,
         noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
         gap_before=Gap(**found.before.gap()),
-        gap_after=Gap(**found.before.gap()) if quiet else _gap_after(found),
+        gap_after=gap_after,
         metric=metric,
         shrinkage=Shrinkage(
             value=1 - metric.after / metric.before,
@@ -68,7 +71,8 @@ def report(
         shares=where.shares,
         size=_size(setup, found, where),
         remaining=rest.statements if rest else (),
-        unexplained=unexplained(rest, 1 - share) if rest else None,
+        unexplained=left,
+        model_error=model_error(setup, found, gap_after, after, left, alike),
         separate_by=alike.separate,
         validation_runs=setup.holdout,
         not_testable=selection.not_testable,
