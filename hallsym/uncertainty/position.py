@@ -51,7 +51,7 @@ def position_budget(
     for i, column in enumerate(fit.model.pose):
         rest = [replace(e.source, sensitivity=float(c[i])) for e, c in zip(listed, by_input, strict=True)]
         unit = column.rpartition("_")[2]
-        rest += [Source.normal(name, float(np.sqrt(v[0, i])), unit) for name, v in left.items()]
+        rest += [Source.normal(n, float(np.sqrt(v[0, i])), unit) for n, v in left.items() if v[0, i] > 0]
         first, correlation = _fit_sources(fit, column, found.parameters[0, i], split)
         budgets[column] = Budget(
             quantity=column,
