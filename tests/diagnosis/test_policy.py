@@ -154,7 +154,7 @@ def effect(name: str, size: int, cost: float, gap: float, ratio: float = 0.5, bi
     tangents = SimpleNamespace(count=np.array([500.0]))
     fit = SimpleNamespace(
         cost=cost, gap=lambda _: gap, fitted=np.array([0]), tangents=tangents,
-        base=SimpleNamespace(model=SimpleNamespace(channels=("a", "b"))),
+        base=SimpleNamespace(model=SimpleNamespace(channels=("a", "b"), effects=())),
     )  # fmt: skip
     return Exact(score, fit, bic)
 
