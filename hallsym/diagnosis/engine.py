@@ -5,6 +5,7 @@ The stages lead one way, each from typed records to a typed record:
     prepare    the model fitted on the fit runs                                   -> Setup
     select     screening by scores, greedy search with exact refits               -> Selection
     validate   the selected effects on the holdout runs, faults of samples        -> Validation
+    resemble   each effect that holds against a flexible alternative in its link  -> Resemblance
     decide     the verdict                                                        -> Verdict
     confusable effects the log cannot tell apart, recordings that separate them   -> Confusable
     report     everything of these                                                -> Diagnosis
@@ -16,6 +17,7 @@ from typing import Any
 
 from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.findings import findings
+from hallsym.diagnosis.flexible import resemblances
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
@@ -75,9 +77,10 @@ def examine(setup: Setup) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     selection = select(setup)
     found = validate(setup, selection)
-    verdict = decide(setup, found)
-    named = findings(setup, found)
+    resembled = resemblances(setup, found)
+    verdict = decide(setup, found, resembled)
+    named = findings(setup, found, resembled)
     quiet = verdict == "no gap"
-    alike = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
+    alike = Confusable((), (), ()) if quiet else confusable(setup, selection, found, named, verdict)
     diagnosis = report(setup, selection, found, named, verdict, alike)
     return Examined(diagnosis, setup.fit, setup.base, found.base if diagnosis.effects else None)

@@ -123,13 +123,13 @@ class Features:
             orders = np.arange(1, WAVES + 1)[:, None]
             yield Key("waves"), np.vstack([f(orders * u) for u in turns for f in (np.cos, np.sin)])
         if not self.turning:
-            yield Key("the pose together"), _powers(q, _degree(len(q)))
-        states = self._states(piece)
+            yield Key("the pose together"), powers(q, _degree(len(q)))
+        states = self.states(piece)
         if not self.turning and states:
-            s = _powers(np.array([self.unit(piece, c) for c in states]), 3)
+            s = powers(np.array([self.unit(piece, c) for c in states]), 3)
             yield Key("the state"), np.vstack([s, *(s * x for x in q), q])
         if "temperature_degc" in piece.data:
-            w = both(_powers(self.unit(piece, "temperature_degc")[None], 3))
+            w = both(powers(self.unit(piece, "temperature_degc")[None], 3))
             yield Key("temperature"), w if self.turning else np.vstack([w, q])
         if not timed:  # a counter stands for the time
             return
@@ -147,7 +147,7 @@ class Features:
         yield Key("acceleration"), np.vstack([a, np.abs(a), j, *(a * x for x in q), *(j * x for x in q)])
         yield PAST, np.vstack([np.roll(q, k, axis=1) for k in range(LAGS)])
 
-    def _states(self, piece: Piece) -> list[str]:
+    def states(self, piece: Piece) -> list[str]:
         """Return the logged columns of the state that have no family of their own."""
         others = {*(c.name for c in self.model.computed), "temperature_degc", "t_s"}
         return [c for c in self.model.state if c not in others and c in piece.data]
@@ -174,8 +174,8 @@ def _degree(coordinates: int) -> int:
     return next((d for d in range(DEGREE, 1, -1) if comb(coordinates + d, d) <= TOGETHER), 1)
 
 
-def _powers(x: np.ndarray, degree: int) -> np.ndarray:
-    """Products of the rows of x up to `degree`, without the constant."""
+def powers(x: np.ndarray, degree: int) -> np.ndarray:
+    """Return products of the rows of x up to `degree`, without the constant."""
     rows = [
         np.prod(x[list(pick)], axis=0)
         for n in range(1, degree + 1)

@@ -64,7 +64,8 @@ Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 """Runs, products for the likelihood, products in the output, samples."""
 
 
-def _reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
+def reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return what computes the reading and its derivatives in parameters and zeros, on arrays."""
     s = model.symbols
     reading = s.full(s.reading)
     parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
@@ -115,7 +116,7 @@ class Accumulator:
     ) -> None:
         self.base = base
         model = base.model
-        self.read = model.remember("reading, derivatives", lambda: _reading_and_derivatives(model))
+        self.read = model.remember("reading, derivatives", lambda: reading_and_derivatives(model))
         self.gain = decoding_gain(model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
@@ -233,9 +234,9 @@ class Accumulator:
 
     def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
         """Return all columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
-        return self._whitener(batch, weights)(slice(None))
+        return self.whitener(batch, weights)(slice(None))
 
-    def _whitener(self, batch: Batch, weights: np.ndarray | None) -> Callable[[slice], np.ndarray]:
+    def whitener(self, batch: Batch, weights: np.ndarray | None) -> Callable[[slice], np.ndarray]:
         """Return what gives all columns, whitened, of some samples: of all at once they may be 1 GB."""
         near, _ = self._near(batch, weights)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
@@ -254,7 +255,7 @@ class Accumulator:
         run: list[Stretch] = []
         seen, origin = 0, None
         for batch, weights in self.weighed("t_s"):
-            white = self._whitener(batch, weights)
+            white = self.whitener(batch, weights)
             t = batch.data["t_s"]
             origin = float(t[0]) if origin is None else origin
             for block, part in batch.parts():

@@ -69,6 +69,20 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Resemblance:
+    """Why the machine only behaves like an effect: a free variation of it predicts other runs better.
+
+    `by`: columns that the strength of the effect follows then; "the past" where the readings respond to the
+    past of what the effect makes. `misfit`: rms of the variation over rms of what the effect makes, on runs
+    left out. `p_value`: of no better prediction, corrected for all variations that were tried.
+    """
+
+    by: tuple[str, ...]
+    misfit: float
+    p_value: float
+
+
+@dataclass(frozen=True)
 class FoundEffect:
     """An effect that lowers the gap, with all other effects of the list in place.
 
@@ -76,8 +90,9 @@ class FoundEffect:
     resampled blocks. `share`: part of the excess above the noise floor that it closes. `p_value`: of its
     absence, valid for residuals that are correlated within a run, corrected for everything that was tested.
     `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
-    `at_bound`: parameters that ended at a bound; they have no uncertainty, and `note` says so. `note` also
-    says what to do about a fault.
+    `at_bound`: parameters that ended at a bound; they have no uncertainty. `behaves_like`: why the machine
+    only behaves like the effect; None where no flexible alternative beats it. `note` says both in words, and
+    what to do about a fault.
     """
 
     name: str
@@ -92,6 +107,7 @@ class FoundEffect:
     text: str = ""
     at_bound: tuple[str, ...] = ()
     note: str = ""
+    behaves_like: Resemblance | None = None
 
 
 @dataclass(frozen=True)
@@ -147,7 +163,8 @@ class Separation:
     whether `recording` was simulated with the members' models; then one such run of `run_s` seconds adds
     `sigma` standard deviations to the `sigma_now` of this log, and `runs` of them (`seconds` in all) reach 5.
     `tried`: every simulated recording, with its sigma per run. Where no recording can be simulated, or none
-    separates, `recording` is the advice of the catalogue.
+    separates, `recording` is the advice of the catalogue. `sides`: sets of effects that cannot be told apart;
+    empty where each effect of `group` stands alone.
     """
 
     group: tuple[str, ...]
@@ -162,6 +179,12 @@ class Separation:
     runs: int | None = None
     seconds: float | None = None
     tried: dict[str, float] = field(default_factory=dict)
+    sides: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def said(self) -> str:
+        """The sets that cannot be told apart, in words."""
+        return ", ".join(" + ".join(side) for side in self.sides or [(n,) for n in self.group])
 
 
 @dataclass(frozen=True)
@@ -264,6 +287,33 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
+class NotExcluded:
+    """A model that the log does not exclude.
+
+    `effects`: as `--effect` takes them. `values`: of its parameters, by name [SI]. `weight`: its probability
+    among these models, by BIC.
+    """
+
+    effects: tuple[str, ...]
+    values: dict[str, float]
+    weight: float
+
+
+@dataclass(frozen=True)
+class ModelLeft:
+    """What the error of the model adds to the uncertainty of a position, for `hallsym budget --diagnosis`.
+
+    `rest`: standard uncertainty by output of what is left above the noise, without its shape where
+    `shape_counts`: then `unexplained.curve` holds that as a function of the pose or the state. `candidates`:
+    the named model first, then the others that the log does not exclude; none where there is no other.
+    """
+
+    rest: dict[str, float] = field(default_factory=dict)
+    shape_counts: bool = False
+    candidates: tuple[NotExcluded, ...] = ()
+
+
+@dataclass(frozen=True)
 class LogRecord:
     """The log that was diagnosed. `span`: least and greatest value by column of reference and state."""
 
@@ -280,9 +330,12 @@ class LogRecord:
 class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
+    `verdict`: "no gap", "explained", "behaves like" (what is named closes the gap, but a flexible alternative
+    beats the effect that closes most of it) or "unexplained".
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
-    "unexplained". `unexplained`: share and shape of that rest. `size`: the gap per output and sensor, on
+    "unexplained". `unexplained`: share and shape of that rest. `model_error`: what the budget of a position
+    takes of it. `size`: the gap per output and sensor, on
     fitted and on holdout runs. `shares`: what each coordinate, link, output, sensor, frequency and run takes
     of the excess alone; empty where noise explains it. `waves`: the harmonics of the error over each periodic
     coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found;
@@ -312,6 +365,7 @@ class Diagnosis(Shown):
     seconds: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     unexplained: Unexplained | None = None
+    model_error: ModelLeft = field(default_factory=ModelLeft)
     size: Sizes = field(default_factory=Sizes)
     shares: tuple[Share, ...] = ()
     next_step: tuple[str, ...] = ()

@@ -1,6 +1,6 @@
 """The Diagnosis, put together from what the stages found. Nothing is decided here."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
 
@@ -9,6 +9,7 @@ from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.decoded_errors import block_errors, interval, waves
 from hallsym.diagnosis.gap import worth_reporting
 from hallsym.diagnosis.localisation import Located, both, located
+from hallsym.diagnosis.model_error import model_error
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import (
     Diagnosis,
@@ -45,15 +46,17 @@ def report(
     metric = Metric(found.before.metric, after, found.floor.metric)
     share = closed(metric.before, metric.after, metric.floor)
     where, rest = _located(setup, selection, found, verdict)
+    left = unexplained(rest, 1 - share) if rest else None
+    gap_after = Gap(**found.before.gap()) if quiet else _gap_after(found)
     return Diagnosis(
         verdict=verdict,
         sentence=sentence(
-            verdict, named, alike.groups, metric, gap_unit(setup.fit.model.pose), setup.held_out
+            verdict, named, alike.instead_of, metric, gap_unit(setup.fit.model.pose), setup.held_out
         ),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
         gap_before=Gap(**found.before.gap()),
-        gap_after=Gap(**found.before.gap()) if quiet else _gap_after(found),
+        gap_after=gap_after,
         metric=metric,
         shrinkage=Shrinkage(
             value=1 - metric.after / metric.before,
@@ -68,7 +71,8 @@ def report(
         shares=where.shares,
         size=_size(setup, found, where),
         remaining=rest.statements if rest else (),
-        unexplained=unexplained(rest, 1 - share) if rest else None,
+        unexplained=left,
+        model_error=model_error(setup, found, gap_after, after, left, alike),
         separate_by=alike.separate,
         validation_runs=setup.holdout,
         not_testable=selection.not_testable,
@@ -166,14 +170,14 @@ def _source(fit: Fit) -> str:
 def sentence(
     verdict: str,
     effects: Sequence[FoundEffect],
-    groups: Sequence[tuple[str, ...]],
+    instead_of: Callable[[str], Sequence[str]],
     gap: Metric,
     unit: tuple[float, str],
     held_out: str = "holdout run",
 ) -> str:
     """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
 
-    `held_out`: what judges.
+    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges.
     """
     judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
@@ -187,15 +191,24 @@ def sentence(
     said = f"The error on the {judges} is {before}, {times:.3g} x the noise floor"
     if not effects:
         return f"{said}; no known effect explains it."
-    named = " and ".join(_with_group(e.name, groups) for e in effects)
+    named = " and ".join(_with_others(e.name, instead_of(e.name)) for e in effects)
+    if verdict == "behaves like":
+        first = next(e for e in effects if e.behaves_like or e.at_bound)
+        why = (
+            "a flexible alternative predicts other runs better"
+            if first.behaves_like
+            else "parameters of it ended at their bounds"
+        )
+        return (
+            f"{said}. The machine behaves like {first.name}, but {why}, so the cause is not known. "
+            f"With {named} it falls to {after}."
+        )
     rest = "" if verdict == "explained" else "; the rest has no known cause"
     return f"{said}. With {named} it falls to {after}{rest}."
 
 
-def _with_group(name: str, groups: Sequence[tuple[str, ...]]) -> str:
-    """Return an effect with the others that the log cannot tell from it: `time_skew (or first_order_lag)`."""
-    group = next((g for g in groups if name in g), (name,))
-    others = [other for other in group if other != name]
+def _with_others(name: str, others: Sequence[str]) -> str:
+    """Return an effect with those that the log cannot tell from it: `time_skew (or first_order_lag)`."""
     return f"{name} (or {' or '.join(others)})" if others else name
 
 

@@ -27,6 +27,12 @@ class Held:
     errors: BlockErrors
     p_value: float
 
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Names of the parameters that the effect adds."""
+        before = self.without.base.model.names
+        return tuple(n for n in self.selected.exact.score.model.names if n not in before)
+
 
 @dataclass(frozen=True, eq=False)
 class Validation:

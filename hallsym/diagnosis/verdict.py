@@ -1,5 +1,6 @@
 """The verdict, decided in one place from what the holdout runs say."""
 
+from collections.abc import Collection
 from typing import Literal
 
 import numpy as np
@@ -9,11 +10,15 @@ from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
 
-Verdict = Literal["no gap", "explained", "unexplained"]
+Verdict = Literal["no gap", "explained", "behaves like", "unexplained"]
 
 
-def decide(setup: Setup, found: Validation) -> Verdict:
+def decide(setup: Setup, found: Validation, resembled: Collection[str] = ()) -> Verdict:
     """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
+
+    `resembled`: effects that a flexible alternative beats. Where the effect that closes most of the gap is
+    one of them, or its parameters ended at their bounds, the machine behaves like it, and the cause is not
+    known.
 
     What is named must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`)
     makes the verdict "unexplained", unless what is named closes nearly all of the excess above the noise
@@ -26,7 +31,13 @@ def decide(setup: Setup, found: Validation) -> Verdict:
     if not named:
         return "unexplained" if gap else "no gap"
     share = closed(found.before.metric, found.metric, found.floor.metric)
-    return "unexplained" if gap and share < setup.policy.closes else "explained"
+    if gap and share < setup.policy.closes:
+        return "unexplained"
+    main = max(found.effects, key=lambda h: h.errors.metric, default=None)
+    if main is None:
+        return "explained"
+    ended = {found.base.model.names[k] for k in found.fit.at_bound()}
+    return "behaves like" if main.selected.name in resembled or ended & set(main.added) else "explained"
 
 
 def closed(before: float, after: float, floor: float) -> float:

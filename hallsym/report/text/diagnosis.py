@@ -179,7 +179,7 @@ def _shrinks(d: Diagnosis) -> str:
 def separation_text(s: Separation) -> str:
     """Return what a log cannot tell apart, and the recording that would."""
     now = "" if s.sigma_now is None else f" ({s.sigma_now:.2g} sigma)"
-    text = f"This log cannot tell apart: {', '.join(s.group)}{now}."
+    text = f"This log cannot tell apart: {s.said}{now}."
     if s.simulated and s.sigma is not None and s.runs is not None and s.seconds is not None:
         many = "one such run is enough" if s.runs == 1 else f"{s.runs} such runs are enough"
         total = f", {s.seconds:.3g} s in all" if s.runs > 1 else ""
