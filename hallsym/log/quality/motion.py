@@ -108,7 +108,7 @@ class Gains:
     def moves(self, others: Sequence[Array]) -> bool:
         """Say whether the column should have moved while the others took these values, (n,) each."""
         predicted, known = self.predicted(others)
-        return bool(known.mean() > 0.5 and np.std(predicted[known]) > OVER_NOISE * self.spread)
+        return bool(known.any() and np.std(predicted[known]) > OVER_NOISE * self.spread)
 
     def predicted(self, others: Sequence[Array]) -> tuple[Array, Array]:
         """Return the column (n,) by the others, and where the fitted samples support it, (n,) of bool.
