@@ -147,6 +147,13 @@ def codes_held(length: int) -> Arrays:
     return run_of(hall_a_m=1e-6 * codes)
 
 
+def equal_by_chance(rows: int) -> Arrays:
+    """Noise of five codes, of which eight are equal."""
+    codes = np.round(5 * np.random.default_rng(1).standard_normal(rows))
+    codes[40:48] = codes[40]
+    return run_of(hall_a_m=1e-6 * codes)
+
+
 def places(spread: float) -> Arrays:
     """Six places of a reading, and a reference that moves about each, one sigma over their distance."""
     place = np.repeat(np.random.default_rng(1).integers(0, 6, 100), 12).astype(float)
@@ -163,6 +170,8 @@ MADE = (
     ("the shaft is 0.4 times as fast there", creeps(0.4), None),
     ("14 equal codes", codes_held(14), "holds one value"),
     ("12 equal codes", codes_held(12), None),
+    ("8 equal values of 300, once in 1.5 million logs", equal_by_chance(300), "holds one value"),
+    ("8 equal values of 700, once in 0.7 million logs", equal_by_chance(700), None),
     ("a reading hides 0.14 of its step", places(0.14), "takes 6 values only"),
     ("a reading hides 0.08 of its step", places(0.08), None),
 )

@@ -24,8 +24,8 @@ MOST = 30_000
 TOGETHER = 256
 """Changes of references that are tried at once."""
 MORE = 0.5
-"""Cost of what is wrong with a column beside the first, which costs 1: another sign and another unit, or values
-that are too small by a unit, which only a conversion done twice makes."""
+"""Cost of what is wrong with a column beside the first, which costs 1: another sign beside another unit, or
+values that are too small by a unit, which only a conversion done twice makes."""
 AS_GOOD = 2.0
 """Changes more than the fewest that an explanation by other columns may take to be named beside it."""
 
