@@ -277,6 +277,8 @@ GAIN, SIGN = (
         (lambda: with_y(shaken(lambda _: FULL), 0.34), r"In run 2 .* the readings contradict the model"),
         (lambda: in_run_2(quiet(0.06), np.negative), GAIN),  # too quiet for its slopes to say why
         (lambda: in_run_2(quiet(0.08), np.negative), SIGN),
+        (lambda: in_run_2(quiet(0.033), np.negative), r"In run 2 .* the readings contradict the model"),
+        (lambda: in_run_2(quiet(0.05), np.negative), GAIN),
         (lambda: buried(0.09), None),
         (lambda: buried(0.12), r"In run 2 .* explain less than half"),
     ],
@@ -306,6 +308,20 @@ def test_another_explanation_is_named_up_to_two_changes_more(moves, column, fact
     with pytest.raises(InputError, match=says) as error:
         fit(log_of(arrays | {column: factor * arrays[column]}), "stage31", solver="direct")
     assert ("; or " in str(error.value)) is other
+
+
+@pytest.mark.parametrize(("size", "refused"), [(0.04, False), (0.06, True)])
+def test_a_sign_is_told_beyond_the_noise(size, refused):
+    """Channel A is inverted and noisy: its slope on y is wrong by 5 or by 8 standard deviations."""
+    arrays = shaken(lambda _: (FULL[0], size * FULL[1], 0.0), samples=100)
+    noise = 1.5e-5 * np.random.default_rng(1).standard_normal(len(arrays["run"]))
+    try:
+        said = fit(
+            log_of(arrays | {"hall_a_m": noise - arrays["hall_a_m"]}), "stage31", solver="direct", loss="none"
+        ).notes
+    except InputError as error:
+        said = (str(error),)
+    assert any("the sign of hall_a_m looks inverted" in text for text in said) is refused
 
 
 def test_a_held_out_run_is_a_note(six):
