@@ -30,7 +30,7 @@ DRAWS = 24
 ROUNDS = 4
 """Of correcting the autocovariance by simulation: each leaves about the square of the relative loss."""
 FAR = 6.0
-"""Robust standard deviations at which a sample is clipped for its correlations: a spike has none."""
+"""Robust standard deviations beyond which a sample takes no part in correlations: a spike has none."""
 MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 ROUNDING = 1e-9
@@ -104,8 +104,8 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
     body = MAD * np.median(np.abs(left[:, r.used]), axis=1, keepdims=True)
     if not np.all(body > 0):
         return None
-    clipped = np.clip(left, -FAR * body, FAR * body)
-    scaled = clipped / np.sqrt(work.covariances(clipped, 0))
+    near = np.where(np.abs(left) < FAR * body, left, 0.0)
+    scaled = near / np.sqrt(work.covariances(near, 0))
     white = np.random.default_rng(0).standard_normal((DRAWS, left.shape[1] + SETTLE))
     seen = work.covariances(scaled, LAGS).mean(axis=0)
     phi, kept = _autoregression(work, seen[: ORDER + 1], white)
