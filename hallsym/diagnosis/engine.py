@@ -5,7 +5,7 @@ The stages lead one way, each from typed records to a typed record:
     prepare    the model fitted on the fit runs                                   -> Setup
     select     screening by scores, greedy search with exact refits               -> Selection
     validate   the selected effects on the holdout runs, faults of samples        -> Validation
-    decide     the verdict                                                        -> Verdict
+    decide     the noise that is left, the verdict                                -> Verdict
     confusable effects the log cannot tell apart, recordings that separate them   -> Confusable
     report     everything of these                                                -> Diagnosis
 """
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.findings import findings
+from hallsym.diagnosis.noise import noise_of_rest
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
@@ -22,7 +23,7 @@ from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import select
 from hallsym.diagnosis.setup import Setup, prepare
 from hallsym.diagnosis.validation import validate
-from hallsym.diagnosis.verdict import decide
+from hallsym.diagnosis.verdict import QUIET, decide
 from hallsym.estimation.calibration import Fit
 from hallsym.log import Log
 from hallsym.model import Effect, Model
@@ -73,9 +74,10 @@ def examine(setup: Setup) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     selection = select(setup)
     found = validate(setup, selection)
-    verdict = decide(setup, found)
+    noise = noise_of_rest(found.base, setup.runs)
+    verdict = decide(setup, found, noise)
     named = findings(setup, found)
-    quiet = verdict == "no gap"
+    quiet = verdict in QUIET
     alike = Confusable((), (), ()) if quiet else confusable(setup, found, named, verdict)
-    diagnosis = report(setup, selection, found, named, verdict, alike)
+    diagnosis = report(setup, selection, found, named, verdict, alike, noise)
     return Examined(diagnosis, setup.fit, setup.base, found.base if diagnosis.effects else None)

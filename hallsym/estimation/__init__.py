@@ -61,7 +61,7 @@ from hallsym.estimation.lower_bound import LowerBound, lower_bound
 from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import BUDGET, SOLVERS, Solution, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
-from hallsym.estimation.residual_columns import noise_left
+from hallsym.estimation.residual_columns import noise_at, noise_left
 from hallsym.estimation.residual_noise import KNOWN, Residual, ResidualNoise, autoregressive, residual_noise
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.estimation.start import LinearFit, closed_form, linear_fit
@@ -120,6 +120,7 @@ __all__ = [
     "load_fit",
     "logged_columns",
     "lower_bound",
+    "noise_at",
     "noise_floor",
     "noise_left",
     "noise_of",

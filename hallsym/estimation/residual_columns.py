@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from hallsym.estimation.decoding import columns_of
-from hallsym.estimation.likelihood import Cost, Point
+from hallsym.estimation.likelihood import Point
 from hallsym.estimation.residual_noise import Residual, ResidualNoise, residual_noise
 from hallsym.families.play import stop_operator
 from hallsym.log import Log
@@ -44,28 +44,35 @@ TURNS = 0.05
 def noise_left(
     log: Log,
     model: Model,
-    cost: Cost,
     p: np.ndarray,
+    zeros: Mapping[int, np.ndarray],
+    covariance: np.ndarray,
     sigma: Mapping[str, float],
     keep: Weigh | None = None,
-    further: Sequence[str] = ("temperature_degc",),
 ) -> ResidualNoise | None:
-    """Return the noise that a model leaves on the runs of `cost`, whose zeros are those at `p` (n,).
+    """Return the noise that a model with parameters `p` (n,) leaves on the runs of `zeros`.
 
-    `sigma`: noise by column; the ratio is against it. `keep`: weight of each sample. None where the log is
-    too short to tell.
+    `zeros`: run -> zero deviations, as displacements. `covariance`: (K, K) that the noise `sigma` by column
+    gives a residual; the ratio is against it. `keep`: weight of each sample. None where the log is too short
+    to tell.
     """
-    point = cost.at(p)
-    zeros = dict(zip(cost.summary.runs, point.zeros, strict=True))
     most = max(1, min(ROOM, READINGS // len(model.channels)))
-    data, values, used = _read(log, model, p, zeros, sigma, keep, most, further)
+    data, values, used = _read(log, model, p, zeros, sigma, keep, most)
     if not len(used) or not used.any():
         return None
     columns = np.array([row for row in _columns(model, data, sigma) if np.all(np.isfinite(row))])
     columns = columns.reshape(-1, len(used))[: int(used.sum()) // SHARE]
-    covariance = point.covariance.mean(axis=0)
     found = Residual(values, covariance, data["run"], columns, used, bool(model.zeros))
     return residual_noise(found, model.channels)
+
+
+def noise_at(
+    log: Log, point: Point, sigma: Mapping[str, float], keep: Weigh | None = None
+) -> ResidualNoise | None:
+    """Return the noise that a fit leaves on its runs; `point`: of its cost at the optimum."""
+    cost = point.cost
+    zeros = dict(zip(cost.summary.runs, point.zeros, strict=True))
+    return noise_left(log, cost.summary.model, point.p, zeros, point.covariance.mean(axis=0), sigma, keep)
 
 
 def estimated_factor(left: ResidualNoise, point: Point, columns: Collection[str]) -> float:
@@ -96,10 +103,11 @@ def _read(
     sigma: Mapping[str, float],
     keep: Weigh | None,
     most: int,
-    further: Sequence[str],
 ) -> tuple[Data, np.ndarray, np.ndarray]:
     """Return columns, the residual (K, n) and which samples count, of the beginning of each fitted run."""
-    wanted = dict.fromkeys((*columns_of(model), *(c for c in (*further, "t_s") if c in log.columns)))
+    wanted = dict.fromkeys(
+        (*columns_of(model), *(c for c in ("temperature_degc", "t_s") if c in log.columns))
+    )
     source = extended(log, model, sigma, model.named(p))
     left = dict.fromkeys(zeros, -(-most // max(len(zeros), 1)))
     parts: list[Data] = []

@@ -23,7 +23,7 @@ from hallsym.estimation.lateness import lateness
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
 from hallsym.estimation.plausible import Judgement, judge
-from hallsym.estimation.residual_columns import estimated_factor, noise_left
+from hallsym.estimation.residual_columns import estimated_factor, noise_at
 from hallsym.estimation.residual_noise import KNOWN
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.log import Log, Noise, estimate_noise
@@ -294,8 +294,9 @@ class Task:
         if not guessed:
             return solved
         state = solved.solution
-        left = noise_left(self.log, self.model, state.fitted, state.p, self.noise.std, solved.keep)
-        factor = 1.0 if left is None else estimated_factor(left, state.fitted.at(state.p), guessed)
+        point = state.fitted.at(state.p)
+        left = noise_at(self.log, point, self.noise.std, solved.keep)
+        factor = 1.0 if left is None else estimated_factor(left, point, guessed)
         if factor <= 1.0 + KNOWN:
             return solved
         sigmas = {

@@ -8,7 +8,7 @@ from gap_twins import SIGMA, Motion, machine
 from scipy.signal import lfilter
 
 import hallsym
-from hallsym.estimation import Residual, ResidualNoise, autoregressive, noise_left, residual_noise
+from hallsym.estimation import Residual, ResidualNoise, autoregressive, noise_at, residual_noise
 from hallsym.log import Noise
 
 CHANNELS = ("a", "b", "c")
@@ -37,7 +37,7 @@ def found(
 
 @pytest.mark.parametrize("samples", [0, 3, 10])
 def test_size_and_colour_are_those_of_the_noise(samples: float) -> None:
-    """Offsets of 20 runs and 40 functions take a tenth of the squares of the slowest noise: it is given back."""
+    """Offsets of 20 runs and 40 functions take a tenth of the slowest noise along: it is given back."""
     rng = np.random.default_rng(0)
     every = [found(coloured(rng, 4000, samples)) for _ in range(12)]
     ratio = np.array([r.ratio for r in every])
@@ -128,7 +128,7 @@ def test_stated_noise_stays_as_stated() -> None:
     fit = hallsym.fit(replace(log, noise=Noise(quieter)), "stage31", solver="direct")
     assert fit.noise["hall_a_m"].value == SIGMA["hall_a_m"] / 2
     assert fit.likelihood is not None
-    left = noise_left(log, fit.model, fit.likelihood, fit.values, fit.noise.std)
+    left = noise_at(log, fit.likelihood.at(fit.values), fit.noise.std)
     assert left is not None
     assert left.ratio == pytest.approx(2.0, rel=0.03)
     assert left.white
