@@ -34,6 +34,7 @@ def noise_of_rest(base: Base, runs: Sequence[int]) -> NoiseFinding | None:
         correlation=left.correlation,
         memory=left.memory,
         coefficients=tuple(left.coefficients.tolist()),
+        bounded=left.bounded,
     )
 
 

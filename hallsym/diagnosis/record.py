@@ -44,7 +44,8 @@ class NoiseFinding:
     same by sensor, `larger_in`: the sensors in which it is certainly larger. `white`: whether its samples may
     be independent; `whiteness_p`: probability that white noise is as correlated. `correlation`: of
     neighbouring samples, `memory`: variance of a slow average over that of white noise, `coefficients`: of
-    the autoregression.
+    the autoregression. `bounded`: whether it is flatter than Gaussian noise, such as a wave or steps between
+    levels: no noise.
     """
 
     ratio: float
@@ -56,6 +57,7 @@ class NoiseFinding:
     correlation: float
     memory: float
     coefficients: tuple[float, ...]
+    bounded: bool = False
 
     @property
     def larger(self) -> bool:

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from hallsym.diagnosis.gap import remains, shaped, worth_reporting
-from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from hallsym.diagnosis.noise import LARGER
 from hallsym.diagnosis.record import NoiseFinding
 from hallsym.diagnosis.setup import Setup
@@ -29,25 +29,32 @@ def decide(setup: Setup, found: Validation, noise: NoiseFinding | None = None) -
     base, metric = (found.base, found.metric) if named else (found.start.base, found.before.metric)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     gap = remains(rest, found.slow, metric, found.floor, setup.threshold, setup.policy)
-    loud = noise is not None and all_noise(setup, found, metric, noise)
-    if loud and not shaped(rest, setup.threshold, setup.policy):
-        gap = False
+    loud = noise is not None and all_noise(setup, found, rest, metric, noise)
+    gap = gap and not loud
     if not named:
         return "unexplained" if gap else LARGER if loud else "no gap"
     share = closed(found.before.metric, found.metric, found.floor.metric)
     return "unexplained" if gap and share < setup.policy.closes else "explained"
 
 
-def all_noise(setup: Setup, found: Validation, metric: float, noise: NoiseFinding) -> bool:
+def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: NoiseFinding) -> bool:
     """Return whether what `metric` has above the stated floor is worth reporting, and noise explains it.
 
-    Functions of the motion, the state and time then lower the metric by less than the threshold.
+    No function of the motion, the state and time may predict half of the threshold; nor may waves or steps
+    between levels be in it. Where differences of neighbouring samples have the stated noise in full, within
+    what a floor is known to, noise that is correlated is something on top of it.
     """
-    floor, policy = found.floor, setup.policy
-    if not (floor.stated and noise.larger) or metric <= worth_reporting(floor, setup.threshold, policy):
+    floor, policy, threshold = found.floor, setup.policy, setup.threshold
+    if not (floor.stated and noise.larger) or noise.bounded:
         return False
-    known = replace(floor, metric=floor.metric * noise.interval[1])
-    return metric <= worth_reporting(known, setup.threshold, policy)
+    if metric <= worth_reporting(floor, threshold, policy) or shaped(rest, threshold, policy):
+        return False
+    half = policy.half * threshold
+    if rest.lines >= half or any(s.p_value < policy.shape_certain and s.drop >= half for s in rest.shapes):
+        return False
+    slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.floor_known
+    known = replace(floor, metric=floor.metric * noise.ratio)
+    return not slow_on_top and metric <= worth_reporting(known, threshold, policy)
 
 
 def closed(before: float, after: float, floor: float) -> float:
