@@ -74,7 +74,7 @@ def examine(setup: Setup) -> Examined:
     """Diagnose as `diagnose` does and return the fitted models too, which a page draws."""
     selection = select(setup)
     found = validate(setup, selection)
-    noise = noise_of_rest(found.base, setup.runs)
+    noise = noise_of_rest(found.judged, setup.runs)
     verdict = decide(setup, found, noise)
     named = findings(setup, found)
     quiet = verdict in QUIET

@@ -118,6 +118,7 @@ class _Work:
         self.power = np.zeros(SEGMENT // 2 + 1)
         self.segments = 0
         self.of_run: list[np.ndarray] = []
+        self.single: list[np.ndarray] = []
         self.scatter = np.zeros((2, SEGMENT // 2 + 1))
 
     # -- one stretch -----------------------------------------------------------------------------------------
@@ -213,12 +214,19 @@ class _Work:
             self.gained.append((float(gain), float(np.trace(sides.sum(axis=0)[n:, n:]))))
         self.within = [np.zeros((0, 0)), np.zeros((0, 0))]
         if self.of_run:
-            power = np.array(self.of_run)
-            mean = power.mean(axis=0)
-            self.power += power.sum(axis=0)
-            self.scatter += np.array([((power - mean) ** 2).sum(axis=0), (len(power) - 1) * mean**2])
+            self.power += np.sum(self.of_run, axis=0)
+            if len(self.of_run) == 1:
+                self.single += self.of_run
+            else:
+                self._scattered(self.of_run)
             self.of_run = []
         self.seen += 1
+
+    def _scattered(self, segments: Sequence[np.ndarray]) -> None:
+        """Add the squares by which the power of segments scatters, and those of its mean."""
+        mean = np.mean(segments, axis=0)
+        squares = np.sum((np.array(segments) - mean) ** 2, axis=0)
+        self.scatter += np.array([squares, (len(segments) - 1) * mean**2])
 
     def finish(self) -> LackOfFit:
         if self.run is not None:
@@ -248,7 +256,12 @@ class _Work:
         return 1 - float(np.sqrt(max(1 - share, 0.0)))
 
     def _steady(self, certain: np.ndarray) -> bool:
-        """Return whether lines have the same power all through a run, unlike noise of their frequency."""
+        """Return whether lines have the same power all through a run, unlike noise of their frequency.
+
+        Runs too short for that are held against each other.
+        """
+        if len(self.single) > 1:
+            self._scattered(self.single)
         (line, of_line), (noise, of_noise) = (
             self.scatter[:, pick].sum(axis=1) for pick in (certain, ~certain)
         )

@@ -69,6 +69,11 @@ class Validation:
         return self.fit.base
 
     @property
+    def judged(self) -> Base:
+        """The same on the samples that count in the gap: all, but for those that are a fault by themselves."""
+        return self.base if self.cured is not self.after else replace(self.base, keep=None)
+
+    @property
     def named(self) -> bool:
         """Whether anything is named: an effect, a fault of samples, or a wrong channel assignment."""
         return bool(self.effects or self.faults or self.miswired)

@@ -158,8 +158,9 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float] = NONE) -> Ite
     made = {c.name for c in model.computed}
     data = data | {c: _at_rest(v, data["run"], sigma.get(c, 0.0)) for c, v in data.items() if c in sigma}
     moves = [c for c in model.references if _moves(data[c], sigma.get(c, 0.0))]
-    turns = {c: 2 * np.pi / model.period[c] * data[c] for c in moves if c in model.period}
-    lines = {c: _unit(data[c]) for c in moves if c not in turns}
+    place = {c: _beside(data, c) if "t_s" in data else data[c] for c in moves}
+    turns = {c: 2 * np.pi / model.period[c] * place[c] for c in moves if c in model.period}
+    lines = {c: _unit(place[c]) for c in moves if c not in turns}
     states = [c for c in dict.fromkeys((*model.state, "temperature_degc")) if c in data and c not in made]
     states = [c for c in states if c not in model.references and _moves(data[c], sigma.get(c, 0.0))]
     s = [_unit(data[c]) for c in states]
@@ -167,7 +168,7 @@ def _columns(model: Model, data: Data, sigma: Mapping[str, float] = NONE) -> Ite
     yield from q
     yield from s
     yield from (a * x for a in s for x in q)
-    rates = list(_rates(data, moves, turns))
+    rates = list(_rates(data, moves))
     for v, a in rates:
         yield from (v, np.tanh(v / TURNS), a)
     for k in range(2, WAVES + 1):
@@ -204,18 +205,31 @@ def _within_runs(data: Data, lines: Data) -> Iterator[np.ndarray]:
             yield np.concatenate([stop_operator(x[s], width * size) for s in runs])
 
 
+def _beside(data: Data, column: str) -> np.ndarray:
+    """Return where the neighbours of each sample say that a coordinate is, by cubics through four of them.
+
+    The noise of a sample's own coordinate is in its residual: places beyond a turning point are noise.
+    """
+    out = data[column].copy()
+    for first, last in pairwise(_edges(data["run"])):
+        x = data[column][first:last]
+        if len(x) > 4:
+            wide = np.concatenate([2 * x[0] - x[2:0:-1], x, 2 * x[-1] - x[-2:-4:-1]])
+            out[first:last] = (4.0 * (wide[1:-3] + wide[3:-1]) - wide[:-4] - wide[4:]) / 6.0
+    return out
+
+
 def _edges(run: np.ndarray) -> list[int]:
     return [0, *(np.flatnonzero(np.diff(run)) + 1).tolist(), len(run)]
 
 
-def _rates(data: Data, moves: Sequence[str], turns: Data) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _rates(data: Data, moves: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield velocity and acceleration of each coordinate over their greatest values, run by run."""
     t = data.get("t_s")
     if t is None:
         return
     for c in moves:
-        x = turns.get(c, data[c])
-        v = _slope(x, t, data["run"], REACH)
+        v = _slope(data[c], t, data["run"], REACH)
         a = _slope(v, t, data["run"], REACH + 1)  # one more, so that the sample itself has no part in it
         yield _over(v), _over(a)
 
