@@ -70,7 +70,7 @@ class Validation:
 
     @property
     def judged(self) -> Base:
-        """The same on the samples that count in the gap: all, but for those that are a fault by themselves."""
+        """The same on the samples that the gap counts: all but those that are a fault by themselves."""
         return self.base if self.cured is not self.after else replace(self.base, keep=None)
 
     @property

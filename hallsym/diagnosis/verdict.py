@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.diagnosis.gap import remains, shaped, worth_reporting
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
-from hallsym.diagnosis.noise import LARGER
+from hallsym.diagnosis.noise import LARGER, in_outputs
 from hallsym.diagnosis.record import NoiseFinding
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
@@ -53,7 +53,7 @@ def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, n
     if rest.lines >= half or any(s.p_value < policy.shape_certain and s.drop >= half for s in rest.shapes):
         return False
     slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.floor_known
-    known = replace(floor, metric=floor.metric * noise.ratio)
+    known = replace(floor, metric=floor.metric * in_outputs(found.base, noise))
     return not slow_on_top and metric <= worth_reporting(known, threshold, policy)
 
 
