@@ -262,10 +262,13 @@ class _Work:
         """
         if len(self.single) > 1:
             self._scattered(self.single)
-        (line, of_line), (noise, of_noise) = (
-            self.scatter[:, pick].sum(axis=1) for pick in (certain, ~certain)
-        )
-        return bool(line * of_noise < STEADY * noise * of_line) if of_line > 0 and of_noise > 0 else True
+        varies, squares = self.scatter
+        noise = ~certain & (squares > 0)
+        if not noise.any() or not squares[certain].sum() > 0:
+            return True
+        # the median: a few frequencies beside a line have a part of its power
+        usual = float(np.median(varies[noise] / squares[noise]))
+        return bool(varies[certain].sum() < STEADY * usual * squares[certain].sum())
 
 
 def judged(key: Key, folds: np.ndarray, E: int) -> Shape:

@@ -52,9 +52,8 @@ def in_outputs(base: Base, noise: NoiseFinding) -> float:
     model, here = base.model, base.log.columns
     state = [float(np.mean(base.log.array(c))) if c in here else 0.0 for c in model.state]
     spread = np.asarray(model.noise_gain(base.p, state, base.weight)) * base.pose_weights[:, None]
-    known, real = (
-        np.einsum("ik,kl,il->", spread, b.covariance, spread) for b in (base, with_noise(base, noise))
-    )
+    covariances = base.covariance, with_noise(base, noise).covariance
+    known, real = (float(np.einsum("ik,kl,il->", spread, C, spread)) for C in covariances)
     return float(np.sqrt(real / known)) if known > 0 else noise.ratio
 
 

@@ -72,7 +72,7 @@ def report(
         effects=named,
         where=where.statements,
         shares=where.shares,
-        size=_size(setup, found, where, noise is not None and noise.larger),
+        size=_size(setup, found, where, noise is not None and noise.larger and verdict != "unexplained"),
         remaining=rest.statements if rest else (),
         unexplained=unexplained(rest, 1 - share) if rest else None,
         separate_by=alike.separate,
@@ -133,20 +133,20 @@ def _located(
     the excess is what exceeds the noise: noise lies nowhere.
     """
     start, runs = found.start.base, setup.base.log.runs
-    if noise is not None and noise.larger:
-        start = with_noise(start, noise)
+    loud = noise if noise is not None and noise.larger and verdict != "unexplained" else None
+    if loud is not None:
+        start = with_noise(start, loud)
     plain = replace(start, keep=None)
-    floor = found.floor.metric * (max(noise.ratio, 1.0) if noise is not None and noise.larger else 1.0)
+    floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
     if found.before.metric > floor * (1 + setup.policy.floor_known):
         gap = located(plain, runs, selection.scores_at(found.start.base), found.faults, found.variance)
     else:
         gap = Located((), (), *both(plain, runs))
     if verdict != "unexplained":
         return gap, None
-    if found.base is found.start.base:
+    if found.base is start:
         return gap, gap
-    end = found.base if noise is None or not noise.larger else with_noise(found.base, noise)
-    return gap, located(end, runs, selection.scores_at(found.base))
+    return gap, located(found.base, runs, selection.scores_at(found.base))
 
 
 def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:

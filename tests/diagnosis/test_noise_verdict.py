@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_twins import SIGMA, Inject, Motion, machine, unlisted
+from gap_twins import SIGMA, Inject, Motion, gains, machine, unlisted
 
 from hallsym.diagnosis import Diagnosis, diagnose
 from hallsym.log import Log, Noise
@@ -50,8 +50,9 @@ def test_one_sensor_that_is_noisier_is_named() -> None:
     assert d.verdict == LARGER
     assert d.noise is not None
     assert d.noise.larger_in == ("hall_b_m",)
-    # reading noise of 0.5 um becomes sqrt(5) times as large, beside what the reference's 0.3 um make
-    expected = np.sqrt((5 * 0.5**2 + 0.3**2) / (0.5**2 + 0.3**2))
+    # reading noise of 0.5 um becomes sqrt(5) times as large, beside what the reference's 0.3 um make of it
+    reference = 0.3 * float(gains(np.zeros((3, 1)))[1, 0])
+    expected = np.sqrt((5 * 0.5**2 + reference**2) / (0.5**2 + reference**2))
     assert d.noise.by_sensor["hall_b_m"] == pytest.approx(expected, rel=0.06)
     assert "in hall_b alone, white" in d.sentence
 
