@@ -12,6 +12,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -234,7 +235,7 @@ class Backend(Arithmetic):
             {"name": f.name, "mask": f"0x{flag_bit(k):08X}UL", "meaning": f.meaning}
             for k, f in enumerate(d.flags)
         ]
-        raised = sum(flag_bit(k) for k in range(len(d.flags)))
+        raised = [sum(some) for some in product(*((0, flag_bit(k)) for k in range(len(d.flags))))]
         return {
             "in": inputs,
             "limited": [
@@ -270,7 +271,9 @@ class Backend(Arithmetic):
             "first_zero": self.zeros[0].name,
             "values": self._values(),
             "without_flags": f" & ~({' | '.join(status_bit(f.name) for f in d.flags)})" if d.flags else "",
-            "status_or_flags": f"status == 0 || status == 0x{raised:08X}" if d.flags else "status == 0",
+            "status_or_flags": " || ".join(
+                f"status == 0x{bits:08X}" if bits else "status == 0" for bits in sorted(raised)
+            ),
             "vectors": self.vectors.inputs.shape[1],
             "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
             "hash_short": short_hash,

@@ -188,20 +188,19 @@ def _integers(
     given: Mapping[str, Any],
     plan: Sequence[int] | None,
 ) -> IntegerBackend:
-    has_options = bool(options_of(lowering_of(fit.model)))
-    for column in (ranges or {}) if has_options else ():
+    options = options_of(lowering_of(fit.model))
+    for column in ranges or {}:
         if column in fit.model.channels and column in fit.model.period:
             raise InputError(
                 f"--range {column} does not go with --arithmetic q31, where every bit pattern of {column} is "
                 "an angle; leave it out."
             )
-    unseen = {name: UNSEEN[name] for name in options_of(lowering_of(fit.model))}
-    found = lower(fit, box_of(fit, ranges), **(unseen if has_options else given))
+    found = lower(fit, box_of(fit, ranges), **(UNSEEN if UNSEEN.keys() <= set(options) else given))
     _check_names(found)
     check_gains(pose_bounds(found))
     check_same(found)
     made = integer_program(found, plan, **{name: value for name, value in given.items() if value is not None})
-    return IntegerBackend(found, {**record, **_recorded({**made.options, "plan": made.plan}, given)}, made)
+    return IntegerBackend(made.d, {**record, **_recorded({**made.options, "plan": made.plan}, given)}, made)
 
 
 def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
