@@ -11,7 +11,7 @@ C. Gourieroux, A. Monfort, E. Renault, J. Appl. Econometrics 8 (1993) S85, doi:1
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_banded, solve_toeplitz
@@ -26,7 +26,7 @@ LAGS = 10
 WHITE = 0.01
 """P-value below which noise is called coloured: one white log in a hundred is."""
 DRAWS = 24
-"""Simulated rows of noise for the loss by elimination: they add K / 24 to the variance of a correlation."""
+"""Simulated rows of noise for the loss by elimination: K / 24 of its variance is added to a covariance."""
 ROUNDS = 4
 """Of correcting the autocovariance by simulation: each leaves about the square of the relative loss."""
 FAR = 6.0
@@ -111,15 +111,19 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
     work = _Elimination(r)
     if work.free <= 2 * LAGS:
         return None
-    left = work.left(np.linalg.cholesky(np.linalg.inv(r.covariance)).T @ r.values)
+    whitened = np.linalg.cholesky(np.linalg.inv(r.covariance)).T @ r.values
+    left = work.left(whitened)
     body = MAD * np.median(np.abs(left[:, r.used]), axis=1, keepdims=True)
     if not np.all(body > 0):
         return None
-    near = np.where(np.abs(left) < FAR * body, left, 0.0)
-    scaled = near / np.sqrt(work.covariances(near, 0))
+    # a spike also moves the offset of its run, by which all samples of the run would be correlated
+    far = np.any(np.abs(left) > FAR * body, axis=0)
+    body_of = _Elimination(replace(r, used=r.used & ~far)) if far.any() else work
+    near = body_of.left(whitened) if far.any() else left
+    scaled = near / np.sqrt(body_of.covariances(near, 0))
     white = np.random.default_rng(0).standard_normal((DRAWS, left.shape[1] + SETTLE))
-    seen = work.covariances(scaled, LAGS).mean(axis=0)
-    phi, kept = _autoregression(work, seen[: ORDER + 1], white)
+    seen = body_of.covariances(scaled, LAGS).mean(axis=0)
+    phi, kept = _autoregression(body_of, seen[: ORDER + 1], white)
     rho = correlations(phi, LONGEST)
     fewer = 1.0 + 2.0 * float((rho[1:] ** 2).sum())
     raw = work.left(r.values) / np.sqrt(np.diag(r.covariance))[:, None]
@@ -133,7 +137,7 @@ def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None
         coefficients=phi,
         correlation=float(rho[1]),
         memory=float(max(1.0, 1.0 + 2.0 * rho[1:].sum())),
-        whiteness_p=_whiteness(work, seen, white[:, SETTLE:], len(left)),
+        whiteness_p=_whiteness(body_of, seen, len(left)),
         kurtosis=float(np.min((left**4).sum(axis=1) * work.count / (left**2).sum(axis=1) ** 2)),
         kurtosis_error=float(np.sqrt(24.0 * fewer / work.free)),
         samples=int(work.count),
@@ -204,6 +208,21 @@ class _Elimination:
             out[:, lag] = (rows[:, lag:] * rows[:, : n - lag]) @ pairs / max(float(pairs.sum()), 1.0)
         return out
 
+    def of_white(self, lags: int) -> np.ndarray:
+        """Return the expected autocorrelations of white noise once it is eliminated, (lags + 1,): below 0.
+
+        The elimination is I - Q with Q = U^T U and the offsets: its entries beside the diagonal are -Q.
+        """
+        taken = self.covariances(self.root.T @ self.X, lags).sum(axis=0)
+        size = self.sizes[self.index] if self.offsets else np.full(len(self.index), self.count)
+        n = len(self.index)
+        for lag in range(lags + 1):
+            pairs = self.pairs[lag]
+            taken[lag] += float(pairs @ (1.0 / size[: n - lag])) / max(float(pairs.sum()), 1.0)
+        out = -taken / (1.0 - taken[0])
+        out[0] = 1.0
+        return out
+
 
 def _autoregression(work: _Elimination, seen: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the coefficients whose noise has the autocovariance `seen` (ORDER + 1,) once it is eliminated.
@@ -263,12 +282,10 @@ def gain_of(phi: np.ndarray) -> float:
     return 1.0 / max(1.0 - float(phi @ rho[1:]), 1e-9)
 
 
-def _whiteness(work: _Elimination, seen: np.ndarray, white: np.ndarray, K: int) -> float:
+def _whiteness(work: _Elimination, seen: np.ndarray, K: int) -> float:
     """Return the p-value of no correlation (Ljung and Box), against white noise that was eliminated alike."""
-    none = work.covariances(work.left(white), LAGS)
-    expected = (none / none[:, :1]).mean(axis=0)
+    expected = work.of_white(LAGS)
     pairs = np.array([float(p.sum()) for p in work.pairs])
     usable = pairs[1:] > 0
     off = (seen / seen[0] - expected)[1:][usable]
-    statistic = float((off**2 * K * pairs[1:][usable]).sum()) / (1.0 + K / DRAWS)
-    return float(chdtrc(int(usable.sum()), statistic))
+    return float(chdtrc(int(usable.sum()), float((off**2 * K * pairs[1:][usable]).sum())))
