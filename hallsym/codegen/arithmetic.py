@@ -137,12 +137,17 @@ class Arithmetic(ABC):
         pose, flags = self.run(held)
         return pose, status.astype(np.uint32) | flags.astype(np.uint32)
 
+    def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose (n_pose, s) and status (s,) of numbered samples, as the hash of the self-test takes
+        them."""
+        return self.step(self.sample(numbers))
+
     def hash(self, count: int) -> int:
         """Return the hash of status and pose over samples 0 to count - 1."""
         total, width = 0, np.uint32(len(self.decoupler.pose) + 1)
         for first in range(0, count, BATCH):
             n = np.arange(first, min(first + BATCH, count), dtype=np.uint32)
-            pose, status = self.step(self.sample(n))
+            pose, status = self.hashed_step(n)
             for k, row in enumerate((status, *self._words(pose))):
                 total += int(mix(row ^ mix(n * width + np.uint32(k))).astype(np.uint64).sum())
         return total & 0xFFFFFFFF

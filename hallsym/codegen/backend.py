@@ -223,6 +223,17 @@ class Backend(Arithmetic):
         }
         return made | {"params/decoupler_params.json": self.json(), BINARY: self.binary}
 
+    def _flags_raised(self, most: str) -> dict[str, list[str]]:
+        """A table whose flags are all raised, by their largest least value, whatever else a vector raises."""
+        flags = self.decoupler.flags
+        bits = " | ".join(["wanted->status", *(status_bit(flag.name) for flag in flags)])
+        call = "decoupler_step(&strict, &wanted->in, &out)"
+        return {
+            "strict": ["decoupler_params_t strict = decoupler_params;"] * bool(flags)
+            + [f"strict.{flag.least} = {most};" for flag in flags],
+            "raised": [f"failed |= ({call} == ({bits})) ? 0U : 1U;"] if flags else [],
+        }
+
     def _templates(self) -> dict[str, str]:
         """Return the template of each file."""
         return dict(tree(self.tree))
@@ -255,6 +266,10 @@ class Backend(Arithmetic):
             "table_layout": f"0x{self.layout:08x}",
             "table_bytes": len(self.binary),
             "prefix": self.record.get("name", PREFIX),
+            "row_in": ", ".join(f"{port['column']} [{port['unit']}]" for port in inputs),
+            "row_out": ", ".join(f"{port['column']} [{port['unit']}]" for port in outputs),
+            "in_type": self.inputs[0].type,
+            "out_type": self.outputs[0].type,
             "first_out": f"out.{self.outputs[0].member}",
             "type": self.type,
             "inputs": len(d.inputs),

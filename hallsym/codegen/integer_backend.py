@@ -220,6 +220,7 @@ class IntegerBackend(IntegerArithmetic):
             "vector_includes": [],
             "slope_bounds": [],
             "rows": rows,
+            **self._flags_raised(str(MOST)),
             **self._known(),
             "fault_includes": [],
             "faults": list(self._faults()),

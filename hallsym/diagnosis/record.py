@@ -6,6 +6,7 @@ from typing import Any
 
 from hallsym.diagnosis.plain_data import plain, typed
 from hallsym.estimation import KNOWN
+from hallsym.shown import Shown
 
 
 @dataclass(frozen=True)
@@ -305,8 +306,8 @@ class LogRecord:
     runs_fitted: int = 0
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
     `verdict`: "no gap", "explained", "unexplained", or "noise larger than stated" where what exceeds the

@@ -146,7 +146,7 @@ class _Assembly(Pieces):
             wave = 2 * pi * found.groups[found.axes[axis][0]].phasor.lc
             most = float(np.abs(found.middle[axis]) + found.half[axis] + NEAR * wave)
             ends[c] = (-most, most)
-        return Box(ends)
+        return self.given.over(ends)
 
     def drawn(self, pose: np.ndarray, off: np.ndarray) -> np.ndarray:
         """Return inputs (n, s) of poses (6, s); `off` (2, s): of what says the period, in periods."""

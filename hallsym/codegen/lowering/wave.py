@@ -139,7 +139,9 @@ class _Assembly:
         )
         made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         heights = self.given.ends[self.height]
-        ends = Box({c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)})
+        ends = self.given.over(
+            {c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)}
+        )
         vector = phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
         after_vector = len(made.steps)
         self._pose(made, logarithm_steps(made, wave, vector), arctangent_steps(made, wave, vector))
