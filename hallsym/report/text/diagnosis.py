@@ -46,7 +46,10 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     """
     parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), *_sizes(d), *_waves(d)]
     if d.noise is not None:
-        parts += ["", _wrapped(f"noise: {noise_text(d.noise, d.noise_floor.source == 'stated')}", "  ")]
+        parts += [
+            "",
+            _wrapped(f"{noise_name(d)}: {noise_text(d.noise, d.noise_floor.source == 'stated')}", "  "),
+        ]
     if d.effects:
         parts += ["", effect_text(d.effects), "", *(_parameters(e, units_of(d)) for e in d.effects)]
         parts += [_wrapped(f"  {e.note}", "    ") for e in d.effects if e.note]
@@ -72,6 +75,11 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     if d.notes:
         parts += ["", *(_wrapped(f"note: {note}", "  ") for note in d.notes)]
     return "\n".join(parts)
+
+
+def noise_name(d: Diagnosis) -> str:
+    """Return what the noise that is left is called: where something has no cause it may be no noise."""
+    return "noise, or what follows nothing logged" if d.verdict == "unexplained" else "noise"
 
 
 def p_text(p: float | None) -> str:
