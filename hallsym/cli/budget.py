@@ -47,6 +47,7 @@ from hallsym.uncertainty import (
     position_budget,
     position_monte_carlo,
     read_budget,
+    read_model_error,
     read_settings,
     uncertainty_map,
     with_curve,
@@ -97,6 +98,11 @@ def _position_options(parser: ArgumentParser) -> None:
         "--settings", metavar="TOML", help="averaging, ADC, zeroing, vertical sensors, scale of the reference"
     )
     group.add_argument(
+        "--diagnosis", metavar="JSON",
+        help="what 'hallsym diagnose LOG -o FILE.json' saved: what the model leaves, and which models the "
+        "log does not exclude, join the budget",
+    )  # fmt: skip
+    group.add_argument(
         "--split", action="store_true", help="one line for each fitted parameter instead of one for the fit"
     )
     group.add_argument(
@@ -121,7 +127,7 @@ def run(options: Namespace) -> int:
 
 
 def _stand_alone(options: Namespace) -> int:
-    for name in ("log", "at", "settings", "split", "map", "range", "noise", *LOG_OPTIONS):
+    for name in ("log", "at", "settings", "diagnosis", "split", "map", "range", "noise", *LOG_OPTIONS):
         if getattr(options, name):
             what = "A LOG" if name == "log" else f"--{name.replace('_', '-')}"
             raise InputError(f"{what} belongs to a calibration; {options.file} is a budget file.")
@@ -154,6 +160,8 @@ def _position(options: Namespace) -> int:
         if getattr(options, name) and not options.log:
             raise InputError(f"--{name.replace('_', '-')} is about reading a LOG; give one.")
     settings = read_settings(options.settings, fit.model) if options.settings else Settings()
+    if options.diagnosis:
+        settings = replace(settings, model_error=read_model_error(options.diagnosis, fit.model))
     at = _at(options.at, fit)
     if options.curve:
         return _followed(options, fit, settings, at)

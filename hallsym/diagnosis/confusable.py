@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from hallsym.diagnosis.alternatives import Alternative, alternatives
 from hallsym.diagnosis.findings import EITHER
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
@@ -175,10 +176,23 @@ class Confusable:
     groups: tuple[tuple[str, ...], ...]
     separate: tuple[Separation, ...]
     ranked: tuple[str, ...]
+    fits: tuple[Refitted, ...] = ()
+    """Models that the log does not exclude, each with everything else that was found in place."""
+
+    def instead_of(self, name: str) -> list[str]:
+        """Return what the log cannot tell from an effect: others, and sets of others that act together."""
+        sides = {s.group: s.sides for s in self.separate if s.sides}
+        each = (sides.get(group) or tuple((n,) for n in group) for group in self.groups)
+        out = [" + ".join(side) for sets in each if (name,) in sets for side in sets if side != (name,)]
+        return out[:MOST]
 
 
 def confusable(
-    setup: Setup, found: Validation, effects: Sequence[FoundEffect], verdict: Verdict
+    setup: Setup,
+    selection: Selection,
+    found: Validation,
+    effects: Sequence[FoundEffect],
+    verdict: Verdict,
 ) -> Confusable:
     """Return the effects that this log cannot tell apart: exact refits that leave the same residual.
 
@@ -188,19 +202,34 @@ def confusable(
     """
     groups: list[tuple[str, ...]] = []
     separate = []
+    members = {h.selected.name: _members(setup, h.selected, found.inflation) for h in found.effects}
+    known = {name: {r.score.effect.name for r, _ in rivals} for name, rivals in members.items()}
+    sets, fits = [], []
+    for other in alternatives(setup, selection, found, known):
+        if len(other.instead_of) == len(other.names) == 1:
+            one = Exact(other.scores[0], other.fit, other.fit.cost)
+            members[other.instead_of[0]].append((one, other.distance))
+        else:
+            sets.append(other)
+        fits.append(other.fit)
     for held in found.effects:
-        members = _members(setup, held.selected, found.inflation)
-        if members:
-            groups.append((held.selected.name, *(r.score.effect.name for r, _ in members)))
-            separate.append(_separation(setup, groups[-1], held.selected.exact, members, found.inflation))
+        rivals = members[held.selected.name]
+        rest = {h.selected.name for h in found.effects} - {held.selected.name}
+        fits += [r.fit for r, _ in rivals if rest <= set(r.fit.base.model.effects) and r.fit not in fits]
+        if rivals:
+            groups.append((held.selected.name, *(r.score.effect.name for r, _ in rivals)))
+            separate.append(_separation(setup, groups[-1], held.selected.exact, rivals, found.inflation))
+    for other in sets:
+        groups.append((*other.instead_of, *other.names))
+        separate.append(_from_selected(setup, found, other))
     if effects and effects[0].name in EITHER and len(setup.base.model.pose) == 1:
         groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
     names = [e.name for e in effects if e.share > 0] + [name for group in groups for name in group]
-    if verdict == "explained":
+    if verdict in ("explained", "behaves like"):
         for held in found.effects:
-            rivals = _not_excluded(setup, held.selected, found.inflation)
-            names += [r.score.effect.name for r in rivals]
-    return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)))
+            others = _not_excluded(setup, held.selected, found.inflation)
+            names += [r.score.effect.name for r in others]
+    return Confusable(tuple(groups), tuple(separate), tuple(dict.fromkeys(names)), tuple(fits))
 
 
 def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[Exact, float]]:
@@ -212,6 +241,16 @@ def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[E
     close = [(r, distance(one.fit, r.fit)) for r in rivals]
     limit = _limit(setup, one, inflation)
     return [(r, d) for r, d in close if d < limit][:MOST]
+
+
+def _from_selected(setup: Setup, found: Validation, other: Alternative) -> Separation:
+    """Return the recording that would separate a set of effects from the selected ones."""
+    mine = [h.selected.exact.score.effect for h in found.effects if h.selected.name in other.instead_of]
+    group = (*other.instead_of, *other.names)
+    variance = max(found.fit.cost / count_of(found.fit), 1e-12) * found.inflation
+    advice = ways_text(way for e in (*mine, *(s.effect for s in other.scores)) for way in e.separate)
+    said = separation(group, [found.fit, other.fit], other.distance, variance, advice, setup.policy)
+    return replace(said, sides=(other.instead_of, other.names))
 
 
 def _not_excluded(setup: Setup, selected: Selected, inflation: float) -> list[Exact]:

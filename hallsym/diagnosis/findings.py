@@ -1,6 +1,7 @@
 """What was found, as records: effects that hold, faults of samples, a wrong channel assignment."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -8,23 +9,30 @@ import numpy as np
 from hallsym.codegen import cost_of
 from hallsym.diagnosis.decoded_errors import interval
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
+from hallsym.diagnosis.flexible import PAST
 from hallsym.diagnosis.ranking import count_of
-from hallsym.diagnosis.record import Estimate, FoundEffect
+from hallsym.diagnosis.record import Estimate, FoundEffect, Resemblance
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
 from hallsym.diagnosis.verdict import closed
 from hallsym.errors import InputError, counted
 from hallsym.families.faults import FAULTS
 from hallsym.model import Model
+from hallsym.units import readable
 
 EITHER = ("sign_inversion", "channel_swap")
 """Faults of the channel assignment that an angle from two channels cannot tell apart."""
 
 
-def findings(setup: Setup, found: Validation) -> tuple[FoundEffect, ...]:
-    """Return what was found, by share of the excess; a wrong channel assignment wins a tie."""
+def findings(
+    setup: Setup, found: Validation, resembled: Mapping[str, Resemblance] = MappingProxyType({})
+) -> tuple[FoundEffect, ...]:
+    """Return what was found, by share of the excess; a wrong channel assignment wins a tie.
+
+    `resembled`: why the machine only behaves like some of the effects.
+    """
     spread = _standard_errors(found)
-    out = [_effect(found, e, spread) for e in found.effects]
+    out = [_effect(found, e, spread, resembled.get(e.selected.name)) for e in found.effects]
     out += [_fault(setup, found, f) for f in found.faults]
     if setup.miswired:
         out.insert(0, _assignment(setup, found))
@@ -37,7 +45,7 @@ def _standard_errors(found: Validation) -> np.ndarray:
     return np.sqrt(np.maximum(np.diag(found.fit.covariance()), 0.0) * noise * found.inflation)
 
 
-def _effect(found: Validation, held: Held, spread: np.ndarray) -> FoundEffect:
+def _effect(found: Validation, held: Held, spread: np.ndarray, resembled: Resemblance | None) -> FoundEffect:
     score, fit = held.selected.exact.score, found.fit
     model, before = fit.base.model, held.without.base.model
     stuck, unseen = fit.at_bound(), fit.unseen()
@@ -63,12 +71,29 @@ def _effect(found: Validation, held: Held, spread: np.ndarray) -> FoundEffect:
         cost=firmware_cost(before, model, fit.base.p),
         text=score.variant.text,
         at_bound=ended,
-        note=_note(ended, blind),
+        note=_note(score.effect.name, ended, blind, resembled),
+        behaves_like=resembled,
     )
 
 
-def _note(ended: Sequence[str], blind: Sequence[str]) -> str:
-    return " ".join([*([at_bound_text(ended)] if ended else []), *([unseen_text(blind)] if blind else [])])
+def _note(name: str, ended: Sequence[str], blind: Sequence[str], resembled: Resemblance | None) -> str:
+    said = [at_bound_text(ended)] if ended else []
+    said += [unseen_text(blind)] if blind else []
+    return " ".join([*said, *([resembles_text(name, resembled)] if resembled else [])])
+
+
+def resembles_text(name: str, r: Resemblance) -> str:
+    """Return what to say of an effect that the machine only behaves like."""
+    varied = (
+        "a free linear response to the past of what it makes"
+        if r.by == PAST
+        else f"a strength that follows {', '.join(readable(c)[2] for c in r.by)} freely"
+    )
+    return (
+        f"The machine behaves like {name}, but {varied} predicts other runs better: what the effect makes is "
+        f"off by {100 * r.misfit:.2g} % (rms). The cause is something of the same kind that no effect "
+        "describes."
+    )
 
 
 def at_bound_text(names: Sequence[str]) -> str:

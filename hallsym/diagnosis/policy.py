@@ -131,12 +131,40 @@ class Policy:
 
     Of a gap of twice the floor, a tenth of the excess is 14 % above the floor: a gap of its own."""
 
+    # flexible alternatives: "behaves like"
+
+    behaves_like: float = 0.1
+    """Rms that a free variation of an effect must have, over what the effect makes, to be material.
+
+    A tenth: simulated and independent machines with an effect of the catalogue stay below."""
+    beaten: float = 0.001
+    """P-value, corrected for the alternatives tried, below which a flexible alternative beats an effect.
+
+    A tenth of what makes an effect certain: it speaks against a cause that the log supports."""
+    own_coordinate: float = 0.95
+    """Part of a contribution that gains and offsets over a coordinate must make for it to be a function of
+    that coordinate.
+
+    Other coordinates are other causes; what the fit of a polynomial leaves of a smooth function is less."""
+    fewest_folds: int = 6
+    """Fitted runs from which on an effect is held against a flexible alternative.
+
+    Student's t of five folds and fewer says little below 1 %."""
+
     # confusable effects, and recordings that separate them
 
     separated: float = 5.0
     """Standard deviations of a slow average at which two effects are told apart.
 
     The convention of 5 sigma."""
+    most_in_set: int = 3
+    """Effects that a set may have which stands beside selected effects.
+
+    An eccentricity in any direction is as many: offset, gain and angle of the axes. More explain anything."""
+    nearly_linear: float = 0.02
+    """Part of what the selected effects explain that a set may miss to first order and be refitted exactly.
+
+    An effect of a tenth of the reading changes by a tenth to second order: a hundredth of its squares."""
     reason: float = 20.0
     """Difference of BIC from which on unneeded parameters make an effect no competitor of a plainer one.
 

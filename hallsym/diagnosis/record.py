@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hallsym.diagnosis.plain_data import plain, typed
+from hallsym.estimation import KNOWN
 from hallsym.shown import Shown
 
 
@@ -34,6 +35,35 @@ class NoiseFloor:
 
     outputs: dict[str, float]
     source: str
+
+
+@dataclass(frozen=True)
+class NoiseFinding:
+    """Noise of the readings that the model with the effects found leaves, on the fitted runs.
+
+    `ratio`: its standard deviation over that of the noise floor, with a 95 % `interval`; `by_sensor`: the
+    same by sensor, `larger_in`: the sensors in which it is certainly larger. `white`: whether its samples may
+    be independent; `whiteness_p`: probability that white noise is as correlated. `correlation`: of
+    neighbouring samples, `memory`: variance of a slow average over that of white noise, `coefficients`: of
+    the autoregression. `bounded`: whether it is flatter than Gaussian noise, such as a wave or steps between
+    levels: no noise.
+    """
+
+    ratio: float
+    interval: tuple[float, float]
+    by_sensor: dict[str, float]
+    larger_in: tuple[str, ...]
+    white: bool
+    whiteness_p: float
+    correlation: float
+    memory: float
+    coefficients: tuple[float, ...]
+    bounded: bool = False
+
+    @property
+    def larger(self) -> bool:
+        """Whether it is larger than the noise floor by more than a floor is uncertain."""
+        return self.interval[0] > 1 + KNOWN
 
 
 @dataclass(frozen=True)
@@ -69,6 +99,20 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Resemblance:
+    """Why the machine only behaves like an effect: a free variation of it predicts other runs better.
+
+    `by`: columns that the strength of the effect follows then; "the past" where the readings respond to the
+    past of what the effect makes. `misfit`: rms of the variation over rms of what the effect makes, on runs
+    left out. `p_value`: of no better prediction, corrected for all variations that were tried.
+    """
+
+    by: tuple[str, ...]
+    misfit: float
+    p_value: float
+
+
+@dataclass(frozen=True)
 class FoundEffect:
     """An effect that lowers the gap, with all other effects of the list in place.
 
@@ -76,8 +120,9 @@ class FoundEffect:
     resampled blocks. `share`: part of the excess above the noise floor that it closes. `p_value`: of its
     absence, valid for residuals that are correlated within a run, corrected for everything that was tested.
     `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
-    `at_bound`: parameters that ended at a bound; they have no uncertainty, and `note` says so. `note` also
-    says what to do about a fault.
+    `at_bound`: parameters that ended at a bound; they have no uncertainty. `behaves_like`: why the machine
+    only behaves like the effect; None where no flexible alternative beats it. `note` says both in words, and
+    what to do about a fault.
     """
 
     name: str
@@ -92,6 +137,7 @@ class FoundEffect:
     text: str = ""
     at_bound: tuple[str, ...] = ()
     note: str = ""
+    behaves_like: Resemblance | None = None
 
 
 @dataclass(frozen=True)
@@ -147,7 +193,8 @@ class Separation:
     whether `recording` was simulated with the members' models; then one such run of `run_s` seconds adds
     `sigma` standard deviations to the `sigma_now` of this log, and `runs` of them (`seconds` in all) reach 5.
     `tried`: every simulated recording, with its sigma per run. Where no recording can be simulated, or none
-    separates, `recording` is the advice of the catalogue.
+    separates, `recording` is the advice of the catalogue. `sides`: sets of effects that cannot be told apart;
+    empty where each effect of `group` stands alone.
     """
 
     group: tuple[str, ...]
@@ -162,6 +209,12 @@ class Separation:
     runs: int | None = None
     seconds: float | None = None
     tried: dict[str, float] = field(default_factory=dict)
+    sides: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def said(self) -> str:
+        """The sets that cannot be told apart, in words."""
+        return ", ".join(" + ".join(side) for side in self.sides or [(n,) for n in self.group])
 
 
 @dataclass(frozen=True)
@@ -264,6 +317,33 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
+class NotExcluded:
+    """A model that the log does not exclude.
+
+    `effects`: as `--effect` takes them. `values`: of its parameters, by name [SI]. `weight`: its probability
+    among these models, by BIC.
+    """
+
+    effects: tuple[str, ...]
+    values: dict[str, float]
+    weight: float
+
+
+@dataclass(frozen=True)
+class ModelLeft:
+    """What the error of the model adds to the uncertainty of a position, for `hallsym budget --diagnosis`.
+
+    `rest`: standard uncertainty by output of what is left above the noise, without its shape where
+    `shape_counts`: then `unexplained.curve` holds that as a function of the pose or the state. `candidates`:
+    the named model first, then the others that the log does not exclude; none where there is no other.
+    """
+
+    rest: dict[str, float] = field(default_factory=dict)
+    shape_counts: bool = False
+    candidates: tuple[NotExcluded, ...] = ()
+
+
+@dataclass(frozen=True)
 class LogRecord:
     """The log that was diagnosed. `span`: least and greatest value by column of reference and state."""
 
@@ -280,9 +360,13 @@ class LogRecord:
 class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
+    `verdict`: "no gap", "explained", "behaves like" (what is named closes the gap, but a flexible alternative
+    beats the effect that closes most of it), "unexplained", or "noise larger than stated" where what exceeds
+    the stated noise is noise.
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
-    "unexplained". `unexplained`: share and shape of that rest. `size`: the gap per output and sensor, on
+    "unexplained". `unexplained`: share and shape of that rest. `model_error`: what the budget of a position
+    takes of it. `size`: the gap per output and sensor, on
     fitted and on holdout runs. `shares`: what each coordinate, link, output, sensor, frequency and run takes
     of the excess alone; empty where noise explains it. `waves`: the harmonics of the error over each periodic
     coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found;
@@ -312,10 +396,13 @@ class Diagnosis(Shown):
     seconds: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     unexplained: Unexplained | None = None
+    model_error: ModelLeft = field(default_factory=ModelLeft)
     size: Sizes = field(default_factory=Sizes)
     shares: tuple[Share, ...] = ()
     next_step: tuple[str, ...] = ()
     waves: tuple[Waves, ...] = ()
+    noise: NoiseFinding | None = None
+    """The noise that is left, None where the log is too short to tell."""
     held_out: str = "holdout run"
     """What judges: a run, or a piece of a recording of too few."""
 

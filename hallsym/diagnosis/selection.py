@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from hallsym.diagnosis.derivatives import slope_of
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap import remains, slow_share, used_up
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
@@ -29,6 +30,8 @@ def cancelled(
     """
     own, known = start.base.model.names, beside.base.model.names
     new = [n for n in fit.base.model.names if n not in known]
+    if cancels(fit, new, over):
+        return True
     whole = moved(start, start.base.p - designed(start.base.model, start.base.p))
     if _alone(fit, new) > over * np.hypot(whole, start.gap(start.fitted)):
         return True
@@ -38,6 +41,28 @@ def cancelled(
         if n not in own:
             groups.setdefault(owner.get(n, n), []).append(n)
     return any(_alone(fit, g) > over * np.hypot(_alone(beside, g), lower) for g in groups.values())
+
+
+def cancels(fit: Refitted, names: Sequence[str], over: float) -> bool:
+    """Return whether parameters of the same readings undo each other.
+
+    Then one alone makes more than `over` times what all of them make, such as a cubic and a quintic term.
+    Parameters that do nothing where the others are nil, such as a rail of what is not clipped, have no size.
+    """
+    model, p = fit.base.model, fit.base.p.copy()
+    at = [model.names.index(n) for n in names]
+    p[at] = model.nominal[at]
+    slope = slope_of(model, p, names)
+    same: dict[tuple[int, ...], list[str]] = {}
+    for k, name in enumerate(names):
+        moved_readings = tuple(slope.channel[slope.column == k].tolist())
+        if moved_readings:
+            same.setdefault(moved_readings, []).append(name)
+    return any(
+        max(_alone(fit, [n]) for n in group) > over * _alone(fit, group)
+        for group in same.values()
+        if len(group) > 1
+    )
 
 
 def _alone(fit: Refitted, names: Sequence[str]) -> float:

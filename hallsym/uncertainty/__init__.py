@@ -17,6 +17,7 @@ from hallsym.uncertainty.files import read_budget
 from hallsym.uncertainty.following import AlongCurve, along_curve, curve_error, with_curve
 from hallsym.uncertainty.gum import DIVISORS, Budget, Source
 from hallsym.uncertainty.inputs import Input, Slopes, independent_inputs, slopes
+from hallsym.uncertainty.model_error import Candidate, ModelError, Shape, read_model_error
 from hallsym.uncertainty.monte_carlo import (
     Comparison,
     Linear,
@@ -41,13 +42,16 @@ __all__ = [
     "DIVISORS",
     "AlongCurve",
     "Budget",
+    "Candidate",
     "Comparison",
     "ErrorModel",
     "ErrorsAlong",
     "Input",
     "Linear",
+    "ModelError",
     "Recorded",
     "Settings",
+    "Shape",
     "Slopes",
     "Source",
     "UncertaintyMap",
@@ -66,6 +70,7 @@ __all__ = [
     "position_monte_carlo",
     "propagate",
     "read_budget",
+    "read_model_error",
     "read_settings",
     "slopes",
     "tolerance",

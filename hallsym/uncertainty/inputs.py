@@ -139,6 +139,16 @@ def slopes(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) ->
     return Slopes(found.parameters + found.zeros @ zero["parameters"], places)
 
 
+def model_error(
+    fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings, found: Slopes
+) -> dict[str, np.ndarray]:
+    """Return the variances (s, n_pose) of the error of the model by source; none without a diagnosis."""
+    if settings.model_error is None:
+        return {}
+    zero = zero_point(fit.model, settings)
+    return settings.model_error.variances(fit, pose, state, zero, found.places)
+
+
 def zero_point(model: Model, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
     """Pose (n_pose,) and state (n_state,) of the zeroing."""
     at = settings.zero_at

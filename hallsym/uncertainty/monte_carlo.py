@@ -21,6 +21,8 @@ from hallsym.uncertainty.inputs import (
     check_fit,
     check_gain,
     independent_inputs,
+    model_error,
+    slopes,
     weights,
     zero_point,
     zeros_found,
@@ -299,6 +301,9 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
     weight, root = weights(fit), _root(fit.covariance)
     decode, stretch = decoder(model, 1.0 / weight), _stretch(fit.degrees_of_freedom)
     zeros = on_arrays(zeros_found(model)) if model.zeros else None
+    found = slopes(fit, pose[:, None], state[:, None], settings)
+    left = model_error(fit, pose[:, None], state[:, None], settings, found)
+    of_model = np.sqrt(sum((v[0] for v in left.values()), np.zeros(len(pose))))
 
     def measure(rng: np.random.Generator, n: int) -> np.ndarray:
         x = {name: np.repeat(values[:, None], n, axis=1) for name, values in base.items()}
@@ -312,7 +317,8 @@ def decoded_at_random(fit: Fit, at: Mapping[str, float], settings: Settings) -> 
         if zeros is not None:
             (d,) = zeros(p, x["zero reading"], x["zero pose"], x["zero state"], weight)
         q = decode(p, d, x["reading"], x["state"])
-        return q + x["scale"] * (q - q0[:, None])
+        q = q + x["scale"] * (q - q0[:, None])
+        return q + of_model[:, None] * rng.standard_normal(q.shape) if left else q
 
     return measure
 

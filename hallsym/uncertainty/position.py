@@ -17,7 +17,7 @@ from hallsym.log import Log, batches
 from hallsym.model import Model
 from hallsym.records import named
 from hallsym.uncertainty.gum import Budget, Source
-from hallsym.uncertainty.inputs import Slopes, check_fit, independent_inputs, slopes
+from hallsym.uncertainty.inputs import Slopes, check_fit, independent_inputs, model_error, slopes
 from hallsym.uncertainty.settings import Settings
 
 POINTS, SLICES = 41, 5
@@ -46,13 +46,16 @@ def position_budget(
     found = slopes(fit, pose[:, None], state[:, None], settings)
     listed = independent_inputs(fit, settings)
     by_input = [found.of(entry)[0] for entry in listed]  # (n_pose,) each
+    left = model_error(fit, pose[:, None], state[:, None], settings, found)
     budgets = {}
     for i, column in enumerate(fit.model.pose):
         rest = [replace(e.source, sensitivity=float(c[i])) for e, c in zip(listed, by_input, strict=True)]
+        unit = column.rpartition("_")[2]
+        rest += [Source.normal(n, float(np.sqrt(v[0, i])), unit) for n, v in left.items() if v[0, i] > 0]
         first, correlation = _fit_sources(fit, column, found.parameters[0, i], split)
         budgets[column] = Budget(
             quantity=column,
-            unit=column.rpartition("_")[2],
+            unit=unit,
             sources=(*first, *rest),
             coverage=settings.coverage,
             level=settings.level,
@@ -135,7 +138,7 @@ def notes(fit: Fit, settings: Settings) -> list[str]:
             "what they would add."
         )
     amiss = fit.goodness and fit.goodness.said("the model of this calibration does not describe its log")
-    if fit.goodness and amiss:
+    if fit.goodness and amiss and settings.model_error is None:
         said.append(
             f"{amiss}; that is in no source, so the true uncertainty is larger; "
             f"next: {fit.goodness.next_command}"
@@ -182,6 +185,8 @@ def _spread(fit: Fit, pose: np.ndarray, state: np.ndarray, settings: Settings) -
     total = from_fit.copy()
     for entry in independent_inputs(fit, settings):
         total += (entry.source.std * found.of(entry)) ** 2
+    for variance in model_error(fit, pose, state, settings, found).values():
+        total += variance
     return _Spread(total, from_fit, fit_degrees_of_freedom(fit, found.parameters))
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,6 +13,19 @@ from hallsym.toml import Table, number, unit_of, whole
 from hallsym.units import si_unit, split_unit
 
 SECTIONS = ("coverage_factor", "level", "reading", "zeroing", "state", "reference")
+
+
+Zeroed = tuple[np.ndarray, np.ndarray]
+"""Pose (n_pose,) and state (n_state,) of the zeroing."""
+
+
+class Variances(Protocol):
+    """Sources that no calibration holds, such as the error of its model (`model_error.ModelError`)."""
+
+    def variances(
+        self, fit: Any, pose: np.ndarray, state: np.ndarray, zero: Zeroed, places: Mapping[str, np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """Return the variance of each source, (s, n_pose), at poses (n_pose, s) and states (n_state, s)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +38,7 @@ class Settings:
     are, where not given. `zero_at`: pose or state column -> where the zeroing is done, 0 where not given.
     `state_std`: state column -> standard uncertainty besides noise, of the vertical sensors since the
     calibration. `scale_std`: pose column -> relative standard uncertainty of the scale of the reference.
-    `coverage` and `level` as in `Budget`.
+    `model_error`: what the model leaves, of a diagnosis. `coverage` and `level` as in `Budget`.
     """
 
     averaged: int = 1
@@ -34,6 +48,7 @@ class Settings:
     zero_at: Mapping[str, float] = field(default_factory=dict)
     state_std: Mapping[str, float] = field(default_factory=dict)
     scale_std: Mapping[str, float] = field(default_factory=dict)
+    model_error: Variances | None = None
     coverage: float = 2.0
     level: float | None = None
 

@@ -18,7 +18,7 @@ from test_compare import diagnosis
 from test_compare import effect as effect_record
 from test_diagnosis_holding import turn
 from test_diagnosis_rotary import bearing, machine, third
-from test_diagnosis_turn import LIKE_A_TABLE, overdriven, table
+from test_diagnosis_turn import LIKE_A_TABLE, table
 
 from hallsym.diagnosis import (
     POLICY,
@@ -31,24 +31,31 @@ from hallsym.diagnosis import (
     Score,
     Selected,
     Shape,
+    alternatives,
     compare,
     confusable,
     decide,
     diagnose,
+    flexible,
     ordered,
     prepare,
     rails_of,
     remains,
+    resemblances,
+    select,
     separation,
     smaller_findings,
     used_up,
+    validate,
 )
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.log import Log
 
-CONFUSABLE = sys.modules["hallsym.diagnosis.confusable"]
-"""The module; the package has a function of that name."""
+CONFUSABLE, FLEXIBLE, RANKING = (
+    sys.modules[f"hallsym.diagnosis.{name}"] for name in ("confusable", "flexible", "ranking")
+)
+"""The modules; the package has functions of these names."""
 
 LEVEL = 0.05
 FLOOR = Floor(1e-6, stated=True)
@@ -113,7 +120,7 @@ def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
     end = object()
     return SimpleNamespace(
         named=True, metric=after, before=SimpleNamespace(metric=4e-6), base=end, end=end, rest=rest,
-        start=None, slow=0.0, floor=FLOOR,
+        start=None, slow=0.0, floor=FLOOR, effects=(),
     )  # fmt: skip
 
 
@@ -147,7 +154,7 @@ def effect(name: str, size: int, cost: float, gap: float, ratio: float = 0.5, bi
     tangents = SimpleNamespace(count=np.array([500.0]))
     fit = SimpleNamespace(
         cost=cost, gap=lambda _: gap, fitted=np.array([0]), tangents=tangents,
-        base=SimpleNamespace(model=SimpleNamespace(channels=("a", "b"))),
+        base=SimpleNamespace(model=SimpleNamespace(channels=("a", "b"), effects=())),
     )  # fmt: skip
     return Exact(score, fit, bic)
 
@@ -200,6 +207,7 @@ def test_a_rival_must_fit_as_well_and_need_its_parameters(monkeypatch):
     """1000 squares of 1000 readings: 5 sigma of a slow average are 25."""
     monkeypatch.setattr(CONFUSABLE, "distance", lambda *_: 1.0)
     monkeypatch.setattr(CONFUSABLE, "separation", lambda names, *_: names)
+    monkeypatch.setattr(CONFUSABLE, "alternatives", lambda *_: [])
     model = SimpleNamespace(pose=("x_m",), family=SimpleNamespace(pairs=True))
     setup = SimpleNamespace(policy=POLICY, base=SimpleNamespace(model=model))
     one, near, far = (effect(n, 2, 1000.0 + c, 1e-6) for n, c in (("one", 0), ("near", 20), ("far", 30)))
@@ -207,7 +215,7 @@ def test_a_rival_must_fit_as_well_and_need_its_parameters(monkeypatch):
 
     def groups(policy: Policy) -> tuple[tuple[str, ...], ...]:
         setup.policy = policy
-        return confusable(setup, selected(one, near, far, wide), (), "explained").groups
+        return confusable(setup, None, selected(one, near, far, wide), (), "explained").groups
 
     assert groups(POLICY) == (("one", "near"),)
     assert groups(replace(POLICY, separated=3.0)) == ()
@@ -338,11 +346,20 @@ def test_two_plain_effects_win_against_a_flexible_one():
     assert (off.verdict, off.ranked) == ("unexplained", ("magnet_tilt",))
 
 
-def test_a_flexible_effect_stays_where_a_second_one_beside_it_leaves_far_less():
-    """A rail and an old reading: a saturated field and a delay explain more than the rail alone."""
-    kept, off = without(overdriven(0.654, 0.034, -0.0024), "rotary", no_substitute=0.0)
-    assert kept.ranked[0] == "saturation"
-    assert off.ranked[0] == "field_saturation"
+def test_a_flexible_effect_stays_where_a_second_one_beside_it_leaves_far_less(monkeypatch):
+    """Two plain effects leave 300 squares with fewer parameters, the flexible one and a second one 100."""
+    flexible, plain = effect("flexible", 4, 400.0, 1e-6, bic=50.0), effect("plain", 1, 450.0, 1e-6)
+    gains = {"flexible": 300.0, "plain": 150.0}
+    monkeypatch.setattr(
+        RANKING, "_second", lambda e, *_: SimpleNamespace(gain=gains[e.score.effect.name], size=1, bic=0.0)
+    )
+
+    def best(policy: Policy) -> str:
+        order = RANKING.plain_pairs_first([flexible, plain], (), (), None, policy)
+        return str(order[0].score.effect.name)
+
+    assert best(POLICY) == "flexible"
+    assert best(replace(POLICY, no_substitute=0.0)) == "plain"
 
 
 def test_an_effect_that_other_parameters_undo_is_rejected():
@@ -367,9 +384,13 @@ def test_clipping_is_judged_by_the_holdout_runs():
 
 @pytest.mark.parametrize("gate", ["most_refits", "promising"])
 def test_effects_that_explain_nearly_as_much_are_refitted_too(gate):
-    kept, off = without(machine(third), "ellipse", **{gate: 1})
-    assert set(kept.groups[0]) == {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"}
-    assert off.groups == ()
+    setup = prepare(machine(third), "ellipse")
+    (kept,), (off,) = (
+        select(replace(setup, policy=policy)).effects for policy in (POLICY, replace(POLICY, **{gate: 1}))
+    )
+    alike = {kept.name, *(r.score.effect.name for r in kept.rivals)}
+    assert alike == {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"}
+    assert off.rivals == ()
 
 
 @pytest.mark.slow
@@ -386,6 +407,54 @@ def test_a_rail_is_refitted_from_several_starts():
     kept, off = without(log, "stage31", starts=1)
     assert kept.metric.after < 1.1 * kept.metric.floor
     assert off.metric.after > 1.5 * off.metric.floor
+
+
+# -- flexible alternatives, and sets of effects --------------------------------------------------------------
+
+
+class Beaten:
+    """A flexible alternative that is off by 15 % with a p-value of 1e-4."""
+
+    by, misfit, p_value = ("z_m",), 0.15, 1e-4
+
+
+@pytest.mark.parametrize("gate", [{"behaves_like": 0.2}, {"beaten": 1e-5}])
+def test_an_alternative_must_be_material_and_certain(monkeypatch, gate):
+    monkeypatch.setattr(FLEXIBLE, "flexible", lambda *_: [Beaten])
+    found = SimpleNamespace(effects=(SimpleNamespace(selected=SimpleNamespace(name="one")),))
+    setup = SimpleNamespace(policy=POLICY)
+    assert resemblances(setup, found) == {"one": Beaten}
+    setup.policy = replace(POLICY, **gate)
+    assert resemblances(setup, found) == {}
+
+
+def test_an_effect_is_varied_only_over_what_it_is_a_function_of_and_with_enough_runs():
+    """A third harmonic is a function of the angle, and of nothing else that six runs show."""
+    setup = prepare(machine(third), "ellipse")
+    found = validate(setup, select(setup))
+    (held,) = found.effects
+
+    def over(**gates: float) -> set[tuple[str, ...]]:
+        return {f.by for f in flexible(replace(setup, policy=replace(POLICY, **gates)), found, held)}
+
+    assert over(fewest_folds=2) == {("angle_ref_rad",)}
+    assert over(fewest_folds=2, own_coordinate=0.0) > {("angle_ref_rad",)}
+    assert over(fewest_folds=99) == set()
+
+
+def test_sets_beside_an_effect_are_small_and_may_miss_what_is_not_linear():
+    """Offsets, a gain mismatch and skewed axes stand beside an eccentricity: one and two waves per turn."""
+    setup = prepare(table({1: (0.3, 0.4), 2: (0.25, 1.3)}), "rotary_ideal")
+    selection = select(setup)
+    found = validate(setup, selection)
+
+    def beside(**gates: float) -> int:
+        at = replace(setup, policy=replace(POLICY, **gates))
+        return len(alternatives(at, selection, found, {}))
+
+    assert beside() > 0
+    assert beside(most_in_set=0) == 0
+    assert beside(nearly_linear=-1.0) == 0
 
 
 def test_every_threshold_is_tested_here():

@@ -16,7 +16,8 @@ def effects_section(d: Diagnosis) -> Markup:
     """Return the ranking of the effects, and groups that the log cannot tell apart."""
     if not (d.effects or d.groups or d.ranked):
         return tag("p", "None. No effect of the catalogue lowers the gap by what is worth reporting.")
-    return join([_ranking(d), _ranked(d), _groups(d)])
+    notes = [join([tag("strong", e.name), ": ", e.note]) for e in d.effects if e.note]
+    return join([_ranking(d), _ranked(d), *([items(notes)] if notes else []), _groups(d)])
 
 
 def _ranking(d: Diagnosis) -> Markup:
@@ -60,10 +61,14 @@ def _groups(d: Diagnosis) -> Markup:
     """Return what the log cannot tell apart, and the recording that would."""
     found = {s.group: s for s in d.separate_by}
     lines = [
-        join([tag("strong", ", ".join(group)), *_separation(found.get(group))])
+        join([tag("strong", _said(group, found.get(group))), *_separation(found.get(group))])
         for group in dict.fromkeys([*d.groups, *found])
     ]
     return join([tag("h3", "Confusable effects"), items(lines)]) if lines else Markup("")
+
+
+def _said(group: tuple[str, ...], s: Separation | None) -> str:
+    return s.said if s else ", ".join(group)
 
 
 def _separation(s: Separation | None) -> list[object]:

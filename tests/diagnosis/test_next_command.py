@@ -1,0 +1,87 @@
+"""The command that a diagnosis prints fits the model that it names, and leaves the error that it states.
+
+Every simulated log of the golden results, and every case beside the project: slow. A few of them: fast.
+"""
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "goldens"))
+
+from golden_logs import CASES, LOGS, Absent, folder_of
+
+import hallsym
+from hallsym.diagnosis import Diagnosis, base_of, block_errors, diagnose, model_on
+from hallsym.estimation import Fit
+from hallsym.log import read_log
+
+CLOSE = 0.02
+"""Relative difference of the error of the same model, fitted by the two solvers: their covariance of the
+reference's noise differs by what the effects change of the gains."""
+PIECES = 0.35
+"""The same where pieces of one recording judged, which the command fits: few samples judge."""
+QUICK = ("rotary_third_wave", "stage31_late", "rotary_ideal_offset")
+
+
+def option(words: tuple[str, ...], name: str) -> list[str]:
+    return [words[k + 1] for k, word in enumerate(words) if word == name]
+
+
+def left(d: Diagnosis, path: Path) -> tuple[float, float]:
+    """Return the error that a diagnosis states by output, and that of the fit which its command makes."""
+    log, (model,) = read_log(path), option(d.next_step, "--model")
+    held = option(d.next_step, "--holdout")
+    holdout = tuple(map(int, held[0].split(","))) if held else None
+    wide = model_on(log, model, option(d.next_step, "--effect"), holdout=holdout)
+    result: Fit = hallsym.fit(
+        log, wide, solver="direct", holdout=holdout, resolve_wiring="--resolve-wiring" in d.next_step
+    )
+    if (
+        holdout
+    ):  # on the same samples: the table of a fit leaves out what looked like spikes without the effect
+        base = replace(base_of(log, result), keep=None)
+        return d.metric.after, block_errors(base, holdout, log.rows, None).metric
+    row = result.errors.rows()["fitted"]
+    weights = wide.family.pose_metric.weights(wide.pose, log.meta.gap_length_scale_m)
+    fitted = np.array([row["rmse"][c] for c in wide.pose])
+    said = np.array([d.gap_after.rmse[c] for c in wide.pose])
+    return float(np.linalg.norm(weights * said)), float(np.linalg.norm(weights * fitted))
+
+
+def check(path: Path) -> None:
+    d = diagnose(read_log(path))
+    if not d.next_step or any(not e.text for e in d.effects):
+        return  # nothing to fit, or faults of samples that a fit does not repair
+    said, found = left(d, path)
+    close = CLOSE if "--holdout" in d.next_step else PIECES
+    assert found == pytest.approx(said, rel=close), (d.ranked, said, found)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_the_command_leaves_the_error_that_is_stated(name):
+    check(folder_of(name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [n for n in LOGS if n not in QUICK and LOGS[n].diagnosed != "never"])
+def test_the_command_of_every_golden_log(name):
+    try:
+        folder = folder_of(name)
+    except Absent as absent:
+        pytest.skip(str(absent))
+    check(folder)
+
+
+NAMES = sorted(str(p.relative_to(CASES)) for f in ("dev", "more") for p in (CASES / f).glob("*_*"))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not NAMES, reason=f"no cases in {os.fspath(CASES)}; the golden logs above always run")
+@pytest.mark.parametrize("name", NAMES)
+def test_the_command_of_every_case(name):
+    check(CASES / name)
