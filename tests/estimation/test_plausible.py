@@ -95,6 +95,20 @@ def test_nothing_is_said_of_a_column_at_rest(six, column):
         assert notes == ()
 
 
+@pytest.mark.parametrize(("size", "refused"), [(0.08, False), (0.1, True)])
+def test_the_sign_of_a_height_is_told_where_gains_follow_it(size, refused):
+    """Heights and tilts a tenth as far apart as usual."""
+    runs = [Run(r.duration_s, {c: size * v for c, v in r.setting.items()}, r.motion) for r in six_runs().runs]
+    truth = published.values("table7_estimates")
+    arrays = simulate(build("stage31"), truth, Campaign(2e-3, tuple(runs)), NoiseModel(SIGMA), seed=3)
+    log = log_of(arrays | {"z_m": -arrays["z_m"]})
+    try:
+        said = fit(log, "stage31", solver="direct").notes
+    except InputError as error:
+        said = (str(error),)
+    assert any("the sign of z_m looks inverted" in text for text in said) is refused
+
+
 def test_a_model_without_vertical_coupling_does_not_judge_the_state(six):
     assert not any(
         "looks like" in note for note in fit(log_of(six | {"z_m": six["z_m"] * 1e3}), "stage30").notes
