@@ -2,6 +2,7 @@
 
 import json
 from argparse import ArgumentTypeError, Namespace
+from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_CONVERGED, OK
@@ -15,7 +16,7 @@ from hallsym.cli.common import (
     say,
     seed,
 )
-from hallsym.diagnosis import RATIOS, ROWS, load_effects, selftest
+from hallsym.diagnosis import QUICK, RATIOS, REPEATS, ROWS, load_effects, selftest
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, default_model
 from hallsym.families.machine_file import read_machine
@@ -29,11 +30,11 @@ def add(sub: Any) -> None:
         sub, "selftest", run,
         "Fit a model and simulate it on the recorded motion. Inject each effect of the catalogue at several\n"
         "sizes, with noise like that of the log, and diagnose each simulated log blind. Print which effects\n"
-        "would be found, from which size on, and which would be taken for another. Takes minutes; Ctrl-C\n"
-        "keeps what was done.",
+        "would be found, from which size on, and which would be taken for another. Takes an hour for all\n"
+        "effects, minutes with --quick or for a few; Ctrl-C keeps what was done.",
         "examples:\n"
-        "  hallsym selftest LOG --model stage31\n"
-        "  hallsym selftest LOG --effects hysteresis,time_skew --sizes 1.1,1.2 --repeats 3\n"
+        "  hallsym selftest LOG --model stage31 --quick\n"
+        "  hallsym selftest LOG --effects hysteresis,time_skew --sizes 1.1,1.2\n"
         "  hallsym selftest LOG --user-effects my_effects.py --effects speed_gain",
     )  # fmt: skip
     parser.add_argument("log", metavar="LOG", help="log, or a folder with log and meta.json")
@@ -43,7 +44,12 @@ def add(sub: Any) -> None:
         "--sizes", type=numbers, default=RATIOS, metavar="RATIOS",
         help="gap over noise floor, such as 1.07,1.3,2 (the default)",
     )  # fmt: skip
-    parser.add_argument("--repeats", type=int, default=1, help="trials of each size (default 1)")
+    parser.add_argument(
+        "--repeats", type=int, default=REPEATS, help=f"trials of each size (default {REPEATS})"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="one trial of each size: a first look, without bounds"
+    )
     parser.add_argument("--seed", type=seed, default=0, help="of signs, instants and noise (default 0)")
     parser.add_argument(
         "--rows", type=int, default=ROWS, metavar="N",
@@ -56,6 +62,7 @@ def add(sub: Any) -> None:
         "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
     )
     parser.add_argument("-o", "--output", metavar="JSON", help="save the result")
+    parser.add_argument("--plots", metavar="FOLDER", help="save a picture of detection against size")
     model_options(parser, "the log's base_model, else by its columns")
     log_options(parser)
 
@@ -89,13 +96,19 @@ def run(options: Namespace) -> int:
         effects=load_effects(options.user_effects) if options.user_effects else (),
         threshold=options.threshold,
         ratios=options.sizes,
-        repeats=options.repeats,
+        repeats=QUICK if options.quick else options.repeats,
         seed=options.seed,
         rows=options.rows,
         drop_bad=options.drop_bad,
         on_progress=progress_of(options),
     )
+    wrote = []
     if options.output:
         atomic_write(options.output, json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n")
-    say(options, found.to_dict(), lambda: selftest_text(found))
+        wrote.append(Path(options.output))
+    if options.plots:
+        from hallsym.report.figures import save_detection
+
+        wrote += save_detection(found, Path(options.plots))
+    say(options, found.to_dict(), lambda: selftest_text(found), wrote=wrote)
     return OK if found.complete else NOT_CONVERGED

@@ -15,6 +15,7 @@ from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.curve_words import shape, waves_per_period
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
 from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, errors_of, interval
+from hallsym.diagnosis.detection import QUICK, REPEATS, CurvePoint, Rate
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.facts import facts_of, instants, rails_of
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
@@ -27,6 +28,7 @@ from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape, lack_of_fit
 from hallsym.diagnosis.links import smoothed
 from hallsym.diagnosis.localisation import Located, both, located
+from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
 from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, of_signs, student
 from hallsym.diagnosis.policy import POLICY, Policy
@@ -67,31 +69,32 @@ from hallsym.diagnosis.simulated_machine import (
     decimated,
     machine_of,
     readings_of,
-    residual_noise,
+    simulated_noise,
 )
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.validation import decrease_p, validate
-from hallsym.diagnosis.verdict import decide
+from hallsym.diagnosis.verdict import QUIET, decide
 from hallsym.diagnosis.words import degrees_of, gap_text, gap_unit, shown
 from hallsym.families.user import load_effects
 from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
-    "NO_EFFECT", "PAST", "POLICY", "RATIOS", "ROWS", "Accumulator", "Alternative", "Band", "Base", "Bench",
-    "BlockErrors", "Comparison", "Coordinate", "CurveShape", "Diagnosis", "Effect", "EffectChange",
-    "Estimate", "Exact", "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap",
-    "Injection", "Key", "LackOfFit", "Located", "LogRecord", "Metric", "ModelLeft", "NoiseFloor",
-    "NotExcluded", "ParameterChange", "PlaceChange", "Policy", "Range", "Refitted", "Resemblance",
-    "ResidualTable", "Score", "Selected", "SelfTest", "Separation", "Shape", "Share", "Shrinkage",
-    "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial", "Unexplained",
-    "Variant", "alternatives", "as_many", "as_often", "base_of", "beyond", "block_errors", "both",
-    "candidates", "compare", "confusable", "coordinates", "cordic", "decide", "decimated", "decrease_p",
-    "degrees_of", "diagnose", "distance", "errors_of", "examine", "exceeds", "facts_of", "faults",
-    "firmware_cost", "flexible", "gap_text", "gap_unit", "generator", "hats", "injections", "inside_bounds",
-    "instants", "interval", "knot_group", "knots", "lack_of_fit", "load_effects", "located", "machine_of",
-    "model_on", "normal_equations", "of_signs", "operations", "ordered", "others", "prepare", "rails_of",
-    "range_of", "readings_of", "recorded", "recordings", "refit", "remains", "resemblances",
-    "residual_noise", "residual_table", "run_gains", "scores", "select", "selftest", "separation", "shape",
-    "shown", "sized", "sizes", "smaller_findings", "smoothed", "split", "student", "survey", "unexplained",
-    "used_up", "validate", "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
+    "NO_EFFECT", "PAST", "POLICY", "QUICK", "QUIET", "RATIOS", "REPEATS", "ROWS", "Accumulator",
+    "Alternative", "Band", "Base", "Bench", "BlockErrors", "Comparison", "Coordinate", "CurvePoint",
+    "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact", "Examined", "Facts",
+    "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Key", "LackOfFit", "Located",
+    "LogRecord", "Metric", "ModelLeft", "NoiseFloor", "NotExcluded", "ParameterChange", "PlaceChange",
+    "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable", "Score", "Selected", "SelfTest",
+    "Separation", "Shape", "Share", "Shrinkage", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum",
+    "Statement", "Trial", "Unexplained", "Variant", "alternatives", "as_many", "as_often", "base_of",
+    "beyond", "block_errors", "both", "candidates", "compare", "confusable", "coordinates", "cordic",
+    "decide", "decimated", "decrease_p", "degrees_of", "diagnose", "distance", "errors_of", "examine",
+    "exceeds", "facts_of", "faults", "firmware_cost", "flexible", "gap_text", "gap_unit", "generator",
+    "hats", "injections", "inside_bounds", "instants", "interval", "knot_group", "knots", "lack_of_fit",
+    "load_effects", "located", "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations",
+    "of_signs", "operations", "ordered", "others", "prepare", "rails_of", "range_of", "readings_of",
+    "recorded", "recordings", "refit", "remains", "resemblances", "residual_table", "run_gains", "scores",
+    "select", "selftest", "separation", "shape", "shown", "simulated_noise", "sized", "sizes",
+    "smaller_findings", "smoothed", "split", "student", "survey", "unexplained", "used_up", "validate",
+    "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

@@ -6,7 +6,7 @@ The stages lead one way, each from typed records to a typed record:
     select     screening by scores, greedy search with exact refits               -> Selection
     validate   the selected effects on the holdout runs, faults of samples        -> Validation
     resemble   each effect that holds against a flexible alternative in its link  -> Resemblance
-    decide     the verdict                                                        -> Verdict
+    decide     the noise that is left, the verdict                                -> Verdict
     confusable effects the log cannot tell apart, recordings that separate them   -> Confusable
     report     everything of these                                                -> Diagnosis
 """
@@ -18,6 +18,7 @@ from typing import Any
 from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.findings import findings
 from hallsym.diagnosis.flexible import resemblances
+from hallsym.diagnosis.noise import noise_of_rest
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Diagnosis
 from hallsym.diagnosis.report import report
@@ -25,7 +26,7 @@ from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import select
 from hallsym.diagnosis.setup import Setup, prepare
 from hallsym.diagnosis.validation import validate
-from hallsym.diagnosis.verdict import decide
+from hallsym.diagnosis.verdict import QUIET, decide
 from hallsym.estimation.calibration import Fit
 from hallsym.log import as_log
 from hallsym.model import Effect, Model
@@ -78,9 +79,10 @@ def examine(setup: Setup) -> Examined:
     selection = select(setup)
     found = validate(setup, selection)
     resembled = resemblances(setup, found)
-    verdict = decide(setup, found, resembled)
+    noise = noise_of_rest(found.judged, setup.runs)
+    verdict = decide(setup, found, resembled, noise)
     named = findings(setup, found, resembled)
-    quiet = verdict == "no gap"
+    quiet = verdict in QUIET
     alike = Confusable((), (), ()) if quiet else confusable(setup, selection, found, named, verdict)
-    diagnosis = report(setup, selection, found, named, verdict, alike)
+    diagnosis = report(setup, selection, found, named, verdict, alike, noise)
     return Examined(diagnosis, setup.fit, setup.base, found.base if diagnosis.effects else None)

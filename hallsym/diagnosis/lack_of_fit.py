@@ -40,6 +40,10 @@ SLOWEST = 4
 """Frequencies of a segment that are drift and no line."""
 CERTAIN = 8.0
 """Standard deviations of the mean power of noise by which a line stands out."""
+STEADY = 0.5
+"""Variance of a line's power within runs, over its square and over that of noise, below which it is a tone.
+
+The power of noise, also of a resonance that noise excites, scatters in each line by as much as it is."""
 NIL = 1e-9
 """Squares of a feature, over the largest of its family, below which it never moves."""
 
@@ -55,7 +59,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class LackOfFit:
-    """Families of features, best first; `lines`: decrease of the metric without its spectral lines."""
+    """Families of features, best first; `lines`: decrease of the metric without the lines of steady tones."""
 
     shapes: tuple[Shape, ...]
     lines: float = 0.0
@@ -113,6 +117,9 @@ class _Work:
         self.gained: list[tuple[float, float]] = []
         self.power = np.zeros(SEGMENT // 2 + 1)
         self.segments = 0
+        self.of_run: list[np.ndarray] = []
+        self.single: list[np.ndarray] = []
+        self.scatter = np.zeros((2, SEGMENT // 2 + 1))
 
     # -- one stretch -----------------------------------------------------------------------------------------
 
@@ -192,7 +199,7 @@ class _Work:
         for low in range(0, e.shape[1] - SEGMENT + 1, SEGMENT):
             part = e[:, low : low + SEGMENT]
             part = (part - part.mean(axis=1, keepdims=True)) * window
-            self.power += (np.abs(np.fft.rfft(part, axis=1)) ** 2).sum(axis=0)
+            self.of_run.append((np.abs(np.fft.rfft(part, axis=1)) ** 2).sum(axis=0))
             self.segments += 1
 
     # -- runs and the end ------------------------------------------------------------------------------------
@@ -206,7 +213,20 @@ class _Work:
             gain = regression(gram, cross, ridge(gram)).squares.sum()
             self.gained.append((float(gain), float(np.trace(sides.sum(axis=0)[n:, n:]))))
         self.within = [np.zeros((0, 0)), np.zeros((0, 0))]
+        if self.of_run:
+            self.power += np.sum(self.of_run, axis=0)
+            if len(self.of_run) == 1:
+                self.single += self.of_run
+            else:
+                self._scattered(self.of_run)
+            self.of_run = []
         self.seen += 1
+
+    def _scattered(self, segments: Sequence[np.ndarray]) -> None:
+        """Add the squares by which the power of segments scatters, and those of its mean."""
+        mean = np.mean(segments, axis=0)
+        squares = np.sum((np.array(segments) - mean) ** 2, axis=0)
+        self.scatter += np.array([squares, (len(segments) - 1) * mean**2])
 
     def finish(self) -> LackOfFit:
         if self.run is not None:
@@ -230,8 +250,25 @@ class _Work:
         smooth = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * AROUND + 1), axis=1)
         certain = P / smooth > 1 + CERTAIN / np.sqrt(self.E * self.segments)
         certain[:SLOWEST] = False
+        if not self._steady(certain):
+            return 0.0
         share = float(np.where(certain, P - smooth, 0.0).sum() / max(P.sum(), 1e-300))
         return 1 - float(np.sqrt(max(1 - share, 0.0)))
+
+    def _steady(self, certain: np.ndarray) -> bool:
+        """Return whether lines have the same power all through a run, unlike noise of their frequency.
+
+        Runs too short for that are held against each other.
+        """
+        if len(self.single) > 1:
+            self._scattered(self.single)
+        varies, squares = self.scatter
+        noise = ~certain & (squares > 0)
+        if not noise.any() or not squares[certain].sum() > 0:
+            return True
+        # the median: a few frequencies beside a line have a part of its power
+        usual = float(np.median(varies[noise] / squares[noise]))
+        return bool(varies[certain].sum() < STEADY * usual * squares[certain].sum())
 
 
 def judged(key: Key, folds: np.ndarray, E: int) -> Shape:

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hallsym.diagnosis.plain_data import plain, typed
+from hallsym.estimation import KNOWN
 from hallsym.shown import Shown
 
 
@@ -34,6 +35,35 @@ class NoiseFloor:
 
     outputs: dict[str, float]
     source: str
+
+
+@dataclass(frozen=True)
+class NoiseFinding:
+    """Noise of the readings that the model with the effects found leaves, on the fitted runs.
+
+    `ratio`: its standard deviation over that of the noise floor, with a 95 % `interval`; `by_sensor`: the
+    same by sensor, `larger_in`: the sensors in which it is certainly larger. `white`: whether its samples may
+    be independent; `whiteness_p`: probability that white noise is as correlated. `correlation`: of
+    neighbouring samples, `memory`: variance of a slow average over that of white noise, `coefficients`: of
+    the autoregression. `bounded`: whether it is flatter than Gaussian noise, such as a wave or steps between
+    levels: no noise.
+    """
+
+    ratio: float
+    interval: tuple[float, float]
+    by_sensor: dict[str, float]
+    larger_in: tuple[str, ...]
+    white: bool
+    whiteness_p: float
+    correlation: float
+    memory: float
+    coefficients: tuple[float, ...]
+    bounded: bool = False
+
+    @property
+    def larger(self) -> bool:
+        """Whether it is larger than the noise floor by more than a floor is uncertain."""
+        return self.interval[0] > 1 + KNOWN
 
 
 @dataclass(frozen=True)
@@ -331,7 +361,8 @@ class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
     `verdict`: "no gap", "explained", "behaves like" (what is named closes the gap, but a flexible alternative
-    beats the effect that closes most of it) or "unexplained".
+    beats the effect that closes most of it), "unexplained", or "noise larger than stated" where what exceeds
+    the stated noise is noise.
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
     "unexplained". `unexplained`: share and shape of that rest. `model_error`: what the budget of a position
@@ -370,6 +401,8 @@ class Diagnosis(Shown):
     shares: tuple[Share, ...] = ()
     next_step: tuple[str, ...] = ()
     waves: tuple[Waves, ...] = ()
+    noise: NoiseFinding | None = None
+    """The noise that is left, None where the log is too short to tell."""
     held_out: str = "holdout run"
     """What judges: a run, or a piece of a recording of too few."""
 

@@ -10,6 +10,7 @@ from hallsym.diagnosis.decoded_errors import block_errors, interval, waves
 from hallsym.diagnosis.gap import worth_reporting
 from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.model_error import model_error
+from hallsym.diagnosis.noise import LARGER, noise_text, with_noise
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import (
     Diagnosis,
@@ -17,6 +18,7 @@ from hallsym.diagnosis.record import (
     Gap,
     LogRecord,
     Metric,
+    NoiseFinding,
     NoiseFloor,
     Shrinkage,
     Sizes,
@@ -26,7 +28,7 @@ from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.validation import Validation
-from hallsym.diagnosis.verdict import Verdict, closed
+from hallsym.diagnosis.verdict import QUIET, Verdict, closed
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.estimation.calibration import Fit, added_effects
 
@@ -38,21 +40,24 @@ def report(
     effects: tuple[FoundEffect, ...],
     verdict: Verdict,
     alike: Confusable,
+    noise: NoiseFinding | None = None,
 ) -> Diagnosis:
-    """Return the diagnosis. `effects`: what was found; `alike`: what the log cannot tell apart."""
-    quiet = verdict == "no gap"
+    """Return the diagnosis.
+
+    `effects`: what was found; `alike`: what the log cannot tell apart; `noise`: that is left.
+    """
+    quiet = verdict in QUIET
     named = () if quiet else effects
     after = found.before.metric if quiet else found.metric
     metric = Metric(found.before.metric, after, found.floor.metric)
     share = closed(metric.before, metric.after, metric.floor)
-    where, rest = _located(setup, selection, found, verdict)
+    where, rest = _located(setup, selection, found, verdict, noise)
     left = unexplained(rest, 1 - share) if rest else None
     gap_after = Gap(**found.before.gap()) if quiet else _gap_after(found)
+    unit = gap_unit(setup.fit.model.pose)
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence(
-            verdict, named, alike.instead_of, metric, gap_unit(setup.fit.model.pose), setup.held_out
-        ),
+        sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
         gap_before=Gap(**found.before.gap()),
@@ -69,7 +74,7 @@ def report(
         effects=named,
         where=where.statements,
         shares=where.shares,
-        size=_size(setup, found, where),
+        size=_size(setup, found, where, noise is not None and noise.larger and verdict != "unexplained"),
         remaining=rest.statements if rest else (),
         unexplained=left,
         model_error=model_error(setup, found, gap_after, after, left, alike),
@@ -80,11 +85,12 @@ def report(
         threshold=setup.threshold,
         model=setup.fit.model.name,
         log=_log(setup),
-        notes=_notes(setup, found, quiet),
+        notes=_notes(setup, found, verdict == "no gap"),
         seconds=perf_counter() - setup.began,
         versions=dict(setup.fit.versions),
         waves=waves(found.start.base, found.base if named else None),
         next_step=() if quiet else next_step(setup, found),
+        noise=noise,
     )
 
 
@@ -122,16 +128,21 @@ def _gap_after(found: Validation) -> Gap:
 
 
 def _located(
-    setup: Setup, selection: Selection, found: Validation, verdict: Verdict
+    setup: Setup, selection: Selection, found: Validation, verdict: Verdict, noise: NoiseFinding | None
 ) -> tuple[Located, Located | None]:
     """Return where the gap lies and, if it is unexplained, where the rest lies.
 
-    Faults of samples count by their power over all of the excess.
+    Faults of samples count by their power over all of the excess. Where the noise is larger than its floor,
+    the excess is what exceeds the noise: noise lies nowhere.
     """
     start, runs = found.start.base, setup.base.log.runs
+    loud = noise if noise is not None and noise.larger and verdict != "unexplained" else None
+    if loud is not None:
+        start = with_noise(start, loud)
     plain = replace(start, keep=None)
-    if found.before.metric > found.floor.metric * (1 + setup.policy.floor_known):
-        gap = located(plain, runs, selection.scores_at(start), found.faults, found.variance)
+    floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
+    if found.before.metric > floor * (1 + setup.policy.floor_known):
+        gap = located(plain, runs, selection.scores_at(found.start.base), found.faults, found.variance)
     else:
         gap = Located((), (), *both(plain, runs))
     if verdict != "unexplained":
@@ -141,10 +152,13 @@ def _located(
     return gap, located(found.base, runs, selection.scores_at(found.base))
 
 
-def _size(setup: Setup, found: Validation, where: Located) -> Sizes:
-    """Return how large the gap is, channels as they were logged."""
+def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:
+    """Return how large the gap is over the noise floor, channels as they were logged.
+
+    `loud`: whether `where` holds it against noise that is larger than the floor.
+    """
     start = setup.as_logged(found.start.base)
-    fitted, held = both(start, setup.base.log.runs) if setup.miswired else (where.fitted, where.held)
+    fitted, held = both(start, setup.base.log.runs) if setup.miswired or loud else (where.fitted, where.held)
     errors = {"fitted": block_errors(start, setup.runs, setup.log.rows, None), "held_out": found.before}
     return sizes({"fitted": fitted, "held_out": held}, errors, setup.fit.noise_floor)
 
@@ -174,10 +188,12 @@ def sentence(
     gap: Metric,
     unit: tuple[float, str],
     held_out: str = "holdout run",
+    noise: NoiseFinding | None = None,
 ) -> str:
     """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
 
-    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges.
+    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges. `noise`: that is left,
+    which a verdict of noise tells of.
     """
     judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
@@ -189,6 +205,8 @@ def sentence(
         )
     times = gap.before / max(gap.floor, 1e-300)
     said = f"The error on the {judges} is {before}, {times:.3g} x the noise floor"
+    if verdict == LARGER and noise is not None:
+        return f"{LARGER.capitalize()}. {said}, and that is noise: {noise_text(noise, stated=True)}."
     if not effects:
         return f"{said}; no known effect explains it."
     named = " and ".join(_with_others(e.name, instead_of(e.name)) for e in effects)

@@ -1,28 +1,32 @@
 """The simulated machine of a self-test: a fitted model on recorded motion, its noise, decimated logs.
 
-The recorded reference, vertical state, time and temperature are taken as the truth. The noise looks like the
-residuals of the log: as large as stated, correlated in time as they are. What the catalogue can explain is
-taken out first, so that a gap does not pass for correlated noise.
+The recorded reference, smoothed, vertical state, time and temperature are taken as the truth. The noise is
+that of the log as it is: as large and as correlated in time as what the fit leaves
+(`hallsym.diagnosis.noise`), in the readings and in the reference. What is stated of it is what the log
+states, and no more.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise
+from types import MappingProxyType
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 
-from hallsym.diagnosis.normal_equations import Accumulator, coefficients, normal_equations
+from hallsym.diagnosis.noise import noise_of_rest, noise_text
+from hallsym.diagnosis.normal_equations import coefficients, normal_equations
+from hallsym.diagnosis.residual_table import at_rest
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.scores import candidates
-from hallsym.estimation import pseudo_inverse
+from hallsym.estimation import autoregressive
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log, Noise, Sigma
 from hallsym.log.batches import batches
 from hallsym.log.derived import extended
-from hallsym.model import Effect, Facts, Model
+from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import rate
+
+NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +34,7 @@ class SimulatedMachine:
     """A fitted model as the machine: `base` holds the log with the motion, the values and the zeros.
 
     `clean`: its readings without noise, (K, rows). `speed`: d clean / dt along the smoothed motion.
-    `floor_m`: gap metric that the stated noise makes. `origin_s`: time of the first sample.
+    `floor_m`: gap metric that the noise makes. `stated`: columns whose noise the log states.
     """
 
     base: Base
@@ -38,17 +42,19 @@ class SimulatedMachine:
     clean: np.ndarray
     speed: np.ndarray
     floor_m: float
+    stated: frozenset[str]
 
     @property
     def runs(self) -> list[int]:
         """Runs that are fitted."""
         return [r for r in self.base.log.runs if r not in self.base.holdout]
 
-    def log(self, readings: np.ndarray) -> Log:
-        """Return the log with other readings, (K, rows); its noise is stated."""
+    def log(self, readings: np.ndarray, reference: Mapping[str, np.ndarray] = NOTHING) -> Log:
+        """Return the log with other readings, (K, rows), and noise of the `reference` by column, (rows,)."""
         base = self.base
         rows = dict(zip(base.model.channels, readings, strict=True))
-        noise = Noise({c: Sigma(s, "given") for c, s in base.sigma.items()})
+        rows |= {c: self.columns[c] + noise for c, noise in reference.items()}
+        noise = Noise({c: Sigma(s, "given") for c, s in base.sigma.items() if c in self.stated})
         meta = replace(base.log.meta, holdout=tuple(sorted(base.holdout)))
         return Log.from_arrays({**self.columns, **rows}, noise, meta, "a simulated log")
 
@@ -63,12 +69,31 @@ class SimulatedMachine:
         return float(np.sqrt(max(v @ out @ v, 0.0))), float(np.sqrt(max(out[-1, -1], 0.0)))
 
 
-def machine_of(base: Base, floor_m: float) -> SimulatedMachine:
-    """Return the machine of a fitted model on the motion that `base.log` recorded."""
-    columns = {c: base.log.array(c) for c in base.log.columns if c not in base.model.channels}
-    columns["run"] = columns["run"].astype(int)
+def machine_of(base: Base, floor_m: float, stated: Collection[str] | None = None) -> SimulatedMachine:
+    """Return the machine of a fitted model on the motion that `base.log` recorded.
+
+    `stated`: columns whose noise the simulated logs state, by default all.
+    """
     base = replace(base, keep=None)
-    return SimulatedMachine(base, columns, readings_of(base, base.model, base.p), _speed(base), floor_m)
+    columns = {c: base.log.array(c) for c in base.log.columns}
+    columns["run"] = columns["run"].astype(int)
+    columns |= _motion(base)
+    base = replace(base, log=Log.from_arrays(columns, base.log.noise, base.log.meta, base.log.name))
+    columns = {c: v for c, v in columns.items() if c not in base.model.channels}
+    known = frozenset(base.sigma if stated is None else stated)
+    return SimulatedMachine(
+        base, columns, readings_of(base, base.model, base.p), _speed(base), floor_m, known
+    )
+
+
+def _motion(base: Base) -> dict[str, np.ndarray]:
+    """Return the references as the motion was, without the noise of the log where it has time."""
+    references = base.model.references if base.timed else ()
+    parts: dict[str, list[np.ndarray]] = {c: [] for c in references}
+    for piece in pieces(base, frozenset(base.log.runs)):
+        for c in references:
+            parts[c].append(at_rest(piece.data[f"d0_{c}"], base.sigma.get(c, 0.0)))
+    return {c: np.concatenate(v) for c, v in parts.items()}
 
 
 def readings_of(base: Base, model: Model, p: np.ndarray) -> np.ndarray:
@@ -100,112 +125,60 @@ def goes_round(truth: SimulatedMachine) -> bool:
     return truth.base.model.channels == truth.base.model.pose
 
 
-ORDERS = 12
-"""Highest order of the autoregression that is tried."""
+@dataclass(frozen=True, eq=False)
+class SimulatedNoise:
+    """Gaussian noise of readings and reference as a log has it.
+
+    `coefficients` of the autoregression, empty for white noise. `readings`: (K,) standard deviations,
+    `reference`: by column. `text`: what it is, in words. `ratio`: to the noise floor of the log.
+    """
+
+    coefficients: np.ndarray
+    readings: np.ndarray
+    reference: Mapping[str, float]
+    correlation: float
+    ratio: float
+    text: str
+
+    def draw(self, run: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Return noise of the readings, (K, rows), and of each reference, (rows,); every run begins anew."""
+        size = np.concatenate([self.readings, list(self.reference.values())])
+        noise = rng.standard_normal((len(size), len(run)))
+        if len(self.coefficients):
+            edges = [0, *(np.flatnonzero(np.diff(run)) + 1).tolist(), len(run)]
+            for first, last in pairwise(edges):
+                settle = rng.standard_normal((len(size), SETTLE))
+                driven = np.hstack([settle, noise[:, first:last]])
+                noise[:, first:last] = autoregressive(self.coefficients, driven)[:, SETTLE:]
+        noise *= size[:, None]
+        K = len(self.readings)
+        return noise[:K], dict(zip(self.reference, noise[K:], strict=True))
+
+
 SETTLE = 400
 """Samples for which a simulated noise runs before it counts."""
 
 
-SPIKE = 5.0
-"""Standard deviations at which a residual is clipped: a spike is no noise."""
-ALIKE = 1e-7
-"""Eigenvalue of the products of columns of unit length, over the largest, below which it is rounding."""
+def simulated_noise(base: Base, runs: Sequence[int], stated: bool = True) -> SimulatedNoise:
+    """Return noise like that which `base` leaves on `runs`.
 
-
-@dataclass(frozen=True, eq=False)
-class ResidualNoise:
-    """Gaussian autoregressive noise: `coefficients` (order,), empty for white noise.
-
-    `colour`: (K, K), turns K independent noises of unit variance into noise of the readings. `excess`:
-    variance of the residuals over the stated one; `lag_one`: their autocorrelation at one sample.
+    It is white and as large as the noise floor where they are too short to tell. `stated`: whether that is.
     """
-
-    coefficients: np.ndarray
-    drive: float
-    colour: np.ndarray
-    excess: float
-    lag_one: float
-
-    def draw(self, run: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return noise of the readings, (K, rows); every run begins anew."""
-        white = rng.standard_normal((len(self.colour), len(run)))
-        if len(self.coefficients):
-            from scipy.signal import lfilter
-
-            edges = [0, *(np.flatnonzero(np.diff(run)) + 1).tolist(), len(run)]
-            for first, last in pairwise(edges):
-                settle = rng.standard_normal((len(white), SETTLE))
-                driven = np.hstack([settle, white[:, first:last]]) * self.drive
-                shaped = lfilter([1.0], np.concatenate([[1.0], -self.coefficients]), driven, axis=1)
-                white[:, first:last] = shaped[:, SETTLE:]
-        return self.colour @ white
-
-    @property
-    def text(self) -> str:
-        """What the noise is, in words."""
-        if not len(self.coefficients):
-            return "white Gaussian noise of the stated size (the residuals show no correlation in time)"
-        return (
-            f"Gaussian noise of the stated size, autoregressive of order {len(self.coefficients)} as the "
-            f"residuals (correlation of neighbouring samples {self.lag_one:.2f})"
-        )
-
-
-def residual_noise(base: Base, catalogue: Sequence[Effect], facts: Facts) -> ResidualNoise:
-    """Return noise like the residuals of `base` on its log, what the catalogue explains taken out."""
-    correlation, variance, count = _autocorrelation(base, catalogue, facts)
-    coefficients, drive = _autoregression(correlation, count)
-    colour = np.linalg.cholesky(base.covariance)
-    return ResidualNoise(coefficients, drive, colour, variance, float(correlation[1]))
-
-
-def _autocorrelation(base: Base, catalogue: Sequence[Effect], facts: Facts) -> tuple[np.ndarray, float, int]:
-    """Autocorrelation (ORDERS + 1,) and variance of the whitened residual, and how many values it is from."""
-    tried, _ = candidates(base, catalogue, facts)
-    plain = {key: (model, new) for key, (_, _, model, new) in tried.items()}
-    work = Accumulator(base, plain)
-
-    def whitened() -> Iterator[np.ndarray]:
-        """Columns [parameters | effects | residual] of each block, (c, K, samples), its zeros taken out."""
-        for batch in work.batches():
-            A = work.whitened(batch, None)
-            for _, at in batch.parts():
-                W = A[:, :, at].reshape(len(A), -1)
-                zeros, rest = np.linalg.qr(W[: work.z].T)[0], W[work.z :]
-                yield (rest - (rest @ zeros) @ zeros.T).reshape(len(rest), len(work.whiten), -1)
-
-    M: np.ndarray = np.zeros((work.size - work.z,) * 2)
-    for W in whitened():
-        flat = W.reshape(len(W), -1)
-        M += flat @ flat.T
-    # what is nearly alike is taken together
-    v = np.append(-pseudo_inverse(M[:-1, :-1], ALIKE) @ M[:-1, -1], 1.0)
-    sums, squares, count = np.zeros(ORDERS + 1), 0.0, 0
-    for W in whitened():
-        r = np.einsum("cks,c->ks", W, v)
-        squares, count = squares + float((r**2).sum()), count + r.size
-        r = np.clip(r, -SPIKE, SPIKE)
-        r = r - r.mean(axis=1, keepdims=True)
-        for lag in range(min(ORDERS + 1, r.shape[1])):
-            sums[lag] += float((r[:, lag:] * r[:, : r.shape[1] - lag]).sum())
-    return sums / max(sums[0], 1e-300), squares / max(count - len(M), 1), count
-
-
-def _autoregression(correlation: np.ndarray, count: int) -> tuple[np.ndarray, float]:
-    """Yule-Walker coefficients of the order that BIC prefers, and the deviation of what drives them."""
-    best: tuple[float, np.ndarray, float] = (0.0, np.zeros(0), 1.0)
-    for order in range(1, ORDERS + 1):
-        try:
-            a = solve_toeplitz(correlation[:order], correlation[1 : order + 1])
-        except np.linalg.LinAlgError:
-            break
-        rest = 1.0 - float(a @ correlation[1 : order + 1])
-        if not 1e-6 < rest <= 1.0:
-            break
-        score = count * float(np.log(rest)) + order * float(np.log(count))
-        if score < best[0]:
-            best = (score, a, float(np.sqrt(rest)))
-    return best[1], best[2]
+    found, model = noise_of_rest(base, runs), base.model
+    reference = {c: base.sigma[c] for c in model.references if base.sigma.get(c, 0.0) > 0}
+    readings = np.array([base.sigma[c] for c in model.channels])
+    if found is None:
+        text = "white Gaussian noise of the size of the noise floor (the log is too short to tell more)"
+        return SimulatedNoise(np.zeros(0), readings, reference, 0.0, 1.0, text)
+    ratio = np.array([found.by_sensor[c] for c in model.channels])
+    return SimulatedNoise(
+        coefficients=np.zeros(0) if found.white else np.array(found.coefficients),
+        readings=readings * ratio,
+        reference={c: s * found.ratio for c, s in reference.items()},
+        correlation=0.0 if found.white else found.correlation,
+        ratio=found.ratio,
+        text=f"Gaussian, as the log has it: {noise_text(found, stated)}",
+    )
 
 
 PER_PERIOD = 25.0

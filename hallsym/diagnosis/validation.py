@@ -44,7 +44,8 @@ class Validation:
     samples; `metric`: the gap without any fault of samples [m or rad]. `rest`: the structure of what `end`
     leaves. `floor_by_output`: noise of each output; `floor_was`: an estimated floor before it was lowered,
     over what it is now, else None. `variance`: of the fitted samples' whitened residual; `slow`: decrease of
-    the metric without what neighbouring samples have in common; `inflation`: variance of a slow average over
+    the metric without what neighbouring samples have in common; `fast`: that of differences of neighbouring
+    samples over that of the noise; `inflation`: variance of a slow average over
     that of white noise.
     """
 
@@ -65,12 +66,18 @@ class Validation:
     miswired: bool
     variance: float
     slow: float
+    fast: float
     inflation: float
 
     @property
     def base(self) -> Base:
         """The model with the effects that hold, fitted without faulty samples."""
         return self.fit.base
+
+    @property
+    def judged(self) -> Base:
+        """The same on the samples that the gap counts: all but those that are a fault by themselves."""
+        return self.base if self.cured is not self.after else replace(self.base, keep=None)
 
     @property
     def named(self) -> bool:
@@ -128,6 +135,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         miswired=setup.miswired is not None,
         variance=whole.variance,
         slow=slow_share(kept.variance, kept.fast),
+        fast=float(np.sqrt(kept.fast)),
         inflation=kept.inflation,
     )
 

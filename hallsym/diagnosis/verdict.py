@@ -1,19 +1,26 @@
 """The verdict, decided in one place from what the holdout runs say."""
 
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from hallsym.diagnosis.gap import remains
-from hallsym.diagnosis.lack_of_fit import lack_of_fit
+from hallsym.diagnosis.gap import remains, shaped, worth_reporting
+from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
+from hallsym.diagnosis.noise import LARGER, in_outputs
+from hallsym.diagnosis.record import NoiseFinding
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
 
-Verdict = Literal["no gap", "explained", "behaves like", "unexplained"]
+Verdict = Literal["no gap", "explained", "behaves like", "unexplained", "noise larger than stated"]
+QUIET = ("no gap", LARGER)
+"""Verdicts that name no effect."""
 
 
-def decide(setup: Setup, found: Validation, resembled: Collection[str] = ()) -> Verdict:
+def decide(
+    setup: Setup, found: Validation, resembled: Collection[str] = (), noise: NoiseFinding | None = None
+) -> Verdict:
     """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
 
     `resembled`: effects that a flexible alternative beats. Where the effect that closes most of the gap is
@@ -22,14 +29,17 @@ def decide(setup: Setup, found: Validation, resembled: Collection[str] = ()) -> 
 
     What is named must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`)
     makes the verdict "unexplained", unless what is named closes nearly all of the excess above the noise
-    floor.
+    floor, or the excess is `noise` (of the model with what was found): then nothing is left to explain, and
+    without a name the noise is larger than stated.
     """
     named = found.named and 1 - found.metric / found.before.metric >= setup.threshold
     base, metric = (found.base, found.metric) if named else (found.start.base, found.before.metric)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     gap = remains(rest, found.slow, metric, found.floor, setup.threshold, setup.policy)
+    loud = noise is not None and all_noise(setup, found, rest, metric, noise)
+    gap = gap and not loud
     if not named:
-        return "unexplained" if gap else "no gap"
+        return "unexplained" if gap else LARGER if loud else "no gap"
     share = closed(found.before.metric, found.metric, found.floor.metric)
     if gap and share < setup.policy.closes:
         return "unexplained"
@@ -38,6 +48,26 @@ def decide(setup: Setup, found: Validation, resembled: Collection[str] = ()) -> 
         return "explained"
     ended = {found.base.model.names[k] for k in found.fit.at_bound()}
     return "behaves like" if main.selected.name in resembled or ended & set(main.added) else "explained"
+
+
+def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: NoiseFinding) -> bool:
+    """Return whether what `metric` has above the stated floor is worth reporting, and noise explains it.
+
+    No function of the motion, the state and time may predict half of the threshold; nor may waves or steps
+    between levels be in it. Where differences of neighbouring samples have the stated noise in full, within
+    what a floor is known to, noise that is correlated is something on top of it.
+    """
+    floor, policy, threshold = found.floor, setup.policy, setup.threshold
+    if not (floor.stated and noise.larger) or noise.bounded:
+        return False
+    if metric <= worth_reporting(floor, threshold, policy) or shaped(rest, threshold, policy):
+        return False
+    half = policy.half * threshold
+    if rest.lines >= half or any(s.p_value < policy.shape_certain and s.drop >= half for s in rest.shapes):
+        return False
+    slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.floor_known
+    known = replace(floor, metric=floor.metric * in_outputs(found.base, noise))
+    return not slow_on_top and metric <= worth_reporting(known, threshold, policy)
 
 
 def closed(before: float, after: float, floor: float) -> float:

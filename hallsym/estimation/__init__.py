@@ -10,6 +10,7 @@ The path of a fit, file by file:
 - `identifiable`: which parameters the data determine, and which are therefore held.
 - `optimum`: global search, IPOPT, Newton; `gauss_newton`: by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
+- `residual_noise`: the noise that is left, its size and colour; `residual_columns`: what it is told from.
 - `goodness_of_fit`: what is left, in multiples of the noise; `lower_bound`: what a linear fit leaves.
 - `covariance`: standard uncertainties; `run_scatter`: those that show between runs.
 - `evaluate`: a calibration on another log.
@@ -62,12 +63,15 @@ from hallsym.estimation.lower_bound import LowerBound, lower_bound
 from hallsym.estimation.normal_equations import eliminate, inverse, pseudo_inverse, solve
 from hallsym.estimation.optimum import BUDGET, SOLVERS, Solution, refit
 from hallsym.estimation.outliers import column_spikes, reject_spikes, residuals, tukey
+from hallsym.estimation.residual_columns import noise_at, noise_left
+from hallsym.estimation.residual_noise import KNOWN, Residual, ResidualNoise, autoregressive, residual_noise
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.estimation.start import LinearFit, closed_form, linear_fit
 from hallsym.estimation.task import noise_of
 
 __all__ = [
     "BUDGET",
+    "KNOWN",
     "LOSSES",
     "MANY",
     "SOLVERS",
@@ -84,12 +88,15 @@ __all__ = [
     "Judged",
     "LinearFit",
     "LowerBound",
+    "Residual",
+    "ResidualNoise",
     "RunStatistics",
     "Solution",
     "Uncertainty",
     "Wiring",
     "added_effects",
     "as_read",
+    "autoregressive",
     "closed_form",
     "column_spikes",
     "columns_of",
@@ -117,13 +124,16 @@ __all__ = [
     "load_fit",
     "logged_columns",
     "lower_bound",
+    "noise_at",
     "noise_floor",
+    "noise_left",
     "noise_of",
     "nominal_variance",
     "pose_errors",
     "pseudo_inverse",
     "refit",
     "reject_spikes",
+    "residual_noise",
     "residuals",
     "rewired",
     "scales",

@@ -102,6 +102,7 @@ def fit(
     task = Task(log, model, held_out, solver, loss, seed, say, start)
     if exact(model):
         solved = task.by_statistics(resolve_wiring)
+        solved = solved.task.with_noise_left(solved)
         return result_of(solved, (*notes, *solved.notes), mounted.wiring, began)
     first = None
     if exact(base := plain(model)):
@@ -115,6 +116,7 @@ def fit(
         zeros = zero_notes(first.model, tuple(first.zeros), np.array(list(first.zeros.values())))
         notes += [note for note in first.notes if note not in (*zeros, *free.notes)]
     solved = task.by_passes(first)
+    solved = solved.task.with_noise_left(solved)
     told = dict.fromkeys((*mounted.notes, *notes))
     return result_of(solved, tuple(told), mounted.wiring, began)
 

@@ -24,6 +24,8 @@ from hallsym.estimation.lateness import lateness
 from hallsym.estimation.likelihood import Cost, cost_of
 from hallsym.estimation.optimum import Solution, search
 from hallsym.estimation.plausible import Judgement, judge
+from hallsym.estimation.residual_columns import estimated_factor, noise_at
+from hallsym.estimation.residual_noise import KNOWN
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.log import Log, Noise, estimate_noise
 from hallsym.log.batches import Weigh, remembered
@@ -301,6 +303,32 @@ class Task:
         if self.loss == "tukey":
             return outliers.tukey(residual, covariance)
         return outliers.reject_spikes(residual, covariance, suspects, self.model.channels)
+
+    def with_noise_left(self, solved: Solved) -> Solved:
+        """Return the fit with the noise that it leaves where its noise was estimated and is larger.
+
+        Differences of neighbouring samples miss noise that is correlated; what the fit leaves does not.
+        """
+        columns = (*self.model.channels, *self.model.references)
+        guessed = frozenset(c for c in columns if self.noise[c].source == "estimated")
+        if not guessed:
+            return solved
+        state = solved.solution
+        point = state.fitted.at(state.p)
+        left = noise_at(self.log, point, self.noise.std, solved.keep)
+        factor = 1.0 if left is None else estimated_factor(left, point, guessed)
+        if factor <= 1.0 + KNOWN:
+            return solved
+        sigmas = {
+            c: replace(s, value=s.value * factor) if c in guessed else s for c, s in self.noise.sigmas.items()
+        }
+        task = replace(self, log=replace(self.log, noise=Noise(sigmas)), begin_at=state.p)
+        if isinstance(state, Started):
+            begun = task.begin(task.summary(solved.keep) if solved.keep else state.everything.summary)
+            state = task.solve(begun, solver="direct")
+        else:
+            state = task.passes(state.p, solved.keep)
+        return replace(solved, task=task, solution=state, errors=task.errors(state, solved.keep))
 
     def check(self, state: Started) -> None:
         """Refuse a reference that does not belong."""

@@ -125,10 +125,11 @@ def with_sigma(log: Log, factor: float) -> Log:
     return replace(log, noise=Noise(sigmas))
 
 
-def test_noise_stated_a_tenth_too_small_is_no_gap_but_said(quiet: tuple[Log, Diagnosis]) -> None:
+def test_noise_stated_a_tenth_too_small_is_told_as_noise(quiet: tuple[Log, Diagnosis]) -> None:
     found = diagnose(with_sigma(quiet[0], 0.89))
-    assert found.verdict == "no gap"
-    assert "the noise is larger" in found.notes[-1]
+    assert found.verdict == "noise larger than stated"
+    assert found.noise is not None
+    assert found.noise.ratio == pytest.approx(1 / 0.89, rel=0.03)
 
 
 @pytest.mark.slow

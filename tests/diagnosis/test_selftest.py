@@ -16,25 +16,25 @@ from hallsym.diagnosis import (
     Base,
     Bench,
     Injection,
+    Rate,
     SelfTest,
     SimulatedMachine,
     decimated,
     diagnose,
-    facts_of,
     generator,
     injections,
     machine_of,
     prepare,
     readings_of,
-    residual_noise,
     selftest,
+    simulated_noise,
     sized,
-    survey,
 )
 from hallsym.families import effects
 from hallsym.families.faults import ages
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
-from hallsym.log import Log
+from hallsym.log import Log, Noise
+from hallsym.report.figures import save_detection
 from hallsym.report.text.selftest import selftest_text
 
 CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
@@ -113,40 +113,73 @@ def test_a_stale_reading_ages_until_its_hold_ends_and_not_beyond_its_run() -> No
 
 def like(log: Log):
     base = base_on(log)
-    facts = facts_of(base, survey(base, frozenset(log.runs)))
-    return base, residual_noise(base, CATALOGUE, facts)
+    return base, simulated_noise(base, log.runs)
+
+
+LONG = np.repeat(np.arange(20), 1000)
 
 
 def test_white_residuals_give_white_noise_of_the_stated_size() -> None:
     base, noise = like(quiet())
-    drawn = noise.draw(np.repeat(np.arange(20), 1000), np.random.default_rng(0))
+    drawn, reference = noise.draw(LONG, np.random.default_rng(0))
     assert len(noise.coefficients) == 0
-    assert noise.excess == pytest.approx(1.0, abs=0.05)
-    # 20 000 draws: an entry of the covariance is known to 1 % of the variance or so
-    scale = np.sqrt(np.outer(np.diag(base.covariance), np.diag(base.covariance)))
-    assert np.abs(np.cov(drawn) - base.covariance).max() < 0.05 * scale.max()
+    assert noise.ratio == pytest.approx(1.0, abs=0.05)
+    assert drawn.std(axis=1) == pytest.approx([base.sigma[c] for c in base.model.channels], rel=0.06)
+    for c in base.model.references:  # the reference is noisy too
+        assert reference[c].std() == pytest.approx(base.sigma[c], rel=0.06)
 
 
 def test_correlated_residuals_give_noise_that_is_as_correlated() -> None:
     _, noise = like(machine("multisine", seed=3, thin=2, pink=0.0, curvature=0.0, noise="correlated"))
-    drawn = noise.draw(np.repeat(np.arange(20), 1000), np.random.default_rng(0))
-    lag = [np.corrcoef(row[1:], row[:-1])[0, 1] for row in drawn]
+    drawn, reference = noise.draw(LONG, np.random.default_rng(0))
+    rows = np.vstack([drawn, *reference.values()])
     # the twin's noise is autoregressive with 0.8, every second sample of which is taken
-    assert noise.lag_one == pytest.approx(0.8**2, abs=0.05)
-    assert lag == pytest.approx([0.8**2] * 3, abs=0.05)
+    assert noise.correlation == pytest.approx(0.8**2, abs=0.05)
+    assert [np.corrcoef(row[1:], row[:-1])[0, 1] for row in rows] == pytest.approx([0.8**2] * 6, abs=0.05)
     # each run begins with noise of full size
-    starts = noise.draw(np.arange(400), np.random.default_rng(1))
+    starts, _ = noise.draw(np.arange(400), np.random.default_rng(1))
     assert starts.std(axis=1) == pytest.approx(drawn.std(axis=1), rel=0.15)
 
 
-def test_a_gap_that_the_catalogue_knows_does_not_pass_for_correlated_noise() -> None:
+def stated_as(log: Log, factor: float) -> Log:
+    """The log with its noise stated as `factor` times what it is."""
+    sigmas = {c: replace(s, value=s.value * factor) for c, s in log.noise.sigmas.items()}
+    return replace(log, noise=Noise(sigmas))
+
+
+def test_noise_is_as_large_as_it_is_whatever_was_stated() -> None:
+    base, noise = like(stated_as(quiet(), 1 / 1.5))
+    assert noise.ratio == pytest.approx(1.5, rel=0.03)
+    drawn, _ = noise.draw(LONG, np.random.default_rng(0))
+    assert drawn.std(axis=1) == pytest.approx([1.5 * base.sigma[c] for c in base.model.channels], rel=0.06)
+
+
+def test_a_simulated_log_states_what_the_log_states() -> None:
+    base = base_on(quiet())
+    truth = machine_of(base, FLOOR, ["hall_a_m"])
+    log = truth.log(truth.clean, {"x_ref_m": np.full(quiet().rows, 1e-6)})
+    assert list(log.noise) == ["hall_a_m"]
+    assert log.array("x_ref_m") == pytest.approx(truth.columns["x_ref_m"] + 1e-6)
+
+
+def test_the_true_motion_is_smooth_and_an_axis_at_rest_rests() -> None:
+    log = machine("grid", seed=3, thin=3, pink=0.0, curvature=0.0)
+    truth = machine_of(base_on(log), FLOOR)
+    first = truth.columns["run"] == log.runs[0]  # y moves alone
+    assert np.ptp(truth.columns["x_ref_m"][first]) == 0.0
+    logged, true = log.array("y_ref_m")[first], truth.columns["y_ref_m"][first]
+    assert np.std(logged - true) == pytest.approx(0.3e-6, rel=0.3)
+
+
+def test_a_gap_that_the_log_shows_does_not_pass_for_noise() -> None:
     log = machine("multisine", (cubic({"A": 0.05, "B": 0.05, "C": 0.15}),), seed=3, thin=8, pink=0.0)
     base, noise = like(log)
     truth = machine_of(base, FLOOR)
     left = np.array([log.array(c) for c in base.model.channels]) - truth.clean
     raw = [np.corrcoef(row[1:], row[:-1])[0, 1] for row in left]
     assert min(raw) > 0.3
-    assert noise.lag_one < 0.1
+    assert abs(noise.correlation) < 0.1
+    assert noise.ratio == pytest.approx(1.0, abs=0.05)
 
 
 # -- thinning ----------------------------------------------------------------------------------------------
@@ -195,7 +228,8 @@ def test_found_from_the_smallest_size_above_which_all_are_found(monkeypatch) -> 
         return outcome, "explained", ("time_skew",) if outcome in ("other", "group") else (name,)
 
     stubbed(monkeypatch, answers)
-    s = selftest(quiet(), "stage31", names=["even_nonlinearity", "odd_nonlinearity", "channel_swap"])
+    s = selftest(quiet(), "stage31", names=["even_nonlinearity", "odd_nonlinearity", "channel_swap"],
+                 repeats=1)  # fmt: skip
     # injected in the order of the catalogue
     odd, even, swap = (s.effect(n) for n in ("odd_nonlinearity", "even_nonlinearity", "channel_swap"))
     assert (odd.status, odd.ratio, odd.confused_with) == ("found", RATIOS[2], ("time_skew",))
@@ -205,6 +239,42 @@ def test_found_from_the_smallest_size_above_which_all_are_found(monkeypatch) -> 
     assert len(s.quiet_trials) == len(RATIOS)
 
 
+def test_bounds_are_those_of_clopper_and_pearson() -> None:
+    """Known bounds: 20 of 20 is at least 83.16 %, 18 of 20 is 68.3 to 98.8 %."""
+    every, most, none = Rate(20, 20), Rate(18, 20), Rate(0, 20)
+    assert (every.low, every.high) == (pytest.approx(0.8316, abs=1e-4), 1.0)
+    assert (most.low, most.high) == (pytest.approx(0.683, abs=1e-3), pytest.approx(0.9877, abs=1e-4))
+    assert (none.low, none.high) == (0.0, pytest.approx(1 - every.low))
+
+
+def test_a_curve_counts_trials_and_nine_in_ten_are_found(monkeypatch) -> None:
+    said = iter(["other", "no gap"] + ["found"] * 8 + ["group"] + ["found"] * 9)
+
+    def answers(name: str):
+        if name == NO_EFFECT:
+            return "no gap", "noise larger than stated", ()
+        outcome = next(said)
+        return outcome, "no gap" if outcome == "no gap" else "explained", (name,)
+
+    stubbed(monkeypatch, answers)
+    s = selftest(quiet(), "stage31", names=["odd_nonlinearity"], ratios=(1.1, 1.5), repeats=10)
+    small, large = s.effect("odd_nonlinearity").curve
+    assert (small.trials, small.found, small.noticed) == (10, 0.9, 1.0)
+    assert (large.trials, large.found, large.noticed) == (10, 0.9, 0.9)
+    assert s.effect("odd_nonlinearity").ratio == 1.1
+    assert s.false_alarms == 0  # larger noise is no gap
+    assert "a rate of 0 to 17 %" in selftest_text(s)
+    assert "90 % (55-100)" in selftest_text(s)
+    assert all(t.imperfection not in ("", "odd_nonlinearity") for t in s.effect("odd_nonlinearity").trials)
+
+
+def test_curves_are_drawn(monkeypatch, tmp_path) -> None:
+    stubbed(monkeypatch, lambda name: ("no gap", "no gap", ()))
+    s = selftest(quiet(), "stage31", names=["odd_nonlinearity", "outliers"], ratios=(1.2,), repeats=1)
+    (path,) = save_detection(s, tmp_path)
+    assert path.stat().st_size > 5000
+
+
 def test_an_interrupt_keeps_what_was_done(monkeypatch) -> None:
     def answers(name: str):
         if name == "time_skew":
@@ -212,7 +282,7 @@ def test_an_interrupt_keeps_what_was_done(monkeypatch) -> None:
         return ("no gap", "no gap", ()) if name == NO_EFFECT else ("found", "explained", (name,))
 
     stubbed(monkeypatch, answers)
-    s = selftest(quiet(), "stage31", names=["odd_nonlinearity", "time_skew"])
+    s = selftest(quiet(), "stage31", names=["odd_nonlinearity", "time_skew"], repeats=1)
     assert not s.complete
     assert (s.effect("odd_nonlinearity").status, s.effect("time_skew").status) == ("found", "not run")
     assert "INTERRUPTED" in selftest_text(s)
@@ -251,7 +321,7 @@ def test_the_command(monkeypatch, tmp_path, capsys) -> None:
     log, out = tmp_path / "log.parquet", tmp_path / "out.json"
     hallsym.write_log(quiet(), log)
     noise = [f"--noise={c}={s.value}" for c, s in quiet().noise.sigmas.items()]
-    command = ["selftest", str(log), "--effects", "time_skew,outliers", "--sizes", "1.2", *noise]
+    command = ["selftest", str(log), "--effects", "time_skew,outliers", "--sizes", "1.2", "--quick", *noise]
     assert main([*command, "-o", str(out)]) == 0
     assert "time_skew" in capsys.readouterr().out
     assert [e["name"] for e in json.loads(out.read_text())["effects"]] == ["time_skew", "outliers"]
@@ -318,7 +388,7 @@ def kept(s: SelfTest, name: str, campaign: str, seed: int, **options) -> None:
 def test_what_it_calls_findable_is_found() -> None:
     options = {"thin": 8, "temperature": True}
     s = selftest(machine("multisine", seed=11, **options), "stage31",
-                 names=["odd_nonlinearity"], ratios=(1.3,))  # fmt: skip
+                 names=["odd_nonlinearity"], ratios=(1.3,), repeats=1)  # fmt: skip
     assert s.false_alarms == 0
     assert json.loads(json.dumps(s.to_dict(), allow_nan=False))["complete"]
     kept(s, "odd_nonlinearity", "multisine", 12, **options)
@@ -327,7 +397,7 @@ def test_what_it_calls_findable_is_found() -> None:
 @pytest.mark.slow
 def test_what_it_calls_findable_is_found_in_many_logs() -> None:
     options = {"thin": 4, "temperature": True}
-    s = selftest(machine("multisine", seed=21, **options), "stage31", names=list(TYPED))
+    s = selftest(machine("multisine", seed=21, **options), "stage31", names=list(TYPED), repeats=3)
     assert s.false_alarms == 0
     assert {e.name for e in s.effects if e.status == "found"} == set(TYPED)
     for name in TYPED:
@@ -339,7 +409,7 @@ def test_what_it_calls_findable_is_found_in_many_logs() -> None:
 def test_thinning_does_not_change_the_answer() -> None:
     log = machine("raster", seed=41, thin=1)
     names = ["odd_nonlinearity", "hysteresis", "time_skew", "outliers"]
-    full, short = (selftest(log, "stage31", names=names, rows=rows) for rows in (log.rows, 8000))
+    full, short = (selftest(log, "stage31", names=names, rows=rows, repeats=1) for rows in (log.rows, 8000))
     assert short.rows < full.rows / 2
     for name in names:
         one, two = full.effect(name), short.effect(name)

@@ -302,12 +302,13 @@ COMMANDS: dict[str, Golden] = {
     ),
     "tolerances": Golden(command("tolerances", "--samples", "64"), "json"),
     "selftest": Golden(
-        command("selftest", ENCODER, "--effects", "hysteresis,time_skew", "--sizes", "1.5"),
+        command("selftest", ENCODER, "--effects", "hysteresis,time_skew", "--sizes", "1.5", "--quick"),
         "diagnosis",
     ),
     "selftest_stage": Golden(
         on_log(
-            "selftest", "--effects", "time_skew", "--sizes", "1.3", "--rows", "3000", log="stage31_mixed"
+            "selftest", "--effects", "time_skew", "--sizes", "1.3", "--rows", "3000", "--quick",
+            log="stage31_mixed",
         ),
         "diagnosis", slow=True,
     ),

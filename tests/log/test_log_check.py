@@ -255,10 +255,11 @@ def test_a_wave_that_comes_back_to_the_same_phase_is_on_no_rail(
         (5e-5, "it looks like um, so say --column x_ref_um=x_ref_m."),
         (4e-3, "it looks like mm, so say --column x_ref_mm=x_ref_m."),
         (5e-4, "it looks like mm or um, so say --column x_ref_mm=x_ref_m or --column x_ref_um=x_ref_m."),
+        (1.1e-3, "it looks like mm or um, so say --column x_ref_mm=x_ref_m or --column x_ref_um=x_ref_m."),
     ],
 )
 def test_a_unit_is_named_alone_only_where_other_columns_tell_it(beside, named):
-    """A span of 29 could be mm or um; y of .1 mm says um, of 8 mm says mm, of 1 mm neither."""
+    """A span of 29 could be mm or um; y of .1 mm says um, of 8 mm says mm, of 1 or 2.2 mm neither."""
     t = np.arange(400) * 1e-3
     arrays = {"run": np.zeros(400, int), "t_s": t, "x_ref_m": 14.5 * np.sin(40 * t)}
     arrays |= {"y_ref_m": beside * np.sin(30 * t), "hall_a_v": np.sin(40 * t), "hall_b_v": np.cos(40 * t)}

@@ -98,3 +98,90 @@ def test_a_threshold_from_both_sides(make, says: str | None, refused: bool) -> N
         said, ends = [str(error)], True
     assert (len(said), ends) == (int(says is not None), refused), said
     assert says is None or re.search(says, said[0])
+
+
+# -- one run, or a few, made for one threshold -------------------------------------------------------------
+
+
+def run_of(**columns: np.ndarray) -> Arrays:
+    """Return one run at 2 ms."""
+    rows = len(next(iter(columns.values())))
+    return {"run": np.zeros(rows, int), "t_s": 2e-3 * np.arange(rows), **columns}
+
+
+def white(rows: int) -> np.ndarray:
+    """Return noise, one sigma."""
+    return np.random.default_rng(0).standard_normal(rows)
+
+
+def swing(rows: int = 1200) -> np.ndarray:
+    """Return a motion of amplitude 1."""
+    return np.sin(2 * np.pi * 1.3 * 2e-3 * np.arange(rows))
+
+
+def bends(width: float, noise: float) -> Arrays:
+    """A reading of amplitude 1 that bends into its rail over a width; noise behind it."""
+    phase = np.arange(1200) * 4e-3 * np.pi
+    of_runs = [np.sin((1 + 0.3 * run) * phase[:600] + run) for run in range(4)]
+    motion = np.concatenate(of_runs)
+    top = np.quantile(motion, 0.7)
+    reading = top - width * np.logaddexp(0, (top - motion) / width)
+    reading += noise * np.random.default_rng(1).standard_normal(len(motion))
+    arrays = run_of(hall_a_m=2e-4 * reading, x_ref_m=2e-4 * motion)
+    return arrays | {"run": np.repeat(np.arange(4), 600)}
+
+
+def creeps(speed: float) -> Arrays:
+    """A turning shaft that is slower, by a factor, where its reading stands."""
+    angle = [0.0]
+    for _ in range(1999):
+        angle.append(angle[-1] + 0.03 * (speed if np.sin(angle[-1]) > 0.9 else 1.0))
+    reading = np.minimum(np.sin(angle), 0.9) + 1e-3 * white(2000)
+    return run_of(v_sin_v=reading, angle_ref_rad=np.array(angle))
+
+
+def codes_held(length: int) -> Arrays:
+    """A coarse reading of a motion that repeats a value."""
+    codes = np.round(swing() / 4e-3)
+    codes[30 : 30 + length] = codes[30]
+    return run_of(hall_a_m=1e-6 * codes)
+
+
+def equal_by_chance(rows: int) -> Arrays:
+    """Noise of five codes, of which eight are equal."""
+    codes = np.round(5 * np.random.default_rng(1).standard_normal(rows))
+    codes[40:48] = codes[40]
+    return run_of(hall_a_m=1e-6 * codes)
+
+
+def places(spread: float) -> Arrays:
+    """Six places of a reading, and a reference that moves about each, one sigma over their distance."""
+    place = np.repeat(np.random.default_rng(1).integers(0, 6, 100), 12).astype(float)
+    about = np.sqrt(12) * (np.arange(1200) % 12 / 11 - 0.5)
+    return run_of(hall_a_m=1e-4 * place, x_ref_m=1e-4 * (place + spread * about))
+
+
+MADE = (
+    ("a reading that bends over 8 % of its range", bends(0.08, 1e-4), "is saturated"),
+    ("a reading that bends over 12 % of its range", bends(0.12, 1e-4), None),
+    ("noise hides how a rail bends", bends(0.015, 0.01), "is saturated"),
+    ("noise does not hide it", bends(0.08, 1e-3), None),
+    ("the shaft is 0.6 times as fast on a rail", creeps(0.6), "is saturated"),
+    ("the shaft is 0.4 times as fast there", creeps(0.4), None),
+    ("14 equal codes", codes_held(14), "holds one value"),
+    ("12 equal codes", codes_held(12), None),
+    ("8 equal values of 300, once in 1.5 million logs", equal_by_chance(300), "holds one value"),
+    ("8 equal values of 700, once in 0.7 million logs", equal_by_chance(700), None),
+    ("a reading hides 0.14 of its step", places(0.14), "takes 6 values only"),
+    ("a reading hides 0.08 of its step", places(0.08), None),
+)
+
+
+@pytest.mark.parametrize(("arrays", "says"), [pytest.param(*m[1:], id=m[0]) for m in MADE])
+def test_a_threshold_of_one_column(arrays: Arrays, says: str | None) -> None:
+    try:
+        said = check_log(Log.from_arrays(arrays))
+    except InputError as error:
+        said = [str(error)]
+    assert len(said) == (says is not None), said
+    assert says is None or re.search(says, said[0])

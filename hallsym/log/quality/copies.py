@@ -15,9 +15,6 @@ from hallsym.log.quality.motion import is_noisy, stretches
 from hallsym.log.quality.sample import WHOLE_ROWS, Whole
 from hallsym.log.quality.scan import Scan, Spans
 
-_FEWEST_ROWS = 64
-"""Consecutive samples of all readings and references that no two recordings share."""
-
 _TWICE = "counted twice, a recording makes uncertainties too small"
 
 Pairs = dict[tuple[int, int], list[str]]
@@ -93,11 +90,7 @@ def _stretch(log: Log, seen: Scan) -> Iterator[Finding]:
     names = [c for c in seen.traces if is_reading(c) or is_reference(c)]
     whole = Whole.of(log, names)
     equal = np.all([x[distance:] == x[:-distance] for x in whole.data.values()], axis=0)
-    found = [
-        (a, b)
-        for a, b in stretches(equal, _FEWEST_ROWS)
-        if any(is_noisy(x[a:b]) for x in whole.data.values())
-    ]
+    found = [(a, b) for a, b in stretches(equal) if any(is_noisy(x[a:b]) for x in whole.data.values())]
     if found:
         again, count = found[0][0] + distance, sum(b - a for a, b in found)
         first = again - distance

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hallsym.log.quality.motion import gains, stretches
+from hallsym.log.quality.motion import OVER_NOISE, gains, stretches
 from hallsym.log.quality.piles import Pile
 from hallsym.units import Array
 
@@ -17,19 +17,14 @@ _CORNER, _OUTSIDE = 2.0, 3
 """Depth that a smooth turning point would have, slope times duration over 8, over the width of the pile from
 which it is cut off; and samples before and after it that tell the slope. A parabola is a quarter of slope
 times duration deep, a wave with a flat top, of fourth order, an eighth."""
-_RUNS = 8
-"""Runs, those with the most samples in a pile, in which the motion is looked at."""
 _LINEAR, _STRAIGHT = 0.98, 0.9995
 """Share of a run's variation from which the reading is a linear function of the references there: where noise
 is what it leaves, and where something else is."""
 _BESIDE, _BENT = 0.1, 0.3
 """Share of a run's range beside a pile in which a linear function still holds if the pile is a rail, and what
 it may miss there over what it misses in the pile: a reading that bends by itself begins to before."""
-_FEWEST_OFF = 20
-"""Samples of a run off the rails that a linear function is fitted to."""
-_OVER_NOISE, _OVER_MISFIT, _FLAT = 2.0, 4.0, 0.5
-"""A rail hides motion: the prediction spreads more than what the fit leaves, if that is noise and if it is
-not, and the reading less than the prediction."""
+_FLAT = 0.5
+"""Spread of a reading on a rail over that of its prediction, at most: a rail hides motion."""
 _WHITE = 0.5
 """Whiteness from which what a linear function leaves is noise, and from which a reference only has noise."""
 _GOES_ON = 0.5
@@ -54,20 +49,19 @@ def is_cut_off(x: Array, motion: Sequence[Array], run: Array, pile: Pile, free: 
 
 def _linear(x: Array, motion: Sequence[Array], run: Array, pile: Pile, free: Array) -> bool | None:
     """Judge the runs in which the reading is a linear function of the references; None if there is none."""
-    runs, counts = np.unique(run[pile.of(x)], return_counts=True)
-    parts = [run == one for one in runs[np.argsort(-counts)[:_RUNS]].tolist()]
+    runs = np.unique(run[pile.of(x)])
+    parts = [run == one for one in runs.tolist()]
     found = [_beside_gains(x[p], [values[p] for values in motion], pile, free[p]) for p in parts]
     found = [row for row in found if row is not None] or [_beside_gains(x, motion, pile, free)]
     if found == [None]:
-        rest = [run == one for one in np.setdiff1d(run, runs)[:_RUNS].tolist()]
+        rest = [run == one for one in np.setdiff1d(run, runs).tolist()]
         alike = [_beside_gains(x[p], [values[p] for values in motion], pile, free[p]) for p in rest]
         return False if sum(row is not None for row in alike) > len(alike) / 2 else None
     table = np.array([row for row in found if row])
     if not len(table):
         return False
-    hidden, left, seen, missed, bent, white = np.average(table[:, 1:], axis=0, weights=table[:, 0])
-    least = _OVER_NOISE if white > _WHITE else _OVER_MISFIT
-    moves = hidden > least**2 * left and seen < _FLAT**2 * hidden
+    hidden, left, seen, missed, bent = np.average(table[:, 1:], axis=0, weights=table[:, 0])
+    moves = hidden > OVER_NOISE**2 * left and seen < _FLAT**2 * hidden
     return bool(moves and bent < _BENT * missed)
 
 
@@ -75,11 +69,9 @@ def _beside_gains(x: Array, motion: Sequence[Array], pile: Pile, free: Array) ->
     """Return what a linear function of the references, fitted to the `free` samples, says of a pile.
 
     Samples of the pile, variances of prediction, fit and reading there, what the function misses in the pile
-    and beside it, and how white that is. [] where it cannot tell, None where the reading is no such function.
+    and beside it. [] where it cannot tell, None where the reading is no such function.
     """
     on = pile.of(x)
-    if np.count_nonzero(free) < _FEWEST_OFF:
-        return None
     found = gains(x, motion, free)
     if found is None or found.share < _LINEAR:
         return None
@@ -88,13 +80,12 @@ def _beside_gains(x: Array, motion: Sequence[Array], pile: Pile, free: Array) ->
     if np.count_nonzero(on) < 2:
         return []
     misses = pile.sign * (predicted - x)
-    white = _whiteness(misses[free])
-    if white < _WHITE and found.share < _STRAIGHT:
+    if _whiteness(misses[free]) < _WHITE and found.share < _STRAIGHT:
         return None
     near = free & (pile.sign * x > pile.sign * pile.edge - _BESIDE * np.ptp(x))
     bent = float(misses[near].mean()) if near.any() else 0.0
     spreads = (float(np.var(predicted[on])), found.spread**2, float(np.var(x[on])))
-    return [float(np.count_nonzero(on)), *spreads, float(misses[on].mean()), bent, white]
+    return [float(np.count_nonzero(on)), *spreads, float(misses[on].mean()), bent]
 
 
 def _whiteness(rest: Array) -> float:
@@ -150,6 +141,6 @@ def _is_flat(x: Array, run: Array, pile: Array) -> bool:
     """Say whether what a reading does in a pile is noise, or nothing; True if it is too short."""
     steps = np.abs(np.diff(x))[pile[1:] & pile[:-1] & (run[1:] == run[:-1])]
     wide = float(np.median(np.abs(x[pile] - np.median(x[pile]))))
-    if len(steps) < _FEWEST_OFF or wide == 0.0:
+    if not len(steps) or wide == 0.0:
         return True
     return float(np.median(steps)) > _WHITE * np.sqrt(2.0) * wide

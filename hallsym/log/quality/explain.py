@@ -23,10 +23,9 @@ MOST = 30_000
 """Changes of references that are tried at most; beyond that, none of unit."""
 TOGETHER = 256
 """Changes of references that are tried at once."""
-MORE = 0.25
-"""Cost of a second change of one column, such as another unit and another sign; the first costs 1."""
-TWICE = 0.5
-"""Further cost of values that are too small by a unit, which only a conversion done twice makes."""
+MORE = 0.5
+"""Cost of what is wrong with a column beside the first, which costs 1: another sign beside another unit, or
+values that are too small by a unit, which only a conversion done twice makes."""
 AS_GOOD = 2.0
 """Changes more than the fewest that an explanation by other columns may take to be named beside it."""
 
@@ -51,8 +50,8 @@ class Change:
     def cost(self) -> float:
         """How much has to have gone wrong: 1 for a column that is not what it says, more for two ways."""
         ways = (self.source != self.column) + (self.sign < 0) + (self.factor != 1)
-        twice = TWICE * (self.factor != 1 and not self.unit)
-        return 1 + MORE * (ways - 1) + twice if ways else 0.0
+        twice = self.factor != 1 and not self.unit
+        return 1 + MORE * (ways - 1 + twice) if ways else 0.0
 
     @property
     def way(self) -> tuple[bool, int, float]:
@@ -272,7 +271,7 @@ def _of_references(
     ways = (order != np.arange(len(references))).astype(float) + (sign < 0) + (factor != 1)
     nameless = [[f for f, unit in units[c].items() if not unit] for c in references]
     twice = np.array([np.isin(factor[:, j], nameless[j]) for j in range(len(references))]).T
-    cost = np.where(ways > 0, 1 + MORE * (ways - 1) + TWICE * twice, 0.0).sum(axis=1)
+    cost = np.where(ways > 0, 1 + MORE * (ways - 1 + twice), 0.0).sum(axis=1)
     cheap = np.argsort(cost, kind="stable")
     return order[cheap], sign[cheap], factor[cheap]
 

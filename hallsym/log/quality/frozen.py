@@ -19,20 +19,10 @@ REFUSE = 0.05
 """Share of a column's samples from which a log is refused: below, the others tell what it would have told."""
 _JUMP = 3.0
 """Usual steps of a column that it goes on with after a stretch of old samples."""
-_RARE = 0.2
-"""Share of equal neighbours outside the stretches up to which they are rare: a coarse converter has more."""
-_FINE = 3.0
-"""Noise in codes from which rounding, which is noise in motion and none at rest, adds nothing to it."""
 _CHANCE = 1e-6
 """Probability that noise repeats a code for so long somewhere in a block from which it is no chance."""
 _AT_A_TURN = 4.0
 """Equal neighbours at a turning point over those elsewhere, at most."""
-_LONGER = 2.0
-"""Usual length of the equal values of a coarse converter beyond which a stretch is looked at."""
-_LINEAR = 0.9
-"""Share of a column's variation that the others must explain to say what it should have done."""
-_OVER_NOISE = 5.0
-"""Spread of what they say over what they leave from which the column should have moved."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +70,7 @@ def _stretches(log: Log, seen: Scan, name: str, spans: Spans) -> list[Stretch]:
     whole = seen.sample.whole
     beside = tuple(c for c in whole.data if tells(c, name))
     found_gains = gains(whole.data[name], [whole.data[c] for c in beside], np.ones(len(whole.run), bool))
-    told = found_gains if found_gains and found_gains.share > _LINEAR else None
+    told = found_gains if found_gains and found_gains.believed else None
     steady = {run for run, columns in spans.runs.items() if columns[name].min == columns[name].max}
     found: list[Stretch] = []
     row = 0
@@ -107,24 +97,17 @@ def _frozen(block: Block, name: str, beside: tuple[str, ...], told: Gains | None
         free[a:b] = False
     between = free[1:] | free[:-1]
     moving = step[between & (step > 0)]
-    rare = len(moving) > 0 and np.mean(step[between] == 0) <= _RARE
-    if rare and (sure := _beyond_chance(x, long)):
+    if sure := _beyond_chance(x, long):
         return sure
-    if not rare:  # the codes of a coarse converter: only what is far longer than they usually last
-        usual_length = float(np.median([b - a for a, b in long]))
-        long = [(a, b) for a, b in long if b - a > _LONGER * usual_length]
-        free[:] = True
-        for a, b in long:
-            free[a:b] = False
     others = [block.data[c] for c in beside]
-    usual = float(np.median(moving)) if rare else np.inf
-    again = min(0.5, _AT_A_TURN * float(np.mean(step[between] == 0))) if rare else 0.5
+    usual = float(np.median(moving)) if len(moving) else np.inf
+    again = min(0.5, _AT_A_TURN * float(np.mean(step[between] == 0))) if between.any() else 0.5
     leaps = [_leaps(other, free) for other in others]
     return [
         (a, b)
         for a, b in long
         if (_jumps(step, a, b, usual, leaps) and _no_chance(len(x), again, b - a))
-        or (told is not None and _misses(told, [other[a:b] for other in others]))
+        or (told is not None and told.moves([other[a:b] for other in others]))
     ]
 
 
@@ -133,7 +116,7 @@ def _beyond_chance(x: Array, long: list[tuple[int, int]]) -> list[tuple[int, int
     edges = [0, *(edge for pair in long for edge in pair), len(x)]
     parts = [x[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
     codes = noise_in_codes(max(parts, key=len))
-    if codes < _FINE:
+    if not codes:
         return []
     again = equal_by_chance(codes)
     return [(a, b) for a, b in long if _no_chance(len(x), again, b - a)]
@@ -155,9 +138,3 @@ def _jumps(step: Array, a: int, b: int, usual: float, leaps: list[Array]) -> boo
     """Say whether a column goes on with a jump at either end of a stretch that no other column makes."""
     ends = [i for i in (a - 1, b - 1) if 0 <= i < len(step)]
     return any(step[i] > _JUMP * usual and not any(leap[i] for leap in leaps) for i in ends)
-
-
-def _misses(told: Gains, others: list[Array]) -> bool:
-    """Say whether the other columns moved through a stretch in which this one did not."""
-    predicted, known = told.predicted(others)
-    return bool(known.mean() > 0.5 and np.std(predicted[known]) > _OVER_NOISE * told.spread)

@@ -10,7 +10,7 @@ from hallsym.log.core import Log
 from hallsym.log.drop import Drop
 from hallsym.log.limits import is_moving, is_reading, is_reference, tells
 from hallsym.log.quality.findings import Finding, others, the
-from hallsym.log.quality.motion import gains, noise_in_codes
+from hallsym.log.quality.motion import gains, is_noisy
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.log.quality.sample import WHOLE_ROWS
 from hallsym.log.quality.scan import HELD_SAMPLES, Scan, Span, Spans
@@ -18,17 +18,8 @@ from hallsym.units import Array, si_unit
 
 _FEW_LEVELS = 8
 """Values of a reading that are too few to calibrate with: the step is an eighth of the travel."""
-_FINER = 8
-"""Times as many values that a reference must take: where it takes few, the machine visited few places."""
 _HIDDEN = 0.1
 """Motion that one value hides, one sigma over the step: 0.29 where it is continuous, 0 from rest to rest."""
-_CODES, _OVER_NOISE = 1.0, 3.0
-"""Standard deviation of what the references predict for a run, in codes of the converter and over what the
-prediction leaves, from which a reading that does not change there is dead: one code hides less."""
-_FINE = 3.0
-"""Noise in codes that cannot hide in one of them."""
-_LINEAR = 0.5
-"""Share of a reading's variation that a linear function of the references must explain to be believed."""
 _FEWEST_CHANGES = 16
 _ALIKE = 0.6
 """Share of the values that a slow logger repeats as often as the usual one."""
@@ -77,18 +68,16 @@ def _should_move(log: Log, seen: Scan, name: str, run: int, runs: Mapping[int, M
     """Say whether noise or the references' motion should have moved a reading that is constant in a run."""
     steady = [r for r, span in runs.items() if _rests(span[name])]
     live = next(r for r in runs if r not in steady)
-    if noise_in_codes(log.run(live, (name,))[name]) > _FINE:
+    if is_noisy(log.run(live, (name,))[name]):
         return True
     whole = seen.sample.whole
     x, here, good = whole.data[name], whole.run == run, ~np.isin(whole.run, steady)
     motion = [values for c, values in whole.data.items() if is_reference(c)]
     found = gains(x, motion, good)
-    if found is None or found.share < _LINEAR:
+    if found is None or not found.believed:
         repeats = seen.traces[name].repeats - sum(seen.samples[r] - 1 for r in steady)
         return repeats < seen.rows / 2
-    step = float(np.diff(np.unique(x[good])).min())
-    predicted, known = found.predicted([values[here] for values in motion])
-    return bool(known.any() and np.std(predicted[known]) > max(_CODES * step, _OVER_NOISE * found.spread))
+    return found.moves([values[here] for values in motion])
 
 
 def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
@@ -104,7 +93,7 @@ def few_levels(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:
         coarse = (
             step * 2 * _FEW_LEVELS > widest
         )  # of a reading that hardly moves here, its converter may be fine
-        if coarse and finest >= _FINER * levels and _hidden(seen, name) > _HIDDEN * step:
+        if coarse and finest > levels and _hidden(seen, name) > _HIDDEN * step:
             yield Finding(
                 f"{the(log, name)} takes {levels} values only, about {step:.3g} {si_unit(name)} apart",
                 remedy="raise the gain before the converter, or log more of its digits",
@@ -117,7 +106,7 @@ def _hidden(seen: Scan, name: str) -> float:
     x = values[name]
     references = [v for c, v in values.items() if is_reference(c)]
     found = gains(x, references, np.ones(len(x), bool))
-    if found is None or found.share < _LINEAR:
+    if found is None or not found.believed:
         return np.inf
     predicted, _ = found.predicted(references)
     level = np.unique(x, return_inverse=True)[1]

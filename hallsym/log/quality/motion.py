@@ -26,6 +26,11 @@ _MORE = 3.0
 _FEWEST = 16
 _FAR = 10.0
 """Leverage of a sample over that of the usual one up to which a linear function is believed there."""
+LINEAR = 0.5
+"""Share of a column's variation that a linear function of others must explain to be believed."""
+OVER_NOISE = 2.0
+"""Spread of what a linear function predicts over what it leaves, noise and rounding, from which the column
+should have moved. A column that rests between two codes hides 0.5 of one, and rounding leaves 0.29."""
 _COARSE = 0.8
 """Share of distinct values below which a column shows the codes of its converter."""
 
@@ -94,6 +99,16 @@ class Gains:
     _scale: Array
     _coefficients: Array
     _inverse: Array
+
+    @property
+    def believed(self) -> bool:
+        """Whether the function explains enough of the column to say what it should have been elsewhere."""
+        return self.share > LINEAR
+
+    def moves(self, others: Sequence[Array]) -> bool:
+        """Say whether the column should have moved while the others took these values, (n,) each."""
+        predicted, known = self.predicted(others)
+        return bool(known.any() and np.std(predicted[known]) > OVER_NOISE * self.spread)
 
     def predicted(self, others: Sequence[Array]) -> tuple[Array, Array]:
         """Return the column (n,) by the others, and where the fitted samples support it, (n,) of bool.

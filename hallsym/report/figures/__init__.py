@@ -20,6 +20,7 @@ from hallsym.report.figures.along import save_errors
 from hallsym.report.figures.by_setting import errors_by_setting
 from hallsym.report.figures.captions import broken
 from hallsym.report.figures.correlation import blocks, correlation
+from hallsym.report.figures.detection import detection, save_detection
 from hallsym.report.figures.effects import effects
 from hallsym.report.figures.errors import errors_before_after
 from hallsym.report.figures.estimates import COVERAGE, parameters
@@ -49,6 +50,7 @@ __all__ = [
     "correlation",
     "coverage",
     "criterion_by_runs",
+    "detection",
     "drawable",
     "effects",
     "ends_in_words",
@@ -59,6 +61,7 @@ __all__ = [
     "parameters",
     "profiles",
     "save_budget_pictures",
+    "save_detection",
     "save_errors",
     "save_figures",
     "save_pictures",

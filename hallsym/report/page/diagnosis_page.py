@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from hallsym.diagnosis import Diagnosis
+from hallsym.diagnosis import Diagnosis, noise_text
 from hallsym.estimation import Fit
 from hallsym.report.data import Cells, RunSeries
 from hallsym.report.page import parts
@@ -17,7 +17,7 @@ from hallsym.report.page.html import Markup, facts, items, join, table, tag
 from hallsym.report.page.page import Section, document
 from hallsym.report.page.series import all_series
 from hallsym.report.tables import concise
-from hallsym.report.text.diagnosis import units_of
+from hallsym.report.text.diagnosis import noise_name, units_of
 from hallsym.report.words import MINUS
 
 
@@ -71,6 +71,7 @@ def _input(d: Diagnosis) -> Markup:
             ("model", d.model),
             (f"{d.held_out}s", f"{len(d.validation_runs)} ({parts.numbers(d.validation_runs)}), {judging}"),
             ("noise floor", f"{parts.each(d.noise_floor.outputs)}; {d.noise_floor.source}"),
+            (noise_name(d), noise_text(d.noise, d.noise_floor.source == "stated") if d.noise else None),
             ("worth reporting", f"a decrease of the gap by at least {100 * d.threshold:g} %"),
         ]
     )

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from textwrap import fill
 
 from hallsym.diagnosis import (
+    QUIET,
     CurveShape,
     Diagnosis,
     Estimate,
@@ -14,6 +15,7 @@ from hallsym.diagnosis import (
     Statement,
     Unexplained,
     degrees_of,
+    noise_text,
 )
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
@@ -43,6 +45,11 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     `reading`: the words of the command line that say how the log is read, for the next step.
     """
     parts = [_wrapped(d.sentence), "", _wrapped(_basis(d), "  "), "", _errors(d), *_sizes(d), *_waves(d)]
+    if d.noise is not None:
+        parts += [
+            "",
+            _wrapped(f"{noise_name(d)}: {noise_text(d.noise, d.noise_floor.source == 'stated')}", "  "),
+        ]
     if d.effects:
         parts += ["", effect_text(d.effects), "", *(_parameters(e, units_of(d)) for e in d.effects)]
         parts += [_wrapped(f"  {e.note}", "    ") for e in d.effects if e.note]
@@ -51,7 +58,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
         parts.append(next_text(d, reading))
     for s in d.separate_by:
         parts += ["", separation_text(s)]
-    above = "where the excess over the noise lies" if d.verdict == "no gap" else "where the gap lies"
+    above = "where the excess over the noise lies" if d.verdict in QUIET else "where the gap lies"
     parts += _statements(above, d.where, d.held_out)
     parts += (
         _statements("where the unexplained rest lies", d.remaining, d.held_out)
@@ -68,6 +75,11 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     if d.notes:
         parts += ["", *(_wrapped(f"note: {note}", "  ") for note in d.notes)]
     return "\n".join(parts)
+
+
+def noise_name(d: Diagnosis) -> str:
+    """Return what the noise that is left is called: where something has no cause it may be no noise."""
+    return "noise, or what follows nothing logged" if d.verdict == "unexplained" else "noise"
 
 
 def p_text(p: float | None) -> str:

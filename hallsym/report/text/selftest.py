@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from hallsym.diagnosis import Findable, SelfTest, Trial, gap_text, gap_unit
+from hallsym.diagnosis import CurvePoint, Findable, SelfTest, Trial, gap_text, gap_unit
 from hallsym.report.tables import grid
 
 SHORT = {"found": "yes", "group": "group", "listed": "second", "other": "wrong", "refused": "refused"}
@@ -18,7 +18,7 @@ def selftest_text(s: SelfTest) -> str:
         + f", noise floor {gap_text(s.floor_m, unit)}, threshold {100 * s.threshold:g} %, seed {s.seed}; "
         f"{s.seconds:.0f} s" + ("" if s.complete else "; INTERRUPTED, what was done:"),
         f"noise: {s.noise['text']}",
-        f"false alarms: {s.false_alarms} of {quiet} logs without an effect",
+        f"false alarms: {s.false_alarms} of {quiet} logs without an effect{_bounds(s.false_alarm_rate)}",
     ]
     tested = [e for e in s.effects if e.trials]
     if tested:
@@ -37,20 +37,28 @@ def _table(s: SelfTest, tested: Sequence[Findable]) -> str:
     head = ["effect", *(f"{r:g} x" for r in s.ratios), "found from", "that is", "taken for"]
     rows = [head]
     for e in tested:
-        cells = [_cell([t for t in e.trials if t.ratio == r]) for r in s.ratios]
+        cells = [_cell([t for t in e.trials if t.ratio == r], e.curve) for r in s.ratios]
         if e.trials[0].ratio is None:
-            cells = [_cell(e.trials), *[""] * (len(cells) - 1)]
+            cells = [_cell(e.trials, e.curve), *[""] * (len(cells) - 1)]
         rows.append([e.name, *cells, _from(e, gap_unit(s.outputs)), size_text(e), ", ".join(e.confused_with)])
     return grid(rows, left=len(head))
 
 
-def _cell(trials: Sequence[Trial]) -> str:
+def _cell(trials: Sequence[Trial], curve: Sequence[CurvePoint]) -> str:
     if not trials:
         return "-"
     said = [SHORT.get(t.outcome, t.outcome) for t in trials]
-    if len(set(said)) == 1:
+    if len(said) == 1:
         return said[0]
-    return f"{sum(word in ('yes', 'group') for word in said)}/{len(said)}"
+    point = next(p for p in curve if p.ratio == trials[0].ratio)
+    return f"{100 * point.found:.0f} % ({100 * point.low:.0f}-{100 * point.high:.0f})"
+
+
+def _bounds(point: CurvePoint) -> str:
+    """Return the 95 % bounds of a rate in words, nothing of no trials."""
+    if not point.trials:
+        return ""
+    return f" (a rate of {100 * point.low:.0f} to {100 * point.high:.0f} %, at 95 %)"
 
 
 def _from(e: Findable, unit: tuple[float, str]) -> str:
@@ -80,5 +88,11 @@ def _legend(s: SelfTest) -> str:
         "cannot be made that large here",
         "found from: gap above the floor from which on it is found, and the largest parameters at that size",
     ]
+    if s.repeats > 1:
+        lines[:2] = [
+            f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; in how many of "
+            f"{s.repeats} trials the effect is named first, or",
+            "in one group with the first, with 95 % bounds; -: cannot be made that large here",
+        ]
     bounded = [e for e in s.effects if e.trials and e.reason]
     return "\n".join([*lines, *(f"{e.name}: {e.reason}" for e in bounded)])

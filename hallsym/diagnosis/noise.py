@@ -1,0 +1,80 @@
+"""The noise that a diagnosed model leaves: by how much it is larger than stated, where, and whether white.
+
+It is the noise of a fit (`hallsym.estimation.residual_noise`), taken from the best model that was found.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from hallsym.diagnosis.record import NoiseFinding
+from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.words import plain
+from hallsym.estimation import KNOWN, noise_left
+
+LARGER: Final = "noise larger than stated"
+"""The verdict of a log whose excess over the stated noise is noise."""
+
+
+def noise_of_rest(base: Base, runs: Sequence[int]) -> NoiseFinding | None:
+    """Return the noise that `base` leaves on `runs`; None where they are too short to tell."""
+    zeros = {run: base.zeros_in(run) for run in runs}
+    left = noise_left(base.log, base.model, base.p, zeros, base.covariance, base.sigma, base.keep)
+    if left is None:
+        return None
+    return NoiseFinding(
+        ratio=left.ratio,
+        interval=left.interval,
+        by_sensor=dict(left.by_channel),
+        larger_in=tuple(c for c, (low, _) in left.intervals.items() if low > 1 + KNOWN),
+        white=left.white,
+        whiteness_p=left.whiteness_p,
+        correlation=left.correlation,
+        memory=left.memory,
+        coefficients=tuple(left.coefficients.tolist()),
+        bounded=left.bounded,
+    )
+
+
+def with_noise(base: Base, noise: NoiseFinding) -> Base:
+    """Return a fit whose residual is held against the noise that is there and not the one that was stated."""
+    larger = np.array([max(noise.by_sensor[c], 1.0) for c in base.model.channels])
+    return replace(base, covariance=base.covariance * np.outer(larger, larger))
+
+
+def in_outputs(base: Base, noise: NoiseFinding) -> float:
+    """Return the gap metric that the noise makes over that of the noise floor.
+
+    A noisy sensor may count for more in the pose than in the residuals of all sensors.
+    """
+    model, here = base.model, base.log.columns
+    state = [float(np.mean(base.log.array(c))) if c in here else 0.0 for c in model.state]
+    spread = np.asarray(model.noise_gain(base.p, state, base.weight)) * base.pose_weights[:, None]
+    covariances = base.covariance, with_noise(base, noise).covariance
+    known, real = (float(np.einsum("ik,kl,il->", spread, C, spread)) for C in covariances)
+    return float(np.sqrt(real / known)) if known > 0 else noise.ratio
+
+
+def noise_text(noise: NoiseFinding, stated: bool) -> str:
+    """Return the noise in words."""
+    low, high = noise.interval
+    said = (
+        f"{noise.ratio:.3g} x the {'stated' if stated else 'estimated'} noise (95 %: {low:.3g} to {high:.3g})"
+    )
+    if noise.larger and len(noise.by_sensor) > 1:
+        everywhere = len(noise.larger_in) == len(noise.by_sensor)
+        names = " and ".join(plain(c) for c in noise.larger_in)
+        said += ", in every sensor" if everywhere else f", in {names} alone" if names else ""
+    return f"{said}, {colour_text(noise)}"
+
+
+def colour_text(noise: NoiseFinding) -> str:
+    """Return in words whether noise is white."""
+    if noise.white:
+        return "white"
+    return (
+        f"correlated in time (neighbouring samples by {noise.correlation:.2f}; a slow average varies "
+        f"{noise.memory:.3g} x as much as that of white noise)"
+    )

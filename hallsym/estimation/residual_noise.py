@@ -1,0 +1,291 @@
+"""The noise that a model leaves: its size, its colour, whether it is white.
+
+What a model leaves is noise and, where it is not the machine, a function of where the machine was, how it
+moved, and when. Such functions (`hallsym.estimation.residual_columns`) are taken out first; what differs from
+run to run is left, and is modelled as an autoregression. Noise that is estimated from differences of
+neighbouring samples (`hallsym.log.estimate`) is 2 to 4 times too small where it is correlated: a first guess.
+
+Each column and each run's offset takes some noise along, slow noise most of all. How much is simulated: noise
+of the estimated model goes through the same elimination, and what it loses is added (indirect inference:
+C. Gourieroux, A. Monfort, E. Renault, J. Appl. Econometrics 8 (1993) S85, doi:10.1002/jae.3950080507).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_banded, solve_toeplitz
+from scipy.special import chdtrc, stdtrit
+
+KNOWN = 0.03
+"""Relative uncertainty of a noise floor: n samples know a standard deviation to 1 / sqrt(2 n), 560 to 3 %."""
+ORDER = 3
+"""Order of the autoregression: a resonance and a drift, or the beginning of 1/f noise."""
+LAGS = 10
+"""Lags over which the whiteness of noise is tested (Ljung and Box, Biometrika 65 (1978) 297)."""
+WHITE = 0.01
+"""P-value below which noise is called coloured: one white log in a hundred is."""
+DRAWS = 24
+"""Simulated rows of noise for the loss by elimination: K / 24 of its variance is added to a covariance."""
+ROUNDS = 4
+"""Of correcting the autocovariance by simulation: each leaves about the square of the relative loss."""
+FAR = 6.0
+"""Robust standard deviations beyond which a sample takes no part in correlations: a spike has none."""
+MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+ROUNDING = 1e-9
+"""Part of a column's squares, and of the products of columns of unit length, that is rounding."""
+STABLE = 0.995
+"""Largest modulus of a root of the autoregression; beyond it noise wanders through the whole of a run."""
+SETTLE = 500
+"""Samples for which simulated noise runs before it counts: e^-2.5 of the most persistent noise is left."""
+GAUSSIAN, FLATTER = 3.0, 4.0
+"""Kurtosis of Gaussian noise, and standard errors below it from which on a signal is flatter: of 36 channels
+one in a thousand logs. A sine has 1.5."""
+LONGEST = 1000
+"""Lags beyond which no correlation is left of the most persistent noise."""
+COVERED = 0.975
+"""Probability below the upper end of a two-sided 95 % interval."""
+FEWEST_RUNS = 6
+"""Runs from which on their scatter says how well a mean square is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualNoise:
+    """Noise that a model leaves, in multiples of the noise that was stated or estimated before.
+
+    `ratio`: standard deviation over all channels; `interval`: its 95 % interval; `by_channel`, `intervals`:
+    the same of each channel. `coefficients`: (ORDER,) of the autoregression, the same for all channels.
+    `kurtosis`: least of all channels, with its standard error `kurtosis_error` were they Gaussian.
+    `correlation`: of neighbouring samples. `memory`: variance of a slow average over that of white noise.
+    `whiteness_p`: probability that white noise is as correlated. `samples`: that were looked at.
+    """
+
+    ratio: float
+    interval: tuple[float, float]
+    by_channel: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    coefficients: np.ndarray
+    correlation: float
+    memory: float
+    whiteness_p: float
+    kurtosis: float
+    kurtosis_error: float
+    samples: int
+
+    @property
+    def bounded(self) -> bool:
+        """Whether it is flatter than Gaussian noise: a wave, a sweep or steps between levels, no noise."""
+        return self.kurtosis < GAUSSIAN - FLATTER * self.kurtosis_error
+
+    @property
+    def white(self) -> bool:
+        """Whether the samples may be independent of each other."""
+        return self.whiteness_p >= WHITE
+
+    @property
+    def drive(self) -> float:
+        """Standard deviation of what drives the autoregression, over that of the noise."""
+        return float(np.sqrt(1.0 / gain_of(self.coefficients)))
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """A residual to take noise from.
+
+    `values`: (K, n) residual of the readings. `covariance`: (K, K) that noise was said to give it. `run`:
+    (n,) which run each sample is of, runs one after the other. `columns`: (m, n) functions that it may
+    follow. `used`: (n,) which samples count. `offsets`: whether every run has an offset of its own.
+    """
+
+    values: np.ndarray
+    covariance: np.ndarray
+    run: np.ndarray
+    columns: np.ndarray
+    used: np.ndarray
+    offsets: bool
+
+
+def residual_noise(r: Residual, channels: Sequence[str]) -> ResidualNoise | None:
+    """Return the noise of a residual; None where there is too little to tell it from what it may follow."""
+    work = _Elimination(r)
+    if work.free <= 2 * LAGS:
+        return None
+    whitened = np.linalg.cholesky(np.linalg.inv(r.covariance)).T @ r.values
+    left = work.left(whitened)
+    body = MAD * np.median(np.abs(left[:, r.used]), axis=1, keepdims=True)
+    if not np.all(body > 0):
+        return None
+    # a spike also moves the offset of its run, by which all samples of the run would be correlated
+    far = np.any(np.abs(left) > FAR * body, axis=0)
+    body_of = _Elimination(replace(r, used=r.used & ~far)) if far.any() else work
+    near = body_of.left(whitened) if far.any() else left
+    scaled = near / np.sqrt(body_of.covariances(near, 0))
+    white = np.random.default_rng(0).standard_normal((DRAWS, left.shape[1] + SETTLE))
+    seen = body_of.covariances(scaled, LAGS).mean(axis=0)
+    phi, kept = _autoregression(body_of, seen[: ORDER + 1], white)
+    rho = correlations(phi, LONGEST)
+    fewer = 1.0 + 2.0 * float((rho[1:] ** 2).sum())
+    raw = work.left(r.values) / np.sqrt(np.diag(r.covariance))[:, None]
+    ratio, interval = work.size(left, kept, fewer)
+    each = [work.size(row[None], kept, fewer) for row in raw]
+    return ResidualNoise(
+        ratio=ratio,
+        interval=interval,
+        by_channel={c: value for c, (value, _) in zip(channels, each, strict=True)},
+        intervals={c: ends for c, (_, ends) in zip(channels, each, strict=True)},
+        coefficients=phi,
+        correlation=float(rho[1]),
+        memory=float(max(1.0, 1.0 + 2.0 * rho[1:].sum())),
+        whiteness_p=_whiteness(body_of, seen, len(left)),
+        kurtosis=float(np.min((left**4).sum(axis=1) * work.count / (left**2).sum(axis=1) ** 2)),
+        kurtosis_error=float(np.sqrt(24.0 * fewer / work.free)),
+        samples=int(work.count),
+    )
+
+
+class _Elimination:
+    """Takes columns and offsets of runs out of residuals, and sums products of what is left."""
+
+    def __init__(self, r: Residual) -> None:
+        self.used = r.used.astype(float)
+        self.count = float(self.used.sum())
+        _, self.index = np.unique(r.run, return_inverse=True)
+        self.runs = int(self.index.max()) + 1 if len(self.index) else 0
+        self.sizes = np.maximum(np.bincount(self.index, self.used, self.runs), 1.0)
+        self.offsets = r.offsets
+        X = self._centred(r.columns)
+        size, raw = (np.einsum("mn,mn->m", v, v) for v in (X, r.columns * self.used))
+        seen = size > ROUNDING * np.maximum(raw, 1e-300)
+        X = X[seen] / np.sqrt(size[seen, None])
+        values, axes = np.linalg.eigh(X @ X.T) if len(X) else (np.zeros(0), np.zeros((0, 0)))
+        real = values > ROUNDING * max(len(X), 1)
+        self.X, self.root = X, axes[:, real] / np.sqrt(values[real])
+        own = self.runs if r.offsets else 1
+        self.free = self.count - own - int(real.sum())
+        same = [np.ones(len(self.index), bool)]
+        for lag in range(1, LAGS + 1):
+            same.append(self.index[lag:] == self.index[:-lag])
+        self.pairs = [self.used[: len(s)] * self.used[len(self.used) - len(s) :] * s for s in same]
+
+    def _centred(self, values: np.ndarray) -> np.ndarray:
+        """Take the mean of each run, or of all where runs have no offsets, out of rows (m, n)."""
+        if not self.offsets:
+            return (values - (values @ self.used / self.count)[:, None]) * self.used
+        sums = np.array([np.bincount(self.index, row * self.used, self.runs) for row in values])
+        return (values - (sums.reshape(-1, self.runs) / self.sizes)[:, self.index]) * self.used
+
+    def left(self, values: np.ndarray) -> np.ndarray:
+        """Return what is left of rows (m, n) without columns and offsets; 0 where samples do not count."""
+        y = self._centred(values)
+        return y - (self.root @ (self.root.T @ (self.X @ y.T))).T @ self.X
+
+    def size(self, rows: np.ndarray, kept: float, fewer: float) -> tuple[float, tuple[float, float]]:
+        """Return the rms of rows (m, n) before `kept` of their squares was left, and its 95 % interval.
+
+        `fewer`: samples over independent ones. The interval is that of such noise with the tails that the
+        rows have, or what the runs scatter by where that is more: noise is not the same in all of them.
+        """
+        squares = (rows**2).mean(axis=0)
+        mean = max(float(squares.sum()) / self.count, 1e-300)
+        tails = [float((x**4).sum() * self.count / max(float((x**2).sum()) ** 2, 1e-300)) for x in rows]
+        error = float(np.sqrt(max(float(np.mean(tails)) - 1.0, 2.0) * fewer / (self.free * len(rows))))
+        factor = float(stdtrit(max(self.free, 1.0), COVERED))
+        if self.runs >= FEWEST_RUNS:
+            off = np.bincount(self.index, squares, self.runs) - mean * self.sizes
+            runs = float(np.sqrt((off**2).sum() * self.runs / (self.runs - 1))) / (mean * self.count)
+            if runs > error:
+                error, factor = runs, float(stdtrit(self.runs - 1, COVERED))
+        ratio, spread = float(np.sqrt(mean / kept)), 0.5 * factor * error
+        return ratio, (ratio * float(np.exp(-spread)), ratio * float(np.exp(spread)))
+
+    def covariances(self, rows: np.ndarray, lags: int) -> np.ndarray:
+        """Return the mean products of each row (m, n) with itself `lag` samples later, (m, lags + 1)."""
+        n = rows.shape[1]
+        out = np.zeros((len(rows), lags + 1))
+        for lag in range(lags + 1):
+            pairs = self.pairs[lag]
+            out[:, lag] = (rows[:, lag:] * rows[:, : n - lag]) @ pairs / max(float(pairs.sum()), 1.0)
+        return out
+
+    def of_white(self, lags: int) -> np.ndarray:
+        """Return the expected autocorrelations of white noise once it is eliminated, (lags + 1,): below 0.
+
+        The elimination is I - Q with Q = U^T U and the offsets: its entries beside the diagonal are -Q.
+        """
+        taken = self.covariances(self.root.T @ self.X, lags).sum(axis=0)
+        size = self.sizes[self.index] if self.offsets else np.full(len(self.index), self.count)
+        n = len(self.index)
+        for lag in range(lags + 1):
+            pairs = self.pairs[lag]
+            taken[lag] += float(pairs @ (1.0 / size[: n - lag])) / max(float(pairs.sum()), 1.0)
+        out = -taken / (1.0 - taken[0])
+        out[0] = 1.0
+        return out
+
+
+def _autoregression(work: _Elimination, seen: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the coefficients whose noise has the autocovariance `seen` (ORDER + 1,) once it is eliminated.
+
+    Beside it the share of the variance of such noise that the elimination leaves.
+    """
+    whole, kept = seen.copy(), 1.0
+    for _ in range(ROUNDS):
+        phi = _stable(solve_toeplitz(whole[:-1], whole[1:]))
+        noise = autoregressive(phi, white)[:, SETTLE:]
+        got = work.covariances(work.left(noise), ORDER).mean(axis=0)
+        # the noise as drawn has not quite its own covariance: what is lost is against what was drawn
+        drawn = work.covariances(noise, ORDER).mean(axis=0)
+        kept = float(np.clip(got[0] / drawn[0], 0.05, 1.0))
+        variance = seen[0] / kept
+        whole = seen + variance * (drawn - got) / drawn[0]
+        whole[0] = variance
+    return _stable(solve_toeplitz(whole[:-1], whole[1:])), kept
+
+
+def autoregressive(phi: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Return noise of unit variance (m, n) with coefficients `phi` from white noise (m, n)."""
+    if not np.any(phi):
+        return white
+    band = np.concatenate([[1.0], -phi])[:, None] * np.ones(white.shape[1])
+    drive = np.sqrt(1.0 / gain_of(phi)) * white
+    return np.asarray(solve_banded((len(phi), 0), band, drive.T).T)
+
+
+def _stable(phi: np.ndarray) -> np.ndarray:
+    """Draw the roots of an autoregression inside the circle of radius `STABLE`."""
+    roots = np.roots(np.concatenate([[1.0], -phi]))
+    largest = float(np.abs(roots).max(initial=0.0))
+    if largest <= STABLE:
+        return phi
+    return phi * (STABLE / largest) ** np.arange(1, len(phi) + 1)
+
+
+def correlations(phi: np.ndarray, lags: int) -> np.ndarray:
+    """Return the autocorrelations of an autoregression at lags 0 .. `lags` - 1, as far as they matter."""
+    p = len(phi)
+    # Yule-Walker equations for the first p, then the recursion
+    A, b = np.eye(p), phi.copy()
+    for k in range(1, p + 1):
+        for j in range(1, p + 1):
+            if k != j:
+                A[k - 1, abs(k - j) - 1] -= phi[j - 1]
+    rho = [1.0, *np.linalg.solve(A, b).tolist()]
+    while len(rho) < min(lags, LONGEST):
+        rho.append(float(phi @ np.array(rho[: -p - 1 : -1])))
+    return np.array(rho[:lags])
+
+
+def gain_of(phi: np.ndarray) -> float:
+    """Return the variance of an autoregression that is driven by unit variance."""
+    rho = correlations(phi, len(phi) + 1)
+    return 1.0 / max(1.0 - float(phi @ rho[1:]), 1e-9)
+
+
+def _whiteness(work: _Elimination, seen: np.ndarray, K: int) -> float:
+    """Return the p-value of no correlation (Ljung and Box), against white noise that was eliminated alike."""
+    expected = work.of_white(LAGS)
+    pairs = np.array([float(p.sum()) for p in work.pairs])
+    usable = pairs[1:] > 0
+    off = (seen / seen[0] - expected)[1:][usable]
+    return float(chdtrc(int(usable.sum()), float((off**2 * K * pairs[1:][usable]).sum())))
