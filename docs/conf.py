@@ -58,6 +58,7 @@ sphinx_gallery_conf = {
     "abort_on_example_error": True,
     "min_reported_time": 1e9,
     "image_scrapers": ("scrape.figures",),
+    "reset_modules": ("scrape.style",),
     "within_subsection_order": "FileNameSortKey",
 }
 

@@ -6,6 +6,15 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
+from hallsym.report.figures import STYLE
+
+
+def style(settings: dict[str, Any], name: str) -> None:
+    """Begin an example in the style of hallsym's own pictures, whose margins hold for its fonts."""
+    plt.close("all")
+    plt.rcdefaults()
+    plt.rcParams.update(STYLE)
+
 
 def figures(block: Any, variables: dict[str, Any], settings: dict[str, Any]) -> str:
     """Save each figure among the variables of the block and return the text that shows them."""

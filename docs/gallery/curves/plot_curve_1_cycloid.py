@@ -23,5 +23,5 @@ for candidate, look in zip(met, ("-", "--", ":"), strict=True):
     label = f"{candidate.method.words}: {candidate.control_points} control points"
     ax.semilogy(t, 1e9 * np.maximum(off, 1e-13), look, color="0.1", label=label)
 ax.axhline(50, color="C1", lw=1, label="tolerance")
-ax.set(xlabel="t", ylabel="distance [nm]", ylim=(1e-3, 1e3))
-ax.legend(fontsize="small")
+ax.set(xlabel="t", ylabel="distance [nm]", ylim=(1e-3, 1e5))
+ax.legend(loc="upper center", ncols=2)

@@ -20,5 +20,6 @@ for ax, columns, unit in ((axes[0], ("x_m", "y_m"), "um"), (axes[1], ("rz_rad",)
         places = [j + 0.38 * k for j in range(len(columns))]
         ax.bar(places, [1e6 * gap.rmse[c] for c in columns], 0.36, label=label, color=color)
     ax.set_xticks([j + 0.19 for j in range(len(columns))], [c.rpartition("_")[0] for c in columns])
+    ax.margins(y=0.2)
     ax.set_ylabel(f"rms error on held-out runs [{unit}]")
 axes[0].legend()
