@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
+from math import comb
 
 import numpy as np
 
@@ -22,6 +23,8 @@ REVERSAL = 0.05
 """Part of the greatest speed within which the direction of motion turns over."""
 PLACES = 9
 """Knots over the stroke between which an error may depend on the direction of motion."""
+TOGETHER, DEGREE = 128, 4
+"""Products of coordinates that an error may follow together: up to `DEGREE`, and fewer than these in all."""
 WIDER = 1.2
 """A displacement may be this much larger than the readings: the gain changes with the vertical state."""
 TIMES = (3, 12)
@@ -100,6 +103,8 @@ class Features:
             middle, half = self.ranges[c]
             sensed = piece.readings[k] * still[k] / np.where(gain[k] == 0, 1.0, gain[k])
             out[Key("reading", c)] = ((piece.readings[k] - middle) / half + 1) / 2
+            if not model.state:  # the gain is a number: the displacement is the reading in other units
+                continue
             out[Key("displacement", c)] = ((sensed - middle) / (WIDER * half) + 1) / 2
         return {key: np.clip(x, 0.0, 1.0) for key, x in out.items()}
 
@@ -118,7 +123,7 @@ class Features:
             orders = np.arange(1, WAVES + 1)[:, None]
             yield Key("waves"), np.vstack([f(orders * u) for u in turns for f in (np.cos, np.sin)])
         if not self.turning:
-            yield Key("the pose together"), powers(q, 4)
+            yield Key("the pose together"), powers(q, _degree(len(q)))
         states = self.states(piece)
         if not self.turning and states:
             s = powers(np.array([self.unit(piece, c) for c in states]), 3)
@@ -162,6 +167,11 @@ def _ranges(base: Base, runs: frozenset[int]) -> dict[str, tuple[float, float]]:
             low[c] = min(low.get(c, np.inf), float(values.min(initial=np.inf)))
             high[c] = max(high.get(c, -np.inf), float(values.max(initial=-np.inf)))
     return {c: (0.5 * (low[c] + high[c]), max(0.5 * (high[c] - low[c]), 1e-300)) for c in low}
+
+
+def _degree(coordinates: int) -> int:
+    """Return the highest degree up to `DEGREE` with fewer than `TOGETHER` products of so many coordinates."""
+    return next((d for d in range(DEGREE, 1, -1) if comb(coordinates + d, d) <= TOGETHER), 1)
 
 
 def powers(x: np.ndarray, degree: int) -> np.ndarray:

@@ -8,7 +8,7 @@ take up.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,12 +27,34 @@ from hallsym.log import Log
 from hallsym.model import LINKS, Model
 from hallsym.model.arrays import on_arrays
 
-ROOM = 40_000
-"""Samples that are looked at: of a longer log some runs, evenly chosen, and of long runs the beginning."""
+ROOM, CHANNELS = 40_000, 3
+"""Samples that are looked at: of a longer log some runs, evenly chosen, and of long runs the beginning. Of
+more than so many channels as many readings."""
 FEW = 8
 """Runs that are looked at at least."""
 PARTS = 11
 """Groups of runs that are left out in turn."""
+
+
+@dataclass(eq=False)
+class Sums:
+    """Products of the columns [parameters | effects | residual] of all blocks, and of each group of runs.
+
+    Of a block alone only `near` is kept, the products with the parameters and the residual (own + 1, c): all
+    of each would be a hundred times as much. `run`, `readings`: group and number of readings of each block.
+    """
+
+    own: int
+    groups: dict[int, np.ndarray] = field(default_factory=dict)
+    near: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+    count: dict[tuple[int, int], float] = field(default_factory=dict)
+
+    def add(self, group: int, part: int, products: np.ndarray, size: float) -> None:
+        """Add products (c, c) of `size` readings to a block: part `part` of the runs of a group."""
+        fold, at = group % PARTS, (group, part)
+        self.groups[fold] = self.groups.get(fold, 0) + products
+        self.near[at] = self.near.get(at, 0) + products[[*range(self.own), -1]]
+        self.count[at] = self.count.get(at, 0.0) + size
 
 
 class Blocks:
@@ -41,50 +63,45 @@ class Blocks:
     `span`: columns of each effect. `readings`: whitened readings in all.
     """
 
-    def __init__(
-        self,
-        M: np.ndarray,
-        readings: np.ndarray,
-        run: np.ndarray,
-        span: Mapping[str, slice],
-        bounds: tuple[np.ndarray, np.ndarray],
-    ) -> None:
+    def __init__(self, sums: Sums, span: Mapping[str, slice], bounds: tuple[np.ndarray, np.ndarray]) -> None:
         """Take the model's own parameters out: of all for significance, of the others for the shares."""
-        self.run, self.span, self.bounds = run, {k: v for k, v in span.items() if k}, bounds
+        keys = sorted(sums.near)
+        self.run, self.span, self.bounds = np.array([k[0] for k in keys]), span, bounds
+        readings = np.array([sums.count[k] for k in keys])
         self.readings = float(readings.sum())
-        own = span[""].stop
-        self.offset = own
-        total = M.sum(axis=0)
-        follow = _follow(total, own)
-        self.all, self.raw = eliminated(total, follow), np.diag(total)[own:]
-        last = np.array([eliminated(part, follow)[:, -1] for part in M])  # all of each would be M once more
+        self.own = own = sums.own
+        self.groups = [sums.groups[k] for k in sorted(sums.groups)]
+        self.total = self.groups[0].copy()
+        for group in self.groups[1:]:
+            self.total += group
+        follow = _follow(self.total, own)
+        self.all, self.raw = eliminated(self.total, follow), np.diag(self.total)[own:]
+        last = np.array([_eliminated_residual(sums.near[k], follow) for k in keys])
         level = np.sqrt(readings / np.maximum(last[:, -1], 1e-300))
         self.scores = last[:, :-1] * level[:, None]
-        order = np.unique(run, return_inverse=True)[1] % PARTS
-        self.folds = []
-        for k in np.unique(order):
-            train, test = (M.sum(axis=0, where=pick[:, None, None]) for pick in (order != k, order == k))
-            follow = _follow(train, own)
-            self.folds.append((eliminated(train, follow), eliminated(test, follow)))
         self.known: dict[tuple[str, ...], float] = {(): 0.0}
 
     def at(self, names: Sequence[str]) -> np.ndarray:
         """Return the columns of some effects."""
         spans = [self.span[n] for n in names]
-        return np.concatenate([np.arange(s.start, s.stop) for s in spans] or [np.zeros(0, int)]) - self.offset
+        return np.concatenate([np.arange(s.start, s.stop) for s in spans] or [np.zeros(0, int)]) - self.own
 
     def takes(self, names: Sequence[str]) -> float:
         """Return the whitened squares that some effects together take off runs they were not fitted on."""
         key = tuple(sorted(names))
         if key not in self.known:
-            at = self.at(key)
-            pick, total = np.append(at, -1), 0.0
-            for train, test in self.folds:
-                seen = np.flatnonzero(np.diag(train)[at] > NIL * self.raw[at])
+            at, own = self.at(key), np.arange(self.own)
+            pick, total = np.ix_(*[[*own, *(own.size + at), -1]] * 2), 0.0
+            everything = self.total[pick]
+            for group in self.groups:
+                part = group[pick]
+                follow = _follow(everything - part, self.own)
+                train, test = eliminated(everything - part, follow), eliminated(part, follow)
+                seen = np.flatnonzero(np.diag(train)[:-1] > NIL * self.raw[at])
                 theta = np.zeros(len(at))
-                theta[seen] = coefficients(train[np.ix_(pick, pick)], seen)
+                theta[seen] = coefficients(train, seen)
                 theta = np.clip(theta, self.bounds[0][at], self.bounds[1][at])
-                total += float(2 * theta @ test[at, -1] - theta @ test[np.ix_(at, at)] @ theta)
+                total += float(2 * theta @ test[:-1, -1] - theta @ test[:-1, :-1] @ theta)
             self.known[key] = total
         return self.known[key]
 
@@ -101,6 +118,14 @@ def _follow(total: np.ndarray, own: int) -> np.ndarray:
     return -pseudo_inverse(total[:own, :own]) @ total[:own, own:]
 
 
+def _eliminated_residual(near: np.ndarray, follow: np.ndarray) -> np.ndarray:
+    """Return the last column of `eliminated`, from the rows (own + 1, c) of parameters and residual."""
+    own = len(follow)
+    across, last = near[:own, own:], near[own]
+    moved = near[:own, -1] + near[:own, :own] @ follow[:, -1]
+    return np.asarray(last[own:] + across.T @ follow[:, -1] + follow.T @ moved)
+
+
 def blocks_of(base: Base, tried: Mapping[str, Score]) -> Blocks:
     """Read the fitted runs once more, where the axes were: see `smoothed`."""
     candidates = {
@@ -113,20 +138,14 @@ def blocks_of(base: Base, tried: Mapping[str, Score]) -> Blocks:
     # a log of many runs has a block for each group of neighbours, one of few runs several blocks in each
     group = {run: k * min(FOLDS, len(runs)) // len(runs) for k, run in enumerate(runs)}
     length = max(SHORTEST, -(-base.log.rows // BLOCKS)) if len(runs) < FEWEST else base.log.rows
-    sums: dict[tuple[int, int], np.ndarray] = {}
-    count: dict[tuple[int, int], float] = {}
+    sums = Sums(work.n)
     for run in work.stretches(length):
-        _, follow = eliminate(np.sum([s.products for s in run], axis=0), work.z)
+        follow = eliminate(np.sum([s.products for s in run], axis=0), work.z)[1] if work.z else None
         for part, s in enumerate(run):
-            key = group[s.run], part
-            sums[key] = sums.get(key, 0) + eliminated(s.products, follow)
-            count[key] = count.get(key, 0.0) + s.size
-    keys = sorted(sums)
-    span = {k: v for k, v in work.span.items() if k not in work.slopes.spoiled}
-    return Blocks(
-        np.array([sums[k] for k in keys]), np.array([count[k] for k in keys]), np.array([k[0] for k in keys]),
-        span, _bounds(candidates),
-    )  # fmt: skip
+            left = s.products if follow is None else eliminated(s.products, follow)
+            sums.add(group[s.run], part, left, s.size)
+    span = {k: v for k, v in work.span.items() if k and k not in work.slopes.spoiled}
+    return Blocks(sums, span, _bounds(candidates))
 
 
 def smoothed(base: Base, models: Sequence[Model]) -> Log:
@@ -141,13 +160,14 @@ def smoothed(base: Base, models: Sequence[Model]) -> Log:
     ]
     kept = tuple(dict.fromkeys(c for c in (*needs, "t_s") if c not in made and c in base.log.columns))
     fitted = [run for run in base.log.runs if run not in base.holdout]
-    most = max(FEW, round(ROOM / base.log.rows * len(base.log.runs)))
+    room = ROOM * CHANNELS // max(CHANNELS, len(model.channels))
+    most = max(FEW, round(room / base.log.rows * len(base.log.runs)))
     chosen = fitted[:: max(1, -(-len(fitted) // most))]
     read, back = on_arrays(model.reading), np.linalg.inv(base.whiten)
     count = dict.fromkeys(chosen, 0)
     parts = []
     for piece in pieces(base, frozenset(chosen), kept):
-        if count[piece.run] >= ROOM / len(chosen) + SHORTEST:
+        if count[piece.run] >= room / len(chosen) + SHORTEST:
             continue
         count[piece.run] += len(piece.t)
         pose = [at_rest(piece.data[f"d0_{c}"], base.sigma.get(c, 0.0)) for c in model.references]

@@ -57,6 +57,9 @@ class NormalEquations:
 
 MANY = 6
 """Channels above which products are made candidate by candidate, not for each pair of channels."""
+ENTRIES, FEWEST = 2_000_000, 256
+"""Derivatives of the readings that are held at once, 16 MB, and samples that are taken together at least: a
+refit of many channels with a number each would hold all channels times itself."""
 Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
 """Runs, products for the likelihood, products in the output, samples."""
 
@@ -78,8 +81,8 @@ def normal_equations(
     New parameters are taken at their nominal value, where they have no effect.
     """
     work = Accumulator(base, candidates)
-    for batch in work.batches():
-        work.add(batch, batch.weights(base.keep))
+    for batch, weights in work.weighed():
+        work.add(batch, weights)
     return work.result()
 
 
@@ -123,6 +126,8 @@ class Accumulator:
         self.span = {"": slice(0, self.n)}
         self.span |= {k: slice(self.n + s.start, self.n + s.stop) for k, s in self.slopes.span.items()}
         self.near = np.array([*range(own), self.size - 1])
+        rows = max(len(self.near) * len(model.channels), sum(map(len, self.slopes.column)))
+        self.most = max(FEWEST, ENTRIES // rows)
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
         self.run: int | None = None
@@ -138,6 +143,13 @@ class Accumulator:
             wide = wide.with_columns(*model.computed)
         columns = dict.fromkeys((*(c for m in self.models for c in columns_of(m)), *further))
         yield from batches(extended(base.log, wide, base.sigma, base.values), tuple(columns))
+
+    def weighed(self, *further: str) -> Iterator[tuple[Batch, np.ndarray | None]]:
+        """Yield the same in batches of at most `most` samples, with the weights of their samples."""
+        for batch in self.batches(*further):
+            weights = batch.weights(self.base.keep)
+            for piece, at in batch.pieces(self.most):
+                yield piece, None if weights is None else weights[at]
 
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
@@ -242,8 +254,8 @@ class Accumulator:
         """Yield the stretches of `length` samples of each run; zeros are the first columns."""
         run: list[Stretch] = []
         seen, origin = 0, None
-        for batch in self.batches("t_s"):
-            white = self.whitener(batch, batch.weights(self.base.keep))
+        for batch, weights in self.weighed("t_s"):
+            white = self.whitener(batch, weights)
             t = batch.data["t_s"]
             origin = float(t[0]) if origin is None else origin
             for block, part in batch.parts():

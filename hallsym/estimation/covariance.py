@@ -124,7 +124,7 @@ def _turning_noise(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | 
         g = g[:, :, free]
         C = (j * cost.column_variance) @ np.swapaxes(j, 1, 2)
         weighed = W @ g
-        more = np.einsum("ski,skl,slj->ij", weighed, C - C.mean(axis=0), weighed)
+        more = np.tensordot(weighed, (C - C.mean(axis=0)) @ weighed, axes=([0, 1], [0, 1]))
         out[k] = more * summary.counts[k] / places.shape[1]
     return out
 

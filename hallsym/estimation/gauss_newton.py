@@ -160,7 +160,7 @@ def optimum(
         return now.cost - now.target.cost <= DROP * max(now.cost / readings, 1e-300)
 
     first = np.clip(np.asarray(start, dtype=float), *model.bounds)
-    zeros = zeros_of(cost_near(log, model, first, noise, weigh), first)
+    zeros = zeros_of(cost_near(log, model, first, noise, weigh), first) if model.zeros else {}
     best, outcome = solvers.gauss_newton(linearise, (first, zeros), converged, PASSES)
     found = replace(best.target, evaluations=evaluations)
     if outcome != "converged":

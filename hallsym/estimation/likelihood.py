@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hallsym.estimation.coefficients import Coefficients
+from hallsym.estimation.coefficients import Coefficients, Rows
 from hallsym.estimation.normal_equations import eliminate, solve
 from hallsym.estimation.run_statistics import RunStatistics
 
@@ -113,9 +113,12 @@ class Point:
 
     def __init__(self, cost: Cost, p: np.ndarray) -> None:
         self.cost, self.p = cost, p
-        first, runs = cost.coefficients.first(p), len(cost.weights)
-        starts = range(0, max(runs, 1), TOGETHER)
-        self._parts = [_Runs(cost, *first, slice(start, min(start + TOGETHER, runs))) for start in starts]
+        (c, dc, rows), runs = cost.coefficients.slopes(p), len(cost.weights)
+        together = int(np.clip(TOGETHER * SLOPES // max(dc.size, 1), 1, TOGETHER))
+        starts = range(0, max(runs, 1), together)
+        self._parts = [
+            _Runs(cost, c, dc, rows, slice(start, min(start + together, runs))) for start in starts
+        ]
         self._kept: list[Derivatives] | None = None
         self.zeros = self._joined([part.zeros for part in self._parts])
         self.run_values = self._joined([part.values for part in self._parts])
@@ -212,8 +215,8 @@ class Point:
         return self._joined([part.zero_covariance(covariance) for part in self._parts])
 
 
-TOGETHER = 128
-"""Runs whose derivatives are computed at once: 40 kB each for Model (31)."""
+TOGETHER, SLOPES = 128, 20_000
+"""Runs whose derivatives are computed at once: 40 kB each for Model (31), fewer where slopes are more."""
 Derivatives = tuple[np.ndarray, np.ndarray]
 """Gradients (r, n) and Hessians (r, n, n) of runs, the latter without the curvature of c(p)."""
 
@@ -224,8 +227,8 @@ class _Runs:
     Shapes: r runs, m rows of a triangle, f features, K channels, n parameters, z zeros, v = z + n.
     """
 
-    def __init__(self, cost: Cost, c: np.ndarray, dc: np.ndarray, at: slice) -> None:
-        self.cost, self.c, self.dc, self.at = cost, c, dc, at
+    def __init__(self, cost: Cost, c: np.ndarray, dc: np.ndarray, rows: Rows | None, at: slice) -> None:
+        self.cost, self.c, self.dc, self.rows, self.at = cost, c, dc, rows, at
         self.R_f, R_m = (part[at] for part in cost.triangles)
         self.Q, base = cost.noise_in_features[at], c[0]
         # a zero's own features have no slope, so X may leave the zeros out in Q X
@@ -255,10 +258,15 @@ class _Runs:
         return np.concatenate([np.ones((len(self.zeros), 1)), self.zeros], axis=1)
 
     def _slopes(self) -> np.ndarray:
-        """dX / d(zeros, p), shape (r, K, f, v)."""
-        r, z, (f, n, K) = len(self.zeros), len(self.c) - 1, self.dc.shape[1:]
+        """dX / d(zeros, p), shape (r, K, f, v); of m `rows` alone (r, m, v)."""
+        r, z, n = len(self.zeros), len(self.c) - 1, self.dc.shape[2]
+        if self.rows is not None:
+            few = np.empty((r, len(self.rows.channel), z + n))
+            few[..., :z] = self.c[1:, self.rows.feature, self.rows.channel].T
+            few[..., z:] = self.dc[0] + np.tensordot(self.zeros, self.dc[1:], axes=1)
+            return few
         by_channel = np.ascontiguousarray(np.transpose(self.dc, (0, 3, 1, 2)))
-        B = np.empty((r, K, f, z + n))
+        B = np.empty((r, *by_channel.shape[1:3], z + n))
         B[..., :z] = np.transpose(self.c[1:], (2, 1, 0))
         B[..., z:] = by_channel[0] + np.tensordot(self.zeros, by_channel[1:], axes=1)
         return B
@@ -275,29 +283,34 @@ class _Runs:
     def derivatives(self) -> Derivatives:
         """Gradient and Hessian of each run's F with its zeros eliminated, without the curvature of c."""
         B, z = self._slopes(), len(self.c) - 1
-        r, K, f, v = B.shape
-        G = np.swapaxes(self.G, 1, 2).reshape(r, 1, K * f)
-        gradients = (G @ B.reshape(r, K * f, v))[:, 0, z:]
+        r, v = len(B), B.shape[-1]
+        if self.rows is None:
+            G = np.swapaxes(self.G, 1, 2).reshape(r, 1, -1)
+        else:
+            G = self.G[:, None, self.rows.feature, self.rows.channel]
+        gradients = (G @ B.reshape(r, -1, v))[:, 0, z:]
         H = 2.0 * self._quadratic(B, self.W, self._WSW) + self._covariance_terms(B)
         if z:
-            cross = np.tensordot(self.G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
+            if self.rows is None:
+                cross = np.tensordot(self.G, self.dc[1:], axes=([1, 2], [1, 3]))  # (r, z, n)
+            else:
+                cross = np.tensordot(G[:, 0], self.dc[1:], axes=([1], [1]))
             H[:, :z, z:] += cross
             H[:, z:, :z] += np.swapaxes(cross, 1, 2)
         return gradients, eliminate(H, z)[0]
 
     def _quadratic(self, B: np.ndarray, fit: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Sum over channels k, l of B_k^T (fit_kl R_f^T R_f - noise_kl Q) B_l, shape (r, v, v)."""
-        r, K, f, v = B.shape
-        rows = self._rows
-        if rows is not None:
-            k, at = rows
+        moving = np.any(self.cost.column_variance)
+        if self.rows is not None:
+            k, at = self.rows.channel, self.rows.feature
             middle = fit[:, k[:, None], k] * self.cost.grams[self.at][:, at[:, None], at]
-            if np.any(self.cost.column_variance):
+            if moving:
                 middle -= noise[:, k[:, None], k] * self.Q[:, at[:, None], at]
-            few = B[:, k, at]
-            return np.swapaxes(few, 1, 2) @ (middle @ few)
+            return np.swapaxes(B, 1, 2) @ (middle @ B)
+        r, K, f, v = B.shape
         middle = fit @ (self.cost.grams[self.at, None] @ B).reshape(r, K, f * v)
-        if np.any(self.cost.column_variance):
+        if moving:
             middle -= noise @ (self.Q[:, None] @ B).reshape(r, K, f * v)
         return np.swapaxes(B.reshape(r, K * f, v), 1, 2) @ middle.reshape(r, K * f, v)
 
@@ -305,7 +318,7 @@ class _Runs:
         """Second-order terms of F through C(p) that hold dC, shape (r, v, v)."""
         if not np.any(self.cost.column_variance):
             return 0.0
-        r, K, _, v = B.shape
+        r, K, v = len(B), self.c.shape[2], B.shape[-1]
         AR = np.swapaxes(self.A, 1, 2) @ self.R_f  # -A^T dA = AR B
         left = np.concatenate([np.swapaxes(self.QX, 1, 2), -AR], axis=1)
         both = self._by_channel(left, B)
@@ -315,22 +328,14 @@ class _Runs:
         terms = np.swapaxes(dC.reshape(r, K * K, v), 1, 2) @ inner.reshape(r, K * K, v)
         return terms + np.swapaxes(terms, 1, 2)
 
-    @cached_property
-    def _rows(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Channels and features of the slopes that are not nil; None where most features have one."""
-        moved = np.any(self.c[1:] != 0, axis=0).T | np.any(self.dc != 0, axis=(0, 2)).T
-        k, at = np.nonzero(moved)
-        return (k, at) if SPARSE * len(k) < moved.size else None
-
     def _by_channel(self, left: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Return left (r, i, f) times the slopes of each channel (r, K, f, v), (r, K, i, v)."""
-        if self._rows is None:
+        """Return left (r, i, f) times the slopes of each channel, (r, K, i, v)."""
+        if self.rows is None:
             return left[:, None] @ B
-        out = np.zeros((len(B), B.shape[1], left.shape[1], B.shape[3]))
-        k, at = self._rows
-        for channel in range(B.shape[1]):
-            own = at[k == channel]
-            out[:, channel] = left[:, :, own] @ B[:, channel, own]
+        out = np.zeros((len(B), self.c.shape[2], left.shape[1], B.shape[-1]))
+        for channel in range(out.shape[1]):
+            own = np.flatnonzero(self.rows.channel == channel)
+            out[:, channel] = left[:, :, self.rows.feature[own]] @ B[:, own]
         return out
 
     def information(self, noise_factor: float) -> np.ndarray:
@@ -346,10 +351,6 @@ class _Runs:
         full, z = self._full_information(1.0), len(self.c) - 1
         follow = eliminate(full, z)[1]
         return np.linalg.inv(full[:, :z, :z]) + follow @ covariance @ np.swapaxes(follow, 1, 2)
-
-
-SPARSE = 4
-"""Features per channel, over those that move the channel, from which on only these are multiplied."""
 
 
 FEW = 8

@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.estimation.coefficients import Rows
 from hallsym.estimation.run_statistics import RunStatistics, summarised
 from hallsym.log import Log
 from hallsym.log.batches import Batch, Weigh
@@ -27,9 +28,9 @@ from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.model.features import Features, find_features
 
-SAMPLES, SMALLEST = 120, 5.0
-"""Random poses and states at which it is asked what no recording can determine, and decades below 1 [SI] that
-every second of them may be smaller by: a stage moves by 1e-4 m."""
+READINGS, SAMPLES, SMALLEST = 360, 40, 5.0
+"""Readings, and poses and states at least, at which it is asked what no recording can determine; and decades
+below 1 [SI] that every second of them may be smaller by: a stage moves by 1e-4 m."""
 
 
 @lru_cache(maxsize=64)
@@ -62,6 +63,13 @@ class Program:
     slope_sparsity: ca.Sparsity
     by_parameter: Callable[..., list[np.ndarray]]
 
+    @cached_property
+    def pairs(self) -> np.ndarray:
+        """Features whose slopes with any column are not always 0, in pairs: (0, i, j), i <= j, (3, pairs)."""
+        rows = np.unique(np.array(self.slope_sparsity.get_triplet()[0], dtype=int))
+        moved = rows[rows >= len(self.zero_entries)]
+        return np.array([np.zeros(len(moved) * (len(moved) + 1) // 2, dtype=int), *_pairs(moved)])
+
 
 @lru_cache(maxsize=32)
 def program(model: Model) -> Program:
@@ -84,6 +92,11 @@ def program(model: Model) -> Program:
     )
 
 
+def _pairs(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    i, j = np.triu_indices(len(rows))
+    return rows[i], rows[j]
+
+
 def _entries(jacobian: ca.SX) -> tuple[tuple[int, int], ...]:
     rows, columns = jacobian.sparsity().get_triplet()
     return tuple((int(k), int(j)) for k, j in zip(rows, columns, strict=True))
@@ -91,9 +104,24 @@ def _entries(jacobian: ca.SX) -> tuple[tuple[int, int], ...]:
 
 @dataclass(frozen=True, eq=False)
 class TangentFeatures(Features):
-    """Features of the tangent at the parameters `at`; a stand-in wherever `Features` serve a cost."""
+    """Features of the tangent at the parameters `at`; a stand-in wherever `Features` serve a cost.
+
+    `noise`: (n_columns,) of the logged columns, None where it is not known yet. Features are many where
+    channels are: with it what noise makes of them is kept as one matrix and not one for each column.
+    """
 
     at: np.ndarray
+    noise: np.ndarray | None = None
+
+    @property
+    def std(self) -> np.ndarray | None:
+        """Noise (n_columns,) of the logged columns, where it is known."""
+        return self.noise
+
+    @cached_property
+    def slope_pairs(self) -> np.ndarray:
+        """Where products of two slopes are not always 0, as `Features.slope_pairs`."""
+        return super().slope_pairs if self.noise is None else program(self.model).pairs
 
     @cached_property
     def values(self) -> Callable[..., list[np.ndarray]]:
@@ -114,26 +142,32 @@ class TangentFeatures(Features):
     def _slope_sparsity(self) -> ca.Sparsity:
         return program(self.model).slope_sparsity
 
-    @cached_property
+    def linear(self, p: np.ndarray) -> tuple[np.ndarray, Rows]:
+        """Return the coefficients at p, (1 + z, n_features, K), and their slopes, constant, where not nil."""
+        parts, K, z = program(self.model), len(self.model.channels), self.n_zeros
+        skip = len(parts.zero_entries) - self.n_zero
+        value = np.zeros((1 + z, self.size, K))
+        k0, j0 = np.array(parts.zero_entries[skip:], dtype=int).reshape(-1, 2).T
+        k, j = np.array(parts.entries, dtype=int).reshape(-1, 2).T
+        at = self.n_zero + np.arange(len(k))
+        value[1 + j0, np.arange(len(k0)), k0] = 1.0
+        value[0, at, k] = p[j] - self.at[j]
+        value[0, self.size - K + np.arange(K), np.arange(K)] = 1.0
+        slope = np.zeros((1 + z, len(k0) + len(k), len(p)))
+        slope[0, len(k0) + np.arange(len(k)), j] = 1.0
+        return value, Rows(np.append(k0, k), np.append(np.arange(len(k0)), at), slope)
+
+    @property
     def expansion(self) -> Any:
         """Coefficients with their derivatives as `Features.expansion` gives them: linear, so no curvature."""
-        parts, model = program(self.model), self.model
-        K, n, z, size = len(model.channels), len(model.names), self.n_zeros, self.size
-        skip = len(parts.zero_entries) - self.n_zero
-        value, slope = np.zeros((1 + z, K, size)), np.zeros((1 + z, K, size, n))
-        for row, (k, j) in enumerate(parts.zero_entries[skip:]):
-            value[1 + j, k, row] = 1.0
-        where = [(k, self.n_zero + row, j) for row, (k, j) in enumerate(parts.entries)]
-        for k, row, j in where:
-            slope[0, k, row, j] = 1.0
-        for k in range(K):
-            value[0, k, size - K + k] = 1.0
+        n = len(self.model.names)
 
         def first(p: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            now = value.copy()
-            for k, row, j in where:
-                now[0, k, row] = p[j] - self.at[j]
-            return now.reshape(1 + z, -1).T, slope.reshape(-1, n)
+            value, rows = self.linear(p)
+            slope = np.zeros((*value.shape, n))
+            slope[:, rows.feature, rows.channel] = rows.slope
+            flat = np.swapaxes(value, 1, 2).reshape(len(value), -1).T
+            return flat, np.swapaxes(slope, 1, 2).reshape(-1, n)
 
         return first, lambda p, centre, weights: np.zeros((n, n))
 
@@ -149,10 +183,11 @@ class TangentFeatures(Features):
         Poses are about those that are typical of the model, if it states any.
         """
         model, rng = self.model, np.random.default_rng(0)
-        pose, state = model.poses(SAMPLES, rng), rng.standard_normal((len(model.state), SAMPLES))
-        size = np.where(np.arange(SAMPLES) % 2, 10.0 ** -(SMALLEST * rng.random(SAMPLES)), 1.0)
+        count = max(SAMPLES, READINGS // len(model.channels))
+        pose, state = model.poses(count, rng), rng.standard_normal((len(model.state), count))
+        size = np.where(np.arange(count) % 2, 10.0 ** -(SMALLEST * rng.random(count)), 1.0)
         pose, state = pose if model.typical else pose * size, state * size
-        zeros = np.zeros((len(model.zeros), SAMPLES))
+        zeros = np.zeros((len(model.zeros), count))
         wide = [np.asarray(v).astype(p.dtype) for v in (p, zeros, pose, state)]
         (rows,) = program(model).by_parameter(*wide)
         return np.moveaxis(rows.reshape(len(model.names), -1), 0, 1)
@@ -179,8 +214,13 @@ def summarise_at(
     `weigh`, `on_rows` as for `summarise`; `sigma`: noise by column, for the columns that are computed.
     """
     parts = program(model)
+    noise = (
+        None if sigma is None else np.array([sigma.get(c, 0.0) for c in (*model.references, *model.state)])
+    )
     size = len(parts.zero_entries) + len(parts.entries) + len(model.channels)
-    features = TangentFeatures(model, np.zeros((size, 1), dtype=int), len(parts.zero_entries), np.array(p))
+    features = TangentFeatures(
+        model, np.zeros((size, 1), dtype=int), len(parts.zero_entries), np.array(p), noise
+    )
     none = np.zeros(len(model.zeros))
 
     def place(batch: Batch) -> np.ndarray:

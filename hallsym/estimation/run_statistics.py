@@ -32,7 +32,8 @@ class RunStatistics:
 
     `triangles`: (runs, n, n), n = n_features + n_channels, readings last.
     `slopes`: (runs, pairs), mean product of d feature i / d column and d feature j / d column for each entry
-    of `features.slope_pairs`: how noise of a logged column, pose or state, enters the residual.
+    of `features.slope_pairs`: how noise of a logged column, pose or state, enters the residual. Where the
+    noise of the columns is known (`features.std`), of all together.
     `counts`: samples per run (sum of weights). `first_state`: vertical state at the reset of each run.
     `mean_state`: mean vertical state of each run. `places`: per run (n_columns, samples), pose and state
     of some samples, where the noise of the reference acts in another direction at each (`Model.typical`).
@@ -55,7 +56,11 @@ class RunStatistics:
 
     def noise_in_features(self, variance: np.ndarray) -> np.ndarray:
         """Sum over columns of variance (n_columns,) * mean outer product of feature slopes, (runs, f, f)."""
-        f = self.features.size
+        f, std = self.features.size, self.features.std
+        if std is not None:
+            if not np.allclose(std**2, variance):
+                raise ValueError("these run statistics were made for another noise of the logged columns")
+            variance = np.ones(1)
         out = np.zeros((len(self.runs), f, f))
         column, i, j = self.features.slope_pairs
         for c in np.flatnonzero(variance):
@@ -187,11 +192,13 @@ def _gather(
     there = at if at.ndim == 1 else at[:, pick]
     slopes = features.slopes([v[pick] for v in pose], [v[pick] for v in state], there)[0]
     slopes = slopes.reshape(len(pose) + len(state), n, -1)
+    if features.std is not None:
+        slopes *= features.std[:, None, None]
     for k, (block, part) in enumerate(batch.parts()):
         run = gathered.setdefault(block.run, _Run(states[:, part.start]))
         run.add(rows[part], weight[part], states[:, part])
         here = pick[edges[k] : edges[k + 1]]
-        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here], features.slope_pairs)
+        run.add_slopes(slopes[:, :, edges[k] : edges[k + 1]], weight[here], features)
         if model.typical:
             run.places.append(np.vstack([*(v[here] for v in pose), *(v[here] for v in state)]))
 
@@ -225,8 +232,12 @@ class _Run:
         self.count += float(weight.sum())
         self.state_sum = self.state_sum + states @ weight
 
-    def add_slopes(self, slopes: np.ndarray, weight: np.ndarray, pairs: np.ndarray) -> None:
-        self.slopes = self.slopes + ((slopes * weight) @ np.swapaxes(slopes, 1, 2))[tuple(pairs)]
+    def add_slopes(self, slopes: np.ndarray, weight: np.ndarray, features: Features) -> None:
+        if features.std is None:
+            products = (slopes * weight) @ np.swapaxes(slopes, 1, 2)
+        else:
+            products = np.tensordot(slopes * weight, slopes, axes=([0, 2], [0, 2]))[None]
+        self.slopes = self.slopes + products[tuple(features.slope_pairs)]
         self.slope_count += float(weight.sum())
 
 

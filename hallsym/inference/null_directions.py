@@ -13,6 +13,10 @@ NAMED = 0.05
 """Parameters that move less than this part of the leading one along a direction are not named with it."""
 
 
+WIDE = 4
+"""Parameters of one direction above which what is determined of them is not said in a sentence."""
+
+
 @dataclass(frozen=True)
 class NullDirection:
     """One direction that is not determined: its parameters, and what of them is, if anything.
@@ -27,6 +31,11 @@ class NullDirection:
     std: float | None
     unit: str | None
     also: tuple[str, ...] = ()
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether so many parameters change together that what is determined of them takes a table."""
+        return len(self.parameters) > WIDE and bool(self.also)
 
 
 @dataclass(frozen=True)

@@ -57,12 +57,13 @@ def _verdict(
         return Verdict("at bound", _bound(evidence, k))
     shared = [d for d in structural.null if parameter.name in d.parameters]
     if shared and not told.determined[k]:
-        return Verdict("not determined" if len(shared[0].parameters) > 1 else "no effect", _instead(*shared))
+        word = "not determined" if len(shared[0].parameters) > 1 else "no effect"
+        return Verdict(word, _instead(parameter.name, *shared))
     if idle:
         return Verdict("no effect", "its whole range leaves no trace in these readings")
     if not told.determined[k]:
         lost = [d for d in practical.null if parameter.name in d.parameters]
-        return Verdict("not determined", _instead(*lost, cause="by this recording"))
+        return Verdict("not determined", _instead(parameter.name, *lost, cause="by this recording"))
     half = float(coverage_factor(told.degrees_of_freedom[k])) * told.std[k]
     share = 2 * half / parameter.width if np.isfinite(parameter.width) else 0.0
     alone = told.std[k] / abs(evidence.p[k]) if not share and evidence.p[k] else 0.0
@@ -89,8 +90,12 @@ def _bound(evidence: Evidence, k: int) -> str:
     return f"the data pull it to its {side} bound {getattr(p, side):g} {p.unit}"
 
 
-def _instead(*directions: NullDirection, cause: str = "whatever is recorded") -> str:
-    """What is determined in the place of a parameter that is not."""
+def _instead(name: str, *directions: NullDirection, cause: str = "whatever is recorded") -> str:
+    """What is determined in the place of a parameter that is not, or what it may change together with."""
+    wide = next((d for d in directions if d.is_wide), None)
+    if wide is not None:
+        first, second, *more = (n for n in wide.parameters if n != name)
+        return f"{cause}; it may change together with {first}, {second} and {len(more)} more"
     told = [d.determined for d in directions if d.determined]
     if told:
         return f"{cause}; only {' and '.join(dict.fromkeys(told))} is"

@@ -37,6 +37,19 @@ class Batch:
         for k, block in enumerate(self.blocks):
             yield block, slice(self.edges[k], self.edges[k + 1])
 
+    def pieces(self, most: int) -> Iterator[tuple["Batch", slice]]:
+        """Yield the batch in parts of at most `most` samples, with their place; blocks may be cut."""
+        if len(self) <= most:
+            yield self, slice(0, len(self))
+            return
+        for low in range(0, len(self), most):
+            part = slice(low, min(low + most, len(self)))
+            data = {c: values[part] for c, values in self.data.items()}
+            cuts = [(b, max(at.start, low) - low, min(at.stop, part.stop) - low) for b, at in self.parts()]
+            inside = [(b, first, stop) for b, first, stop in cuts if first < stop]
+            blocks = tuple(Block(b.run, {c: v[i:j] for c, v in data.items()}) for b, i, j in inside)
+            yield Batch(blocks, data, (0, *(stop for *_, stop in inside))), part
+
     def groups(self, most: int) -> Iterator[tuple[int, int]]:
         """Yield first and last (exclusive) block of groups of at most `most`, all of nearly one length."""
         lengths = np.diff(self.edges)

@@ -74,18 +74,13 @@ class Features:
         Features that carry zeros are left out: their slope with the state is a second-order weight, and
         without it the weight of a residual does not depend on the zeros.
         """
-        rows, columns = self._slope_sparsity.get_triplet()
-        moved: dict[int, list[int]] = {}
-        for row, column in sorted(zip(rows, columns, strict=True)):
-            if row >= self.n_zero:
-                moved.setdefault(column, []).append(row)
-        pairs = [
-            (column, i, j)
-            for column, features in sorted(moved.items())
-            for k, i in enumerate(features)
-            for j in features[k:]
-        ]
-        return np.array(pairs, dtype=int).reshape(-1, 3).T
+        rows, columns = (np.array(k, dtype=int) for k in self._slope_sparsity.get_triplet())
+        parts = []
+        for column in np.unique(columns):
+            moved = np.sort(rows[(columns == column) & (rows >= self.n_zero)])
+            i, j = np.triu_indices(len(moved))
+            parts.append([np.full(len(i), column), moved[i], moved[j]])
+        return np.hstack(parts) if parts else np.zeros((3, 0), dtype=int)
 
     @property
     def _slope_sparsity(self) -> ca.Sparsity:
@@ -137,6 +132,11 @@ class Features:
         hessian, _ = ca.hessian(ca.dot(weights, flat), p)
         first = ca.Function("coefficients", [p, centre], [stacked, ca.densify(ca.jacobian(flat, p))])
         return first, ca.Function("curvature", [p, centre, weights], [ca.densify(hessian)])
+
+    @property
+    def std(self) -> np.ndarray | None:
+        """Noise (n_columns,) of the logged columns where it is known: `slope_pairs` are one column then."""
+        return None
 
     @property
     def point(self) -> np.ndarray | None:

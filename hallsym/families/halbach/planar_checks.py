@@ -91,10 +91,14 @@ def in_mover(sensor: Sensor, array: Array, pose: np.ndarray) -> np.ndarray:
 
 
 def _inside(model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str) -> None:
-    """Refuse poses at which a sensor has left its array: the mover is beyond the grid."""
+    """Refuse poses at which a sensor has left its array: the mover is beyond the grid.
+
+    A model that knows the ends of the arrays tells the field up to a wavelength beyond them.
+    """
     for sensor, at in zip(sensors(model.layout), places, strict=True):
         array = known[sensor.array]
-        beyond = np.array([np.abs(at[:, 0]) - array.length_m / 2, np.abs(at[:, 1]) - array.width_m / 2]).max()
+        reach = array.length_m / 2 + (array.wavelength_m if "edges" in model.names else 0.0)
+        beyond = np.array([np.abs(at[:, 0]) - reach, np.abs(at[:, 1]) - array.width_m / 2]).max()
         if beyond > 0:
             size = f"{1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm"
             raise InputError(

@@ -103,6 +103,9 @@ def _direction(direction: NullDirection) -> str:
     named = ", ".join(direction.parameters)
     if direction.determined is None:
         return f"  {named}: no combination is identifiable"
+    if direction.is_wide:
+        known = 1 + len(direction.also)
+        return f"  {named} may change together; {known} combinations of them are identifiable (table above)"
     value = f"{concise(direction.value or 0.0, direction.std)} {direction.unit}"
     return f"  {named}: only {' and '.join((f'{direction.determined} = {value}', *direction.also))}"
 

@@ -10,6 +10,7 @@ from hallsym.families.halbach.effects import (
     field,
     magnets,
     mechanics,
+    planar_ends,
     reference,
     transducer,
 )
@@ -30,6 +31,6 @@ EFFECTS = (
 """Effects of the model of x and z."""
 PLANAR_EFFECTS = (
     *COMMON, mechanics.array_geometry_error, magnets.remanence_spread, magnets.magnetisation_angle_error,
-    magnets.forbidden_harmonics, magnets.wavelength_error,
+    magnets.forbidden_harmonics, magnets.wavelength_error, planar_ends.array_edges,
 )  # fmt: skip
 """Effects of the model of six coordinates."""

@@ -1,0 +1,45 @@
+"""Ends of the four Halbach arrays of a mover: the field of each fades near them."""
+
+from functools import cache
+
+import casadi as ca
+
+from hallsym.families.halbach.effects.ends import MOST
+from hallsym.families.halbach.effects.magnets import LONGER, TURNED
+from hallsym.families.halbach.ends import missing
+from hallsym.families.halbach.layout import Array
+from hallsym.families.halbach.links import Seen
+from hallsym.families.mechanisms import P
+from hallsym.model import Model, Parameter, Signals, effect
+
+
+@effect(link="field", separate=(LONGER, TURNED))
+def array_edges(model: Model) -> Model:
+    """The arrays have ends along their period, near which their field fades and reaches beyond.
+
+    `edges` is 1 for arrays as long as the layout states, and wide; with it sensors may be up to a wavelength
+    beyond the ends along the period.
+    """
+
+    def step(s: Signals, p: P) -> None:
+        added = []
+        for k in range(len(model.channels)):
+            seen = s["seen"](k)
+            added.append(sum((_taken(e) for e in seen), ca.SX(0)) / len(seen))
+        s["field"] = s["field"] + p["edges"] * p["a1"] * ca.vertcat(*added)
+
+    new = Parameter("edges", 0.0, -MOST, MOST, "1", "share of what the ends of the stated arrays take")
+    return model.with_step("field", step, effect="array_edges", parameters=(new,))
+
+
+def _taken(e: Seen) -> ca.SX:
+    """What the ends take from the field along the axis of an element, of an array of amplitude 1."""
+    return _function(e.array)(e.u, e.height, e.up, e.along)
+
+
+@cache
+def _function(array: Array) -> ca.Function:
+    """`(u, height, up, along) -> reading`; a quarter turn of the magnets takes the vertical field along."""
+    u, height, up, along = symbols = [ca.SX.sym(n) for n in ("u", "height", "up", "along")]
+    vertical, horizontal = missing(array, u, height)
+    return ca.Function("ends", symbols, [up * vertical + along * horizontal])

@@ -1,0 +1,31 @@
+"""Gains, offsets and places of sensors recovered from campaigns of cuboid magnets (magpylib)."""
+
+import numpy as np
+import pytest
+from halbach_campaigns import deviations, four_arrays, one_array
+
+WITHIN = 4.0
+"""Standard uncertainties."""
+
+
+def recovered(model, seed):
+    pytest.importorskip("magpylib")
+    off = np.array(list(deviations(model, seed).values()))
+    assert np.abs(off).max() < WITHIN
+    assert 0.6 < np.sqrt(np.mean(off**2)) < 1.6  # nor are the uncertainties larger than they need be
+
+
+def test_sensors_under_one_array_are_recovered():
+    recovered(one_array(rows=1), 100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(24))
+def test_sums_under_one_array_are_recovered(seed):
+    recovered(one_array(), seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_sums_under_four_arrays_are_recovered(seed):
+    recovered(four_arrays(), seed)
