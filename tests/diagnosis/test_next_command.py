@@ -53,8 +53,9 @@ def left(d: Diagnosis, path: Path) -> tuple[float, float]:
     return float(np.linalg.norm(weights * said)), float(np.linalg.norm(weights * fitted))
 
 
-def check(path: Path) -> None:
-    d = diagnose(read_log(path))
+def check(path: Path, options: tuple[str, ...] = ()) -> None:
+    log, effects = read_log(path), option(options, "--effect")
+    d = diagnose(log, model_on(log, None, effects) if effects else None)
     if not d.next_step or any(not e.text for e in d.effects):
         return  # nothing to fit, or faults of samples that a fit does not repair
     said, found = left(d, path)
@@ -64,7 +65,7 @@ def check(path: Path) -> None:
 
 @pytest.mark.parametrize("name", QUICK)
 def test_the_command_leaves_the_error_that_is_stated(name):
-    check(folder_of(name))
+    check(folder_of(name), LOGS[name].diagnose)
 
 
 @pytest.mark.slow
@@ -74,7 +75,7 @@ def test_the_command_of_every_golden_log(name):
         folder = folder_of(name)
     except Absent as absent:
         pytest.skip(str(absent))
-    check(folder)
+    check(folder, LOGS[name].diagnose)
 
 
 NAMES = sorted(str(p.relative_to(CASES)) for f in ("dev", "more") for p in (CASES / f).glob("*_*"))
