@@ -43,6 +43,7 @@ def test_a_set_is_said_with_what_separates_it(of_a_table):
     assert Diagnosis.from_dict(d.to_dict()).separate_by == d.separate_by
 
 
+@pytest.mark.xfail(strict=True, reason="open: one recording of four adds a gain mismatch to the eccentricity")
 @pytest.mark.slow
 def test_one_unit_calibrated_again_has_the_same_groups():
     """The same waves with other noise: the sets beside the eccentricity are the same."""
