@@ -1,6 +1,6 @@
 """Steps from the readings of a row of sensors to place and height of a wave that travels along it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -181,7 +181,7 @@ class Pieces:
             u = solved(left[0], left[1], f"_{k}")
         return u
 
-    def _cross(self, n: int, sums) -> tuple[Pair, Pair]:  # type: ignore[no-untyped-def]
+    def _cross(self, n: int, sums: Callable[[str, Sequence[ca.SX]], Pair]) -> tuple[Pair, Pair]:
         """Weighted sums of what the sensors read of a harmonic: per cosine and sine of its power."""
         made, factor = self.made, self.row.factor[:, n - 1]
         re, im = (
