@@ -20,6 +20,7 @@ from hallsym.model.model import (
     Tie,
 )
 from hallsym.model.quantities import Quantity, combination, linear, parameter
+from hallsym.model.sketch import Part
 
 __all__ = [
     "LINKS",
@@ -32,6 +33,7 @@ __all__ = [
     "Inspection",
     "Model",
     "Parameter",
+    "Part",
     "PoseMetric",
     "Quantity",
     "Signals",

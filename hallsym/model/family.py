@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.model.sketch import Part
+
 Model = Any
 """`hallsym.model.Model`, which holds its family."""
 Effect = Any
@@ -105,6 +107,8 @@ class Family:
     most_effects: int = 3
     """Effects that a diagnosis adds at most."""
     decoder: str | Callable[..., Any] = "linear"
+    sketch: tuple[Part, ...] = ()
+    """Parts of the machine as a page draws them; without any there is no sketch."""
 
     @cached_property
     def catalogue(self) -> tuple[Effect, ...]:

@@ -14,8 +14,8 @@ from hallsym.estimation import Evaluation, Fit, as_read, load_fit
 from hallsym.experiment import Plan
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
-from hallsym.report.page import Markup, escape, tag
-from hallsym.report.page import table as html_table
+from hallsym.report.page import Table as PageTable
+from hallsym.report.page import render
 from hallsym.report.tables import error_rows
 from hallsym.report.text import budget_text, plan_text
 from hallsym.report.text.diagnosis import diagnosis_text
@@ -80,14 +80,8 @@ def page(result: Any) -> str:
     view, columns = _view(result), _view(result).table(result)
     first, *others = view.brief(result)
     rows = [[_cell(v) for v in row] for row in zip(*columns.values(), strict=True)]
-    return str(
-        tag(
-            "div",
-            tag("p", tag("b", first), *(Markup(f"<br>{escape(line)}") for line in others)),
-            html_table(list(columns), rows),
-            tag("details", tag("summary", "all of it"), tag("pre", view.summary(result))),
-        )
-    )
+    table = PageTable(list(columns), rows, type(result).__name__)
+    return render("notebook.html.j2", first=first, others=others, columns=table, summary=view.summary(result))
 
 
 def _cell(value: Any) -> str:

@@ -15,11 +15,11 @@ from pathlib import Path
 
 from hallsym.estimation import ErrorTable, Fit, as_read
 from hallsym.log import Log, Weigh
-from hallsym.report.data import look_over
+from hallsym.report.data import blocks, look_over
 from hallsym.report.figures.along import save_errors
 from hallsym.report.figures.by_setting import errors_by_setting
 from hallsym.report.figures.captions import broken
-from hallsym.report.figures.correlation import blocks, correlation
+from hallsym.report.figures.correlation import correlation
 from hallsym.report.figures.detection import detection, save_detection
 from hallsym.report.figures.effects import effects
 from hallsym.report.figures.errors import errors_before_after
