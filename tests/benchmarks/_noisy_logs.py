@@ -1,0 +1,125 @@
+"""Simulated logs of a stage and of an encoder whose noise is of a known kind, for the benchmarks of a diagnosis.
+
+The machine is the model that is diagnosed: without a gap there is nothing to find. A gap is one effect that
+the model lacks, at a size that leaves so many times the noise floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from hallsym.diagnosis import gap_unit  # noqa: F401  (imports the families)
+from hallsym.families import build, published
+from hallsym.log import Log, Meta, Noise
+from hallsym.simulation import Campaign, Run, paper_campaign, simulate, sine, table8_noise
+
+STAGE_STEP, PAPER_RUNS = 4e-3, 57
+ENCODER = {"v_sin_v": 6e-4, "v_cos_v": 6e-4, "angle_ref_rad": 3e-5}
+ENCODER_STEP, ENCODER_SAMPLES = 1e-3, 300
+RESONANCE_HZ, DAMPING = 41.0, 0.03
+
+
+def autoregressive(samples: float):
+    """Noise with a correlation length of so many samples."""
+
+    def noise(rng: np.random.Generator, n: int, step_s: float) -> np.ndarray:
+        a = np.exp(-1 / samples)
+        start = [a * rng.standard_normal()]
+        return lfilter([np.sqrt(1 - a * a)], [1.0, -a], rng.standard_normal(n), zi=start)[0]
+
+    return noise
+
+
+def white(rng: np.random.Generator, n: int, step_s: float) -> np.ndarray:
+    """Gaussian noise without correlation."""
+    return rng.standard_normal(n)
+
+
+def student(rng: np.random.Generator, n: int, step_s: float) -> np.ndarray:
+    """Student's t with 3 degrees of freedom, of unit variance."""
+    return rng.standard_t(3, n) / np.sqrt(3)
+
+
+def pink(rng: np.random.Generator, n: int, step_s: float) -> np.ndarray:
+    """Half white noise and half 1/f noise, in power."""
+    f = np.fft.rfftfreq(4 * n)
+    f[0] = f[1]
+    slow = np.fft.irfft(np.fft.rfft(rng.standard_normal(4 * n)) / np.sqrt(f))[:n]
+    spread = np.sqrt(np.mean(1 / f[1:]) / (4 * n) * 4 * n)
+    return np.sqrt(0.5) * (rng.standard_normal(n) + slow / spread)
+
+
+def vibration(rng: np.random.Generator, n: int, step_s: float) -> np.ndarray:
+    """White noise, and as much of a resonance that noise excites."""
+    w = 2 * np.pi * RESONANCE_HZ * step_s
+    r = np.exp(-DAMPING * w)
+    ring = lfilter([1.0], [1.0, -2 * r * np.cos(w), r * r], rng.standard_normal(n + 400))[400:]
+    a, b = 2 * r * np.cos(w), -r * r
+    variance = (1 - b) / ((1 + b) * ((1 - b) ** 2 - a * a))
+    return np.sqrt(0.5) * (rng.standard_normal(n) + ring / np.sqrt(variance))
+
+
+KINDS = {
+    "white": white,
+    "ar3": autoregressive(3),
+    "ar10": autoregressive(10),
+    "pink": pink,
+    "t3": student,
+    "vibration": vibration,
+}
+
+
+def stage(runs: int, rng: np.random.Generator) -> tuple[str, dict[str, float], Campaign, dict[str, float]]:
+    """The paper's machine: all of its runs, or fewer that move every axis at once."""
+    values = published.values("table7_estimates")
+    noise = dict(table8_noise(build("stage31"), values).sigma)
+    if runs == PAPER_RUNS:
+        return "stage31", values, replace(paper_campaign(STAGE_STEP), step_s=STAGE_STEP), noise
+    size = {"x_m": 300e-6, "y_m": 500e-6, "rz_rad": 300e-6, "z_m": 1e-4, "rx_rad": 2e-4, "ry_rad": 2e-4}
+    made = []
+    for _ in range(runs):
+        motion = {
+            axis: sine(a * rng.uniform(0.5, 1), f * rng.uniform(0.8, 1.2), rng.uniform(0, 6.28))
+            for (axis, a), f in zip(size.items(), (2.0, 3.1, 2.5, 0.7, 0.9, 0.6), strict=True)
+        }
+        made.append(Run(2.0, {}, motion))
+    return "stage31", values, Campaign(STAGE_STEP, tuple(made)), noise
+
+
+def encoder(runs: int, rng: np.random.Generator) -> tuple[str, dict[str, float], Campaign, dict[str, float]]:
+    """An encoder whose ellipse is known, turned at several speeds in both directions."""
+    speeds = (15.0, -15.0, 40.0, -40.0, 90.0, -90.0, 150.0, -150.0)
+    made = []
+    for k in range(runs):
+        speed, start = speeds[k % len(speeds)] * rng.uniform(0.9, 1.1), rng.uniform(0, 6.28)
+        motion = {"angle_rad": lambda t, w=speed, a=start: a + w * t}
+        made.append(Run(ENCODER_STEP * ENCODER_SAMPLES, {}, motion))
+    return "ellipse", {}, Campaign(ENCODER_STEP, tuple(made)), ENCODER
+
+
+MACHINES = {"stage": stage, "rotary": encoder}
+
+
+def log_of(
+    machine: str, kind: str, runs: int, seed: int, *, stated: bool = True, make=None, parameters=None,
+    fresh: bool = False,
+) -> Log:  # fmt: skip
+    """Return one log. `make(model) -> model` adds the gap, `parameters` its size.
+
+    `fresh`: the same machine on as many runs that were never seen, with other noise.
+    """
+    model, values, campaign, sigma = MACHINES[machine](runs, np.random.default_rng([seed, int(fresh)]))
+    truth = build(model) if make is None else make(build(model))
+    rng = np.random.default_rng([seed, int(fresh), 1])
+    known = values | dict(parameters or {})
+    columns = simulate(truth, {n: v for n, v in known.items() if n in truth.names}, campaign, seed=seed + 7)
+    edges = np.flatnonzero(np.diff(columns["run"], prepend=-1, append=-1))
+    for name, s in sigma.items():
+        if s:
+            noise = [KINDS[kind](rng, b - a, campaign.step_s) for a, b in zip(edges, edges[1:], strict=False)]
+            columns[name] = columns[name] + s * np.concatenate(noise)
+    noise = Noise.given(sigma, tuple(columns)) if stated else Noise()
+    return Log.from_arrays(columns, noise, Meta(base_model=model), f"{machine} {kind} {runs} {seed}")
