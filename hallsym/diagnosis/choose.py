@@ -6,7 +6,7 @@ from typing import Any
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.ranking import refitted
-from hallsym.diagnosis.scores import candidates, scores
+from hallsym.diagnosis.scores import Screen, candidates
 from hallsym.diagnosis.setup import base_of, fitted
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
@@ -61,8 +61,8 @@ def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     runs = [r for r in base.log.runs if r not in holdout]
     facts = facts_of(base, survey(base, frozenset(runs)))
     tried, trouble = candidates(base, [effect], facts)
-    ranked = scores(base, tried, runs)[0] if tried else []
-    exact = refitted(base, ranked, runs, facts, lambda s: s.corrected(1) < POLICY.certain)
+    ranked = Screen(base, tried, runs, POLICY.inflation).scores if tried else []
+    exact = refitted(base, ranked, runs, facts, lambda s: s.p_value < POLICY.certain)
     if not exact:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(

@@ -12,7 +12,7 @@ from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.ranking import Exact, bic_of, plain_pairs_first, refitted
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.scores import Score, by_name, candidates, scores
+from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.survey import survey
 from hallsym.log.phase import designed
@@ -89,10 +89,14 @@ class Selected:
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """The scores of the catalogue beside the model and effects of `at`, best first."""
+    """The scores of the catalogue beside the model and effects of `at`, best first.
+
+    `p_value`: that none of the catalogue is there.
+    """
 
     at: Refitted
     scores: list[Score]
+    p_value: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +207,7 @@ class _Search:
         if beside == self.setup.base.model.family.most_effects:
             return False
         level = self.setup.threshold
-        certain = score.corrected(self.setup.tested) < self.policy.certain
+        certain = score.p_value < self.policy.certain
         if not beside:
             return score.ratio <= 1 - level or (certain and score.ratio <= 1 - self.policy.half * level)
         floor = self.setup.floor
@@ -215,11 +219,12 @@ class _Search:
         found = survey(at.base, frozenset(self.runs))
         facts = facts_of(at.base, found)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        ranked, spoiled = scores(at.base, tried, self.runs, self.policy.inflation)
-        self.screened.append(Screened(at, ranked))
+        screen = Screen(at.base, tried, self.runs, self.policy.inflation)
+        ranked = screen.scores
+        self.screened.append(Screened(at, ranked, screen.p_value))
         self.not_testable |= {t.name: t.reason for t in trouble}
         not_finite = "its readings are not finite on this log"
-        self.not_testable |= {tried[key].effect.name: not_finite for key in spoiled}
+        self.not_testable |= {tried[key].effect.name: not_finite for key in screen.spoiled}
         if at is self.start:
             absorbed = "the model's own parameters absorb it on this log"
             self.not_testable |= {s.effect.name: absorbed for s in by_name(ranked) if s.absorbed}

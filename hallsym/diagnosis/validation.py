@@ -164,7 +164,7 @@ def _held(
     without = selection.without(effect)
     alone = len(selection.effects) == 1
     errors = before if alone else _errors(setup, replace(without.base, keep=None))
-    p = effect.exact.score.corrected(setup.tested)
+    p = effect.exact.score.p_value
     if effect.exact.fit.cost < setup.policy.bent * effect.first_order:
         p = min(1.0, decrease_p(errors, after) * setup.tested)
     return Held(effect, without, errors, p)
