@@ -13,7 +13,7 @@ from hallsym.diagnosis.coordinates import Coordinate, coordinates, hats, knots
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.curve_words import shape, waves_per_period
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
-from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, errors_of, interval
+from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, errors_of
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.facts import facts_of, instants, rails_of
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
@@ -42,6 +42,7 @@ from hallsym.diagnosis.record import (
     Separation,
     Share,
     Shrinkage,
+    Significance,
     SmallerFinding,
     Statement,
     Unexplained,
@@ -57,6 +58,8 @@ from hallsym.diagnosis.selection import Selected
 from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable, SelfTest, Trial, selftest
 from hallsym.diagnosis.setup import Floor, base_of
 from hallsym.diagnosis.shares import sizes
+from hallsym.diagnosis.shrinkage import Judged, Nested, foreseen
+from hallsym.diagnosis.sign_flips import SignFlips, adjusted, searched, stretch
 from hallsym.diagnosis.simulated_machine import (
     SimulatedMachine,
     decimated,
@@ -65,7 +68,6 @@ from hallsym.diagnosis.simulated_machine import (
     residual_noise,
 )
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.validation import decrease_p
 from hallsym.diagnosis.verdict import decide
 from hallsym.diagnosis.words import degrees_of, gap_text, gap_unit, shown
 from hallsym.families.user import load_effects
@@ -74,18 +76,18 @@ from hallsym.model import Effect, Facts, Variant
 __all__ = [
     "NO_EFFECT", "POLICY", "RATIOS", "ROWS", "Accumulator", "Band", "Base", "Bench", "BlockErrors",
     "Comparison", "Coordinate", "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact",
-    "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Key",
-    "LackOfFit", "Located", "LogRecord", "Metric", "NoiseFloor", "ParameterChange", "PlaceChange",
-    "Policy", "Range", "Refitted", "ResidualTable", "Score", "Selected", "SelfTest", "Separation",
-    "Shape", "Share", "Shrinkage", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum",
-    "Statement", "Trial", "Unexplained", "Variant", "as_many", "as_often", "base_of", "beyond",
+    "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key",
+    "LackOfFit", "Located", "LogRecord", "Metric", "Nested", "NoiseFloor", "ParameterChange", "PlaceChange",
+    "Policy", "Range", "Refitted", "ResidualTable", "Score", "Selected", "SelfTest", "Separation", "SignFlips",
+    "Shape", "Share", "Shrinkage", "Significance", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum",
+    "Statement", "Trial", "Unexplained", "Variant", "adjusted", "as_many", "as_often", "base_of", "beyond",
     "block_errors", "both", "candidates", "compare", "confusable", "coordinates", "cordic", "decide",
-    "decimated", "decrease_p", "degrees_of", "diagnose", "distance", "errors_of", "examine", "exceeds",
-    "facts_of", "faults", "firmware_cost", "gap_text", "gap_unit", "generator", "hats", "injections",
-    "inside_bounds", "instants", "interval", "knot_group", "knots", "lack_of_fit", "load_effects",
+    "decimated", "degrees_of", "diagnose", "distance", "errors_of", "examine", "exceeds",
+    "facts_of", "faults", "firmware_cost", "foreseen", "gap_text", "gap_unit", "generator", "hats", "injections",
+    "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects",
     "located", "machine_of", "model_on", "normal_equations", "of_signs", "operations", "ordered",
     "others", "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit",
-    "remains", "residual_noise", "residual_table", "run_gains", "scores", "selftest", "separation",
-    "shape", "shown", "sized", "sizes", "smaller_findings", "smoothed", "split", "student", "survey",
+    "remains", "residual_noise", "residual_table", "run_gains", "scores", "searched", "selftest", "separation",
+    "shape", "shown", "sized", "sizes", "smaller_findings", "smoothed", "split", "stretch", "student", "survey",
     "unexplained", "used_up", "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

@@ -2,8 +2,8 @@
 
 The columns of an effect are functions of the logged pose, and so is the residual. Noise of the pose moves
 both, so their product has a mean that no effect made: a score that says so much of every log is no evidence.
-It is measured: every reference is moved by its noise, once up and once down, with random signs from sample to
-sample, and derived columns with it; the product of what that changes is expected to be the bias.
+It is measured: every reference is moved by its noise, with random signs from sample to sample, and derived
+columns with it; the product of what that changes is expected to be the bias.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ The bias is a few standard deviations of a score at most, and this many samples 
 
 
 class _Moved:
-    """A log with some columns moved by `sizes` times random signs, the same ones for either `sign`."""
+    """A log with some columns moved by `sizes` times random signs."""
 
-    def __init__(self, log: Any, sizes: Mapping[str, float], sign: float) -> None:
-        self.log, self.sizes, self.sign = log, sizes, sign
+    def __init__(self, log: Any, sizes: Mapping[str, float]) -> None:
+        self.log, self.sizes = log, sizes
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.log, name)
@@ -47,7 +47,7 @@ class _Moved:
             for column, by in self.sizes.items():
                 signs = rng.integers(0, 2, len(next(iter(data.values())))) * 2 - 1
                 if column in data:
-                    data[column] = data[column] + self.sign * by * signs
+                    data[column] = data[column] + by * signs
             yield Block(block.run, data)
 
 
@@ -72,9 +72,8 @@ def shared_noise(
     n, K = len(base.free), len(model.channels)
     every = max(1, base.log.rows // SAMPLES)
 
-    def batch_of(sign: float) -> Iterator[Batch]:
-        moved = _Moved(base.log, sizes, sign)
-        return batches(extended(moved, wide, base.sigma, base.values), wanted)  # type: ignore[arg-type]
+    def batches_of(log: Any) -> Iterator[Batch]:
+        return batches(extended(log, wide, base.sigma, base.values), wanted)
 
     def columns_at(batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
         """Own columns (n, K, samples), rows of the candidates, and the residual (K, samples)."""
@@ -89,8 +88,8 @@ def shared_noise(
 
     sums: dict[tuple[int, int], np.ndarray] = {}
     seen: dict[int, int] = {}
-    for up, down in zip(batch_of(0.5), batch_of(-0.5), strict=True):
-        weights = up.weights(base.keep)
+    for down, up in zip(batches_of(base.log), batches_of(_Moved(base.log, sizes)), strict=True):
+        weights = down.weights(base.keep)
         own, rows, residual = columns_at(_thinned(up, every), None if weights is None else weights[::every])
         own2, rows2, residual2 = columns_at(_thinned(down, every), None if weights is None else weights[::every])
         change = precision @ (residual - residual2)

@@ -9,9 +9,10 @@ import numpy as np
 
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.sign_flips import NIL, SignFlips, adjusted, searched, stretch
+from hallsym.diagnosis.sign_flips import NIL, SignFlips, adjusted, least_p, searched, stretch
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
@@ -126,7 +127,7 @@ class Screen:
     """The catalogue scored beside one fit, from one pass over the log.
 
     One pass for all candidates, or for as many as have `COLUMNS` parameters together. `scores`: best first,
-    by BIC. `p_value`: that any of them is there at all. `tables`: the products of each pass.
+    by BIC. `significance`: that any of them is there at all. `tables`: the products of each pass.
     """
 
     def __init__(
@@ -138,7 +139,7 @@ class Screen:
         *,
         signs: bool = True,
     ) -> None:
-        self.tried, self.tables = tried, list[Table]()
+        self.tried, self.tables, self.inflation = tried, list[Table](), inflation
         places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
         variants = Counter(c.effect.name for c in tried.values())
         found, flipped = list[Score](), list[np.ndarray]()
@@ -149,17 +150,58 @@ class Screen:
             table = Table(t, part, len(base.model.channels))
             flips = SignFlips(t, runs, shared_noise(base, plain, length)) if signs else None
             self.tables.append(table)
-            for key, score in table.scored(runs, inflation):
+            for key, score in table.fast(runs, inflation):
                 at, name = table.at(key), score.effect.name
                 z = None if score.absorbed or flips is None else flips.statistic(at)
                 if z is not None:
                     # numbers that were searched elsewhere, and are not among the variants
                     flipped.append(searched(z, score.variant.tried / variants[name]))
-                found.append(replace(score, place=places[name], p_value=1.0 if z is None else -1.0))
-        p, self.p_value = adjusted(np.array(flipped))
+                p = 1.0 if z is None else -1.0
+                found.append(replace(score, place=places[name], p_value=p, ratio=table.ratio(key, runs)))
+        p, least = adjusted(np.array(flipped))
+        units = len(self.tables[0].t.units(runs))
+        unit = "run" if length is None else "stretch"
+        self.significance = Significance(least, least_p(units), units, unit)
         rest = iter(p.tolist())
         found = [s if s.p_value > 0 else replace(s, p_value=next(rest)) for s in found]
         self.scores = sorted(found, key=lambda s: s.bic)
+
+    def choice(self, runs: Sequence[int], level: float, taken: str | None, policy: Policy) -> "Choice | None":
+        """Return what some of the runs alone would choose: the best by BIC that lowers the gap by `level`.
+
+        `taken`: an effect that stays the choice where it is as good. To first order, from the products.
+        """
+        ranked = sorted(
+            ((s.bic, s.gain, key, table) for table in self.tables for key, s in table.fast(runs, self.inflation)),
+            key=lambda r: r[0],
+        )
+        most = max((gain for _, gain, *_ in ranked), default=0.0)
+        found: dict[str, tuple[float, Choice]] = {}
+        for least, gain, key, table in ranked:
+            name = table.tried[key].effect.name
+            if name in found or gain < policy.promising * most or len(found) == policy.most_refits:
+                continue
+            if table.ratio(key, runs) <= 1 - level:
+                found[name] = least, Choice(name, key, table)
+        if not found:
+            return None
+        best = min(found.values(), key=lambda f: f[0])
+        own = found.get(taken or "")
+        return own[1] if own and own[0] - best[0] < policy.as_good else best[1]
+
+    def foreseen(
+        self, runs: Sequence[int], group: frozenset[int], choice: "Choice | None"
+    ) -> dict[tuple[int, ...], float]:
+        """Return the squared decoded errors of the runs of `group` as `runs` foresee them with a choice."""
+        table = choice.table if choice else self.tables[0]
+        at = table.at(choice.key) if choice else NONE
+        train = Split(table.products(runs), table.own)
+        theta = table.solved(train, choice.key) if choice else np.zeros(0)
+        out: dict[tuple[int, ...], float] = {}
+        for unit, own in enumerate(table.t.runs):
+            if not group.isdisjoint(own):
+                out[own] = out.get(own, 0.0) + train.error(table.t.output[unit], at, theta)
+        return out
 
     @property
     def spoiled(self) -> frozenset[str]:
@@ -182,6 +224,14 @@ def _parts(tried: dict[str, Candidate]) -> Iterator[dict[str, Candidate]]:
         part[key] = c
         size += len(c.new)
     yield part
+
+
+class Choice(NamedTuple):
+    """A variant of an effect that was chosen, and the products that say so."""
+
+    name: str
+    key: str
+    table: "Table"
 
 
 NONE = np.zeros(0, dtype=int)
@@ -239,6 +289,7 @@ class Table:
         self.t, self.tried, self.channels = t, tried, channels
         self.own = t.span[""].stop
         self.run = np.array([unit[0] for unit in t.runs])
+        self.known: tuple[tuple[int, ...], list[tuple[Split, np.ndarray]]] = ((), [])
 
     def at(self, key: str) -> np.ndarray:
         """Return the columns of a candidate."""
@@ -255,36 +306,54 @@ class Table:
         own = list(dict.fromkeys(self.run[units].tolist()))
         return [units[np.isin(self.run[units], own[k::count])] for k in range(min(count, len(own)))]
 
-    def scored(self, runs: Sequence[int], inflation: float) -> Iterator[tuple[str, Score]]:
-        """Score every candidate on some runs; p-values and places are not set."""
-        units, groups = self.t.units(runs), self.folds(runs)
-        sums = [self.t.likelihood[g].sum(axis=0) for g in groups]
-        total = Split(np.sum(sums, axis=0), self.own)
-        folds = [
-            (Split(total.M - left_out, self.own), self.t.output[g].sum(axis=0))
-            for g, left_out in zip(groups, sums, strict=True)
-        ]
-        plain = sum(train.tested(output, NONE)[-1, -1] for train, output in folds)
-        N = float(self.t.count[units].sum()) * self.channels
+    def products(self, runs: Sequence[int]) -> np.ndarray:
+        """Return the products of all columns over some runs."""
+        return self.t.likelihood[self.t.units(runs)].sum(axis=0)
+
+    def solved(self, train: "Split", key: str) -> np.ndarray:
+        """Return the coefficients of a candidate within its bounds."""
+        at = self.at(key)
+        return np.clip(train.solved(at, np.diag(train.M)[at]), *self.limits(key))
+
+    def ratio(self, key: str, runs: Sequence[int]) -> float:
+        """Return the gap metric with a candidate over that without, cross-validated within some runs."""
+        at, folds = self.at(key), self.split(tuple(runs))
+        squares = sum(train.error(output, at, self.solved(train, key)) for train, output in folds)
+        plain = sum(train.error(output, NONE, np.zeros(0)) for train, output in folds)
+        return float(np.sqrt(squares / max(plain, 1e-300)))
+
+    def split(self, runs: tuple[int, ...]) -> list[tuple["Split", np.ndarray]]:
+        """Return the products of all groups of runs but one, and of that one in the output, for each group."""
+        if self.known[0] != runs:
+            groups = self.folds(runs)
+            sums = [self.t.likelihood[g].sum(axis=0) for g in groups]
+            total = np.sum(sums, axis=0)
+            folds = [
+                (Split(total - left_out, self.own), self.t.output[g].sum(axis=0))
+                for g, left_out in zip(groups, sums, strict=True)
+            ]
+            self.known = runs, folds
+        return self.known[1]
+
+    def fast(self, runs: Sequence[int], inflation: float) -> Iterator[tuple[str, Score]]:
+        """Score every candidate on some runs; p-values, places and the cross-validated gap are not set."""
+        total = Split(self.products(runs), self.own)
+        N = float(self.t.count[self.t.units(runs)].sum()) * self.channels
+        square = total.square
         for key, c in self.tried.items():
             if key in self.t.spoiled:
                 continue
-            at, bounds = self.at(key), self.limits(key)
-            products = total.of(at)
-            raw, left = np.diag(total.M)[at], np.diag(products)[:-1]
-            cost = total.cost(at, np.clip(total.solved(at, raw), *bounds))
-            squares = sum(
-                train.error(output, at, np.clip(train.solved(at, raw), *bounds)) for train, output in folds
-            )
-            size = len(c.new) + c.variant.shapes
+            at = self.at(key)
+            raw, left = np.diag(total.M)[at], np.diag(total.of(at))[:-1]
+            cost, size = total.cost(at, self.solved(total, key)), len(c.new) + c.variant.shapes
             yield key, Score(
                 effect=c.effect,
                 variant=c.variant,
                 model=c.model,
-                gain=max(total.square - cost, 0.0),
+                gain=max(square - cost, 0.0),
                 size=size,
                 bic=bic(cost, N / inflation, size, N),
-                ratio=float(np.sqrt(squares / max(plain, 1e-300))),
+                ratio=1.0,
                 p_value=1.0,
                 absorbed=bool(np.all(left <= NIL * np.maximum(raw, 1e-300))),
             )

@@ -7,8 +7,10 @@ and the statistic of every variant of every effect is computed for each draw. An
 the share of draws in which the largest statistic of all exceeds its own (Westfall and Young 1993).
 
 The score is the effective one: the model's own parameters are taken out of the candidate's columns, so that
-the residual may be that of a fit (Hemerik, Goeman and Finos 2020). Fitting makes the observed score less or
-more variable than one with random signs; each is divided by its own variance (De Santis et al. 2022).
+the residual may be that of a fit (Hemerik, Goeman and Finos 2020). What is fitted takes some of a score with
+random signs along; each is divided by the variance that it leaves (De Santis et al. 2022), and by what the
+candidate, fitted to these signs, leaves of the scores: an effect that is there leaves little, and one that
+few runs show is no less certain for it.
 """
 
 from collections import Counter
@@ -48,7 +50,7 @@ def _of_units(t: NormalEquations, noise: Mapping[tuple[int, int], np.ndarray]) -
 
 
 class SignFlips:
-    """The score of each unit, and its sum under random signs; the first signs are the observed ones, all 1."""
+    """The score of each unit, and its sum under random signs."""
 
     def __init__(
         self, t: NormalEquations, runs: Sequence[int], noise: Mapping[tuple[int, int], np.ndarray]
@@ -75,16 +77,16 @@ class SignFlips:
 
     @cached_property
     def signs(self) -> np.ndarray:
-        """(draws, units) signs; those of the first row are all 1."""
-        rng = np.random.default_rng(len(self.units))
-        return np.vstack([np.ones(len(self.units)), rng.choice([-1.0, 1.0], (FLIPS, len(self.units)))])
+        """(1 + FLIPS, units) signs; those of the first row are the observed ones, all 1."""
+        signs = np.random.default_rng(len(self.units)).choice([-1.0, 1.0], (FLIPS, len(self.units)))
+        return np.vstack([np.ones(len(self.units)), signs])
 
     def statistic(self, at: np.ndarray) -> np.ndarray | None:
-        """Return the statistic (draws,) of the columns `at`, None where the model absorbs them all.
+        """Return the statistic (1 + FLIPS,) of the columns `at`, None where the model absorbs them all.
 
-        The squared score over its variance: chi-square with as many degrees of freedom as columns, but for
-        the size of the noise. Its cube root is nearly normal (Wilson and Hilferty 1931), and is given with
-        mean 0 and variance 1 over the draws, so that effects of any size and noise of any level compare.
+        First the observed one, then with random signs: the squared score over its variance, and over what the
+        candidate leaves of the scores. It is given as a power of it that is symmetric, with mean 0 and
+        variance 1, so that effects of any size and noise of any level compare.
         """
         n, M = self.own, self.M
         P = self.JJ @ self.total[:n, at]
@@ -98,51 +100,63 @@ class SignFlips:
         values, V = np.linalg.eigh(G / np.outer(d, d))
         kept = values > SAME * values[-1]
         V = V[:, kept] / np.sqrt(values[kept]) / d[:, None]
-        units = self.units[:, None, None]
-        across = M[units, at[:, None], np.arange(n)] - P.T @ self.known  # (units, k, n) left of T'J
-        score = M[self.units[:, None], at, -1] - M[units, at[:, None], np.arange(n)] @ self.b - self.left @ P
+        units, own = self.units[:, None, None], np.arange(n)
+        across = M[units, at[:, None], own] - P.T @ self.known  # (units, k, n) left of T'J
+        score = M[self.units[:, None], at, -1] - M[units, at[:, None], own] @ self.b - self.left @ P
         score -= self.shared[:, at] - self.shared[:, :n] @ P - across @ self.drawn
-        Y = self.signs @ (score @ V)
-        C = np.tensordot(np.tensordot(across, V, (1, 0)), self.root, (1, 0))  # (units, k, n)
+        score = score @ V
+        gram = V.T @ (M[units, at[:, None], at] - M[units, at[:, None], own] @ P - P.T @ across.swapaxes(1, 2)) @ V
+        C = np.tensordot(np.tensordot(across, V, (1, 0)), self.root, (1, 0)).reshape(len(score), -1)
         if self.offsets is not None:
-            C = np.concatenate([C, self._of_zeros(at, P, V)], axis=2)
-        q = self._standardised(Y, C)
-        x = np.cbrt(np.maximum(q, 0.0))
-        return (x - x.mean()) / max(float(x.std()), 1e-300)
+            C = np.hstack([C, self._of_zeros(at, P, V)])
+        total = self.signs @ score
+        variance = 1 - ((self.signs @ C) ** 2).sum(axis=1) / V.shape[1]
+        taken = (gram @ score[:, :, None])[:, :, 0]
+        square = np.tensordot(gram, gram, ([0, 1], [0, 1]))
+        rest = (score**2).sum() - 2 * ((self.signs @ taken) * total).sum(axis=1)
+        rest += ((total @ square) * total).sum(axis=1)
+        q = (total**2).sum(axis=1) / np.maximum(variance, LEAST) / np.maximum(rest, 1e-12 * (score**2).sum())
+        return standardised(q)
 
     def _of_zeros(self, at: np.ndarray, P: np.ndarray, V: np.ndarray) -> np.ndarray:
         """What each unit has in common with the zeros of its run, which were fitted to the run as a whole."""
         assert self.offsets is not None
         own = (self.offsets[:, :, at] - self.offsets[:, :, : self.own] @ P) @ V  # (units, z, k)
-        z = own.shape[1]
-        out = np.zeros((len(own), V.shape[1], z * (self.run.max() + 1)))
+        size = own[0].size
+        out = np.zeros((len(own), size * (self.run.max() + 1)))
         for u, run in enumerate(self.run):
-            out[u, :, z * run : z * (run + 1)] = own[u].T
-        return out
-
-    def _standardised(self, Y: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """Squares of the scores Y (draws, k) over their variance, 1 less that of what the fit follows."""
-        k = Y.shape[1]
-        out = np.empty(len(Y))
-        flat = C.reshape(len(C), -1)
-        for low in range(0, len(Y), 125):
-            part = slice(low, low + 125)
-            X = (self.signs[part] @ flat).reshape(-1, k, C.shape[2])
-            variance = (1 + SAME) * np.eye(k) - X @ X.swapaxes(1, 2)
-            values, vectors = np.linalg.eigh(variance)
-            along = np.einsum("bij,bi->bj", vectors, Y[part])
-            out[part] = (along**2 / np.maximum(values, LEAST)).sum(axis=1)
+            out[u, size * run : size * (run + 1)] = own[u].ravel()
         return out
 
 
-LEAST = 0.05
-"""Least variance of a score with random signs, over that of the observed one: what is nearly nil is no
-evidence, and would be divided by rounding."""
+def standardised(q: np.ndarray) -> np.ndarray:
+    """Return positive statistics as a power that makes them symmetric, with mean 0 and variance 1.
+
+    The first one, which is the observed one, has no part in what they are standardised by.
+    """
+    logarithm = np.log(np.maximum(q, 1e-300))
+    logarithm -= np.median(logarithm)
+    best, least = logarithm, np.inf
+    for power in POWERS:
+        x = np.exp(power * logarithm) if power else logarithm
+        z = (x - x[1:].mean()) / max(float(x[1:].std()), 1e-300)
+        skewness = abs(float((z[1:] ** 3).mean()))
+        if skewness < least:
+            best, least = z, skewness
+    return best
 
 
-def least_p(units: Sequence[int]) -> float:
+POWERS = (0.5, 0.4, 1 / 3, 0.25, 0.2, 0.15, 0.1, 0.05, 0.0)
+"""Powers of which one makes a statistic symmetric: 1/3 for chi-square, less for one with few units in it."""
+LEAST = 0.01
+"""Least variance of a score with random signs, over that of the observed one.
+
+What a fit to few units leaves nothing of would be divided by rounding."""
+
+
+def least_p(units: int) -> float:
     """Return the least p-value that so many units can give: all signs reversed are the same statistic."""
-    return max(1 / (FLIPS + 1), 2.0 ** (1 - len(units)))
+    return max(1 / (FLIPS + 1), 2.0 ** (1 - units))
 
 
 def searched(z: np.ndarray, tried: float) -> np.ndarray:

@@ -23,7 +23,7 @@ from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.families import build, effect_named
 
 GAPS = (
-    ("stage", "vertical_offset_coupling", 1e-2),
+    ("stage", "even_nonlinearity", 1e-2),
     ("stage", "odd_nonlinearity", 1e-2),
     ("stage", "time_skew", 1e-4),
     ("rotary", "third_harmonic_distortion", 1e-3),

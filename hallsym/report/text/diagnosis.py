@@ -141,8 +141,7 @@ def effect_text(effects: tuple[FoundEffect, ...]) -> str:
     """Return the table of effects, best first."""
     rows = [["effect", "link", "gap shrinks by (95 %)", "share of excess", "p"]]
     for e in effects:
-        low, high = e.interval
-        shrinks = f"{100 * e.shrinkage:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+        shrinks = f"{100 * e.shrinkage:.1f} %" + ("" if e.interval is None else f" ({_ends(e.interval)})")
         rows.append([e.name, e.link, shrinks, f"{100 * e.share:.0f} %", p_text(e.p_value)])
     return grid(rows, left=2)
 
@@ -168,12 +167,20 @@ def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> str:
 
 
 def _shrinks(d: Diagnosis) -> str:
-    low, high = d.shrinkage.interval
+    s = d.shrinkage
+    judges = f"{counted(s.judges, 'run')} that took no part" if s.judges else f"{d.held_out}s"
+    few = f"no interval: too few {judges} judge" if s.judges else "no interval"
+    known = few if s.interval is None else f"95 % of recordings like it: {_ends(s.interval)}; {judges}"
     return (
-        f"The gap shrinks by {100 * d.shrinkage.value:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f}); "
+        f"The gap shrinks by {100 * s.value:.1f} % ({known}); "
         f"{100 * d.shrinkage.share_closed:.0f} % of the excess above the noise floor is closed, with "
         f"{counted(d.shrinkage.parameters_added, 'parameter')} more."
     )
+
+
+def _ends(interval: tuple[float, float]) -> str:
+    low, high = interval
+    return f"{100 * low:.1f} to {100 * high:.1f}"
 
 
 def separation_text(s: Separation) -> str:
