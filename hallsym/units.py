@@ -23,6 +23,11 @@ class Unit:
     factor: float
     offset: float = 0.0
 
+    @property
+    def symbol(self) -> str:
+        """The unit as people write it: `mv` -> mV."""
+        return _SYMBOLS.get(self.name, self.name)
+
 
 _DEGREE = math.pi / 180
 _TABLE: tuple[tuple[str, str, float], ...] = (
@@ -42,6 +47,10 @@ _TABLE: tuple[tuple[str, str, float], ...] = (
 )  # fmt: skip
 UNITS: dict[str, Unit] = {name: Unit(name, si, factor) for name, si, factor in _TABLE}
 UNITS["k"] = Unit("k", "degc", 1.0, -273.15)
+_SYMBOLS = {
+    "v": "V", "mv": "mV", "uv": "uV", "a": "A", "ma": "mA", "t": "T", "mt": "mT", "ut": "uT", "hz": "Hz",
+    "khz": "kHz", "rad_s": "rad/s", "deg_s": "deg/s", "m_s": "m/s", "mm_s": "mm/s", "degc": "degC", "k": "K",
+}  # fmt: skip
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 

@@ -15,7 +15,6 @@ from hallsym.cli.common import (
     column_ranges,
     command,
     log_options,
-    noted,
     open_log,
     say,
     seed,
@@ -141,7 +140,7 @@ def _stand_alone(options: Namespace) -> int:
         record["monte_carlo"] = found[0].to_dict()
     text = [budget_text(budget, shown), *(["", comparison_text(found)] if found else [])]
     text += ["", curve_cost_text(cost)] if cost else []
-    say(options, record, lambda: "\n".join([*text, *pictures]))
+    say(options, record, lambda: "\n".join(text), wrote=pictures)
     return OK
 
 
@@ -187,8 +186,8 @@ def _position(options: Namespace) -> int:
     parts = _position_text(budgets, list(found.values()), recorded, shown, settings)
     place = position_words(fit.model.rest | at, fit.model.period)
     parts.insert(0, f"position at {place}; fit covariance: {fit.covariance_method}")
-    parts += ["", *noted(said)] if said else []
-    say(options, record, lambda: "\n".join([*parts, *pictures]))
+    parts += [""] if said else []
+    say(options, record, lambda: "\n".join(parts), notes=said, wrote=pictures)
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
@@ -231,8 +230,8 @@ def _followed(options: Namespace, fit: Fit, settings: Settings, at: Mapping[str,
         *(f"\n{budget_text(budget)}" for budget in budgets.values()),
     ]
     parts += [f"\n{curve_cost_text(cost, ' where the machine is known best')}"] if cost else []
-    parts += ["", *noted(said)] if said else []
-    say(options, record, lambda: "\n".join([*parts, *pictures]))
+    parts += [""] if said else []
+    say(options, record, lambda: "\n".join(parts), notes=said, wrote=pictures)
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 
@@ -324,14 +323,13 @@ def _pictures(
     worst: bool = False,
     along: AlongCurve | None = None,
     cost: CurveCost | None = None,
-) -> list[str]:
-    """Save the pictures asked for; returns the lines that say so."""
+) -> list[Path]:
+    """Save the pictures asked for."""
     if not options.plots:
         return []
     from hallsym.report.figures import save_budget_pictures
 
-    paths = save_budget_pictures(Path(options.plots), budgets, grid, worst=worst, along=along, cost=cost)
-    return [f"wrote {path}" for path in paths]
+    return save_budget_pictures(Path(options.plots), budgets, grid, worst=worst, along=along, cost=cost)
 
 
 def _rng(options: Namespace) -> np.random.Generator:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_DETERMINED, OK
-from hallsym.cli.common import column_numbers, column_ranges, command, noted, say
+from hallsym.cli.common import column_numbers, column_ranges, command, say
 from hallsym.codegen import Generated, generate
 from hallsym.codegen.checks import sha256
 from hallsym.codegen.folder import name_of, type_of
@@ -83,7 +83,7 @@ def run(options: Namespace) -> int:
     fit = load_fit(options.calibration)
     made = _made(fit, options)
     made.write(options.output, force=options.force, params_only=options.params_only)
-    say(options, made.to_dict(), lambda: "\n".join([*_text(made, options), *noted(made.notes)]))
+    say(options, made.to_dict(), lambda: "\n".join(_text(made, options)), notes=made.notes)
     return NOT_DETERMINED if fit.undetermined_by_log else OK
 
 

@@ -200,11 +200,22 @@ def progress_of(options: Namespace) -> Callable[[str], None]:
     return say
 
 
-def say(options: Namespace, record: Mapping[str, Any], text: Callable[[], str]) -> None:
-    """Print the JSON record, or the text."""
-    if not options.json and sys.stderr.isatty():
+def say(
+    options: Namespace,
+    record: Mapping[str, Any],
+    text: Callable[[], str],
+    *,
+    notes: Sequence[str] = (),
+    wrote: Sequence[str | Path] = (),
+) -> None:
+    """Print the JSON record; or the text, then the notes and the names of the files that were written."""
+    if options.json:
+        print(json.dumps(record, indent=1))
+        return
+    if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr, flush=True)
-    print(json.dumps(record, indent=1) if options.json else text())
+    lines = [f"note: {note}" for note in notes] + [f"wrote {path}" for path in wrote]
+    print("\n".join([text(), *lines]))
 
 
 def save_fit_pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:

@@ -33,7 +33,6 @@ def run(options: Namespace) -> int:
     result.save(folder / "calib.json")
     pictures = save_fit_pictures(log, result, str(folder))
     record = {"steps": steps, "calibration": result.to_dict(), "pictures": [str(p) for p in pictures]}
-    say(options, record, lambda: paper.text(steps) + "\n\n" + fit_text(result))
-    if not options.json:
-        print("\n".join(f"wrote {path}" for path in [folder / "calib.json", *pictures]))
+    wrote = [folder / "calib.json", *pictures]
+    say(options, record, lambda: paper.text(steps) + "\n\n" + fit_text(result), wrote=wrote)
     return OK

@@ -104,10 +104,8 @@ def run(options: Namespace) -> int:
             atomic_write(path, _page(options, seen))
         else:
             _save(path, found.to_dict())
-    written = [f"wrote {path}" for path in options.output]
-    say(
-        options, found.to_dict(), lambda: "\n".join([diagnosis_text(found, reading_words(options)), *written])
-    )
+    words = reading_words(options)
+    say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=options.output)
     return OK
 
 

@@ -80,10 +80,7 @@ def run(options: Namespace) -> int:
         from hallsym.report.figures import save_errors
 
         pictures = save_errors(found, Path(options.plots))
-    say(options, found.to_dict(), lambda: errors_text(found))
-    if not options.json:
-        for path in pictures:
-            print(f"wrote {path}")
+    say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
     return OK
 
 

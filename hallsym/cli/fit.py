@@ -109,10 +109,8 @@ def run(options: Namespace) -> int:
     if options.output:
         result.save(options.output)
     pictures = save_fit_pictures(log, result, options.plots)
-    say(options, result.to_dict(), lambda: fit_text(result))
-    if not options.json:
-        for path in [*([options.output] if options.output else []), *pictures]:
-            print(f"wrote {path}")
+    wrote = [*([options.output] if options.output else []), *pictures]
+    say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote)
     return exit_code(result, said=not options.json)
 
 

@@ -10,7 +10,6 @@ from hallsym.cli.common import (
     command,
     log_options,
     model_options,
-    noted,
     open_log,
     progress_of,
     say,
@@ -109,8 +108,8 @@ def run(options: Namespace) -> int:
 
         written += save_plan_pictures(found, options.plots, log or against, "recorded" if log else name)
     say(
-        options, found.to_dict() | {"notes": notes},
-        lambda: "\n".join([plan_text(found), "", *noted(notes), *(f"wrote {path}" for path in written)]),
+        options, found.to_dict() | {"notes": notes}, lambda: f"{plan_text(found)}\n",
+        notes=notes, wrote=written,
     )  # fmt: skip
     return OK
 

@@ -91,9 +91,9 @@ def run(options: Namespace) -> int:
     def text() -> str:
         parts = [report_text(report, zeros=options.zeros)]
         parts += ["", comparison_text(report, others)] if others else []
-        return "\n".join([*parts, *(f"wrote {path}" for path in written)])
+        return "\n".join(parts)
 
-    say(options, record, text)
+    say(options, record, text, wrote=written)
     return _exit_code(report)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, file_options, model_options, noted, progress_of, say, seed
+from hallsym.cli.common import command, file_options, model_options, progress_of, say, seed
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
@@ -118,7 +118,8 @@ def run(options: Namespace) -> int:
     matching = _matching(options, found) if options.model else None
     written = _written(options, found, matching)
     record = found.to_dict() | ({"matching": matching.to_dict()} if matching else {})
-    say(options, record, lambda: _text(found, matching, written))
+    notes = [*found.notes, *(matching.notes if matching else ())]
+    say(options, record, lambda: _text(found, matching), notes=notes, wrote=written)
     return OK
 
 
@@ -196,10 +197,8 @@ def _written(options: Namespace, found: Sorting, matching: Matching | None) -> l
     return written
 
 
-def _text(found: Sorting, matching: Matching | None, written: list[str]) -> str:
+def _text(found: Sorting, matching: Matching | None) -> str:
     parts = [sorting_text(found)]
-    notes = list(found.notes)
     if matching:
         parts += ["", matching_text(matching)]
-        notes += matching.notes
-    return "\n".join([*parts, *noted(notes), *(f"wrote {path}" for path in written)])
+    return "\n".join(parts)

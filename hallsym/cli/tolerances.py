@@ -74,8 +74,5 @@ def run(options: Namespace) -> int:
         from hallsym.report.figures import save_tolerances
 
         pictures = save_tolerances(found, Path(options.plots))
-    say(options, found.to_dict(), lambda: tolerances_text(found))
-    if not options.json:
-        for path in pictures:
-            print(f"wrote {path}")
+    say(options, found.to_dict(), lambda: tolerances_text(found), wrote=pictures)
     return OK

@@ -101,10 +101,7 @@ def run(options: Namespace) -> int:
 
         written += save_trajectory(choice, data, Path(options.plots))
     record = choice.to_dict() | _shape(curve) | {"written": [str(path) for path in written]}
-    say(
-        options, record,
-        lambda: "\n".join([choice_text(choice), _shape_text(record), *(f"wrote {path}" for path in written)]),
-    )  # fmt: skip
+    say(options, record, lambda: f"{choice_text(choice)}\n{_shape_text(record)}", wrote=written)
     return OK
 
 
@@ -145,11 +142,7 @@ def _saved(options: Namespace) -> int:
     curve = read_curve(options.points_file)
     written = _write(curve, options)
     record, text = about_curve(curve)
-    say(
-        options,
-        record | {"written": [str(path) for path in written]},
-        lambda: "\n".join([text, *(f"wrote {path}" for path in written)]),
-    )
+    say(options, record | {"written": [str(path) for path in written]}, lambda: text, wrote=written)
     return OK
 
 

@@ -16,6 +16,7 @@ from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import Wiring, as_read
 from hallsym.estimation.decoding import logged_columns
 from hallsym.estimation.gauss_newton import cost_near
+from hallsym.estimation.outliers import beside_rails
 from hallsym.families import build, default_model
 from hallsym.log import Log, clean_log
 from hallsym.log.batches import remembered
@@ -90,7 +91,8 @@ def base_of(log: Log, result: Fit) -> Base:
     """Return a fit as the point at which tangents are taken."""
     wired = as_read(log, result.model, result.wiring)
     sigma = result.noise.std
-    cost = cost_near(wired, result.model, result.values, sigma, result.keep)
+    keep = beside_rails(result.keep, result.source, wired, logged_columns(result.model))
+    cost = cost_near(wired, result.model, result.values, sigma, keep)
     point = cost.at(result.values)
     return Base(
         log=wired,
@@ -102,7 +104,7 @@ def base_of(log: Log, result: Fit) -> Base:
         pose_weights=result.model.family.pose_metric.weights(result.model.pose, log.meta.gap_length_scale_m),
         holdout=frozenset(result.log["holdout"]),
         sigma=sigma,
-        keep=remembered(result.keep, wired.rows),
+        keep=remembered(keep, wired.rows),
     )
 
 

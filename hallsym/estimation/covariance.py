@@ -11,7 +11,7 @@ from hallsym.estimation.calibration import CombinationEstimate
 from hallsym.estimation.goodness_of_fit import CERTAIN, GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import UNDETERMINED, Determination, linear_combinations
 from hallsym.estimation.likelihood import Cost, Point
-from hallsym.estimation.normal_equations import inverse, solve
+from hallsym.estimation.normal_equations import solve
 from hallsym.estimation.run_scatter import RunScatter
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
@@ -61,10 +61,9 @@ def uncertainty_at(point: Point, found: Determination) -> Uncertainty:
     covariance = np.zeros((len(p), len(p)))
     known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
     if len(free):
-        runs, more = point.information(1.0), _turning_noise(cost, p)
-        own = np.ix_(np.arange(len(runs)), free, free)
+        runs, more = point.information(1.0, free), _turning_noise(cost, p, free)
         scores = 0.5 * point.run_gradients[:, free]
-        known = _estimate(runs[own], None if more is None else more[own], scores, cost.weights, fit)
+        known = _estimate(runs, more, scores, cost.weights, fit)
         covariance[np.ix_(free, free)] = known.covariance
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     determined = np.isin(np.arange(len(p)), free) & ~_loose(model.names, std, found)
@@ -98,8 +97,8 @@ def _by_log(
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
-def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | None:
-    """What the covariance of each run's scores has beyond its information, (r, n, n).
+def _turning_noise(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | None:
+    """What the covariance of each run's scores has beyond its information, (r, n, n) for n `free` parameters.
 
     The cost weighs every residual of a run by the mean of their covariances C (`likelihood`). Where the
     noise of the reference acts along an ellipse, C goes round with the pose: scores g^T W r, g = dr/dp and W
@@ -109,7 +108,7 @@ def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | None:
     summary, s = cost.summary, cost.summary.model.symbols
     if not summary.places or not np.any(cost.column_variance):
         return None
-    K, n = len(cost.reading_variance), len(p)
+    K, n = len(cost.reading_variance), len(free)
     reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
     slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
     run = on_arrays(ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], slopes))
@@ -122,6 +121,7 @@ def _turning_noise(cost: Cost, p: np.ndarray) -> np.ndarray | None:
         if z.shape[2]:  # what the run's zeros leave of a slope
             square, both = (np.einsum("ski,kl,slj->ij", z, W, v) for v in (z, g))
             g = g - z @ solve(square, both)
+        g = g[:, :, free]
         C = (j * cost.column_variance) @ np.swapaxes(j, 1, 2)
         weighed = W @ g
         more = np.einsum("ski,skl,slj->ij", weighed, C - C.mean(axis=0), weighed)
@@ -154,12 +154,12 @@ def _estimate(
 ) -> _Estimate:
     """Covariance by the likelihood, scaled where the noise is larger, or by the scatter between runs.
 
-    `runs`: (r, n, n) information of each run. `more`: what the covariance of its scores by the noise has
-    beyond that, None where all samples are alike. `scores`: (r, n).
+    `runs`: (r, n, n) information of each run, overwritten. `more`: what the covariance of its scores by the
+    noise has beyond that, None where all samples are alike. `scores`: (r, n).
     """
-    runs = runs * weights[:, None, None]
-    known = runs if more is None else runs + more * weights[:, None, None]
-    scatter = RunScatter.of(runs, scores * weights[:, None], known, inverse(runs.sum(axis=0)))
+    runs *= weights[:, None, None]
+    known = None if more is None else runs + more * weights[:, None, None]
+    scatter = RunScatter.of(runs, scores * weights[:, None], known)
     naive = scatter.root @ scatter.by_noise @ scatter.root.T
     n, scale = int(np.sum(weights > 0)), 1.0
     method, dof, said = "likelihood", np.inf, ""

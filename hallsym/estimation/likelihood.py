@@ -188,13 +188,17 @@ class Point:
         hessians = hessians + np.array(bends)
         return 0.5 * (hessians + np.swapaxes(hessians, 1, 2))
 
-    def information(self, noise_factor: float = 1.0) -> np.ndarray:
-        """Expected information of each run, shape (r, n, n), the zeros eliminated.
+    def information(self, noise_factor: float = 1.0, free: np.ndarray | None = None) -> np.ndarray:
+        """Expected information of each run, shape (r, n, n), the zeros eliminated; of the parameters `free`.
 
         The reference's own noise moves the features too; `noise_factor` times its expected share is taken
         out (1: what the true motion tells; 2: nothing for a motion no larger than its noise).
         """
-        return self._joined([part.information(noise_factor) for part in self._parts])
+        k = np.arange(len(self.p)) if free is None else free
+        out = np.empty((len(self.cost.weights), len(k), len(k)))
+        for part in self._parts:
+            out[part.at] = part.information(noise_factor)[:, k[:, None], k]
+        return out
 
     def total_information(self, noise_factor: float = 1.0) -> np.ndarray:
         """Expected information of all runs by their weights, (n, n)."""

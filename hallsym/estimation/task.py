@@ -250,15 +250,17 @@ class Task:
         columns = (*self.model.references, *self.model.channels)
         rule = outliers.column_spikes(columns)
         weigh = suspects = remembered(rule, self.log.rows, columns)
-        for _ in range(ROUNDS):
-            summary = self.summary(weigh)
+        rounds = 0
+        while True:
+            rounds, summary = rounds + 1, self.summary(weigh)
             left = float(summary.counts.sum())
             if left < total:
                 self.say(f"refitting without outliers ({100 * (1 - left / total):.2g} % of the weight)")
                 state = self.solve(self.begin(summary), solver="direct")
             self.check(state)
-            if abs(left - before) <= 1e-6 * total:
+            if abs(left - before) <= 1e-6 * total or rounds == ROUNDS:
                 break
+            del summary  # it may be large: freed before the next is computed
             before, rule = left, self.weigh(state, suspects)
             weigh = remembered(rule, self.log.rows, columns_of(self.model))
         kept = outliers.too_many_note(sorted(rule.wrong_for, key=columns.index)) if rule.wrong_for else ()

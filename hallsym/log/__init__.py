@@ -10,7 +10,7 @@ from hallsym.log.guarded import MOST_ROWS
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, Sigma, check_noise_keys
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
-from hallsym.log.quality.check import check_log, clean_log, spans, usable
+from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
 from hallsym.log.quality.findings import Fault
 from hallsym.log.quality.scan import Span, Spans
 from hallsym.log.read import read_log
@@ -40,6 +40,7 @@ __all__ = [
     "estimate_noise",
     "extended",
     "near",
+    "on_rails",
     "parse_column_option",
     "read_column_file",
     "read_log",

@@ -15,8 +15,7 @@ from hallsym.units import UNITS, split_unit
 class Limit:
     """Columns that fit `pattern` span at most `span` and stay below `level`; else their unit is another.
 
-    `instead` holds the units it could be. A usual log spans less than `likely`: the first unit of `instead`
-    that brings the span there is the one to suggest.
+    `instead` holds the units it could be, large to small. A usual log spans less than `likely`.
     """
 
     pattern: str
@@ -85,7 +84,13 @@ def fastest(column: str) -> float:
     return _FASTEST.get(unit.si, math.inf) if unit else math.inf
 
 
-def likely_unit(limit: Limit, span: float) -> str | None:
-    """Return the unit that would make a span plausible."""
-    fits: Sequence[str] = [unit for unit in limit.instead if span * UNITS[unit].factor <= limit.likely]
-    return fits[0] if fits else (limit.instead[-1] if limit.instead else None)
+def likely_units(limit: Limit, span: float) -> Sequence[str]:
+    """Return the units that would make a span possible, down to the first that makes it a usual one."""
+    found = []
+    for unit in limit.instead:
+        spans = span * UNITS[unit].factor
+        if spans <= limit.span:
+            found.append(unit)
+        if spans <= limit.likely:
+            break
+    return found or limit.instead[-1:]

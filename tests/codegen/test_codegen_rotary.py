@@ -219,7 +219,10 @@ def test_with_fused_multiply_add(case, form, tmp_path):
     assert ran(tmp_path / "fw", "make", "check").count("as stated") == 2
     assert code.errors["angle_rad"] <= code.backend.error_bound["angle_rad"]
     fused, plain = (firmware_cost(code.decoupler, fused=fused).instructions for fused in (True, False))
-    assert fused <= plain  # a bare angle has no product that one sum takes
+    if (case, form) == ("ideal", "angle"):
+        assert fused == plain  # the angle of a chip less its zero has no product
+    else:
+        assert fused < 0.95 * plain
 
 
 @settings(max_examples=30, deadline=None)

@@ -372,12 +372,12 @@ def test_effects_that_explain_nearly_as_much_are_refitted_too(gate):
     assert off.groups == ()
 
 
-@pytest.mark.xfail(reason="open: this log no longer shows the difference", strict=False)
 @pytest.mark.slow
 def test_noise_is_taken_for_correlated_while_searching():
     """Twice the variance in slow averages: half as many readings count, so fewer parameters pay."""
-    kept, off = without(table(LIKE_A_TABLE, noise_deg=0.1), "rotary_ideal", inflation=1.0)
-    assert kept.ranked != off.ranked
+    kept, off = without(table(LIKE_A_TABLE, noise_deg=0.14), "rotary_ideal", inflation=1.0)
+    assert set(kept.ranked) < set(off.ranked)
+    assert kept.metric.after < 1.1 * off.metric.after
 
 
 @pytest.mark.slow

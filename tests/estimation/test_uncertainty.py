@@ -5,7 +5,16 @@ import pytest
 from scipy.stats import chi2
 from twins import COLUMNS, HALL, SIGMAS, TRUTH, cost_on, phi, pm, record, true_model, with_noise
 
-from hallsym.estimation import Uncertainty, cost_of, determine, noise_floor, refit, summarise, uncertainty
+from hallsym.estimation import (
+    Uncertainty,
+    cost_of,
+    coverage_factor,
+    determine,
+    noise_floor,
+    refit,
+    summarise,
+    uncertainty,
+)
 
 MODEL = true_model()
 
@@ -167,44 +176,54 @@ def test_covariance_agrees_with_lmfit():
     assert np.sqrt(np.diag(theirs.covar)) == pytest.approx(std, rel=1e-3)
 
 
-def repeated(seeds: range, **noise) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Errors and stated standard uncertainties of parameters and combinations over many recordings."""
+def repeated(seeds: range, **noise) -> tuple[dict[str, np.ndarray], ...]:
+    """Errors, standard uncertainties and half widths of 95 % intervals of parameters and combinations."""
     errors: dict[str, list[float]] = {}
     stds: dict[str, list[float]] = {}
+    halves: dict[str, list[float]] = {}
     arms = dict(zip((c.expression for c in MODEL.combinations), pm(TRUTH)[:, 2], strict=True))
     for seed in seeds:
         p, found = one(seed, **noise)
         for k in np.flatnonzero(found.determined):
             errors.setdefault(MODEL.names[k], []).append(p[k] - MODEL.nominal[k])
             stds.setdefault(MODEL.names[k], []).append(found.std[k])
+            half = coverage_factor(found.degrees_of_freedom[k]) * found.std[k]
+            halves.setdefault(MODEL.names[k], []).append(half)
         for c in found.combinations:
             errors.setdefault(c.expression, []).append(c.value - arms[c.expression])
             stds.setdefault(c.expression, []).append(c.std)
+            halves.setdefault(c.expression, []).append(c.half_width)
     assert all(len(v) == len(seeds) for v in errors.values())
-    return tuple({name: np.array(v) for name, v in d.items()} for d in (errors, stds))
+    return tuple({name: np.array(v) for name, v in d.items()} for d in (errors, stds, halves))
 
 
-def coverage(errors: dict[str, np.ndarray], stds: dict[str, np.ndarray]) -> dict[str, float]:
+def coverage(errors: dict[str, np.ndarray], halves: dict[str, np.ndarray]) -> dict[str, float]:
     """Share of recordings whose 95 % intervals hold the truth."""
-    return {name: float(np.mean(np.abs(e) < 1.96 * stds[name])) for name, e in errors.items()}
+    return {name: float(np.mean(np.abs(e) < halves[name])) for name, e in errors.items()}
 
 
 @pytest.mark.slow
 def test_uncertainties_are_the_scatter_and_intervals_cover():
     """1600 recordings know a coverage to 0.55 % (1 sigma) and a scatter to 1.8 %; the first 400 to 3.5 %."""
-    errors, stds = repeated(range(5000, 6600), samples=40)
+    errors, stds, halves = repeated(range(5000, 6600), samples=40)
     assert len(errors) == 18
-    shares = coverage(errors, stds)
+    shares = coverage(errors, halves)
     assert all(0.93 <= share <= 0.97 for share in shares.values()), shares
     for first in (400, 1600):
         ratio = {n: np.sqrt(np.mean(stds[n][:first] ** 2) / np.mean(errors[n][:first] ** 2)) for n in errors}
         assert all(0.9 <= r <= 1.1 for r in ratio.values()), (first, ratio)
 
 
-@pytest.mark.xfail(reason="open: coverage falls to 90 % for some parameters", strict=False)
 @pytest.mark.slow
 def test_intervals_cover_with_correlated_noise_too():
-    """Noise correlated over a tenth of a run; runs as blocks know their covariance only roughly."""
-    found = coverage(*repeated(range(7000, 7200), samples=40, correlation_s=0.1))
-    assert all(0.88 <= share <= 0.99 for share in found.values()), found
-    assert 0.92 <= np.mean(list(found.values())) <= 0.98
+    """Noise correlated over a tenth of a run; 200 recordings know a coverage to 1.5 % (1 sigma).
+
+    Few of the 57 runs inform a, b and c, so that their standard uncertainties have three degrees of freedom:
+    1.96 of them would hold the truth in 86 to 92 %, the intervals that are stated are Student's.
+    """
+    errors, stds, halves = repeated(range(7000, 7200), samples=40, correlation_s=0.1)
+    found = coverage(errors, halves)
+    assert all(0.92 <= share <= 0.995 for share in found.values()), found
+    assert 0.94 <= np.mean(list(found.values())) <= 0.975
+    ratio = {n: np.sqrt(np.mean(stds[n] ** 2) / np.mean(errors[n] ** 2)) for n in errors}
+    assert all(0.88 <= r <= 1.12 for r in ratio.values()), ratio

@@ -16,6 +16,7 @@ from hallsym.families.halbach.layout import Sensor, arrays, columns
 from hallsym.families.halbach.models import halbach
 from hallsym.model import on_arrays
 from hallsym.simulation import campaign_from
+from hallsym.uncertainty import errors_along
 
 NINE = columns([(j - 4) * 0.01 for j in range(9)])
 
@@ -149,5 +150,8 @@ def test_steps_where_sensors_change_are_no_harmonic():
     ]
     model = halbach((*sums, *columns((0.0,), length_m=0.06)[-1:]))
     wide = ends.array_edges(model, reads="nearest")
+    error = errors_along(wide, {"edges": 1.0}, plain=model, decoder="closed-form")
+    assert error.waves == (3, 3)
+    assert error.peak.min() > 1e-4
     found = hallsym.diagnose(swept(wide, {"edges": 1.0}, (4.2e-3,)), model, holdout=[1])
     assert found.ranked == ("array_edges",)

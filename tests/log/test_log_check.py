@@ -247,3 +247,21 @@ def test_a_wave_that_comes_back_to_the_same_phase_is_on_no_rail(
     v = np.round(0.6 * np.cos(2 * np.pi / 0.015 * (x - phase)), digits)
     log = Log.from_arrays({"run": np.zeros(len(x), int), "x_ref_m": x, "col_0_v": v})
     assert not any("saturated" in note for note in check_log(log))
+
+
+@pytest.mark.parametrize(
+    ("beside", "named"),
+    [
+        (5e-5, "it looks like um, so say --column x_ref_um=x_ref_m."),
+        (4e-3, "it looks like mm, so say --column x_ref_mm=x_ref_m."),
+        (5e-4, "it looks like mm or um, so say --column x_ref_mm=x_ref_m or --column x_ref_um=x_ref_m."),
+    ],
+)
+def test_a_unit_is_named_alone_only_where_other_columns_tell_it(beside, named):
+    """A span of 29 could be mm or um; y of .1 mm says um, of 8 mm says mm, of 1 mm neither."""
+    t = np.arange(400) * 1e-3
+    arrays = {"run": np.zeros(400, int), "t_s": t, "x_ref_m": 14.5 * np.sin(40 * t)}
+    arrays |= {"y_ref_m": beside * np.sin(30 * t), "hall_a_v": np.sin(40 * t), "hall_b_v": np.cos(40 * t)}
+    with pytest.raises(InputError) as refused:
+        check_log(Log.from_arrays(arrays, name="bench.csv"))
+    assert str(refused.value).endswith(named)

@@ -83,6 +83,13 @@ def usable(
     return log, [*notes, *told]
 
 
+def on_rails(log: Log, required: Sequence[str] = ()) -> Drop:
+    """Return the samples that lie on a rail of a reading, of `required` columns (none: of all)."""
+    columns = tuple(required) or log.columns
+    found = saturated(log, scan(log, [name for name in columns if name != RUN]))
+    return Drop(between=tuple(ends for finding in found if finding.drop for ends in finding.drop.between))
+
+
 def spans(log: Log, columns: Sequence[str] | None = None) -> Spans:
     """Return min, max, mean and standard deviation of each column, overall and per run, from one pass."""
     return scan(log, log.columns if columns is None else columns).spans()
