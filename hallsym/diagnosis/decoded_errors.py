@@ -16,6 +16,7 @@ from hallsym.log.phase import designed
 BLOCKS = 400
 """Blocks that a log is cut into for resampling, none shorter than 50 samples."""
 
+
 @dataclass(frozen=True, eq=False)
 class BlockErrors:
     """Decoded errors by block of samples: `count` (b,), sums of `squares` (b, pose), `peak` (pose,).

@@ -9,6 +9,7 @@ columns with it; the product of what that changes is expected to be the bias.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Block
-from hallsym.log.batches import Batch, batches
+from hallsym.log.batches import Batch, batches, is_held
 from hallsym.log.derived import extended
 from hallsym.model import Model
 
@@ -41,8 +42,9 @@ class _Moved:
         return self
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
-        rng = np.random.default_rng(0)
-        for block in self.log.blocks(columns, size):
+        rng, wanted = np.random.default_rng(0), self.log.columns if columns is None else columns
+        known = (b for batch in batches(self.log, wanted) for b in batch.blocks)
+        for block in known if is_held(self.log) else self.log.blocks(wanted, size):
             data = dict(block.data)
             for column, by in self.sizes.items():
                 signs = rng.integers(0, 2, len(next(iter(data.values())))) * 2 - 1
@@ -54,9 +56,9 @@ class _Moved:
 def shared_noise(
     base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]], length: int | None
 ) -> dict[tuple[int, int], np.ndarray]:
-    """Return (run, stretch) -> expected whitened product of [parameters | candidates] and residual by noise alone.
+    """Return (run, stretch) -> what noise alone makes of the whitened products with the residual, (columns,).
 
-    `length`: samples of a stretch, None for whole runs.
+    Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
     """
     model = base.model
     columns = (*model.references, *model.state)
@@ -67,7 +69,9 @@ def shared_noise(
     wide = model
     for other, _ in candidates.values():
         wide = wide.with_columns(*other.computed)
-    wanted = tuple(dict.fromkeys(c for m in (model, *(m for m, _ in candidates.values())) for c in columns_of(m)))
+    wanted = tuple(
+        dict.fromkeys(c for m in (model, *(m for m, _ in candidates.values())) for c in columns_of(m))
+    )
     read, precision = reading_and_derivatives(model), np.linalg.inv(base.covariance)
     n, K = len(base.free), len(model.channels)
     every = max(1, base.log.rows // SAMPLES)
@@ -75,7 +79,9 @@ def shared_noise(
     def batches_of(log: Any) -> Iterator[Batch]:
         return batches(extended(log, wide, base.sigma, base.values), wanted)
 
-    def columns_at(batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    def columns_at(
+        batch: Batch, weights: np.ndarray | None
+    ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
         """Own columns (n, K, samples), rows of the candidates, and the residual (K, samples)."""
         zeros = base.zeros_of(batch)
         pose, state = batch.columns(model.references), batch.columns(model.state)
@@ -91,7 +97,9 @@ def shared_noise(
     for down, up in zip(batches_of(base.log), batches_of(_Moved(base.log, sizes)), strict=True):
         weights = down.weights(base.keep)
         own, rows, residual = columns_at(_thinned(up, every), None if weights is None else weights[::every])
-        own2, rows2, residual2 = columns_at(_thinned(down, every), None if weights is None else weights[::every])
+        own2, rows2, residual2 = columns_at(
+            _thinned(down, every), None if weights is None else weights[::every]
+        )
         change = precision @ (residual - residual2)
         products = np.zeros((n + slopes.columns, change.shape[1]))
         products[:n] = np.einsum("cks,ks->cs", own - own2, change)
@@ -101,7 +109,7 @@ def shared_noise(
             first = seen.get(block.run, 0)
             seen[block.run] = first + part.stop - part.start
             edges = _edges(first, seen[block.run], length)
-            for low, high in zip(edges, edges[1:], strict=False):
+            for low, high in pairwise(edges):
                 key = block.run, 0 if length is None else low // length
                 a, b = (-(-(part.start + k - first) // every) for k in (low, high))
                 mean = products[:, a:b].mean(axis=1) if b > a else products.mean(axis=1)

@@ -68,13 +68,13 @@ class Unit(NamedTuple):
     runs: tuple[int, ...]
     white: np.ndarray
     out: np.ndarray
-    count: float
+    samples: float
     offsets: np.ndarray | None = None
 
     def plus(self, other: "Unit") -> "Unit":
         """Return both together."""
         runs = tuple(dict.fromkeys((*self.runs, *other.runs)))
-        return Unit(runs, self.white + other.white, self.out + other.out, self.count + other.count)
+        return Unit(runs, self.white + other.white, self.out + other.out, self.samples + other.samples)
 
 
 def normal_equations(
@@ -334,7 +334,7 @@ class Accumulator:
         return NormalEquations(
             np.array([u.white for u in self.done]),
             np.array([u.out for u in self.done]),
-            np.array([u.count for u in self.done]),
+            np.array([u.samples for u in self.done]),
             tuple(u.runs for u in self.done),
             self.span,
             np.array(self.follow),

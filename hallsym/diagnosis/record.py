@@ -39,10 +39,10 @@ class NoiseFloor:
 class Shrinkage:
     """How far the gap shrinks with everything that was found.
 
-    `value`: 1 - gap after / gap before, on `judges` runs that took part in neither fit nor choice: the holdout
-    runs, and every fitted run with the search repeated without it. `interval`: 95 % of recordings of as many
-    runs lie within; None below 6 judges. `share_closed`: part of the excess above the noise floor that is
-    closed on the holdout runs (squares); `parameters_added`: to the model.
+    `value`: 1 - gap after / gap before, on `judges` runs that took part in neither fit nor choice: the
+    holdout runs, and every fitted run with the search repeated without it. `interval`: 95 % of recordings of
+    as many runs lie within; None below 6 judges. `share_closed`: part of the excess above the noise floor
+    that is closed on the holdout runs (squares); `parameters_added`: to the model.
     """
 
     value: float

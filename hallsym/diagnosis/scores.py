@@ -37,10 +37,9 @@ class Score:
 
     `gain`: decrease of the whitened squares on the fitted runs. `size`: parameters added, searched numbers
     included. `bic`: Bayesian information criterion with the effect. `ratio`: gap metric over that without the
-    effect, cross-validated within the fitted runs. `p_value`: from random signs of the runs' scores, corrected
-    for all that was tried.
-    `absorbed`: the model's own parameters can do the same. `place`: of the effect in the catalogue, usual
-    causes first.
+    effect, cross-validated within the fitted runs. `p_value`: from random signs of the runs' scores,
+    corrected for all that was tried. `absorbed`: the model's own parameters can do the same. `place`: of the
+    effect in the catalogue, usual causes first.
     """
 
     effect: Effect
@@ -117,8 +116,7 @@ def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, li
 def scores(
     base: Base, tried: dict[str, Candidate], runs: Sequence[int], inflation: float = POLICY.inflation
 ) -> tuple[list[Score], frozenset[str]]:
-    """Score every candidate on `runs`, best first (by BIC), without p-values; and those that are not finite.
-    """
+    """Score every candidate on `runs`, best first, without p-values; and those that are not finite."""
     screen = Screen(base, tried, runs, inflation, signs=False)
     return screen.scores, screen.spoiled
 
@@ -158,11 +156,11 @@ class Screen:
                     flipped.append(searched(z, score.variant.tried / variants[name]))
                 p = 1.0 if z is None else -1.0
                 found.append(replace(score, place=places[name], p_value=p, ratio=table.ratio(key, runs)))
-        p, least = adjusted(np.array(flipped))
+        adjusted_p, least = adjusted(np.array(flipped))
         units = len(self.tables[0].t.units(runs))
         unit = "run" if length is None else "stretch"
         self.significance = Significance(least, least_p(units), units, unit)
-        rest = iter(p.tolist())
+        rest = iter(adjusted_p.tolist())
         found = [s if s.p_value > 0 else replace(s, p_value=next(rest)) for s in found]
         self.scores = sorted(found, key=lambda s: s.bic)
 
@@ -172,7 +170,11 @@ class Screen:
         `taken`: an effect that stays the choice where it is as good. To first order, from the products.
         """
         ranked = sorted(
-            ((s.bic, s.gain, key, table) for table in self.tables for key, s in table.fast(runs, self.inflation)),
+            (
+                (s.bic, s.gain, key, table)
+                for table in self.tables
+                for key, s in table.fast(runs, self.inflation)
+            ),
             key=lambda r: r[0],
         )
         most = max((gain for _, gain, *_ in ranked), default=0.0)
@@ -323,7 +325,7 @@ class Table:
         return float(np.sqrt(squares / max(plain, 1e-300)))
 
     def split(self, runs: tuple[int, ...]) -> list[tuple["Split", np.ndarray]]:
-        """Return the products of all groups of runs but one, and of that one in the output, for each group."""
+        """Return the products of all groups of runs but one, and of that one in the output, for each."""
         if self.known[0] != runs:
             groups = self.folds(runs)
             sums = [self.t.likelihood[g].sum(axis=0) for g in groups]
@@ -346,16 +348,19 @@ class Table:
             at = self.at(key)
             raw, left = np.diag(total.M)[at], np.diag(total.of(at))[:-1]
             cost, size = total.cost(at, self.solved(total, key)), len(c.new) + c.variant.shapes
-            yield key, Score(
-                effect=c.effect,
-                variant=c.variant,
-                model=c.model,
-                gain=max(square - cost, 0.0),
-                size=size,
-                bic=bic(cost, N / inflation, size, N),
-                ratio=1.0,
-                p_value=1.0,
-                absorbed=bool(np.all(left <= NIL * np.maximum(raw, 1e-300))),
+            yield (
+                key,
+                Score(
+                    effect=c.effect,
+                    variant=c.variant,
+                    model=c.model,
+                    gain=max(square - cost, 0.0),
+                    size=size,
+                    bic=bic(cost, N / inflation, size, N),
+                    ratio=1.0,
+                    p_value=1.0,
+                    absorbed=bool(np.all(left <= NIL * np.maximum(raw, 1e-300))),
+                ),
             )
 
 

@@ -106,8 +106,8 @@ class Selection:
     """What the search selected on the fitted runs.
 
     `start`: the fit without effects; `fit`: with all `effects`. `not_testable`: effect -> why this log cannot
-    show it. `screened`: every screening; `last`: scores of the one that found no further effect. `nested`: the
-    search without each group of runs. `dropped`: effects that other runs than they were fitted to do not
+    show it. `screened`: every screening; `last`: scores of the one that found no further effect. `nested`:
+    the search without each group of runs. `dropped`: effects that runs other than they were fitted to do not
     hold.
     """
 

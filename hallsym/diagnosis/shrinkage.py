@@ -17,7 +17,7 @@ from hallsym.diagnosis.refit import Refitted, inside_bounds
 from hallsym.diagnosis.scores import Screen
 
 FOLDS = 11
-"""Groups of fitted runs that are left out in turn; a prime, so that they do not fall in step with settings."""
+"""Groups of fitted runs that are left out in turn; a prime, so as not to fall in step with settings."""
 
 Squares = Mapping[tuple[int, ...], float]
 """Squared decoded errors of each judging run (or of neighbouring runs of a log of very many)."""

@@ -105,7 +105,11 @@ class SignFlips:
         score = M[self.units[:, None], at, -1] - M[units, at[:, None], own] @ self.b - self.left @ P
         score -= self.shared[:, at] - self.shared[:, :n] @ P - across @ self.drawn
         score = score @ V
-        gram = V.T @ (M[units, at[:, None], at] - M[units, at[:, None], own] @ P - P.T @ across.swapaxes(1, 2)) @ V
+        gram = (
+            V.T
+            @ (M[units, at[:, None], at] - M[units, at[:, None], own] @ P - P.T @ across.swapaxes(1, 2))
+            @ V
+        )
         C = np.tensordot(np.tensordot(across, V, (1, 0)), self.root, (1, 0)).reshape(len(score), -1)
         if self.offsets is not None:
             C = np.hstack([C, self._of_zeros(at, P, V)])

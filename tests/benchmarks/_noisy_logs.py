@@ -1,4 +1,4 @@
-"""Simulated logs of a stage and of an encoder whose noise is of a known kind, for the benchmarks of a diagnosis.
+"""Simulated logs of a stage and of an encoder whose noise is of a known kind.
 
 The machine is the model that is diagnosed: without a gap there is nothing to find. A gap is one effect that
 the model lacks, at a size that leaves so many times the noise floor.
@@ -7,11 +7,11 @@ the model lacks, at a size that leaves so many times the noise floor.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import lfilter
 
-from hallsym.diagnosis import gap_unit  # noqa: F401  (imports the families)
 from hallsym.families import build, published
 from hallsym.log import Log, Meta, Noise
 from hallsym.simulation import Campaign, Run, paper_campaign, simulate, sine, table8_noise
@@ -119,7 +119,7 @@ def log_of(
     edges = np.flatnonzero(np.diff(columns["run"], prepend=-1, append=-1))
     for name, s in sigma.items():
         if s:
-            noise = [KINDS[kind](rng, b - a, campaign.step_s) for a, b in zip(edges, edges[1:], strict=False)]
+            noise = [KINDS[kind](rng, b - a, campaign.step_s) for a, b in pairwise(edges)]
             columns[name] = columns[name] + s * np.concatenate(noise)
     noise = Noise.given(sigma, tuple(columns)) if stated else Noise()
     return Log.from_arrays(columns, noise, Meta(base_model=model), f"{machine} {kind} {runs} {seed}")

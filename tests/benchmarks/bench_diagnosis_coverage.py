@@ -42,10 +42,16 @@ def sized(machine: str, effect: str, start: float, runs: int, seed: int, times: 
     make = lambda model: effect_named(effect, model).added(model, effect)  # noqa: E731
     wide = make(base)
     rng = np.random.default_rng(seed)
-    signs = {p.name: rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.0) for p in wide.parameters if p.name not in base.names}
+    signs = {
+        p.name: rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.0)
+        for p in wide.parameters
+        if p.name not in base.names
+    }
     size = start
     for _ in range(2):
-        log = log_of(machine, "white", runs, seed, make=make, parameters={n: size * s for n, s in signs.items()})
+        log = log_of(
+            machine, "white", runs, seed, make=make, parameters={n: size * s for n, s in signs.items()}
+        )
         setup = prepare(log)
         errors = block_errors(setup.base, setup.base.log.runs, setup.log.rows, None)
         excess = np.sqrt(max((errors.metric / setup.floor.metric) ** 2 - 1, 1e-4))
@@ -78,7 +84,12 @@ def tried(machine, effect, start, times, runs, kind, seed) -> dict | None:
                          found.before, found.after)
             for k in range(2)
         ]  # fmt: skip
-        row |= {"stated": d.shrinkage.value, "interval": d.shrinkage.interval, "fresh": fresh[0], "fresh2": fresh}
+        row |= {
+            "stated": d.shrinkage.value,
+            "interval": d.shrinkage.interval,
+            "fresh": fresh[0],
+            "fresh2": fresh,
+        }
     return row
 
 

@@ -27,7 +27,7 @@ PRIME = 7919
 
 
 def settings(count: int, first: int) -> list[tuple]:
-    """So many settings, every kind of noise in turn with every number of runs, machine and source of noise."""
+    """So many settings: each kind of noise with each number of runs, machine and source of noise."""
     every = list(product(KINDS, MACHINES, RUNS, (True, False)))
     return [(*every[PRIME * (first + k) % len(every)], first + k) for k in range(count)]
 
