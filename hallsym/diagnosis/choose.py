@@ -59,9 +59,10 @@ def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     base = base_of(log, known)
     holdout = set(known.log["holdout"])
     runs = [r for r in base.log.runs if r not in holdout]
-    facts = facts_of(base, survey(base, frozenset(runs)))
+    seen = survey(base, frozenset(runs))
+    facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
-    ranked = Screen(base, tried, runs, POLICY.inflation).scores if tried else []
+    ranked = Screen(base, tried, runs, POLICY.inflation, colour=seen.colour).scores if tried else []
     exact = refitted(base, ranked, runs, facts, lambda s: s.p_value < POLICY.certain)
     if not exact:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"

@@ -2,24 +2,26 @@
 
 The columns of an effect are functions of the logged pose, and so is the residual. Noise of the pose moves
 both, so their product has a mean that no effect made: a score that says so much of every log is no evidence.
-It is measured: every reference is moved by its noise, with random signs from sample to sample, and derived
-columns with it; the product of what that changes is expected to be the bias.
+It is measured: every reference is moved by noise of its size and of the residual's colour, and derived
+columns with it; the product of what that changes is expected to be the bias. Colour matters to derived
+columns only: an acceleration goes with coloured noise otherwise than with white noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
 
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Block
 from hallsym.log.batches import Batch, batches, is_held
-from hallsym.log.derived import extended
+from hallsym.log.derived import extended, share_windows
 from hallsym.model import Model
 
 SAMPLES = 8_000
@@ -28,11 +30,25 @@ SAMPLES = 8_000
 The bias is a few standard deviations of a score at most, and this many samples tell it to about 1 %."""
 
 
-class _Moved:
-    """A log with some columns moved by `sizes` times random signs."""
+DRAWS = 3
+"""Times that all of this is drawn: the noise of the bias is then a third of that of a score at most."""
+SETTLE = 100
+"""Samples of noise that are dropped before each block, so that its colour is settled."""
 
-    def __init__(self, log: Any, sizes: Mapping[str, float]) -> None:
-        self.log, self.sizes = log, sizes
+
+WHITE = np.array([1.0, 0.0])
+"""Autocorrelation of white noise."""
+
+
+class _Moved:
+    """A log with some columns moved by noise of standard deviation `sizes`; `colour`: autocorrelation."""
+
+    def __init__(self, log: Any, sizes: Mapping[str, float], colour: np.ndarray, draw: int) -> None:
+        self.log, self.sizes, self.draw = log, sizes, draw
+        order = len(colour) - 1
+        phi = np.linalg.solve(toeplitz(colour[:order]), colour[1:])
+        self.filter = np.append(1.0, -phi)
+        self.drive = float(np.sqrt(max(1 - phi @ colour[1:], 1e-6)))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.log, name)
@@ -42,23 +58,29 @@ class _Moved:
         return self
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
-        rng, wanted = np.random.default_rng(0), self.log.columns if columns is None else columns
+        rng, wanted = np.random.default_rng(self.draw), self.log.columns if columns is None else columns
         known = (b for batch in batches(self.log, wanted) for b in batch.blocks)
         for block in known if is_held(self.log) else self.log.blocks(wanted, size):
             data = dict(block.data)
+            n = len(next(iter(data.values()))) + SETTLE
             for column, by in self.sizes.items():
-                signs = rng.integers(0, 2, len(next(iter(data.values())))) * 2 - 1
+                signs = rng.integers(0, 2, n) * 2.0 - 1.0
                 if column in data:
-                    data[column] = data[column] + by * signs
+                    noise = lfilter([self.drive], self.filter, signs)[SETTLE:]
+                    data[column] = data[column] + by * noise
             yield Block(block.run, data)
 
 
 def shared_noise(
-    base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]], length: int | None
+    base: Base,
+    candidates: Mapping[str, tuple[Model, Sequence[str]]],
+    length: int | None,
+    colour: np.ndarray = WHITE,
 ) -> dict[tuple[int, int], np.ndarray]:
     """Return (run, stretch) -> what noise alone makes of the whitened products with the residual, (columns,).
 
     Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
+    `colour`: autocorrelation of the residual at lags 0, 1, ...
     """
     model = base.model
     columns = (*model.references, *model.state)
@@ -93,28 +115,31 @@ def shared_noise(
         return own, slopes.rows(batch, zeros, weights), residual
 
     sums: dict[tuple[int, int], np.ndarray] = {}
-    seen: dict[int, int] = {}
-    for down, up in zip(batches_of(base.log), batches_of(_Moved(base.log, sizes)), strict=True):
-        weights = down.weights(base.keep)
-        own, rows, residual = columns_at(_thinned(up, every), None if weights is None else weights[::every])
-        own2, rows2, residual2 = columns_at(
-            _thinned(down, every), None if weights is None else weights[::every]
-        )
-        change = precision @ (residual - residual2)
-        products = np.zeros((n + slopes.columns, change.shape[1]))
-        products[:n] = np.einsum("cks,ks->cs", own - own2, change)
-        for k, column in enumerate(slopes.column):
-            products[n + column] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
-        for block, part in up.parts():
-            first = seen.get(block.run, 0)
-            seen[block.run] = first + part.stop - part.start
-            edges = _edges(first, seen[block.run], length)
-            for low, high in pairwise(edges):
-                key = block.run, 0 if length is None else low // length
-                a, b = (-(-(part.start + k - first) // every) for k in (low, high))
-                mean = products[:, a:b].mean(axis=1) if b > a else products.mean(axis=1)
-                sums[key] = sums.get(key, 0.0) + (high - low) * mean
-    return sums
+    for draw in range(DRAWS):
+        log = _Moved(base.log, sizes, colour, draw)
+        share_windows(base.log, log)  # type: ignore[arg-type]
+        moved = batches_of(log)
+        seen: dict[int, int] = {}
+        for down, up in zip(batches_of(base.log), moved, strict=True):
+            weights = down.weights(base.keep)
+            own, rows, residual = columns_at(
+                _thinned(up, every), None if weights is None else weights[::every]
+            )
+            own2, rows2, residual2 = columns_at(
+                _thinned(down, every), None if weights is None else weights[::every]
+            )
+            change = precision @ (residual - residual2)
+            products = np.zeros((n + slopes.columns, change.shape[1]))
+            products[:n] = np.einsum("cks,ks->cs", own - own2, change)
+            for k, column in enumerate(slopes.column):
+                products[n + column] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
+            keys, first, counts = _stretches(up, seen, length)
+            low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
+            high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])
+            parts = np.add.reduceat(products, low, axis=1) * (np.array(counts) / np.maximum(high - low, 1))
+            for key, own_part in zip(keys, parts.T, strict=True):
+                sums[key] = sums.get(key, 0.0) + own_part
+    return {key: total / DRAWS for key, total in sums.items()}
 
 
 def _thinned(batch: Batch, every: int) -> Batch:
@@ -123,6 +148,19 @@ def _thinned(batch: Batch, every: int) -> Batch:
     return Batch(batch.blocks, data, tuple(-(-edge // every) for edge in batch.edges))
 
 
-def _edges(first: int, stop: int, length: int | None) -> list[int]:
-    """Samples of a run between `first` and `stop` at which its stretches begin and end."""
-    return [first, *(range(first - first % length + length, stop, length) if length else ()), stop]
+def _stretches(
+    batch: Batch, seen: dict[int, int], length: int | None
+) -> tuple[list[tuple[int, int]], list[int], list[int]]:
+    """Return (run, stretch), first sample and number of samples of each stretch of a batch.
+
+    `seen`: samples of each run before the batch; it is brought up to date.
+    """
+    whole = batch if length is None else batch.cut(length, seen.get(batch.blocks[0].run, 0))
+    keys, first, counts = list[tuple[int, int]](), list[int](), list[int]()
+    for block, part in whole.parts():
+        done = seen.get(block.run, 0)
+        keys.append((block.run, done // length if length else 0))
+        first.append(part.start)
+        counts.append(part.stop - part.start)
+        seen[block.run] = done + counts[-1]
+    return keys, first, counts

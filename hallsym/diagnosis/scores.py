@@ -117,7 +117,7 @@ def scores(
     base: Base, tried: dict[str, Candidate], runs: Sequence[int], inflation: float = POLICY.inflation
 ) -> tuple[list[Score], frozenset[str]]:
     """Score every candidate on `runs`, best first, without p-values; and those that are not finite."""
-    screen = Screen(base, tried, runs, inflation, signs=False)
+    screen = Screen(base, tried, runs, inflation)
     return screen.scores, screen.spoiled
 
 
@@ -135,18 +135,23 @@ class Screen:
         runs: Sequence[int],
         inflation: float,
         *,
-        signs: bool = True,
+        colour: np.ndarray | None = None,
     ) -> None:
+        """Score `tried` on `runs`; `colour`: autocorrelation of the residual, None: without p-values."""
         self.tried, self.tables, self.inflation = tried, list[Table](), inflation
         places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
         variants = Counter(c.effect.name for c in tried.values())
         found, flipped = list[Score](), list[np.ndarray]()
-        length = stretch(base.log.rows / len(base.log.runs) * len(runs), len(runs)) if signs else None
+        length = (
+            stretch(base.log.rows / len(base.log.runs) * len(runs), len(runs)) if colour is not None else None
+        )
         for part in _parts(tried):
             plain = {key: (c.model, c.new) for key, c in part.items()}
             t = normal_equations(base, plain, length)
             table = Table(t, part, len(base.model.channels))
-            flips = SignFlips(t, runs, shared_noise(base, plain, length)) if signs else None
+            flips = (
+                SignFlips(t, runs, shared_noise(base, plain, length, colour)) if colour is not None else None
+            )
             self.tables.append(table)
             for key, score in table.fast(runs, inflation):
                 at, name = table.at(key), score.effect.name

@@ -240,7 +240,7 @@ class _Search:
         found = survey(at.base, frozenset(self.runs))
         facts = facts_of(at.base, found)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        screen = Screen(at.base, tried, self.runs, self.policy.inflation)
+        screen = Screen(at.base, tried, self.runs, self.policy.inflation, colour=found.colour)
         ranked = screen.scores
         self.screened.append(Screened(at, ranked, screen.significance))
         self.not_testable |= {t.name: t.reason for t in trouble}

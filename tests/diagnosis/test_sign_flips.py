@@ -1,7 +1,7 @@
 """P-values from random signs: uniform without an effect whatever the noise is like, small with one.
 
-Products of columns are made in plain numpy, without a gap; the share of p-values below 5 % is held against the
-binomial distribution.
+Products of columns are made in plain numpy, without a gap; the share of p-values below 5 % is held against
+the binomial distribution.
 """
 
 from dataclasses import replace
