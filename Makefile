@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 
 BIN       := $(VENV)/bin
+PLAIN     := $(VENV)/.installed-plain
 INSTALLED := $(VENV)/.installed
 BENCHABLE := $(VENV)/.installed-bench
 PIP       := $(BIN)/python -m pip --disable-pip-version-check install --quiet
@@ -24,7 +25,7 @@ help: ## list the targets
 
 install: $(INSTALLED) ## environment with hallsym, its tests and linters (again only if pyproject.toml changed)
 
-demo: install ## the guided demonstration
+demo: $(PLAIN) ## the guided demonstration; installs what it needs, not the tests
 	$(BIN)/python -m hallsym demo
 
 tools: ## compilers, QEMU and provers that the tests of generated C use (as root on Debian, Ubuntu)
@@ -63,7 +64,7 @@ clean: ## remove caches, builds and the output of demo and bench (the environmen
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Debian and Ubuntu ship Python without ensurepip: there pip is put into the environment from outside.
-$(INSTALLED): pyproject.toml
+$(PLAIN): pyproject.toml
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || { \
 	    $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
 	        echo "hallsym needs Python 3.11 or newer; $(PYTHON) is" \
@@ -75,7 +76,12 @@ $(INSTALLED): pyproject.toml
 	        $(PYTHON) -m pip --python $(BIN)/python install --quiet pip; } || { \
 	        echo "$(PYTHON) cannot make the environment $(VENV): install its venv module" \
 	            "(Debian, Ubuntu: apt install python3-venv) and try again." >&2; exit 1; }; }
-	@echo "installing hallsym and its dependencies into $(VENV)"
+	@echo "installing hallsym and what it needs into $(VENV)"
+	@$(PIP) -e .
+	@touch $@
+
+$(INSTALLED): $(PLAIN)
+	@echo "installing extras, tests and linters into $(VENV)"
 	@$(PIP) -e '.[all,test,lint]'
 	@touch $@
 

@@ -10,6 +10,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from hallsym.shown import shown_by
+
 if TYPE_CHECKING:
     from hallsym.codegen import Generated as Generated
     from hallsym.codegen import decouple as decouple
@@ -20,7 +22,9 @@ if TYPE_CHECKING:
     from hallsym.diagnosis import selftest as selftest
     from hallsym.errors import InputError as InputError
     from hallsym.estimation import ErrorTable as ErrorTable
+    from hallsym.estimation import Evaluation as Evaluation
     from hallsym.estimation import Fit as Fit
+    from hallsym.estimation import evaluate as evaluate
     from hallsym.estimation import fit as fit
     from hallsym.estimation import judge as judge
     from hallsym.estimation import load_fit as load_fit
@@ -75,7 +79,9 @@ _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
     "hallsym.diagnosis": ("Diagnosis", "SelfTest", "diagnose", "selftest"),
     "hallsym.errors": ("InputError",),
-    "hallsym.estimation": ("ErrorTable", "Fit", "fit", "judge", "load_fit", "refit"),
+    "hallsym.estimation": (
+        "ErrorTable", "Evaluation", "Fit", "evaluate", "fit", "judge", "load_fit", "refit",
+    ),
     "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),
     "hallsym.families": ("build", "published"),
     "hallsym.inference": ("Identifiability", "identify"),
@@ -95,8 +101,9 @@ _PUBLIC = {
     "hallsym.uncertainty.tolerances": ("Tolerances", "read_tolerances", "tolerances"),
 }  # fmt: skip
 """Where each public name stands; it is imported when it is first used, so that `import hallsym` is quick."""
+shown_by(lambda: import_module("hallsym.report.views"))
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
-__all__ = sorted([*_HOME, "__version__"])
+__all__ = sorted([*_HOME, "__version__", "report"])
 
 
 def __getattr__(name: str) -> Any:
@@ -104,6 +111,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("hallsym")
+    if name == "report":  # a package that can be called
+        return import_module("hallsym.report")
     if name not in _HOME:
         raise AttributeError(f"module 'hallsym' has no attribute {name!r}")
     module = import_module(_HOME[name])

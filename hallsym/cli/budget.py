@@ -10,6 +10,7 @@ import numpy as np
 
 from hallsym.cli import NOT_DETERMINED, OK
 from hallsym.cli.common import (
+    FILE_OPTIONS,
     assignment,
     column_numbers,
     column_ranges,
@@ -51,7 +52,7 @@ from hallsym.uncertainty import (
     with_curve,
 )
 
-LOG_OPTIONS = ("column", "column_file", "format", "delimiter", "drop_bad")
+LOG_OPTIONS = ("column", "column_file", *FILE_OPTIONS, "drop_bad")
 EPILOG = """\
 examples:
   hallsym budget budget.toml                          any budget: one [[source]] table for each input
@@ -157,7 +158,7 @@ def _position(options: Namespace) -> int:
     if options.curve:
         return _followed(options, fit, settings, at)
     said = notes(fit, settings)
-    log = open_log(options) if options.log else None
+    log = open_log(options, known=fit) if options.log else None
     recorded = None if log is None else over_log(fit, log, settings)
     beyond = recorded.outside(at) if recorded else []
     if beyond:
@@ -200,7 +201,7 @@ def _followed(options: Namespace, fit: Fit, settings: Settings, at: Mapping[str,
     curve, said = read_curve(options.curve), notes(fit, settings)
     along = along_curve(fit, curve, at, settings)
     if options.log:
-        recorded = over_log(fit, open_log(options), settings)
+        recorded = over_log(fit, open_log(options, known=fit), settings)
         ends = [{c: span[k] for c, span in along.spans().items()} for k in (0, 1)]
         beyond = list(dict.fromkeys(c for end in ends for c in recorded.outside(end)))
         if beyond:

@@ -1,6 +1,6 @@
 """`hallsym codegen`: a calibration as C for the controller."""
 
-from argparse import Namespace
+from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ from hallsym.codegen.checks import sha256
 from hallsym.codegen.folder import name_of, type_of
 from hallsym.codegen.lowering import CORRECTIONS
 from hallsym.codegen.naming import PREFIX
+from hallsym.codegen.slopes import KINDS
+from hallsym.errors import quoted
 from hallsym.estimation.calibration import Fit, load_fit
 from hallsym.units import fitting
 
@@ -70,12 +72,23 @@ def add(sub: Any) -> None:
         help="fused multiply-add, where the core has it (Cortex-M4F, M7): fewer instructions and roundings",
     )
     parser.add_argument(
-        "--jacobian", nargs="?", const="reading", metavar="reading,state",
-        help="with d pose / d reading (default), d pose / d state, or both, for Kalman filters and observers",
+        "--jacobian", nargs="?", const="reading", metavar="KIND", type=_kinds,
+        help="with slopes of the pose, for Kalman filters and observers: KIND is reading (default), state "
+        "or reading,state",
     )  # fmt: skip
     parser.add_argument(
         "--allow-undetermined", action="store_true", help="use values that the log does not determine"
     )
+
+
+def _kinds(text: str) -> str:
+    """Return the kinds of slopes; whatever else stands after the option is no value of it."""
+    if not set(text.split(",")) <= set(KINDS):
+        raise ArgumentTypeError(
+            f"takes {', '.join(KINDS)} or {','.join(KINDS)}; instead received {quoted(text)}: write "
+            f"--jacobian={KINDS[0]} where another argument follows"
+        )
+    return text
 
 
 def run(options: Namespace) -> int:

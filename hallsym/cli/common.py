@@ -63,6 +63,10 @@ def log_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
+FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet")
+"""Options that say what a file is."""
+
+
 def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
     """Options of every command that reads a table, of any format; returns their group."""
     group = parser.add_argument_group(title)
@@ -70,8 +74,14 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         "--column", action="append", default=[], metavar="OURS=THEIRS",
         help=f"our name, ending with the unit their column is in: --column {example} (repeat)",
     )  # fmt: skip
-    group.add_argument("--format", help="parquet, csv, mat or hdf5, when the suffix does not tell")
-    group.add_argument("--delimiter", help="of a CSV file, when it is not a comma")
+    group.add_argument("--format", help="parquet, csv, mat, hdf5 or xlsx, when the suffix does not tell")
+    group.add_argument(
+        "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
+    )
+    group.add_argument(
+        "--decimal", metavar="SIGN", help="of its numbers: . or , where both would be possible"
+    )
+    group.add_argument("--sheet", help="of a workbook that has several")
     return group
 
 
@@ -105,8 +115,11 @@ def own_effects(options: Namespace) -> dict[str, Effect]:
     return {e.name: e for e in load_effects(options.effects)} if options.effects else {}
 
 
-def open_log(options: Namespace, machine: Machine | None = None) -> Log:
-    """Read `options.log`; a machine's probes stand in place of the log's own."""
+def open_log(options: Namespace, machine: Machine | None = None, known: Fit | None = None) -> Log:
+    """Read `options.log`; a machine's probes stand in place of the log's own.
+
+    `known`: a calibration, whose names of columns count where nothing else is stated.
+    """
     columns = dict(parse_column_option(text) for text in options.column)
     log = read_log(
         options.log,
@@ -114,9 +127,12 @@ def open_log(options: Namespace, machine: Machine | None = None) -> Log:
         column_file=options.column_file,
         format=options.format,
         delimiter=options.delimiter,
+        decimal=options.decimal,
+        sheet=options.sheet,
         drop_bad=options.drop_bad,
         noise=dict(assignment(text) for text in options.noise),
         counts_per_turn=options.counts_per_turn,
+        remembered=None if known is None else known.columns,
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 
@@ -231,7 +247,7 @@ def reading_words(options: Namespace) -> list[str]:
     """Words of a command that its next step needs too: how the log is read, and the machine."""
     words = [word for column in options.column for word in ("--column", column)]
     words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("counts_per_turn", "column_file", "format", "delimiter", "machine", "effects"):
+    for option in ("counts_per_turn", "column_file", *FILE_OPTIONS, "machine", "effects"):
         value = getattr(options, option, None)
         if value is not None:
             words += [f"--{option.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value]

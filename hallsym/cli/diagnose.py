@@ -71,13 +71,13 @@ def run(options: Namespace) -> int:
         return _compare(options)
     if options.log is None:
         raise InputError("A log to diagnose must be given, or --compare with two saved diagnoses.")
-    machine = read_machine(options.machine)
-    log = open_log(options, machine)
+    machine, own = read_machine(options.machine), own_effects(options)
+    known = load_fit(options.model, own) if str(options.model).endswith(".json") else None
+    log = open_log(options, machine, known)
     name = options.model or default_model(log.meta)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
-    own = own_effects(options)
-    if str(name).endswith(".json"):
-        model: Model | Fit = load_fit(name, own)
+    if known:
+        model: Model | Fit = known
     else:
         model = model_on(
             log,

@@ -1,17 +1,24 @@
 """`hallsym info`: what a file holds, or what hallsym knows."""
 
+import shlex
 from argparse import Namespace
 from collections.abc import Callable, Mapping
+from itertools import accumulate, zip_longest
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, log_options, noted, open_log, say
+from hallsym.cli.common import FILE_OPTIONS, command, log_options, noted, open_log, say
 from hallsym.cli.trajectory import about_curve
+from hallsym.errors import InputError, counted
 from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, models
-from hallsym.log import Log, check_log, estimate_noise, spans
+from hallsym.files import atomic_write
+from hallsym.log import Log, check_log, estimate_noise, open_source, spans
+from hallsym.log.limits import is_moving
+from hallsym.log.table import Source
 from hallsym.report.tables import grid
 from hallsym.report.text.effect import effect_record, effect_text, is_explained
 from hallsym.report.text.fit import fit_text
@@ -19,6 +26,9 @@ from hallsym.report.text.model import model_record, model_text
 from hallsym.simulation import Campaign, read_campaign
 from hallsym.trajectory import is_curve, read_curve
 from hallsym.units import readable
+
+HINT = "'hallsym info {} --suggest' writes a column file to check"
+COLUMN_FILE = "columns.toml"
 
 
 def add(sub: Any) -> None:
@@ -29,7 +39,8 @@ def add(sub: Any) -> None:
         "saved curve or a campaign file. A model by name: its chain of links, parameters, zeros, effects it\n"
         "can take. An effect by name: what it means, its numbers, the parameters it adds, what recording\n"
         "separates it from others. Without an argument: the models, effects and solvers there are.\n\n"
-        "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis",
+        "examples:\n  hallsym info campaign.parquet\n  hallsym info stage31\n  hallsym info hysteresis\n"
+        "  hallsym info lab.csv --suggest",
     )  # fmt: skip
     parser.add_argument(
         "file",
@@ -37,6 +48,12 @@ def add(sub: Any) -> None:
         nargs="?",
         help="log, calibration or curve (.json), campaign (.toml), or the name of a model or an effect",
     )
+    parser.add_argument(
+        "--suggest", nargs="?", const=COLUMN_FILE, metavar="TOML",
+        help="of a log whose columns have other names: write a column file with the best guess for each, "
+        f"to be checked (default {COLUMN_FILE})",
+    )  # fmt: skip
+    parser.add_argument("--model", help="what --suggest is for, such as stage31 (default: by the names)")
     log_options(parser)
 
 
@@ -65,11 +82,71 @@ def run(options: Namespace) -> int:
     elif options.file.endswith(".toml"):
         record = _about_campaign(read_campaign(options.file))
         say(options, record, lambda: "\n".join(f"{k}: {v}" for k, v in record.items()))
+    elif options.suggest:
+        return _suggest(options)
     else:
         options.log = options.file
-        log = open_log(options)
+        source = _source(options)
+        try:
+            log = open_log(options)
+        except InputError:
+            if not options.json:
+                print(_head_text(source))
+            raise
         record, text = _about_log(log, options)
+        if source.recognised:
+            record["recognised"] = source.recognised
+        if not any(map(is_moving, log.columns)):
+            text += f"\nnote: no column has one of hallsym's names; {HINT.format(shlex.quote(options.file))}."
+        text = f"{_head_text(source)}\n\n{text}"
         say(options, record, lambda: text)
+    return OK
+
+
+SHOWN_ROWS, SHOWN_COLUMNS = 3, 40
+ACROSS = 110
+"""Characters of a line where no terminal says how many it has."""
+
+
+def _source(options: Namespace) -> Source:
+    stated = {name: getattr(options, name) for name in FILE_OPTIONS}
+    return open_source(options.file, **stated)[2]
+
+
+def _head_text(source: Source) -> str:
+    """What a file was recognised as, and its first rows under its own names, as many as fit."""
+    rows = source.head(SHOWN_ROWS, SHOWN_COLUMNS)
+    names = source.names[:SHOWN_COLUMNS]
+    units = [f" [{source.units[name]}]" if name in source.units else "" for name in names]
+    columns = [
+        [name + unit, *(row[k] for row in rows if k < len(row))]
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
+    ]
+    ends = list(accumulate(max(map(len, column)) + 2 for column in columns))
+    fit = max(1, sum(end <= get_terminal_size((ACROSS, 0)).columns for end in ends))
+    table = list(zip_longest(*columns[:fit], fillvalue=""))
+    more = len(source.names) - fit
+    lines = [f"read as {source.recognised}", ""] if source.recognised else []
+    lines += [grid(table, left=0)] if table else []
+    return "\n".join([*lines, *([f"and {counted(more, 'column')} more"] if more > 0 else [])])
+
+
+def _suggest(options: Namespace) -> int:
+    """Write the column file that is to be checked."""
+    from hallsym.families.suggest import suggest
+
+    source = _source(options)
+    found = suggest(source, options.model)
+    text = found.to_toml(options.file)
+    atomic_write(options.suggest, text)
+    record = {
+        "model": found.model,
+        "columns": {g.stem: {**vars(g), "line": g.line} for g in found.guesses},
+        "rest": list(found.rest),
+    }
+    typed = shlex.join(["hallsym", "fit", options.file, "--column-file", options.suggest])
+    said = f"{_head_text(source)}\n\n{text}\nCheck {options.suggest}, then: {typed}"
+    say(options, record, lambda: said, wrote=[options.suggest])
     return OK
 
 
@@ -135,4 +212,6 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     head = f"{log.name}: {log.rows} samples in {len(log.runs)} runs"
     if log.meta.holdout:
         head += f"; held out by its meta.json: {', '.join(map(str, log.meta.holdout))}"
-    return record, "\n".join([head, "", grid(rows), *noted(notes)])
+    told = log.table.source.recognised  # stands above the first rows already
+    others = [note for note in notes if not told or told not in note]
+    return record, "\n".join([head, "", grid(rows), *noted(others)])

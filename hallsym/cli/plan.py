@@ -88,7 +88,7 @@ def run(options: Namespace) -> int:
     log = None
     if options.after:
         options.log = options.after
-        log = open_log(options, machine)
+        log = open_log(options, machine, load_fit(options.values) if options.values else None)
     show("finding values")
     model, values, told = _truth(options, machine, log)
     noise, source = _noise(options, ranges, model, values, log)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, say
+from hallsym.cli.common import FILE_OPTIONS, command, log_options, open_log, own_effects, own_option, say
 from hallsym.estimation import as_read, load_fit, logged_columns
 from hallsym.files import atomic_write
 from hallsym.log import check_log
@@ -32,7 +32,7 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     known = load_fit(options.calibration, own_effects(options))
-    log = open_log(options)
+    log = open_log(options, known=known)
     if not options.drop_bad:
         columns, wired = logged_columns(known.model), as_read(log, known.model, known.wiring)
         log = replace(log, notes=tuple(check_log(wired, columns)))
@@ -54,7 +54,7 @@ def _typed(options: Namespace) -> str:
     words = ["hallsym", "report", options.calibration, options.log]
     words += [word for column in options.column for word in ("--column", column)]
     words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("effects", "column_file", "format", "delimiter"):
+    for option in ("effects", "column_file", *FILE_OPTIONS):
         if getattr(options, option) is not None:
             words += [f"--{option.replace('_', '-')}", getattr(options, option)]
     return shlex.join([*words, *(["--drop-bad"] if options.drop_bad else [])])

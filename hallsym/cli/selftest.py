@@ -73,11 +73,11 @@ def numbers(text: str) -> tuple[float, ...]:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     machine = read_machine(options.machine)
-    log = open_log(options, machine)
+    known = load_fit(options.model) if str(options.model).endswith(".json") else None
+    log = open_log(options, machine, known)
     name = options.model or default_model(log.meta)
-    if str(name).endswith(".json"):
-        model: Any = load_fit(name)
-    else:
+    model: Any = known
+    if known is None:
         model = build(name, meta=log.meta, added=tuple(options.effect), parameters=machine.parameters)
     found = selftest(
         log,

@@ -106,9 +106,10 @@ def _recorded(options: Namespace) -> Identifiability:
         raise InputError(
             "--model, --effect, --machine and --values belong to --plan; a calibration has its own."
         )
+    known = load_fit(options.calibration, own_effects(options))
     return identify(
-        load_fit(options.calibration, own_effects(options)),
-        open_log(options),
+        known,
+        open_log(options, known=known),
         profiles=options.profiles,
         bootstrap=options.bootstrap,
         seed=options.seed,
@@ -137,8 +138,8 @@ def _planned(options: Namespace) -> Identifiability:
 
 def _other(options: Namespace, report: Identifiability, name: str) -> Identifiability:
     """The report of another model on the same log and the same runs."""
-    log = open_log(options)
     known = load_fit(options.calibration, own_effects(options))
+    log = open_log(options, known=known)
     model = build(name, meta=log.meta)
     if model.layout != report.model.layout:
         raise InputError(f"--beside {name} does not have the probes of the calibration; fit it by itself.")

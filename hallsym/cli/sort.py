@@ -106,6 +106,8 @@ def run(options: Namespace) -> int:
         fields=_fields(options.field),
         format=options.format,
         delimiter=options.delimiter,
+        decimal=options.decimal,
+        sheet=options.sheet,
     )
     show("sorting")
     found = sort_sensors(

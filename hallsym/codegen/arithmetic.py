@@ -119,6 +119,10 @@ class Arithmetic(ABC):
     def _chosen(self) -> np.ndarray:
         """Return the inputs (n_inputs, s) that the self-test lists."""
 
+    def _trials(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return random inputs (n_inputs, count) in the box, in the unit of their own numbers."""
+        return self.decoupler.trials(rng, count, np.array(self.span))
+
     def hold(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return inputs brought back into the box, and the status bits (s,) of those that were not in it."""
         low, high = self.ends
@@ -133,12 +137,17 @@ class Arithmetic(ABC):
         pose, flags = self.run(held)
         return pose, status.astype(np.uint32) | flags.astype(np.uint32)
 
+    def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose (n_pose, s) and status (s,) of numbered samples, as the hash of the self-test takes
+        them."""
+        return self.step(self.sample(numbers))
+
     def hash(self, count: int) -> int:
         """Return the hash of status and pose over samples 0 to count - 1."""
         total, width = 0, np.uint32(len(self.decoupler.pose) + 1)
         for first in range(0, count, BATCH):
             n = np.arange(first, min(first + BATCH, count), dtype=np.uint32)
-            pose, status = self.step(self.sample(n))
+            pose, status = self.hashed_step(n)
             for k, row in enumerate((status, *self._words(pose))):
                 total += int(mix(row ^ mix(n * width + np.uint32(k))).astype(np.uint64).sum())
         return total & 0xFFFFFFFF
@@ -146,11 +155,10 @@ class Arithmetic(ABC):
     def errors(self, samples: int | None = None, seed: int = 0) -> dict[str, float]:
         """Return the largest error of each pose coordinate against the model, over random inputs."""
         d, rng, most = self.decoupler, np.random.default_rng(seed), np.zeros(len(self.decoupler.pose))
-        low, high = self.span
         samples = d.tried if samples is None else samples
         for first in range(0, samples, self.batch):
             count = min(self.batch, samples - first)
-            inputs = self._rounded(d.trials(rng, count, np.array([low, high])))
+            inputs = self._rounded(self._trials(rng, count))
             pose, status = self.step(inputs)
             error = d.difference(_si(pose, self.outputs), d.exact(_si(inputs, self.inputs)))
             most = np.maximum(most, np.abs(error[:, status == 0]).max(axis=1, initial=0.0))

@@ -12,6 +12,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -222,6 +223,17 @@ class Backend(Arithmetic):
         }
         return made | {"params/decoupler_params.json": self.json(), BINARY: self.binary}
 
+    def _flags_raised(self, most: str) -> dict[str, list[str]]:
+        """A table whose flags are all raised, by their largest least value, whatever else a vector raises."""
+        flags = self.decoupler.flags
+        bits = " | ".join(["wanted->status", *(status_bit(flag.name) for flag in flags)])
+        call = "decoupler_step(&strict, &wanted->in, &out)"
+        return {
+            "strict": ["decoupler_params_t strict = decoupler_params;"] * bool(flags)
+            + [f"strict.{flag.least} = {most};" for flag in flags],
+            "raised": [f"failed |= ({call} == ({bits})) ? 0U : 1U;"] if flags else [],
+        }
+
     def _templates(self) -> dict[str, str]:
         """Return the template of each file."""
         return dict(tree(self.tree))
@@ -234,7 +246,7 @@ class Backend(Arithmetic):
             {"name": f.name, "mask": f"0x{flag_bit(k):08X}UL", "meaning": f.meaning}
             for k, f in enumerate(d.flags)
         ]
-        raised = sum(flag_bit(k) for k in range(len(d.flags)))
+        raised = [sum(some) for some in product(*((0, flag_bit(k)) for k in range(len(d.flags))))]
         return {
             "in": inputs,
             "limited": [
@@ -254,6 +266,10 @@ class Backend(Arithmetic):
             "table_layout": f"0x{self.layout:08x}",
             "table_bytes": len(self.binary),
             "prefix": self.record.get("name", PREFIX),
+            "row_in": ", ".join(f"{port['column']} [{port['unit']}]" for port in inputs),
+            "row_out": ", ".join(f"{port['column']} [{port['unit']}]" for port in outputs),
+            "in_type": self.inputs[0].type,
+            "out_type": self.outputs[0].type,
             "first_out": f"out.{self.outputs[0].member}",
             "type": self.type,
             "inputs": len(d.inputs),
@@ -270,7 +286,9 @@ class Backend(Arithmetic):
             "first_zero": self.zeros[0].name,
             "values": self._values(),
             "without_flags": f" & ~({' | '.join(status_bit(f.name) for f in d.flags)})" if d.flags else "",
-            "status_or_flags": f"status == 0 || status == 0x{raised:08X}" if d.flags else "status == 0",
+            "status_or_flags": " || ".join(
+                f"status == 0x{bits:08X}" if bits else "status == 0" for bits in sorted(raised)
+            ),
             "vectors": self.vectors.inputs.shape[1],
             "bounds": ", ".join(f"{error + REFERENCE:.3e}" for error in self.error_bound.values()),
             "hash_short": short_hash,

@@ -1,7 +1,7 @@
 """The calibrated box: the inputs over which generated code answers with status 0."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,9 +16,13 @@ NEARLY = 0.9
 
 @dataclass(frozen=True)
 class Box:
-    """Least and greatest value of each column, in SI: state, pose and, where given, readings."""
+    """Least and greatest value of each column, in SI: state, pose and, where given, readings.
+
+    `alike`: whether one limit says both ends of a column, where code that is there already says so.
+    """
 
     ends: Mapping[str, tuple[float, float]]
+    alike: Mapping[str, bool] = field(default_factory=dict)
 
     def reach(self) -> dict[str, float]:
         """Return the largest magnitude of each column."""
@@ -27,23 +31,37 @@ class Box:
     def symmetric(self, column: str) -> bool:
         """Whether one limit says it."""
         low, high = self.ends[column]
-        return low == -high
+        return low == -high and self.alike.get(column, True)
+
+    def over(self, ends: Mapping[str, tuple[float, float]]) -> "Box":
+        """Return the box of these columns: a reading that has one limit gets the wider one of its ends."""
+        found = dict(ends)
+        for column in found.keys() & self.alike.keys():
+            if self.alike[column]:
+                most = max(map(abs, found[column]))
+                found[column] = (-most, most)
+        return replace(self, ends=found)
 
 
-def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> Box:
+def box_of(
+    fit: Fit, given: Mapping[str, tuple[float, float]] | None = None, entries: Collection[str] = ()
+) -> Box:
     """Return the box of a calibration: what its log recorded, `given` columns in its place.
 
-    Raises `InputError` for unknown columns, empty ranges, and a calibration that knows no ranges.
+    `entries`: names in the table of code that shall stay as it is. A range that became lopsided is cut to the
+    one limit that such code has for both ends, one that became symmetric keeps two ends. Raises `InputError`
+    for unknown columns, empty ranges, and a calibration that knows no ranges.
     """
     model = fit.model
     columns = (*model.pose, *model.state, *model.channels)
     ends: dict[str, tuple[float, float]] = {}
+    alike = _alike((*model.channels, *model.state), entries)
     span = fit.log.get("span", {})
     for column, reference in zip((*model.pose, *model.state), (*model.references, *model.state), strict=True):
         if column in model.period and reference not in model.absolute:  # what repeats is known all round
             ends[column] = (-model.period[column], model.period[column])
         elif reference in span:
-            ends[column] = _rounded(*_recorded(reference, *span[reference]))
+            ends[column] = _rounded(column, *_recorded(reference, *span[reference]), alike.get(column))
     for column, (low, high) in (given or {}).items():
         if column not in columns:
             raise InputError(
@@ -59,13 +77,41 @@ def box_of(fit: Fit, given: Mapping[str, tuple[float, float]] | None = None) -> 
                 "SI); check its unit: --range z_um=-200:200."
             )
         ends[column] = (float(low), float(high))
+        if low != -high:  # what is asked for is not cut
+            alike.pop(column, None)
     for column in (*model.pose, *model.state):
         if column not in ends:
             raise InputError(
                 f"The calibration does not say over which {column} it was recorded (it was saved by an older "
                 f"hallsym); fit the log again, or give --range {column}=LOW:HIGH."
             )
-    return Box(ends)
+    return Box(ends, alike)
+
+
+def shortened(fit: Fit, box: Box) -> list[str]:
+    """Return a sentence for each state column of which the box leaves a part of what was recorded out."""
+    out, span = [], fit.log.get("span", {})
+    for column in fit.model.state:
+        if box.alike.get(column) and column in span:
+            (low, high), most = span[column], box.ends[column][1]
+            if NEARLY * max(-low, high) > most:
+                out.append(
+                    f"{column} was recorded from {low:.3g} to {high:.3g}, but the code that is there has one "
+                    f"limit for both ends: {most:.3g}. The status tells what lies beyond; without "
+                    "--params-only both ends are kept."
+                )
+    return out
+
+
+def _alike(columns: Sequence[str], entries: Collection[str]) -> dict[str, bool]:
+    """Return whether a table has one limit for both ends of a column, where it has any."""
+    found = {}
+    for column in columns:
+        if f"limit_{short(column)}" in entries:
+            found[column] = True
+        elif f"low_{short(column)}" in entries:
+            found[column] = False
+    return found
 
 
 def _recorded(column: str, low: float, high: float) -> tuple[float, float]:
@@ -77,10 +123,16 @@ def _recorded(column: str, low: float, high: float) -> tuple[float, float]:
     return low, high
 
 
-def _rounded(low: float, high: float) -> tuple[float, float]:
-    """Recorded ends to three digits; nearly symmetric ones as one limit."""
+def _rounded(column: str, low: float, high: float, alike: bool | None) -> tuple[float, float]:
+    """Recorded ends to three digits; as one limit if nearly symmetric, or if code that is there has one."""
     low, high = float(f"{low:.3g}"), float(f"{high:.3g}")
-    if low < 0 < high and min(-low, high) >= NEARLY * max(-low, high):
+    around = low < 0 < high
+    if alike and not around:
+        raise InputError(
+            f"{column} was recorded from {low:g} to {high:g}, without zero, and the code that is there has "
+            "one limit for both ends; generate the folder again with --force."
+        )
+    if alike or (alike is None and around and min(-low, high) >= NEARLY * max(-low, high)):
         return -min(-low, high), min(-low, high)
     if low == high:  # a column that never moved: some room for its noise
         room = max(abs(low) * 1e-3, 1e-9)

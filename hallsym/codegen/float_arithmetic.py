@@ -89,10 +89,12 @@ class FloatArithmetic(Backend):
     def _symmetric(self) -> np.ndarray:
         return np.array([[self.decoupler.box.symmetric(c)] for c in self.decoupler.inputs])
 
-    def run(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Operation by operation."""
+    def run(self, held: np.ndarray, zeros: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Operation by operation; `zeros` (n_pose, s) in place of those of the table."""
         dtype = self.real.dtype
         constants: list[np.ndarray] = [np.array([c], dtype=dtype) for c in self.decoupler.constants]
+        if zeros is not None:
+            constants[-len(zeros) :] = list(zeros)
         with np.errstate(under="ignore"):
             pose, *seen = self._run(held.astype(dtype), constants)
         flags = self.decoupler.raised(seen[0], dtype) if seen else np.uint32(0)
@@ -111,6 +113,21 @@ class FloatArithmetic(Backend):
             value = np.where(kind == 1, value * dtype(4), value)
         wild = raw if self.real.size == 4 else (raw.astype(np.uint64) << np.uint64(32)) | mix(raw)
         return np.where(kind == 0, wild.view(dtype), value).astype(dtype)
+
+    @cached_property
+    def reset(self) -> dict[str, float]:
+        """Zeros that hashed samples have: such that an angle wraps, or a fraction of a millimetre."""
+        d = self.decoupler
+        return {c: (1 - 2.0**-7) * d.known(c) if c in d.model.period else 2.0**-12 for c in d.pose}
+
+    def hashed_step(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Half of the samples have no zeros, a quarter each those of a reset at one end and at the other."""
+        kind = mix(np.asarray(numbers, dtype=np.uint32) ^ np.uint32(0x85EBCA6B)) & np.uint32(3)
+        sign: np.ndarray = np.select([kind == 2, kind == 3], [1, -1], 0).astype(self.real.dtype)
+        zeros = np.array([self.real.dtype(self.reset[c]) * sign for c in self.decoupler.pose])
+        held, status = self.hold(self.sample(numbers))
+        pose, flags = self.run(held, zeros)
+        return pose, status.astype(np.uint32) | flags.astype(np.uint32)
 
     def _words(self, pose: np.ndarray) -> np.ndarray:
         if self.real.size == 4:

@@ -62,10 +62,15 @@ class FloatBackend(FloatArithmetic):
         return {"kind": kind, "rest": self._literal(d.rest[d.inputs.index(c)]) if d.rest else "at_rest"}
 
     def _of_output(self, port: Port) -> dict[str, Any]:
-        if self.decoupler.drawn is not None:  # of readings of no pose nothing is claimed
-            return {}
-        low, high = (side[port.column] for side in (self.bounds.low, self.bounds.high))
-        return {"outer_low": self._beyond(low), "outer_high": self._beyond(high)}
+        d, c = self.decoupler, port.column
+        own = {
+            "hashed": self._literal(self.reset[c]),
+            "period": self._literal(d.model.period.get(c, 0.0)),
+        }
+        if d.drawn is not None:  # of readings of no pose nothing is claimed
+            return own
+        low, high = (side[c] for side in (self.bounds.low, self.bounds.high))
+        return {**own, "outer_low": self._beyond(low), "outer_high": self._beyond(high)}
 
     def _beyond(self, value: float) -> str:
         """A literal a little beyond a bound."""
@@ -78,6 +83,7 @@ class FloatBackend(FloatArithmetic):
             "real": self.type,
             "builtin_fabs": self.real.fabs,
             "zero": c(0.0),
+            "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),
             "out": self._outputs(errors),
             "in": self._inputs(),
             "slope": self.slopes.records() if self.jacobian else [],
@@ -248,15 +254,15 @@ class FloatBackend(FloatArithmetic):
     def _check(self) -> dict[str, Any]:
         d, real = self.decoupler, replace(self.real, fused=False)
         share = real.constant(round(1 - LEAST_GAIN, 6))
-        gains, sides = spreads(d), {c: ends(d, c) for c in d.inputs}
+        moved = [(s, m) for s, m in zip(spreads(d), d.margins, strict=True) if m.terms]
+        sides = {c: ends(d, c) for c in d.inputs}
         filled = [
             f"(negative({high}) == 0U)" if d.box.symmetric(c) else f"({low} <= {high})"
             for c, (low, high) in sides.items()
         ]
-        remain = [
-            f"({s.name} < ({share} * greater(p->{m.rest}, -p->{m.rest})))"
-            for s, m in zip(gains, d.margins, strict=True)
-        ]
+        remain = [f"({s.name} < ({share} * greater(p->{m.rest}, -p->{m.rest})))" for s, m in moved]
+        none = real.constant(0.0)
+        remain += [f"(greater(p->{m.rest}, -p->{m.rest}) > {none})" for m in d.margins if not m.terms]
         finite: list[str] = []
         for a in d.arrays:
             if not a.integers:
@@ -270,7 +276,9 @@ class FloatBackend(FloatArithmetic):
             if any(map(self.by_size, d.inputs))
             else [],
             "most": self._most,
-            "spreads": statements(gains, {e.name: f"p->{e.name}" for e in d.entries}, real, {}),
+            "spreads": statements(
+                [s for s, _ in moved], {e.name: f"p->{e.name}" for e in d.entries}, real, {}
+            ),
             "not_empty": "\n        && ".join(filled),
             "gains_remain": "\n        && ".join(remain),
             "rows_finite": finite,
@@ -302,6 +310,8 @@ class FloatBackend(FloatArithmetic):
             "slope_field": [f"double slopes[{len(self.slopes.expressions)}];"] if self.jacobian else [],
             "slope_step": self._if_jacobian("slope_step.c"),
             "slope_status": [status] if self.jacobian else [],
+            **self._flags_raised(self._most),
+            "flag_includes": ["#include <float.h>"] if self.decoupler.flags else [],
             "near": c(self._near),
             "at_known": c(2.0**-12),
             **self._known(),
@@ -318,8 +328,7 @@ class FloatBackend(FloatArithmetic):
     def _known(self) -> dict[str, Any]:
         """Poses at which the self-test takes a zero, and those at which none is taken."""
         d, c = self.decoupler, self.real.constant
-        inside = 1 - 2.0**-7  # of a period: where it wraps itself, either end is right
-        most = [d.known(p) * (inside if p in d.model.period else 1.0) for p in d.pose]
+        most = [d.known(p) for p in d.pose]
         ends = (2.0**-12, -(2.0**-12)) if d.at_pose else (2.0**-12, 1.0, -1.0)  # non-linear models: near rest
         rows = [", ".join(c(share * m) for m in most) for share in ends]
         refused: list[str] = []

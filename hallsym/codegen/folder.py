@@ -104,6 +104,13 @@ def options_of(folder: Path) -> dict[str, Any]:
     return found
 
 
+def entries_of(folder: Path) -> list[str]:
+    """Return the names of the numbers in the table of a generated folder."""
+    found = _record(folder / "params" / f"{name_of(folder)}_params.json").get("parameters")
+    named = found if isinstance(found, list) else []
+    return [str(entry.get("name")) for entry in named if isinstance(entry, dict)]
+
+
 def type_of(folder: Path) -> str:
     """Return the type of the numbers of a generated folder: float, double or q31; float by default."""
     return str(_record(folder / "params" / f"{name_of(folder)}_params.json").get("type", "float"))

@@ -1,6 +1,6 @@
 """From a calibration to the files of a decoupler."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,14 @@ import numpy as np
 
 from hallsym.codegen.backend import Backend
 from hallsym.codegen.bounds import Bounds, pose_bounds
-from hallsym.codegen.box import box_of
+from hallsym.codegen.box import Box, box_of, shortened
 from hallsym.codegen.checks import check, check_bounds, check_gains, check_same, digest_of, notes_of
 from hallsym.codegen.decoupler import Decoupler
 from hallsym.codegen.entries import short
 from hallsym.codegen.float_backend import FloatBackend
 from hallsym.codegen.float_c import DOUBLE, FLOAT, Real
+from hallsym.codegen.folder import entries_of, replace_params, write_folder
 from hallsym.codegen.folder import options_of as options_before
-from hallsym.codegen.folder import replace_params, write_folder
 from hallsym.codegen.integer_backend import IntegerBackend
 from hallsym.codegen.integer_c import integer_program
 from hallsym.codegen.lowering import lower, lowering_of, options_of
@@ -27,8 +27,11 @@ from hallsym.errors import InputError, quoted
 from hallsym.estimation.calibration import Fit
 
 ARITHMETICS = ("float", "q31")
-REPLACED = ("params/", "test/selftest_vectors.h", "doc/report.md", "proof/eva.c", "proof/cbmc.c")
-"""Files that a recalibration replaces, in every arithmetic."""
+REPLACED = (
+    "params/", "test/selftest", "test/faults.c", "test/count.c", "doc/report.md", "proof/eva.c",
+    "proof/cbmc.c",
+)  # fmt: skip
+"""Beginnings of the files that a recalibration replaces, in every arithmetic: numbers, what tries them."""
 REPLACED_TOO = {"float": ("proof/rounding.g",), "q31": ("proof/exhaustive.c",)}
 UNSEEN = {"accuracy": np.pi, "correction": "series:0"}
 """Options of float code of which integers take the model and the box alone: the least there is to compute."""
@@ -130,6 +133,7 @@ def generate(
     record = {"model": fit.model.name, "calibration_sha256": calibration_sha256 or digest_of(fit)}
     record |= {} if name == PREFIX else {"name": name}
     before = {} if like is None else options_before(Path(like))
+    box = box_of(fit, ranges, () if like is None else entries_of(Path(like)))
     given: dict[str, Any] = {
         "accuracy": before.get("accuracy") if accuracy is None else accuracy,
         "correction": before.get("correction") if correction is None else correction,
@@ -138,13 +142,17 @@ def generate(
         for option, unwanted in (("double", double), ("jacobian", bool(jacobian)), ("fma", fma)):
             if unwanted:
                 raise InputError(f"--{option} belongs to --arithmetic float; leave it out, or the integers.")
-        backend: Backend = _integers(fit, record, ranges, given, before.get("plan"))
+        backend: Backend = _integers(fit, record, box, given, before.get("plan"), ranges or {})
     else:
         jacobian = jacobian or str(before.get("jacobian", "")) or False
         real = replace(DOUBLE if double else FLOAT, fused=fma or bool(before.get("fma")))
-        backend = _floats(fit, record, ranges, given, real, kinds_of(jacobian, fit.model))
+        backend = _floats(fit, record, box, given, real, kinds_of(jacobian, fit.model))
     errors = backend.errors()
-    notes = (*notes_of(fit), *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()))
+    notes = (
+        *notes_of(fit),
+        *shortened(fit, box),
+        *(f"Column {quoted(c)} is {made} in C." for c, made in named.items()),
+    )
     return Generated(backend, renamed_files(backend.files(errors, notes), name), errors, notes, name)
 
 
@@ -158,12 +166,12 @@ def _check_names(d: Decoupler) -> None:
 def _floats(
     fit: Fit,
     record: Mapping[str, Any],
-    ranges: Mapping[str, tuple[float, float]] | None,
+    box: Box,
     given: Mapping[str, Any],
     real: Real,
     jacobian: tuple[str, ...],
 ) -> FloatBackend:
-    found = lower(fit, box_of(fit, ranges), **given)
+    found = lower(fit, box, **given)
     _check_names(found)
     if jacobian and found.bounded is not None:
         raise InputError(
@@ -184,24 +192,24 @@ def _floats(
 def _integers(
     fit: Fit,
     record: Mapping[str, Any],
-    ranges: Mapping[str, tuple[float, float]] | None,
+    box: Box,
     given: Mapping[str, Any],
     plan: Sequence[int] | None,
+    ranges: Collection[str],
 ) -> IntegerBackend:
-    has_options = bool(options_of(lowering_of(fit.model)))
-    for column in (ranges or {}) if has_options else ():
+    options = options_of(lowering_of(fit.model))
+    for column in ranges:
         if column in fit.model.channels and column in fit.model.period:
             raise InputError(
                 f"--range {column} does not go with --arithmetic q31, where every bit pattern of {column} is "
                 "an angle; leave it out."
             )
-    unseen = {name: UNSEEN[name] for name in options_of(lowering_of(fit.model))}
-    found = lower(fit, box_of(fit, ranges), **(unseen if has_options else given))
+    found = lower(fit, box, **(UNSEEN if UNSEEN.keys() <= set(options) else given))
     _check_names(found)
     check_gains(pose_bounds(found))
     check_same(found)
     made = integer_program(found, plan, **{name: value for name, value in given.items() if value is not None})
-    return IntegerBackend(found, {**record, **_recorded({**made.options, "plan": made.plan}, given)}, made)
+    return IntegerBackend(made.d, {**record, **_recorded({**made.options, "plan": made.plan}, given)}, made)
 
 
 def _recorded(options: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

@@ -118,12 +118,19 @@ class IntegerArithmetic(Backend):
     def _rounded(self, inputs: np.ndarray) -> np.ndarray:
         return np.round(inputs).astype(np.int64)
 
+    def _trials(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Random poses are in SI."""
+        if self.decoupler.drawn is None:
+            return super()._trials(rng, count)
+        scales = np.array([[port.scale] for port in self.inputs])
+        return np.clip(np.round(self.decoupler.drawn(rng, count) / scales), *self.ends)
+
     def _chosen(self) -> np.ndarray:
         """Return corners and points of the box, and inputs that are out of range."""
         d, (low, high) = self.decoupler, self.ends
         rng = np.random.default_rng(1)
         share = np.hstack([rng.choice([0.0, 1.0], (len(low), 8)), rng.random((len(low), COUNT - 8))])
-        given = [self._rounded(low + (high - low) * share)]
+        given = [self._rounded(low + (high - low) * share if d.drawn is None else self._trials(rng, COUNT))]
         for k in range(0 if self.reads_angle else len(low)):
             beyond = np.repeat(given[0][:, 9 + k : 10 + k], 4, axis=1)
             beyond[k] = (-MOST - 1, low[k, 0] - 1, high[k, 0] + 1, MOST)

@@ -16,12 +16,15 @@ from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short
 from hallsym.codegen.fixed_point import LARGEST, Reciprocal, helpers
 from hallsym.codegen.integer_arithmetic import MOST, IntegerArithmetic
+from hallsym.codegen.integer_c import half_of
 from hallsym.codegen.naming import commented, identifier
 from hallsym.codegen.templates import lines_of
 
 KNOWN = 1 << 29
 """Largest known pose, in units of its last bit, that a zero may be taken at."""
-KNOWN_BIT = "#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose beyond 2^29 */"
+KNOWN_BIT = "#define DECOUPLER_STATUS_KNOWN 0x80000000UL /**< decoupler_zero(): known pose beyond {} */"
+EDGE = 16
+"""Units of the last bit by which the self-test keeps a known coordinate that repeats off half its period."""
 STEP = "misra-c2012-8.7:src/decoupler.c"
 """Deviation: the function is external for its user, not for its library."""
 SHIFTS = "misra-c2012-10.1:src/decoupler.c"
@@ -36,11 +39,28 @@ class IntegerBackend(IntegerArithmetic):
     def _templates(self) -> dict[str, str]:
         """Code without reciprocals is proved as a whole, and every angle that is read is tried."""
         found = super()._templates()
-        if self.program.angles:
+        if not self.decoupler.evident:
+            del found["proof/eva.c"]
+        elif self._whole:
             found["proof/eva.c"] = f"{FRAGMENTS}eva_of_step.c"
         if self.reads_angle:
             found["proof/exhaustive.c"] = f"{FRAGMENTS}every_angle.c"
         return found
+
+    @property
+    def _whole(self) -> bool:
+        """Whether Frama-C EVA is given all of the step, which calls functions; no reciprocal is in it."""
+        return bool(self._operations & {"angle", "look", "turn", "log"}) and not self.program.reciprocals
+
+    @property
+    def _operations(self) -> set[str]:
+        return {line.operation for line in self.program.lines}
+
+    @property
+    def _turning(self) -> dict[str, str]:
+        """Coordinates that wrap, by the entry of half their period."""
+        found = {c: half_of(c) for c in self.decoupler.pose}
+        return {c: half for c, half in found.items() if half in self.program.table}
 
     def _of_input(self, port: Port) -> dict[str, Any]:
         d, c, rest = self.decoupler, port.column, 1000
@@ -91,7 +111,10 @@ class IntegerBackend(IntegerArithmetic):
             "no_bits": [] if self.limited or d.flags else [""],
             "rad_per_bam": of_angles if p.angles else [],
             "said": [*lines_of(f"{FRAGMENTS}binary_angles.txt", {}), *said] if p.angles else said,
-            "known_bit": [] if p.angles else [KNOWN_BIT],
+            "known_bit": []
+            if p.angles
+            else [KNOWN_BIT.format("2^29 or half a period" if self._turning else "2^29")],
+            "turning": [{"index": d.pose.index(c), "half": half} for c, half in self._turning.items()],
             # build files
             "all_nan": "",
             "deviations": [STEP, *([SHIFTS] if p.shifts else [])],
@@ -129,7 +152,11 @@ class IntegerBackend(IntegerArithmetic):
         names = {e.name: f"p->{e.name}" for e in self.numbers}
         given = {short(port.column): f"in->{port.member}" for port in self.inputs}
         results = [f"out->{port.member} = {p.outputs[port.column][0]};" for port in self.outputs]
-        known = [f"(pose->{c} >= -{KNOWN}) && (pose->{c} <= {KNOWN})" for c in map(identifier, d.pose)]
+        most = {c: f"p->{self._turning[c]}" if c in self._turning else str(KNOWN) for c in d.pose}
+        known = [
+            f"(pose->{identifier(c)} >= -{far}) && (pose->{identifier(c)} <= {far})"
+            for c, far in most.items()
+        ]
         zero = "take_zero_of_angle.c" if p.angles else "take_zero.c"
         can_fail = bool(self.limited or d.flags)
         return {
@@ -166,10 +193,13 @@ class IntegerBackend(IntegerArithmetic):
                     text, e = f"(({text} * {reach}) >> 31U)", e + p.inputs[c] - 31
                 terms.append(f"({text} >> {e - e_rest}U)" if e >= e_rest else f"({text} << {e_rest - e}U)")
             share = round((1 - LEAST_GAIN) * 1024)
-            spread = " + ".join(terms or ["0U"])
+            if not terms:
+                gains.append(f"(p->{margin.rest} == 0)")
+                continue
+            spread = " + ".join(terms)
             gains.append(f"(({spread}) >= ((size(p->{margin.rest}) * {share}U) >> 10U))")
         return {
-            "size": lines_of(f"{FRAGMENTS}size.c", {}) if gains else [],
+            "size": lines_of(f"{FRAGMENTS}size.c", {}) if any("size(" in text for text in gains) else [],
             "zeros_beyond": "",
             "check_limits": _found("!(" + "\n    && ".join(within) + ")", "LIMITS") if within else [],
             "check_gains": _found("\n    || ".join(gains), "GAIN") if gains else [],
@@ -190,6 +220,7 @@ class IntegerBackend(IntegerArithmetic):
             "vector_includes": [],
             "slope_bounds": [],
             "rows": rows,
+            **self._flags_raised(str(MOST)),
             **self._known(),
             "fault_includes": [],
             "faults": list(self._faults()),
@@ -197,13 +228,18 @@ class IntegerBackend(IntegerArithmetic):
 
     def _known(self) -> dict[str, Any]:
         """Poses at which the self-test takes a zero, and those at which none is taken."""
-        angles = [port.column in self.program.angles for port in self.outputs]
-        tried = [[0x7FFFFFFF if angle else KNOWN for angle in angles]]
-        tried += [[0x80000001 if angle else -KNOWN for angle in angles], [4096] * len(angles)]
+        p = self.program
+        angles = [port.column in p.angles for port in self.outputs]
+        halves = {c: p.table[half][0] for c, half in self._turning.items()}
+        most = [halves[c] - EDGE if c in halves else KNOWN for c in self.decoupler.pose]
+        pairs = list(zip(angles, most, strict=True))
+        tried = [[0x7FFFFFFF if angle else far for angle, far in pairs]]
+        tried += [[0x80000001 if angle else -far for angle, far in pairs], [4096] * len(angles)]
         rows = [f"{{{', '.join(map(_integer, row, angles))}}}," for row in tried]
         refused = ["decoupler_out_t pose = {0};"] if not all(angles) else []
         for port, angle in zip(self.outputs, angles, strict=True):
-            for value in () if angle else (KNOWN + 1, -KNOWN - 1):
+            far = halves.get(port.column, KNOWN)
+            for value in () if angle else (far + 1, -far - 1):
                 refused += [f"pose.{port.member} = {value};"]
                 refused += ["bad += (decoupler_zero(&table, in, &pose) == DECOUPLER_STATUS_KNOWN) ? 0U : 1U;"]
             refused += [] if angle else [f"pose.{port.member} = 0;"]
@@ -267,8 +303,9 @@ class IntegerBackend(IntegerArithmetic):
             least, most = self._integers_of(c, room)
             eva.append(f"const int32_t out_{short(c)} = {name};")
             eva.append(f"//@ assert {short(c)}_bounded: {least} <= out_{short(c)} <= {most};")
-        read = "every angle, through all of the code" if self.reads_angle else "range test, all bit patterns"
-        tried = "range test, all bit patterns, and reciprocals, all divisors"
+        alone = "range test, all bit patterns"
+        read = "every angle, through all of the code" if self.reads_angle else alone
+        tried = f"{alone}, and reciprocals, all divisors"
         largest = max((int(abs(a.values).max()) << a.shift for a in p.arrays.values()), default=0)
         return {
             "largest": largest,
@@ -280,10 +317,10 @@ class IntegerBackend(IntegerArithmetic):
             "any_type": "int32_t",
             "reciprocals": reciprocals,
             "divisor_tests": calls,
-            "tried": read if p.angles else tried,
-            "as_proved": "" if p.angles else ", reciprocals as proved",
-            "outputs_proved": "" if p.angles else ", outputs within the stated bounds",
-            "upper": lines_of(f"{FRAGMENTS}upper.c", {}),
+            "tried": read if p.angles else tried if p.reciprocals else alone,
+            "as_proved": "" if self._whole else ", reciprocals as proved",
+            "outputs_proved": "" if self._whole else ", outputs within the stated bounds",
+            "upper": helpers(p),
             "eva_lines": [line for line in eva if line],
         }
 

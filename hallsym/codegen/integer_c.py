@@ -15,17 +15,16 @@ value does not fit.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from math import ceil, log2
+from math import ceil, floor, log2
 from typing import Any, cast
 
-import casadi as ca
 import numpy as np
 
-from hallsym.codegen.decoupler import Decoupler
+from hallsym.codegen.decoupler import Decoupler, Flag, Step, Whole
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.fixed_point import LARGEST, Fixed, Line, Program, Reciprocal
 from hallsym.codegen.float_c import straight
-from hallsym.codegen.operations import graph
+from hallsym.codegen.operations import Operation, graph
 from hallsym.errors import InputError
 
 ROOM = 30
@@ -109,14 +108,20 @@ class Compiler:
         self._inputs()
         for c, e in p.inputs.items():
             known[short(c)] = self._checked(Fixed(short(c), e, *d.ends(c)))
+        least = {flag.least for flag in d.flags}
         for entry in d.table:
-            alike = max(abs(o.value) for o in d.table if o.unit == entry.unit)
+            if entry.name in least:  # in the exponent of what it is compared with
+                continue
+            alike = max(abs(o.value) for o in d.table if (o.unit, o.like) == (entry.unit, entry.like))
             most = alike if abs(entry.value) * LIKE >= alike else alike / LIKE
             known[entry.name] = self._constant(entry.name, entry.value, self._exponent(-most, most))
         for entry in d.zeros:
             known[entry.name] = Fixed(entry.name, 0, 0.0, 0.0)
         for step in d.steps:
-            known[step.name] = self._step(step.expression, known)
+            made = self._step(step, known)
+            known[step.name] = self._whole(made) if isinstance(step, Whole) else made
+        for flag in d.flags:
+            self._flag(flag, known[flag.step])
         self._outputs({c: known[step.name] for c, step in zip(d.pose, d.steps[-len(d.pose) :], strict=True)})
         return p
 
@@ -153,8 +158,28 @@ class Compiler:
             if v.most * 2.0**e > 0.75 * 2**ROOM:
                 raise InputError(f"{c} {DOES_NOT_FIT}")
             p.table[f"zero_{short(c)}"] = (0, e)
-            p.outputs[c] = (self._line("add", v.text, f"zero_{short(c)}", v.e - e), e)
-            p.bounds[c] = (v.low, v.high, v.error + (2.0**-e if v.e > e else 0.0))
+            result = self._line("add", v.text, f"zero_{short(c)}", v.e - e)
+            p.outputs[c] = (self._wrapped(result, c, e), e)
+            error = v.error + self.d.left(c) + self.d.cut + (2.0**-e if v.e > e else 0.0)
+            p.bounds[c] = (float(v.low), float(v.high), float(error))
+
+    def _wrapped(self, name: str, column: str, e: int) -> str:
+        """A coordinate that repeats: within half a period of zero."""
+        if column not in self.d.model.period:
+            return name
+        half = self.d.model.period[column] / 2
+        self.p.table[half_of(column)] = (round(half * 2.0**e), e)
+        return self._line("wrap", name, half_of(column))
+
+    def _flag(self, flag: Flag, seen: Fixed) -> None:
+        """Compare with the entry rounded down: what is near it raises nothing."""
+        (least,) = (entry.value for entry in self.d.table if entry.name == flag.least)
+        self.p.table[flag.least] = (floor(least * 2.0**seen.e), seen.e)
+        self.p.flags[flag.name] = (seen.text, flag.least)
+
+    def _whole(self, v: Fixed) -> Fixed:
+        """The whole part: bits below the point cut off. What it chooses between does not jump."""
+        return Fixed(self._line("right", v.text, i=v.e), 0, float(floor(v.low)), float(floor(v.high)))
 
     def _constant(self, name: str, value: float, e: int | None = None) -> Fixed:
         e = self._exponent(value, value) if e is None else e
@@ -162,8 +187,8 @@ class Compiler:
         q = self.p.table[name][0]
         return self._checked(Fixed(name, e, value, value, abs(value - q * 2.0**-e)))
 
-    def _step(self, expression: ca.SX, known: Mapping[str, Fixed]) -> Fixed:
-        found = graph([expression])
+    def _step(self, step: Step, known: Mapping[str, Fixed]) -> Fixed:
+        found = graph([step.expression])
         made: list[Fixed] = []
         for operation in found.operations:
             if operation.op == "input":
@@ -179,8 +204,12 @@ class Compiler:
             elif operation.op == "div":
                 made.append(self._divide(*args))
             else:
-                raise InputError(f"Operation {operation.op} of the model has no integer form; use float.")
+                made.append(self._other(operation, args, step.name))
         return made[found.results[0]]
+
+    def _other(self, operation: Operation, args: Sequence[Fixed], step: str) -> Fixed:
+        """Return what another operation of a step gives."""
+        raise InputError(f"Operation {operation.op} of the model has no integer form; use float.")
 
     def _line(self, operation: str, a: str, b: str = "", i: int = 0, j: int = 0) -> str:
         name = f"q{len(self.p.lines) + 1}"
@@ -207,6 +236,8 @@ class Compiler:
         low, high = (a.low - b.high, a.high - b.low) if minus else (a.low + b.low, a.high + b.high)
         if a.text.startswith("zero_"):  # added at the end, in the exponent of the result
             return b
+        if b.text.startswith("zero_"):
+            return a
         e = min(a.e, b.e, self._exponent(low, high))
         error = a.error + b.error + ((a.e > e) + (b.e > e)) * 2.0**-e
         name = self._line("sub" if minus else "add", a.text, b.text, a.e - e, b.e - e)
@@ -287,6 +318,11 @@ class Compiler:
         if n <= 0:
             return self._checked(v)
         return self._checked(Fixed(self._line("left", v.text, i=n), v.e + n, v.low, v.high, v.error))
+
+
+def half_of(column: str) -> str:
+    """Return the entry of half the period of a pose coordinate, for integers."""
+    return f"half_{short(column)}"
 
 
 def _between(a: float, b: float) -> tuple[float, float]:

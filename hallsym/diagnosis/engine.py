@@ -12,6 +12,7 @@ The stages lead one way, each from typed records to a typed record:
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from hallsym.diagnosis.confusable import Confusable, confusable
 from hallsym.diagnosis.findings import findings
@@ -24,7 +25,7 @@ from hallsym.diagnosis.setup import Setup, prepare
 from hallsym.diagnosis.validation import validate
 from hallsym.diagnosis.verdict import decide
 from hallsym.estimation.calibration import Fit
-from hallsym.log import Log
+from hallsym.log import as_log
 from hallsym.model import Effect, Model
 
 
@@ -42,7 +43,7 @@ class Examined:
 
 
 def diagnose(
-    log: Log,
+    log: Any,
     model: str | Model | Fit | None = None,
     *,
     holdout: Sequence[int] | None = None,
@@ -61,6 +62,7 @@ def diagnose(
 
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
+    log = as_log(log, model.columns if isinstance(model, Fit) else None)
     return examine(
         prepare(
             log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hallsym.diagnosis.plain_data import plain, typed
+from hallsym.shown import Shown
 
 
 @dataclass(frozen=True)
@@ -293,8 +294,8 @@ class LogRecord:
     runs_fitted: int = 0
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:

@@ -12,6 +12,7 @@ The path of a fit, file by file:
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
 - `goodness_of_fit`: what is left, in multiples of the noise; `lower_bound`: what a linear fit leaves.
 - `covariance`: standard uncertainties; `run_scatter`: those that show between runs.
+- `evaluate`: a calibration on another log.
 - `result`, `calibration`: the record that is printed and saved.
 
 `task` puts these in order, `fit` is what users call.
@@ -40,6 +41,7 @@ from hallsym.estimation.decoding import (
     nominal_variance,
     pose_errors,
 )
+from hallsym.estimation.evaluate import Evaluation, evaluate
 from hallsym.estimation.fit import LOSSES, fit
 from hallsym.estimation.gauss_newton import Judged, cost_near, judge, judged, zeros_of
 from hallsym.estimation.goodness_of_fit import UNSTRUCTURED, GoodnessOfFit, goodness_of
@@ -76,6 +78,7 @@ __all__ = [
     "Determination",
     "ErrorTable",
     "Errors",
+    "Evaluation",
     "Fit",
     "GoodnessOfFit",
     "Judged",
@@ -99,6 +102,7 @@ __all__ = [
     "determine",
     "eliminate",
     "error_tables",
+    "evaluate",
     "exact",
     "feature_scale",
     "find_wiring",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,13 +16,13 @@ from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
 from hallsym.families import build, known_effect, plain
-from hallsym.files import atomic_write
-from hallsym.log import Log, Meta, Noise, Sigma
+from hallsym.log import Foreign, Log, Meta, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
 from hallsym.reading import read_json
 from hallsym.records import structured
+from hallsym.shown import Shown
 
 if TYPE_CHECKING:
     from hallsym.estimation.calibration_file import CalibrationRecord
@@ -114,8 +113,8 @@ class Errors:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Shown):
     """What `fit` returns and `calib.json` holds.
 
     `values`, `std`, `determined`: (n,) in the order of `model.parameters`; `std` is nan where the data do
@@ -161,6 +160,8 @@ class Fit:
     wiring: tuple[tuple[str, int], ...] | None = None
     turned: bool = False
     """Whether `wiring` is what an inspection of the log found before the fit: a side to mount; not saved."""
+    columns: Mapping[str, Foreign] = field(default_factory=dict)
+    """How the columns of the log were mapped, so that the next log of the machine is read alike."""
     versions: Mapping[str, str] = field(default_factory=dict)
     error_rows: Mapping[str, Any] = field(default_factory=dict)
 
@@ -194,6 +195,7 @@ class Fit:
             }
             for k, name in enumerate(model.names)
         }
+        mapped = {ours: foreign.to_dict() for ours, foreign in self.columns.items()}
         return {
             "format": FORMAT,
             "goodness_of_fit": None if self.goodness is None else self.goodness.to_dict(),
@@ -227,13 +229,9 @@ class Fit:
             "wiring": None if self.wiring is None else [list(pair) for pair in self.wiring],
             "layout": [dict(p.entry) for p in model.layout],
             "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
+            **({"columns": mapped} if mapped else {}),
             "versions": dict(self.versions),
         }
-
-    def save(self, path: str | Path) -> None:
-        """Write the calibration as JSON; a file that was there is replaced only by a complete new one."""
-        text = json.dumps(self.to_dict(), indent=1, allow_nan=False)
-        atomic_write(Path(path), (text + "\n").encode())
 
 
 def load_fit(
@@ -331,6 +329,7 @@ def _checked(
         notes=tuple(record.notes),
         undetermined_by_log=tuple(record.undetermined_by_log),
         wiring=None if record.wiring is None else tuple((c, s) for c, s in record.wiring),
+        columns={c: Foreign(e.name, e.scale, e.counts_per_turn) for c, e in record.columns.items()},
         versions=record.versions,
         error_rows=record.errors,
     )

@@ -119,6 +119,14 @@ class LogRecord(_Record):
     span: dict[str, tuple[float, float]] = {}
 
 
+class ColumnRecord(_Record):
+    """A column of the log under the name it has in its file."""
+
+    name: str
+    scale: float = 1.0
+    counts_per_turn: Annotated[float, Meta(ge=2, le=1e100)] | None = None
+
+
 class CalibrationRecord(_Record):
     """A calibration file; everything is in SI."""
 
@@ -144,6 +152,7 @@ class CalibrationRecord(_Record):
     layout: list[dict[str, Any]]
     log: LogRecord
     versions: dict[str, str]
+    columns: dict[str, ColumnRecord] = {}
     effects: list[str] = []
     own_effects: list[str] = []
     goodness_of_fit: GoodnessRecord | None = None

@@ -6,6 +6,7 @@ give starting points; IPOPT refines them inside the bounds; a second pass tabula
 
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -18,14 +19,14 @@ from hallsym.estimation.optimum import SOLVERS
 from hallsym.estimation.result import result_of, zero_notes
 from hallsym.estimation.task import Progress, Task
 from hallsym.families import adapted, build, default_model, plain
-from hallsym.log import Log, clean_log, usable
+from hallsym.log import Log, as_log, clean_log, usable
 from hallsym.model import Inspection, Model
 
 LOSSES = ("auto", "none", "reject", "tukey")
 
 
 def fit(
-    log: Log,
+    log: Any,
     model: str | Model | None = None,
     *,
     solver: str = "hybrid",
@@ -41,6 +42,30 @@ def fit(
     on_progress: Progress | None = None,
 ) -> Fit:
     """Calibrate `model` on `log` and return values, uncertainties and errors.
+
+    `log`: a `Log`, the path of one, a dict of arrays, or a data frame of any library that speaks Arrow
+    (pandas, polars, pyarrow, DuckDB). Its columns end with their unit, `x_ref_um`, or state it,
+    `x_ref [um]`; SI inside. Of the stage they are
+
+        run                               a whole number that a reset or a break ends
+        t_s                               time
+        hall_a_m, hall_b_m, hall_c_m      readings, as the displacement that each probe claims
+        z_m, rx_rad, ry_rad               vertical pose
+        x_ref_m, y_ref_m, rz_ref_rad      the reference
+
+    of an encoder `v_sin_v, v_cos_v` or `angle_rad` (`angle_count`) beside `angle_ref_rad`; `hallsym info
+    MODEL` lists those of any model. Names that are other ones are mapped by `hallsym.read_log(log,
+    columns={"hall_a_um": "HallA"})`.
+
+    Returns a `Fit`: `values`, `std`, `half_width` (n,) in the order of `model.names`; `value(name)`;
+    `covariance` (n, n); `errors.rows()` with rmse and peak of the decoded pose, before and after, on fitted
+    and holdout runs; `goodness`; `notes`. `summary()` is what the command prints, `to_dataframe()` the
+    parameters, `plot()` a picture, `save(path)` the calibration.
+
+    >>> import hallsym
+    >>> fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
+    >>> f"{1e6 * fit.errors.rows()['fitted']['rmse']['x_m']:.2f} um"
+    '1.36 um'
 
     `model`: a name or a Model; the log's own `base_model`, else what its columns suggest. `solver`: "hybrid"
     (SHTLBO and a closed form, then IPOPT), "direct" (closed form, then IPOPT) or a global method for the
@@ -60,6 +85,7 @@ def fit(
     began, say = perf_counter(), on_progress or (lambda _: None)
     _choice(solver, SOLVERS, "solver")
     _choice(loss, LOSSES, "loss")
+    log = as_log(log)
     if isinstance(model, Model):
         model = adapted(model, tuple(effects), parameters or {}, own)
     else:

@@ -93,6 +93,7 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
         undetermined_by_log=estimate.undetermined_by_log,
         wiring=composed(mounted, solved.wiring, model.channels),
         turned=mounted is not None and solved.wiring is None,
+        columns=dict(task.log.table.mapping),
         versions=dict(_versions()),
         error_rows=errors.rows(),
     )

@@ -18,13 +18,14 @@ from hallsym.families import build, default_model
 from hallsym.log import Log, Meta, Noise, check_log, check_noise_keys
 from hallsym.model import Model
 from hallsym.records import named
+from hallsym.shown import Shown
 from hallsym.simulation import Campaign
 
 FORMAT = "hallsym plan 1"
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Shown):
     """What to record next.
 
     `campaign`: the chosen runs, setting by setting. `choice`: how often each candidate of `study` is run, and

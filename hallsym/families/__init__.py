@@ -64,8 +64,8 @@ def default_model(meta: Meta) -> str:
     if meta.columns and not meta.base_model and not any(map(is_moving, meta.columns)):
         raise InputError(
             f"The log's columns ({', '.join(meta.columns)}) are neither "
-            f"{' nor '.join(f.about for f in FAMILIES)}; map columns with --column, or name the model with "
-            "--model."
+            f"{' nor '.join(f.about for f in FAMILIES)}; map columns with --column ('hallsym "
+            "info LOG --suggest' writes a column file), or name the model with --model."
         )
     fitting = [f for f in FAMILIES if f.refers(meta.columns)]
     sure = [f for f in fitting if f.reads(meta.columns)]

@@ -14,8 +14,9 @@ from hallsym.inference.intervals import Interval, Intervals, intervals_of, profi
 from hallsym.inference.null_directions import NullSpace, practical, structural
 from hallsym.inference.verdict import Verdict, strongest, verdicts
 from hallsym.inference.workspace import Change, Slopes, slopes_over
-from hallsym.log import Log
+from hallsym.log import Log, as_log
 from hallsym.model import Model
+from hallsym.shown import Shown
 from hallsym.simulation import Campaign, table8_noise
 
 FORMAT = "hallsym sensitivity 1"
@@ -101,8 +102,8 @@ class Offsets:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Identifiability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identifiability(Shown):
     """What `identify` returns.
 
     `correlation`: (n, n) of the estimates, nan where a parameter is not estimated. `spectrum`: singular
@@ -168,7 +169,7 @@ class Identifiability:
 
 def identify(
     known: Fit | Model,
-    on: Log | Campaign | None = None,
+    on: Any = None,
     *,
     values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
@@ -180,16 +181,21 @@ def identify(
 ) -> Identifiability:
     """Return what the data determine of each parameter.
 
-    `known`: a fit, with `on` its log (not needed for a fit just made), another log or a campaign that is not
-    recorded yet; or a model with a campaign. For a campaign: `values` are the machine's (default: the fit's,
-    or nominal), `noise` the standard deviation by column (default: the fit's, the campaign's, or Table 8's),
-    `name` what to call it.
+    `known`: a fit, with `on` its log (not needed for a fit just made), another log (as `fit` takes it) or a
+    campaign that is not recorded yet; or a model with a campaign. For a campaign: `values` are the machine's
+    (default: the fit's, or nominal), `noise` the standard deviation by column (default: the fit's, the
+    campaign's, or Table 8's), `name` what to call it.
     `profiles`: "auto" where the normal interval is not good enough, "all", or "none".
     `bootstrap`: resample runs so many times; None when white noise does not explain the scatter, 0 never.
 
     Raises `InputError` when model and log do not belong together or no covariance can be formed.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
+    on = (
+        on
+        if on is None or isinstance(on, Campaign)
+        else as_log(on, known.columns if isinstance(known, Fit) else None)
+    )
     evidence = _evidence(known, on, values, noise, name)
     intervals = intervals_of(evidence, profiles=profiles, bootstrap=bootstrap, seed=seed, say=say)
     say("looking for null directions")

@@ -13,7 +13,7 @@ from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
 from hallsym.log.quality.findings import Fault
 from hallsym.log.quality.scan import Span, Spans
-from hallsym.log.read import read_log
+from hallsym.log.read import as_log, open_source, read_log
 from hallsym.log.write import LogWriter, write_log
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "Span",
     "Spans",
     "Weigh",
+    "as_log",
     "batches",
     "check_log",
     "check_noise_keys",
@@ -41,6 +42,7 @@ __all__ = [
     "extended",
     "near",
     "on_rails",
+    "open_source",
     "parse_column_option",
     "read_column_file",
     "read_log",

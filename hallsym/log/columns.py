@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from hallsym.errors import InputError, nearest, quoted
 from hallsym.reading import MOST_NUMBER
 from hallsym.toml import Table
-from hallsym.units import Array, quantity, require_unit, si_name, split_unit
+from hallsym.units import UNITS, Array, quantity, require_unit, si_name, split_unit
 
 RUN = "run"
 
@@ -29,16 +29,25 @@ class Foreign:
     scale: float = 1.0
     counts_per_turn: float | None = None
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record, as a column file has it."""
+        return {k: v for k, v in vars(self).items() if v is not None and (k, v) != ("scale", 1.0)}
+
 
 @dataclass(frozen=True)
 class Binding:
-    """SI column `name` is `factor * file[source] + offset`; `counts_per_turn`: of an angle in counts."""
+    """SI column `name` is `factor * file[source] + offset`; `counts_per_turn`: of an angle in counts.
+
+    `asked`: our name with its unit, as somebody mapped it, "" for the file's own; `scale`: stated beside it.
+    """
 
     name: str
     source: str
     factor: float = 1.0
     offset: float = 0.0
     counts_per_turn: float | None = None
+    asked: str = ""
+    scale: float = 1.0
 
     def si(self, raw: Array) -> Array:
         """Return SI values (float64; the run column as integers) of raw values of shape (rows,)."""
@@ -67,8 +76,7 @@ def parse_column_option(text: str) -> tuple[str, str]:
             f"Option --column must be OUR_NAME=ITS_NAME, such as hall_a_um=HallA; it is '{text}'."
         )
     ours = ours.strip()
-    if ours != RUN:
-        require_unit(ours)
+    _check_ours(ours)
     return ours, foreign.strip()
 
 
@@ -102,30 +110,95 @@ def bind(
     wanted: Mapping[str, str | Foreign],
     where: str,
     counts_per_turn: float | None = None,
-) -> dict[str, Binding]:
-    """Return the SI columns that a file with columns `found` offers, by SI name.
+    units: Mapping[str, str] | None = None,
+) -> tuple[dict[str, Binding], list[str]]:
+    """Return the SI columns that a file with columns `found` offers, by SI name, and what to say of them.
 
-    A file's own column whose name states its unit needs no mapping; one without a unit is left out. Angles in
-    counts need `counts_per_turn`.
+    A file's own column whose name states its unit, or beside whose name the file does (`units`, by name),
+    needs no mapping; one without a unit is left out. Angles in counts need `counts_per_turn`.
     """
     bindings: dict[str, Binding] = {}
+    stated, said = units or {}, []
     for ours, entry in wanted.items():
         foreign = Foreign(entry) if isinstance(entry, str) else entry
+        if ours != RUN and foreign.name not in stated:
+            require_unit(ours)
         if foreign.name not in found:
             raise InputError(
                 f"{where} has no column '{foreign.name}' for {ours}{nearest(foreign.name, list(found))};"
                 f" it has {listed(found)}."
             )
-        _add(bindings, _binding(ours, foreign, where, counts_per_turn), where)
+        unit, asked = stated.get(foreign.name), ours
+        if ours != RUN and unit and split_unit(ours)[1] is None:
+            ours = f"{ours}_{unit}"
+        elif ours != RUN and unit and unit != require_unit(ours).name:
+            said.append(
+                f"Column '{foreign.name}' is read in {require_unit(ours).name} as stated; its header says"
+                f" {unit}."
+            )
+        binding = replace(_binding(ours, foreign, where, counts_per_turn), asked=asked, scale=foreign.scale)
+        _add(bindings, binding, where)
     taken = {b.source for b in bindings.values()}
     for column in found:
-        if column in taken or not (column == RUN or split_unit(column)[1]):
+        name = column if column in taken else _named(column, stated.get(column), where)
+        if column in taken or not (name == RUN or split_unit(name)[1]):
             continue
-        own = _binding(column, Foreign(column), where, counts_per_turn)
+        own = _binding(name, Foreign(column), where, counts_per_turn)
+        if own.counts_per_turn:
+            own = replace(own, asked=name)
         if own.name in bindings and bindings[own.name].source in _names(wanted):
             continue  # the mapping, which somebody wrote, wins over the file's own name
         _add(bindings, own, where)
-    return bindings
+    return bindings, said
+
+
+def _named(column: str, unit: str | None, where: str) -> str:
+    """Return a column with the unit that the file states beside its name: `x_ref` [um] -> `x_ref_um`."""
+    stem, own = split_unit(column)
+    if unit is None or column == RUN:
+        return column
+    if own and quantity(stem) and own != UNITS[unit]:
+        raise InputError(
+            f"Column '{column}' of {where} must have one unit; its name says {own.name}, the file {unit}:"
+            f" state the right one with --column {stem}_{unit}={column} or --column {column}={column}."
+        )
+    return column if own and quantity(stem) else f"{column}_{unit}"
+
+
+def still_missing(
+    known: Mapping[str, Foreign],
+    found: Sequence[str],
+    wanted: Mapping[str, str | Foreign],
+    units: Mapping[str, str],
+    where: str,
+) -> dict[str, Foreign]:
+    """Return those columns of an earlier mapping that a file has and nothing else gives.
+
+    `found`, `units`, `where`: as in `bind`; `wanted`: what was mapped for this file. Raises `InputError`
+    where the file states another unit than the mapping, which was made for another file.
+    """
+    given = {_stem(ours) for ours in wanted} | {_stem(column) for column in found}
+    used = set(_names(wanted))
+    again = {
+        ours: foreign
+        for ours, foreign in known.items()
+        if foreign.name in found
+        and foreign.name not in used
+        and (_stem(ours) not in given or _stem(ours) == _stem(foreign.name))
+        and (ours == RUN or split_unit(ours)[1] or foreign.name in units)
+    }
+    for ours, foreign in again.items():
+        own, unit = split_unit(ours)[1], units.get(foreign.name)
+        if own and unit and UNITS[unit] != own:
+            raise InputError(
+                f"Column '{foreign.name}' of {where} is in {unit} by its header; in the calibration's log"
+                f" it was in {own.name}: say which it is with --column {_stem(ours)}_{unit}={foreign.name}."
+            )
+    return again
+
+
+def _stem(column: str) -> str:
+    return split_unit(column)[0]
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:
@@ -164,8 +237,7 @@ def _add(bindings: dict[str, Binding], new: Binding, where: str) -> None:
 
 
 def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
-    if ours != RUN:
-        require_unit(ours)
+    _check_ours(ours)
     if isinstance(entry, str):
         return Foreign(entry)
     known = isinstance(entry, dict) and set(entry) <= {"name", "sign", "scale", "counts_per_turn"}
@@ -180,6 +252,12 @@ def _foreign(ours: str, entry: Any, path: str | Path) -> Foreign:
     counts = entry.get("counts_per_turn")
     counts = None if counts is None else counts_in_turn(counts, f"Column file {path}: {ours}")
     return Foreign(entry["name"], sign * float(scale), counts)
+
+
+def _check_ours(ours: str) -> None:
+    """Refuse a name without a unit, unless it is one of ours: then the file may state the unit."""
+    if ours != RUN and not (quantity(ours) and split_unit(ours)[1] is None):
+        require_unit(ours)
 
 
 def _whole(raw: Array, source: str) -> Array:

@@ -53,7 +53,7 @@ class Log:
                 raise InputError(
                     f"Column {key} of {name} must be a vector as long as the others; it is {values.shape}."
                 )
-        table = Table(Arrays(arrays), bind(tuple(arrays), {}, name), name)
+        table = Table(Arrays(arrays), bind(tuple(arrays), {}, name)[0], name)
         known = replace(meta or Meta(), columns=table.columns)
         return Log(table, noise or Noise(), known, notes=run_notes(table.bindings))
 

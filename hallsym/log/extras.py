@@ -1,4 +1,4 @@
-"""Libraries that are extras: loaded on first use, and asked for by name where they are missing."""
+"""Libraries that are loaded on first use; extras are asked for by name where they are missing."""
 
 from __future__ import annotations
 
@@ -7,25 +7,19 @@ from typing import Any
 
 from hallsym.errors import InputError
 
-_EXTRAS = {"pyarrow": ("parquet", "Parquet"), "h5py": ("hdf5", "HDF5 (and MATLAB v7.3)")}
+_EXTRAS = {"h5py": ("hdf5", "HDF5 (and MATLAB v7.3)"), "python_calamine": ("xlsx", "Workbook")}
 
 
 def load(module: str) -> Any:
-    """Import an extra; where it is not installed, say what to install."""
-    extra, kind = _EXTRAS[module.partition(".")[0]]
+    """Import a library; where an extra is not installed, say what to install."""
+    name = module.partition(".")[0]
+    if name not in _EXTRAS:
+        return importlib.import_module(module)
+    extra, kind = _EXTRAS[name]
     try:
         return importlib.import_module(module)
     except ImportError as error:
         raise InputError(
-            f"{kind} files need {module.partition('.')[0]}, which is not installed;"
+            f"{kind} files need {name.replace('_', '-')}, which is not installed;"
             f" run: pip install 'hallsym[{extra}]'."
         ) from error
-
-
-def available(module: str) -> bool:
-    """Say whether an extra can be imported."""
-    try:
-        load(module)
-    except InputError:
-        return False
-    return True

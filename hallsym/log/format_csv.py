@@ -1,60 +1,62 @@
-"""CSV logs: one header line with names, one sample per line; `#` comments may come first."""
+"""CSV logs as laboratories write them: `hallsym.log.text` recognises what a file is, pyarrow reads it."""
 
 from __future__ import annotations
 
-import os
-import re
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-from io import TextIOWrapper
-from itertools import islice
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import IO
 
 from hallsym.errors import InputError, quoted
-from hallsym.log.extras import available, load
+from hallsym.log.arrow import array_of
+from hallsym.log.extras import load
 from hallsym.log.table import Source, label
+from hallsym.log.text import MISSING, Cleaner, Dialect, Encoded, TableStream, as_float, end_of, sniffed
+from hallsym.log.text.numbers import Convention
+from hallsym.log.text.stream import INSIDE, decimal_of
 from hallsym.units import Array
 
 IN_MEMORY_BYTES = 250_000_000
-LONGEST_LINE = 10_000_000
-"""Characters of a header: 100,000 columns with long names."""
+COMPRESSED = 8
+"""What text of numbers becomes larger by when it is decompressed, at most."""
+BLOCK = 1 << 19
+"""Bytes that pyarrow reads at once: it holds some ten of them."""
 _TORN = "The last line of {} does not end with a newline: if the file was cut short, its last value is wrong."
-_MISSING = ("", "nan", "NaN", "NAN")
-_TYPED = {"\t": "$'\\t'"}  # in a shell
-_SAY = {"\t": "tabs", ";": "';'", "|": "'|'", ",": "','"}
-
-
-@dataclass(frozen=True)
-class Header:
-    """Column names and the number of lines up to and including the header."""
-
-    names: tuple[str, ...]
-    lines: int
-    delimiter: str
 
 
 class CsvSource(Source):
-    """Columns of one CSV file; an empty cell is NaN. Read by pyarrow where it is installed, else by numpy."""
+    """Columns of one table of text; an empty cell is NaN.
 
-    def __init__(self, path: Path, delimiter: str | None = None) -> None:
-        """Read the header."""
-        self.path = path
-        self.header = _read_header(path, delimiter)
-        self.names = self.header.names
-        self.small = path.stat().st_size <= IN_MEMORY_BYTES
-        self.notes = () if _ends_with_newline(path) else (_TORN.format(quoted(path)),)
+    `file`: what to open where it is not the bytes at `path` but those of a `sheet` of a workbook.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        delimiter: str | None = None,
+        decimal: str | None = None,
+        file: Callable[[], IO[bytes]] | None = None,
+        sheet: str = "",
+    ) -> None:
+        """Recognise what the file is."""
+        self.path, self.where = path, quoted(path)
+        self.file = Encoded.of(file or path)
+        self.dialect: Dialect = sniffed(self.file, self.where, delimiter, decimal)
+        self.names, self.units, self.aliases = self.dialect.names, self.dialect.units, self.dialect.aliases
+        bytes_read = path.stat().st_size * (COMPRESSED if self.file.compressed else 1)
+        self.small = file is not None or bytes_read <= IN_MEMORY_BYTES
+        self.recognised = self.dialect.said(sheet)
+        self.notes = self._notes()
         self._rows: int | None = None
+
+    def _notes(self) -> tuple[str, ...]:
+        said = () if self.dialect.usual else (f"{self.where} is read as {self.recognised}.",)
+        whole = self.dialect.footer or end_of(self.file, 8).endswith(("\n", "\r"))
+        return said if whole else (*said, _TORN.format(self.where))
 
     def count(self) -> int:
         """Return the number of rows; before the first read the lines are counted."""
         if self._rows is None:
-            with _lines(self.path) as stream:
-                self._rows = sum(1 for line in islice(stream, self.header.lines, None) if line.strip())
+            self._rows = sum(piece.count(b"\n") for piece in self._pieces())
         return self._rows
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
@@ -63,27 +65,62 @@ class CsvSource(Source):
         self._rows = len(next(iter(columns.values()), ())) if names else self._rows
         return columns
 
+    def head(self, count: int, most: int) -> list[list[str]]:
+        """Return the first rows as the file writes them."""
+        piece = next(self._pieces(), b"").decode("utf-8", "replace")
+        delimiter = Cleaner(self.dialect).delimiter
+        rows = [line.split(delimiter)[:most] for line in piece.split("\n")[:count] if line]
+        return [[cell.strip().replace(INSIDE, delimiter) for cell in row] for row in rows]
+
     def labels(self, name: str) -> list[str]:
         """Return the cells of one column as text, without quotes; numbers as `label` has them."""
-        at, header = self.names.index(name), self.header
-        with _lines(self.path) as stream:
-            rows = [
-                line.rstrip("\r\n").split(header.delimiter)
-                for line in islice(stream, header.lines, None)
-                if line.strip()
-            ]
-        cells = [row[at].strip().strip("\"'").strip() if len(row) > at else "" for row in rows]
-        return ["" if c in _MISSING else label(float(c)) if "." in c and _number(c) else c for c in cells]
+        at, delimiter = self.names.index(name), Cleaner(self.dialect).delimiter
+        found = []
+        for piece in self._pieces():
+            for line in piece.decode("utf-8", "replace").rstrip("\n").split("\n"):
+                row = line.split(delimiter)
+                cell = (
+                    row[at].strip().strip("\"'").strip().replace(INSIDE, delimiter) if len(row) > at else ""
+                )
+                number = as_float(cell, self.dialect.numbers) if "." in cell or "," in cell else None
+                found.append("" if cell in MISSING else label(number) if number is not None else cell)
+        return found
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks."""
-        reader = _arrow_chunks if available("pyarrow.csv") else _numpy_chunks
         indices = [self.names.index(name) for name in names]
         try:
-            for columns in reader(self.path, self.header, indices, size):
+            for columns in self._arrow(indices):
                 yield dict(zip(names, columns, strict=True))
         except ValueError as error:  # pyarrow's ArrowInvalid is one too
-            raise first_fault(self.path, self.header, indices, error) from error
+            if isinstance(error, InputError | UnicodeDecodeError):
+                raise
+            raise first_fault(self, indices, error) from error
+
+    def _pieces(self) -> Iterator[bytes]:
+        return TableStream.pieces(self.file, self.dialect, self.where, BLOCK)
+
+    def _arrow(self, indices: Sequence[int]) -> Iterator[list[Array]]:
+        csv, arrow = load("pyarrow.csv"), load("pyarrow")
+        labels = [str(k) for k in range(len(self.names))]
+        options = {
+            "read_options": csv.ReadOptions(column_names=labels, block_size=max(BLOCK, 100 * len(labels))),
+            "parse_options": csv.ParseOptions(delimiter=Cleaner(self.dialect).delimiter, quote_char=False),
+            "convert_options": csv.ConvertOptions(
+                column_types=dict.fromkeys(labels, arrow.float64()),
+                include_columns=[str(k) for k in indices],
+                null_values=list(MISSING),
+                decimal_point=decimal_of(self.dialect),
+            ),
+        }
+        stream = TableStream(self.file, self.dialect, self.where, BLOCK)
+        try:
+            with csv.open_csv(stream, **options) as reader:
+                for batch in reader:
+                    yield [array_of(column) for column in batch.columns]
+        except arrow.ArrowInvalid as error:
+            if "Empty CSV" not in str(error):
+                raise
 
 
 class CsvWriter:
@@ -102,13 +139,6 @@ class CsvWriter:
         if not self._started:
             self._stream.write(self._delimiter.join(columns) + "\n")
             self._started = True
-        if available("pyarrow.csv"):
-            self._write_fast(columns)
-            return
-        texts = [map(repr, values.tolist()) for values in columns.values()]
-        self._stream.writelines(self._delimiter.join(row) + "\n" for row in zip(*texts, strict=True))
-
-    def _write_fast(self, columns: Mapping[str, Array]) -> None:
         csv, arrow = load("pyarrow.csv"), load("pyarrow")
         options = csv.WriteOptions(include_header=False, delimiter=self._delimiter)
         self._stream.flush()
@@ -119,123 +149,43 @@ class CsvWriter:
         self._stream.close()
 
 
-def _lines(path: Path) -> TextIOWrapper:
-    return open(path, encoding="utf-8-sig", errors="replace", newline=None)
-
-
-def _ends_with_newline(path: Path) -> bool:
-    with open(path, "rb") as stream:
-        stream.seek(-1, os.SEEK_END)
-        return stream.read(1) in b"\r\n"
-
-
-def _read_header(path: Path, delimiter: str | None) -> Header:
-    with _lines(path) as stream:
-        for number, line in enumerate(iter(partial(stream.readline, LONGEST_LINE), ""), start=1):
-            if "\0" in line or len(line) == LONGEST_LINE:
-                raise InputError(
-                    f"Line {number} of {quoted(path)} must hold column names; it is no text, so the file is "
-                    "damaged or of another format: copy it again, or state its --format."
-                )
-            if line.strip() and not line.startswith("#"):
-                return _parse_header(path, line.rstrip("\n"), number, delimiter)
-    raise InputError(
-        f"{path} is empty: it must hold a header line with column names and one line per sample."
-    )
-
-
-def _parse_header(path: Path, line: str, number: int, delimiter: str | None) -> Header:
-    tab = path.suffix == ".tsv" or (path.suffix == ".txt" and "\t" in line)
-    chosen = delimiter or ("\t" if tab else ",")
-    names = tuple(field.strip().strip("\"'").strip() for field in line.split(chosen))
-    other = next((d for d in ("\t", ";", "|", ",") if d != chosen and d in line), None)
-    if len(names) == 1 and other:
-        raise InputError(
-            f"Columns of {path} must be separated by {_SAY.get(chosen, repr(chosen))}; line {number} looks"
-            f" separated by {_SAY[other]}, so say it with --delimiter {_TYPED.get(other, repr(other))}"
-            f" (in Python delimiter={other!r})."
-        )
-    if all(_number(name) is not None for name in names):
-        raise InputError(
-            f"Line {number} of {path} must hold column names such as hall_a_m; it holds numbers."
-        )
-    name, times = Counter(names).most_common(1)[0]
-    if times > 1:
-        raise InputError(f"Column names of {path} must differ; '{name}' stands there twice.")
-    return Header(names, number, chosen)
-
-
-def _arrow_chunks(path: Path, header: Header, indices: Sequence[int], size: int) -> Iterator[list[Array]]:
-    csv, arrow = load("pyarrow.csv"), load("pyarrow")
-    labels = [str(i) for i in range(len(header.names))]
-    block = max(1 << 16, size * 20 * len(labels))
-    options: dict[str, Any] = {
-        "read_options": csv.ReadOptions(skip_rows=header.lines, column_names=labels, block_size=block),
-        "parse_options": csv.ParseOptions(delimiter=header.delimiter, quote_char=False),
-        "convert_options": csv.ConvertOptions(
-            column_types=dict.fromkeys(labels, arrow.float64()),
-            include_columns=[str(i) for i in indices],
-            null_values=list(_MISSING),
-        ),
-    }
-    try:
-        with csv.open_csv(path, **options) as reader:
-            for batch in reader:
-                yield [column.to_numpy(zero_copy_only=False) for column in batch.columns]
-    except arrow.ArrowInvalid as error:
-        if "Empty CSV" not in str(error):
-            raise
-
-
-def _numpy_chunks(path: Path, header: Header, indices: Sequence[int], size: int) -> Iterator[list[Array]]:
-    commas = len(header.names) - 1
-    with _lines(path) as stream:
-        rows = islice(stream, header.lines, None)
-        while batch := list(islice(rows, size)):
-            filled = [_fill(line, header.delimiter) for line in batch if line.strip()]
-            if any(line.count(header.delimiter) != commas for line in filled):
-                raise ValueError("a line has too many or too few cells")
-            if filled:
-                delimiter = header.delimiter
-                values = np.loadtxt(filled, delimiter=delimiter, usecols=indices, ndmin=2, comments=None)
-                yield list(np.ascontiguousarray(values.T))
-
-
-def _fill(line: str, delimiter: str) -> str:
-    """Return the line with nan in its empty cells."""
-    line = line.rstrip("\r\n")
-    if delimiter * 2 in line or line.endswith(delimiter) or line.startswith(delimiter):
-        return delimiter.join(cell if cell.strip() else "nan" for cell in line.split(delimiter))
-    return line
-
-
-def first_fault(path: Path, header: Header, indices: Sequence[int], error: Exception) -> InputError:
+def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> InputError:
     """Return the error that says where the first bad line or cell of a CSV file is."""
-    with _lines(path) as stream:
-        for number, line in enumerate(stream, start=1):
-            if number <= header.lines or not line.strip():
-                continue
-            cells = line.rstrip("\r\n").split(header.delimiter)
-            if len(cells) != len(header.names):
-                return InputError(
-                    f"Line {number} of {path} must have {len(header.names)} cells as the header has;"
-                    f" it has {len(cells)}, so the file may be cut short or two lines may have run together."
-                )
-            for index in indices:
-                if cells[index].strip() not in _MISSING and _number(cells[index]) is None:
-                    return _bad_cell(path, number, header.names[index], cells[index].strip())
-    return InputError(f"{path} cannot be read as CSV ({' '.join(str(error).split())[:120]}).")
+    dialect, clean = source.dialect, Cleaner(source.dialect)
+    for number, line in enumerate(source.file.lines(source.where), start=1):
+        text = clean(line.encode()).decode() if number >= dialect.first else ""
+        if not text:
+            continue
+        cells = text.split(clean.delimiter)
+        if len(cells) != len(dialect.names):
+            decimal = clean.delimiter == "," and len(cells) == 2 * len(dialect.names)
+            why = "the file may be cut short or two lines may have run together"
+            why = "commas may be decimal signs too: export it with another delimiter" if decimal else why
+            return InputError(
+                f"Line {number} of {source.where} must have {len(dialect.names)} cells as the header has;"
+                f" it has {len(cells)}, so {why}."
+            )
+        for index in indices:
+            cell = cells[index].strip()
+            if as_float(cell, _clean_numbers(dialect)) is None:
+                return _bad_cell(source, number, dialect.names[index], cell)
+    return InputError(f"{source.where} cannot be read as CSV ({' '.join(str(error).split())[:120]}).")
 
 
-def _bad_cell(path: Path, number: int, name: str, cell: str) -> InputError:
-    comma = " with a decimal point, not a comma" if re.fullmatch(r"[-+]?\d+,\d+.*", cell) else ""
+def _clean_numbers(dialect: Dialect) -> Convention:
+    return Convention(decimal_of(dialect))
+
+
+def _bad_cell(source: CsvSource, number: int, name: str, cell: str) -> InputError:
+    decimal, what = source.dialect.numbers.decimal, {",": "comma", ".": "point"}
+    other = "," if decimal == "." else "."
+    said = remedy = ""
+    if as_float(cell, Convention(decimal, other)) is not None:
+        remedy = f"; if a {what[other]} separates thousands, state --decimal {decimal}"
+    elif as_float(cell, Convention(other)) is not None:
+        said = f" with a decimal {what[decimal]}, not a {what[other]}"
+        remedy = f": write all numbers alike, or state --decimal {other}"
     return InputError(
-        f"Line {number}, column '{name}' of {path} must be a number{comma}; it is '{cell[:40]}'."
+        f"Line {number}, column '{name}' of {source.where} must be a number{said}; it is "
+        f"'{cell[:40]}'{remedy}."
     )
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text) if "_" not in text else None
-    except ValueError:
-        return None

@@ -1,4 +1,4 @@
-"""Parquet logs, through pyarrow (an extra)."""
+"""Parquet logs, through pyarrow."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hallsym.errors import InputError
+from hallsym.log.arrow import array_of, is_numeric
 from hallsym.log.extras import load
 from hallsym.log.table import IN_MEMORY_ROWS, Source, label
 from hallsym.units import Array
@@ -52,12 +51,9 @@ class ParquetSource(Source):
             yield file
 
     def _numbers(self, name: str, column: Any) -> Array:
-        kind = load("pyarrow").types
-        if not (kind.is_integer(column.type) or kind.is_floating(column.type)):
+        if not is_numeric(column.type):
             raise InputError(f"Column '{name}' of {self.path} must hold numbers; it holds {column.type}.")
-        return np.asarray(
-            column.to_numpy(zero_copy_only=False) if hasattr(column, "buffers") else column.to_numpy()
-        )
+        return array_of(column)
 
 
 class ParquetWriter:

@@ -12,6 +12,7 @@ from hallsym.log.format_csv import CsvSource, CsvWriter
 from hallsym.log.format_hdf5 import Hdf5Source, Hdf5Writer
 from hallsym.log.format_mat import MatWriter, open_mat
 from hallsym.log.format_parquet import ParquetSource, ParquetWriter
+from hallsym.log.format_xlsx import open_workbook
 from hallsym.log.table import Source
 from hallsym.units import Array
 
@@ -30,27 +31,39 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class Format:
-    """A format's name, the suffixes that mean it, how to open it, what it is called and how to write it."""
+    """A format's name, the suffixes that mean it, how to open it, what it is called and how to write it.
+
+    `options`: what a reader may be told of it, by the names of `read_log`. `writer`: None for a format that
+    is only read.
+    """
 
     name: str
     suffixes: tuple[str, ...]
-    open: Callable[[Path], Source]
+    open: Callable[..., Source]
     kind: str
-    writer: Callable[[Path], Writer]
+    writer: Callable[[Path], Writer] | None
+    options: tuple[str, ...] = ()
 
 
 FORMATS = (
     Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet", ParquetWriter),
-    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter),
+    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter, ("delimiter", "decimal")),
     Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5", Hdf5Writer),
     Format("mat", (".mat",), open_mat, "MATLAB", MatWriter),
+    Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", None, ("sheet", "decimal")),
 )
 
 
+COMPRESSED = ".gz"
+
+
 def format_of(path: Path, name: str | None = None) -> Format:
-    """Return the format that `name` states or else the path's suffix means."""
+    """Return the format that `name` states or else the path's suffix means; log.csv.gz is CSV."""
+    suffix = path.suffix.lower()
+    if suffix == COMPRESSED:
+        suffix = Path(path.stem).suffix.lower() or ".csv"
     for entry in FORMATS:
-        if entry.name == name or (name is None and path.suffix.lower() in entry.suffixes):
+        if entry.name == name or (name is None and suffix in entry.suffixes):
             return entry
     if name is not None:
         known = [entry.name for entry in FORMATS]

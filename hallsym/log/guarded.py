@@ -34,7 +34,11 @@ class Guarded(Source):
             self.inner = open(path)
             self.names, self.small = tuple(self.inner.names), self.inner.small
         self.left_out, self.aliases = dict(self.inner.left_out), dict(self.inner.aliases)
-        self.notes = self.inner.notes
+        self.notes, self.units, self.recognised = (
+            self.inner.notes,
+            dict(self.inner.units),
+            self.inner.recognised,
+        )
         self._check_names()
 
     def count(self) -> int:
@@ -49,6 +53,11 @@ class Guarded(Source):
         with self._reading():
             columns = self.inner.read(names)
         return self._judged(names, columns)
+
+    def head(self, count: int, most: int) -> list[list[str]]:
+        """Return the first rows as text."""
+        with self._reading():
+            return self.inner.head(count, most)
 
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""

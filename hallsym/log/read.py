@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.log.columns import (
@@ -16,61 +17,82 @@ from hallsym.log.columns import (
     counts_in_turn,
     listed,
     read_column_file,
+    still_missing,
 )
 from hallsym.log.core import Log, run_notes
-from hallsym.log.format_csv import CsvSource
 from hallsym.log.formats import FORMATS, format_of
+from hallsym.log.frames import is_table, source_of
 from hallsym.log.guarded import Guarded
 from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
+from hallsym.log.text import stated_delimiter
 from hallsym.reading import regular
 from hallsym.units import split_unit
 
 
+def as_log(data: Any, remembered: Mapping[str, Foreign] | None = None) -> Log:
+    """Return a log: itself, or what `read_log` makes of a path or of a table in memory."""
+    return data if isinstance(data, Log) else read_log(data, remembered=remembered)
+
+
 def read_log(
-    path: str | Path,
+    path: Any,
     *,
     columns: Mapping[str, str] | None = None,
     column_file: str | Path | None = None,
     format: str | None = None,
     delimiter: str | None = None,
+    decimal: str | None = None,
+    sheet: str | None = None,
     drop_bad: bool = False,
     noise: Mapping[str, float] | None = None,
     counts_per_turn: float | None = None,
+    remembered: Mapping[str, Foreign] | None = None,
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
-    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`.
+    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; or a
+    table in memory: a dict of arrays, or a data frame of any library that speaks Arrow (pandas, polars,
+    pyarrow, DuckDB), whose names state their unit as those of a file do: `x_ref_um`, `x_ref [um]`.
     `columns` maps our name, ending with the unit the foreign column is in, to the foreign name:
     `{"hall_a_um": "HallA"}` gives the SI column `hall_a_m`. A column file (TOML) says the same and may give
     noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
     `counts_per_turn`: of angles in counts (`{"angle_count": "raw"}`); it wins in the same way.
+    Of a text file delimiter and decimal sign are recognised; `delimiter` ("tab" and "blank" are words for
+    them) and `decimal` state them. `sheet`: of a workbook that has several.
+    `remembered`: columns as an earlier log was mapped (`Fit.columns`); those that this file has, and that
+    nothing else gives, are read under the same names, and a note says so.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
-    file, folder = _locate(Path(path))
-    source = _open(file, format, delimiter)
+    file, folder, source = open_source(path, format=format, delimiter=delimiter, decimal=decimal, sheet=sheet)
+    where = "The table" if file is None else quoted(file)
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
+    again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
+    wanted |= again
     counts = (
         counts_per_turn
         if counts_per_turn is not None
         else stated.counts_per_turn or meta.raw.get("counts_per_turn")
     )
-    turn = None if counts is None else counts_in_turn(counts, quoted(file))
-    where = quoted(file)
-    table = Table(source, bind(source.names, wanted, where, turn), where)
+    turn = None if counts is None else counts_in_turn(counts, where)
+    bindings, changed = bind(source.names, wanted, where, turn, source.units)
+    table = Table(source, bindings, where)
     if not any(name != RUN for name in table.columns):
         raise InputError(
             f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"
-            f" {listed(source.names)}; map them with --column hall_a_um=ITS_NAME."
+            f" {listed(source.names, 8)}; map them with --column hall_a_um=ITS_NAME, or have 'hallsym info"
+            " FILE --suggest' write a column file."
         )
     known = _noise(meta, stated, noise or {}, table)
     meta = replace(meta, columns=table.columns)
     check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
-    log = Log(table, known, meta, file, (*run_notes(table.bindings), *_notes(source)))
+    log = Log(
+        table, known, meta, file, (*run_notes(table.bindings), *_notes(source), *changed, *_again(again))
+    )
     return clean_log(log) if drop_bad else log
 
 
@@ -87,25 +109,51 @@ def _locate(path: Path) -> tuple[Path, Path | None]:
     return regular(path, "Log"), None
 
 
-def _open(file: Path, format: str | None, delimiter: str | None) -> Source:
+def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> Source:
     entry = format_of(file, format)
     if file.stat().st_size == 0:
         raise InputError(f"Log {quoted(file)} is empty (0 bytes); record or copy it again.")
-    opens: Callable[[Path], Source] = entry.open
-    if entry.name == "csv":
-        opens = partial(CsvSource, delimiter=delimiter)
-    elif delimiter is not None:
-        raise InputError(
-            f"Option delimiter must be left out for {quoted(file)}: a {entry.name} file has none."
-        )
+    options = {name: text for name, text in stated.items() if text is not None}
+    for name in options:
+        if name not in entry.options:
+            raise InputError(
+                f"Option {name} must be left out for {quoted(file)}: a {entry.name} file has none."
+            )
+    if options.get("decimal", ".") not in (".", ","):
+        raise InputError(f"Decimal sign must be '.' or ','; instead received {options['decimal']!r}.")
+    if "delimiter" in options:
+        options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
-    return Guarded(file, opens, fault, "copy it again")
+    return Guarded(file, partial(entry.open, **options), fault, "copy it again")
 
 
 def _notes(source: Source) -> tuple[str, ...]:
     """Return what has to be said about a file: columns that state a unit and cannot be used, and its own."""
     left = [(name, why) for name, why in source.left_out.items() if split_unit(name)[1]]
     return (*source.notes, *(f"Column {name} is left out: {why}." for name, why in left))
+
+
+def open_source(
+    path: Any, *, format: str | None = None, **stated: str | None
+) -> tuple[Path | None, Path | None, Source]:
+    """Return the data file, the folder of a log that is given as one, and its columns under their own names.
+
+    Arguments as for `read_log`; neither file nor folder for a table in memory.
+    """
+    if is_table(path):
+        return None, None, source_of(path, "The table")
+    if isinstance(path, str | Path):
+        file, folder = _locate(Path(path))
+        return file, folder, _open(file, format, stated)
+    raise InputError(
+        "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "
+        f"{type(path).__name__}."
+    )
+
+
+def _again(columns: Mapping[str, Foreign]) -> tuple[str, ...]:
+    said = [f"{ours} is '{foreign.name}'" for ours, foreign in columns.items() if ours != foreign.name]
+    return (f"Columns are named as in the calibration: {', '.join(said)}.",) if said else ()
 
 
 def _resolve(wanted: Mapping[str, str | Foreign], source: Source) -> dict[str, Foreign]:

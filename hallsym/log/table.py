@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hallsym.errors import InputError, nearest
-from hallsym.log.columns import RUN, Binding, listed
+from hallsym.log.columns import RUN, Binding, Foreign, listed
 from hallsym.log.limits import has_meaning
 from hallsym.units import Array
 
@@ -24,8 +24,9 @@ class Source(ABC):
     """A file's columns under their own names; each format has one.
 
     `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
-    name. `aliases`: short names by long name, a path in a struct or a group. `notes`: what has to be said
-    about the file.
+    name. `aliases`: short names by long name, a path in a struct or a group. `units`: what the file states
+    beside a name, by name (`hallsym.units`). `notes`: what has to be said about the file; `recognised`: what
+    it is, where that had to be found out.
     """
 
     names: tuple[str, ...]
@@ -33,6 +34,8 @@ class Source(ABC):
     small: bool
     left_out: Mapping[str, str] = {}
     aliases: Mapping[str, str] = {}
+    units: Mapping[str, str] = {}
+    recognised: str = ""
     notes: tuple[str, ...] = ()
 
     def count(self) -> int:
@@ -42,6 +45,18 @@ class Source(ABC):
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns, each of shape (rows,)."""
         return joined(list(self.chunks(names, CHUNK_ROWS)), names)
+
+    def head(self, count: int, most: int) -> list[list[str]]:
+        """Return the first rows as text, of at most `most` columns; "" for what is no number."""
+        columns = []
+        for name in self.names[:most]:
+            try:
+                values = next(iter(self.chunks([name], count)), {name: np.empty(0)})[name][:count]
+            except InputError:
+                values = np.empty(0)
+            columns.append([f"{value:.9g}" for value in np.asarray(values, float).tolist()])
+        rows = max(map(len, columns), default=0)
+        return [[column[k] if k < len(column) else "" for column in columns] for k in range(rows)]
 
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text; whole numbers are names too: 7.0 is "7"."""
@@ -138,6 +153,13 @@ class Table:
     def source_name(self, column: str) -> str:
         """Return the name that an SI column has in the file."""
         return self.bindings[column].source if column in self.bindings else column
+
+    @property
+    def mapping(self) -> dict[str, Foreign]:
+        """The columns that somebody mapped: our name, with the unit where it was stated, and the file's."""
+        return {
+            b.asked: Foreign(b.source, b.scale, b.counts_per_turn) for b in self.bindings.values() if b.asked
+        }
 
     def counts_per_turn(self, column: str) -> float | None:
         """Return how many counts of the file make a turn, for an angle in counts."""

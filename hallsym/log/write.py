@@ -9,11 +9,11 @@ from types import TracebackType
 
 import numpy as np
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, quoted
 from hallsym.files import reason, replacing
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
-from hallsym.log.formats import Writer, format_of
+from hallsym.log.formats import COMPRESSED, Writer, format_of
 from hallsym.log.table import joined
 from hallsym.units import Array, si_name, to_si
 
@@ -31,6 +31,12 @@ class LogWriter:
         """Choose the format; nothing is written before the `with` block."""
         self.path = Path(path)
         self._format = format_of(self.path)
+        if self._format.writer is None or self.path.suffix == COMPRESSED:
+            raise InputError(
+                f"Logs are not written as {self.path.suffix}; end {quoted(self.path)} with .parquet, .csv,"
+                " .h5 or .mat."
+            )
+        self._make = self._format.writer
         self._waiting: list[dict[str, Array]] = []
         self._rows = 0
         self._names: tuple[str, ...] | None = None
@@ -41,7 +47,7 @@ class LogWriter:
         self._temporary = self._target.__enter__()
         try:
             with self._reported():
-                self._writer: Writer = self._format.writer(self._temporary)
+                self._writer: Writer = self._make(self._temporary)
         except BaseException:
             self._abandon()
             raise

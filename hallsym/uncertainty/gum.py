@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from hallsym.errors import InputError
+from hallsym.shown import Shown
 
 DIVISORS = {"rectangular": sqrt(3.0), "triangular": sqrt(6.0), "arcsine": sqrt(2.0)}
 """Half-width over standard uncertainty: JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6 (arcsine, U-shaped)."""
@@ -120,8 +121,8 @@ class Source:
         return half * np.sin(2 * np.pi * rng.random(n))
 
 
-@dataclass(frozen=True, eq=False)
-class Budget:
+@dataclass(frozen=True, eq=False, repr=False)
+class Budget(Shown):
     """Sources of one result and what follows from them; everything in `unit`, the result's.
 
     `coverage`: the factor k of the expanded uncertainty, 2 by default. `level`: instead, the probability

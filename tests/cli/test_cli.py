@@ -71,11 +71,35 @@ def test_a_truncated_parquet(capsys, written):
     assert "cut short" in refused(capsys, "fit", path)
 
 
-def test_a_wrong_delimiter_and_the_option_that_helps(capsys, written, tmp_path):
+def test_another_delimiter_is_recognised_and_a_wrong_one_refused(capsys, written, tmp_path):
     path = written(name="log.csv")
     path.write_text(path.read_text().replace(",", ";"))
-    assert "';'" in refused(capsys, "fit", path)
-    assert run(capsys, "fit", path, "--delimiter", ";", "--solver", "direct")[0] == 0
+    code, out, _ = run(capsys, "fit", path, "--solver", "direct")
+    assert code == 0
+    assert "columns separated by semicolons" in out
+    assert "leave --delimiter out" in refused(capsys, "fit", path, "--delimiter", ",")
+
+
+def test_info_shows_the_first_rows_and_suggests_a_column_file(capsys, written, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = written(name="log.csv")
+    head, _, body = path.read_text().partition("\n")
+    names = head.replace("hall_a_m", "HallA [m]").replace("x_ref_m", "IFM X [m]").replace(",", ";")
+    path.write_text(f"{names}\n{body.replace(',', ';')}")
+    code, out, _ = run(capsys, "info", path)
+    assert code == 0
+    assert out.startswith("read as UTF-8, columns separated by semicolons")
+    assert "HallA [m]" in out
+    code, out, _ = run(capsys, "info", path, "--suggest")
+    assert code == 0
+    assert 'hall_a_m = "HallA"' in out
+    assert "Check columns.toml, then: hallsym fit" in out
+    assert run(capsys, "fit", path, "--solver", "direct")[0] == 2
+    options = ("--column-file", "columns.toml", "--solver", "direct", "-o", "calib.json")
+    assert run(capsys, "fit", path, *options)[0] == 0
+    for command in ("evaluate", "report", "sensitivity"):
+        code, out, err = run(capsys, command, "calib.json", path)
+        assert code in (0, 3), err
 
 
 def renamed(d):

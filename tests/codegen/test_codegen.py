@@ -14,7 +14,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from firmware import CASES, GOLDEN, calibration, four_probes, made, with_effect
+from firmware import CASES, GOLDEN, calibration, four_probes, made, need, ran, with_effect
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -522,3 +522,57 @@ def test_a_calibration_that_cannot_be_is_refused(tmp_path, capsys, change, says)
     assert code == 2
     assert says in err
     assert not (tmp_path / "fw").exists()
+
+
+# -- recalibrations with other ranges --------------------------------------------------------------------
+
+
+def recorded(tmp_path, **spans):
+    """The golden calibration as a log with other ranges would have made it."""
+    record = json.loads((GOLDEN / "calib.json").read_text())
+    record["log"]["span"].update(spans)
+    path = tmp_path / f"{len(list(tmp_path.iterdir()))}.json"
+    path.write_text(json.dumps(record))
+    return path
+
+
+ARITHMETICS = ["float", pytest.param("q31", marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("arithmetic", ARITHMETICS)
+def test_a_range_that_became_lopsided_is_cut_to_the_limit_that_the_code_has(tmp_path, capsys, arithmetic):
+    out = tmp_path / "out"
+    first = recorded(tmp_path, z_m=[-2e-4, 2e-4])
+    assert run(capsys, "codegen", first, "-o", out, "--arithmetic", arithmetic)[0] == 0
+    before = tree(out)
+    again = recorded(tmp_path, z_m=[-1e-4, 2.5e-4])
+    code, said, _ = run(capsys, "codegen", again, "-o", out, "--params-only")
+    assert code == 0
+    assert "z_m was recorded from -0.0001 to 0.00025" in " ".join(said.split())
+    assert tree(out)["src/decoupler.c"] == before["src/decoupler.c"]
+    report = (out / "doc/report.md").read_text()
+    assert "| z_m | -0.0001 | 0.0001 |" in report
+    assert "was recorded from" in report
+    need("gcc", "make")
+    assert "0 faults of a table not found, 0 zeros wrong" in ran(out, "make", "check")
+    without_zero = recorded(tmp_path, z_m=[1e-5, 2.5e-4])
+    code, _, err = run(capsys, "codegen", without_zero, "-o", out, "--params-only")
+    assert code == 2
+    assert "without zero" in err
+    code, _, err = run(capsys, "codegen", again, "-o", out, "--params-only", "--range", "z_um=-100:250")
+    assert code == 2
+    assert "another table" in err
+
+
+@pytest.mark.parametrize("arithmetic", ARITHMETICS)
+def test_a_range_that_became_symmetric_keeps_the_two_ends_that_the_code_has(tmp_path, capsys, arithmetic):
+    out = tmp_path / "out"
+    first = recorded(tmp_path, z_m=[-1e-4, 2.5e-4])
+    assert run(capsys, "codegen", first, "-o", out, "--arithmetic", arithmetic)[0] == 0
+    before = tree(out)
+    for span, row in (([-2e-4, 2e-4], "-0.0002 | 0.0002"), ([-2e-4, 2.1e-4], "-0.0002 | 0.00021")):
+        again = recorded(tmp_path, z_m=span)
+        assert run(capsys, "codegen", again, "-o", out, "--params-only")[0] == 0
+        assert tree(out)["src/decoupler.c"] == before["src/decoupler.c"]
+        assert f"| z_m | {row} |" in (out / "doc/report.md").read_text()
+    assert "recorded from" not in (out / "doc/report.md").read_text()

@@ -2,6 +2,8 @@
 
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 from firmware import calibration, need, ran
 from hypothesis import given
 from hypothesis import strategies as st
+from test_codegen_correction import fit_of
 
 import hallsym
 from hallsym.codegen import generate
@@ -18,6 +21,7 @@ from hallsym.errors import InputError
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror", "-ffp-contract=off")
 CORES = {
     "M0": ("-mcpu=cortex-m0", "-mthumb"),
+    "M0+": ("-mcpu=cortex-m0plus", "-mthumb"),
     "M3": ("-mcpu=cortex-m3", "-mthumb"),
     "M4F": ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"),
     "M7": ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16"),
@@ -89,12 +93,11 @@ def test_probes_of_any_name_give_code_that_compiles(tmp_path, arithmetic):
 
 @pytest.fixture(scope="module")
 def image(tmp_path_factory):
-    """Three decouplers with prefixes of their own, and a program that links them all."""
+    """A stage and two encoders, floats and integers, with prefixes of their own, and a program with all."""
     folder = tmp_path_factory.mktemp("image")
-    for name in NAMES:
-        generate(calibration(), arithmetic="q31" if name == "enc_right" else "float", name=name).write(
-            folder / name
-        )
+    generate(calibration(), name="stage").write(folder / "stage")
+    generate(fit_of("meng volts"), name="enc_left").write(folder / "enc_left")
+    generate(fit_of("meng angle"), arithmetic="q31", name="enc_right").write(folder / "enc_right")
     uses = "".join(f"    bad |= {n}_check(&{n}_params);\n" for n in NAMES)
     includes = "".join(f'#include "{n}.h"\n#include "{n}_params.h"\n' for n in NAMES)
     body = f"    uint32_t bad = 0U;\n{uses}    return (int)bad;\n"
@@ -140,21 +143,51 @@ def test_three_decouplers_compile_for_a_controller(image, core):
             )
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_arithmetic_without_nan_is_refused_by_the_compiler(image, compiler):
+COMPILED = ("-std=c99", "-O2", "-Istage/include", "-c", "stage/src/stage.c", "-o", "x.o")
+WITHOUT_NAN = ("-ffast-math", "-Ofast", "-ffinite-math-only")
+REORDERED = (("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"), ("-freciprocal-math",))
+"""What lets a compiler compute another number than IEEE 754; gcc takes the first with the others only."""
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang", "arm-none-eabi-gcc"])
+@pytest.mark.parametrize("source", ["stage.c", "stage_check.c"])
+@pytest.mark.parametrize("flag", WITHOUT_NAN)
+def test_arithmetic_without_nan_is_refused_by_the_compiler(image, compiler, source, flag):
     need(compiler)
     with pytest.raises(AssertionError, match="NaN must be told from numbers"):
-        ran(
-            image,
-            compiler,
-            "-std=c99",
-            "-ffast-math",
-            "-Istage/include",
-            "-c",
-            "stage/src/stage.c",
-            "-o",
-            "x.o",
-        )
+        ran(image, compiler, *(a.replace("stage.c", source) for a in COMPILED), flag)
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "arm-none-eabi-gcc"])
+@pytest.mark.parametrize("flags", [*REORDERED, ("-funsafe-math-optimizations",)])
+def test_another_order_of_operations_is_refused_where_the_compiler_tells(image, compiler, flags):
+    need(compiler)
+    with pytest.raises(AssertionError, match="bounds and bits are those of IEEE 754"):
+        ran(image, compiler, *COMPILED, *flags)
+
+
+HARMLESS = [(c, f) for c in ("gcc", "clang") for f in (("-fno-signed-zeros",), ("-fno-trapping-math",))]
+UNDONE = [("clang", flags) for flags in REORDERED]
+
+
+@pytest.mark.parametrize(("compiler", "flags"), [*HARMLESS, *UNDONE])
+def test_flags_that_are_not_refused_change_no_bit(image, compiler, flags):
+    need(compiler, "make")
+    folder = image / "enc_left"
+    ran(folder, "make", "clean")
+    said = ran(folder, "make", "check", f"CC={compiler} {' '.join(flags)}")
+    assert said.count("as stated") == 2
+    assert "0 faults of a table not found, 0 zeros wrong" in said
+
+
+def test_the_self_test_finds_a_flag_that_clang_does_not_tell(tmp_path):
+    """A range of two ends is tested by comparisons, which -fno-honor-nans may take for true."""
+    need("clang", "make")
+    generate(calibration(), ranges={"z_m": (-1e-4, 2.5e-4)}).write(tmp_path / "fw")
+    assert ran(tmp_path / "fw", "make", "check", "CC=clang").count("as stated") == 2
+    ran(tmp_path / "fw", "make", "clean")
+    with pytest.raises(AssertionError, match="vectors failed"):
+        ran(tmp_path / "fw", "make", "check", "CC=clang -fno-honor-nans")
 
 
 def test_nothing_of_a_library_is_needed(image):
@@ -239,6 +272,101 @@ def test_the_sketch_compiles_and_packages_name_files_that_are_there(image, name)
     assert f"config {name.upper()}_LIB" in (folder / "zephyr/Kconfig").read_text()
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_the_simulink_example_compiles_and_calls_the_decoupler(image, name, tmp_path):
+    """The C that its block calls; the script itself needs MATLAB and is not run."""
+    need("gcc")
+    folder = image / name
+    script = (folder / f"examples/Simulink/{name}_model.m").read_text()
+    assert f"'FunctionName', '{name}_simulink'" in script
+    named = re.findall(rf"'({name}\w*\.c)'", script)
+    files = [str(next(folder.rglob(source))) for source in named]
+    assert len(files) == 4
+    header = (folder / f"examples/Simulink/{name}_simulink.h").read_text()
+    of_in, of_out = re.findall(r"(\w+ )(?:in|out)(\[\d+\])", header)
+    (tmp_path / "main.c").write_text(
+        f'#include "{name}_simulink.h"\nint main(void)\n{{\n    const {of_in[0]}in{of_in[1]} = {{0}};\n'
+        f"    {of_out[0]}out{of_out[1]};\n    return (int)({name}_simulink(in, out) >> 30U);\n}}\n"
+    )
+    paths = [f"-I{folder / place}" for place in ("include", "params", "examples/Simulink")]
+    ran(tmp_path, "gcc", *STRICT, *paths, *files, "main.c", "-o", "called")
+    weak = subprocess.run([tmp_path / "called"], check=False).returncode
+    assert weak == (1 if name == "enc_left" else 0)  # no field: the flag of the encoder
+
+
+HOST_PLATFORM = {
+    "platform.json": json.dumps({"name": "host", "title": "host", "version": "1.0.0", "packages": {}}),
+    "platform.py": (
+        "from platformio.public import PlatformBase\n\n\nclass HostPlatform(PlatformBase):\n"
+        "    def is_embedded(self):\n        return False\n"
+    ),
+    "builder/main.py": (
+        "from SCons.Script import Default, DefaultEnvironment\n\nenv = DefaultEnvironment()\n"
+        'env.Replace(CC="gcc", CXX="g++", AR="ar", RANLIB="ranlib", PROGNAME="program")\n'
+        "Default([env.BuildProgram()])\n"
+    ),
+}
+"""PlatformIO compiles with what a platform brings; this one takes the compiler of this machine."""
+
+
+@pytest.mark.slow
+def test_platformio_builds_the_library(image, tmp_path):
+    if shutil.which("pio") is None:
+        pytest.skip("pio not installed: pip install platformio")
+    for name, text in HOST_PLATFORM.items():
+        (tmp_path / "host" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "host" / name).write_text(text)
+    project = tmp_path / "project"
+    shutil.copytree(image / "enc_left", project / "lib/enc_left")
+    (project / "src").mkdir()
+    (project / "platformio.ini").write_text(f"[env:host]\nplatform = file://{tmp_path / 'host'}\n")
+    (project / "src/main.c").write_text(
+        "#include <enc_left.h>\n#include <enc_left_params.h>\n"
+        "int main(void) { return (int)enc_left_check(&enc_left_params); }\n"
+    )
+    done = subprocess.run(["pio", "run", "-d", project], capture_output=True, text=True, check=False)
+    if "HTTPClientError" in done.stderr + done.stdout:
+        pytest.skip("pio cannot reach the registry that its own build tool comes from")
+    assert done.returncode == 0, done.stdout + done.stderr
+    ran(project, ".pio/build/host/program")
+
+
+ZEPHYR = """
+cmake_minimum_required(VERSION 3.13)
+project(image C)
+macro(zephyr_library_named name)
+  set(library ${name})
+  add_library(${library} STATIC)
+endmacro()
+macro(zephyr_library_sources)
+  target_sources(${library} PRIVATE ${ARGV})
+endmacro()
+macro(zephyr_library_compile_options)
+  target_compile_options(${library} PRIVATE ${ARGV})
+endmacro()
+macro(zephyr_include_directories)
+  target_include_directories(${library} PUBLIC ${ARGV})
+endmacro()
+set(CONFIG_ENC_LEFT_LIB y)
+add_subdirectory(MODULE/zephyr module)
+add_executable(image main.c)
+target_link_libraries(image enc_left)
+"""
+"""Zephyr's functions as its own CMake files define them, as far as a module of one library goes."""
+
+
+def test_the_zephyr_module_builds_with_a_stand_in_of_its_functions(image, tmp_path):
+    need("cmake", "gcc")
+    (tmp_path / "CMakeLists.txt").write_text(ZEPHYR.replace("MODULE", str(image / "enc_left")))
+    (tmp_path / "main.c").write_text(
+        '#include "enc_left.h"\n#include "enc_left_params.h"\n'
+        "int main(void) { return (int)enc_left_check(&enc_left_params); }\n"
+    )
+    ran(tmp_path, "cmake", "-S", ".", "-B", "b", "-DCMAKE_POLICY_DEFAULT_CMP0076=NEW")
+    ran(tmp_path, "cmake", "--build", "b")
+    ran(tmp_path, "b/image")
+
+
 def test_the_update_over_a_serial_line_takes_good_tables_only(image):
     """The C of docs/controller.md, with the table that it is about."""
     need("gcc")
@@ -246,18 +374,38 @@ def test_the_update_over_a_serial_line_takes_good_tables_only(image):
     code = text.split("```c\n")[1].split("```")[0]
     trial = """
 #include <stdio.h>
+static int32_t sent(const uint8_t *bytes, uint32_t count, uint32_t length)
+{
+    const uint8_t head[] = {7U, 'H', 'H', 'S', (uint8_t)length, (uint8_t)(length >> 8U)};
+    int32_t result = -1;
+    for (uint32_t k = 0U; k < sizeof(head); k++) { result = received(head[k]); }
+    for (uint32_t k = 0U; (k < count) && (result == -1); k++) { result = received(bytes[k]); }
+    return result;
+}
 int main(void)
 {
     static uint8_t bytes[4096];
     uint32_t identity[2];
+    static stage_params_t kept;
+    const stage_in_t in = {0};
+    const stage_out_t known = {1e-4F, 0.0F, 0.0F};
+    stage_out_t pose;
     FILE *file = fopen("stage/params/stage_params.bin", "rb");
     const uint32_t count = (uint32_t)fread(bytes, 1U, sizeof(bytes), file);
-    int bad = start();
-    bad |= (take_over(bytes, count) == 0U) ? 0 : 1;
-    bad |= (live == &tables[1]) ? 0 : 2;
+    int bad = start(&kept) | start(NULL);
+    bad |= (reset_done(&in, &known) == 0U) ? 0 : 32;
+    bad |= (live == &tables[1]) ? 0 : 1;
+    bad |= (every_100_us(&in, &pose) == 0U) && (pose.x_m > 0.99e-4F) ? 0 : 64;
+    kept = *live;
+    bad |= start(&kept);
+    bad |= (every_100_us(&in, &pose) == 0U) && (pose.x_m > 0.99e-4F) ? 0 : 128;
+    bad |= (sent(bytes, count, count) == 0) ? 0 : 2;
+    bad |= (live == &tables[1]) ? 0 : 4;
     bytes[100] ^= 4U;
-    bad |= (take_over(bytes, count) == STAGE_BAD_CRC) ? 0 : 4;
-    bad |= (take_over(bytes, count - 1U) == STAGE_BAD_LAYOUT) ? 0 : 8;
+    bad |= (sent(bytes, count, count) == STAGE_BAD_CRC) ? 0 : 8;
+    bytes[100] ^= 4U;
+    bad |= (sent(bytes, count, count - 1U) == STAGE_BAD_LAYOUT) ? 0 : 16;
+    bad |= (sent(bytes, 4000U, 4000U) == STAGE_BAD_LAYOUT) ? 0 : 16;
     bad |= (live == &tables[1]) ? 0 : 16;
     running(identity);
     printf("%08x%08x", (unsigned)identity[0], (unsigned)identity[1]);

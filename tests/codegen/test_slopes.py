@@ -7,6 +7,7 @@ d pose / d state is minus that times f's slope by the state.
 import ctypes
 import json
 from functools import cache
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -134,3 +135,18 @@ def test_outputs_are_named_for_what_they_are():
     header = str(encoder("ellipse", "volts").files["include/decoupler.h"])
     assert "/** Corrected angle. */" in header
     assert "to the angle of the rotary" in header
+
+
+def test_the_option_swallows_no_other_argument(tmp_path, capsys):
+    calib, folder = str(GOLDEN / "calib.json"), tmp_path / "fw"
+    with pytest.raises(SystemExit) as stopped:
+        main(["codegen", "-o", str(folder), "--jacobian", calib])
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert said.count("\n") == 1
+    assert "takes reading, state or reading,state; instead received" in said
+    assert "--jacobian=reading where another argument follows" in said
+    for k, given in enumerate((["--jacobian=reading", calib], [calib, "--jacobian"])):
+        assert main(["codegen", "-o", f"{folder}{k}", *given]) == 0
+        header = Path(f"{folder}{k}/include/decoupler.h").read_text()
+        assert "Slopes of the pose by the readings." in header

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import gzip
 import importlib
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from log_samples import one_sentence, stage_arrays
 
 from hallsym.errors import InputError
-from hallsym.log import check_log, format_csv, read_log, write_log
+from hallsym.log import check_log, read_log, write_log
 
 
 def refused(path: Path, says: str, **options: Any) -> None:
@@ -72,8 +73,6 @@ def test_unknown_suffix_and_format(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("t_s;x_ref_m\n0;1\n", r"by ','; line 1 looks separated by ';'.*--delimiter ';' .*delimiter=';'"),
-        ("# lab\nt_s\tx_ref_m\n0\t1\n", r"line 2 looks separated by tabs"),
         ("0,1\n0,2\n", "Line 1 of .* must hold column names"),
         ("t_s,t_s\n0,2\n", "'t_s' stands there twice"),
         ("# only\n\n", "must hold a header line"),
@@ -81,22 +80,54 @@ def test_unknown_suffix_and_format(tmp_path: Path) -> None:
         ("t_s,x_ref_m\n0,1\n0.1\n", "Line 3 of .* must have 2 cells as the header has; it has 1"),
         ("t_s,x_ref_m\n0,1\n0.1,2,3\n", "Line 3 of .* must have 2 cells as the header has; it has 3"),
         ("t_s,x_ref_m\n0,1\n0.1,bad\n", "Line 3, column 'x_ref_m' of .* must be a number; it is 'bad'"),
+        ("t_s;x_ref_mm\n0;1,5\n1;2,5\n2;2.5\n", "Line 4, .*decimal comma, not a point; it is '2.5'"),
+        ("t_s\tx_ref_mm\n0\t1.5\n1\t2,5\n", "Line 3, .*decimal point, not a comma; .*state --decimal ,"),
+        ("t_s;x_ref_mm\n0;1,234\n1;2,345\n", "'1,234' of .* two ways: say --decimal , if .*--decimal . if"),
+        ("t_s;x_ref_um\ns;mm\n0;1\n1;2\n", "Column 'x_ref_um' .*its name says um, the file mm"),
+        ("t_s,x_ref [um]\ns,mm\n0,1\n1,2\n", "column 'x_ref' .*the names say um, the line below mm"),
+        ("t_s,x_ref_mm\n0,1\n1,2\n2,3\n3\nEnd of log\n", "Line 5 of .* must have 2 cells"),
     ],
 )
-@pytest.mark.parametrize("pyarrow", [True, False])
-def test_bad_csv(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, says: str, pyarrow: bool
-) -> None:
-    monkeypatch.setattr(format_csv, "available", lambda module: pyarrow)
+def test_bad_csv(tmp_path: Path, text: str, says: str) -> None:
     path = tmp_path / "log.csv"
     path.write_text(text)
     refused(path, says)
 
 
-def test_decimal_comma(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"delimiter": ","}, r"separated by commas; line 1 looks separated by semicolons: leave --delim"),
+        ({"delimiter": "ab"}, "Delimiter must be one character"),
+        ({"decimal": "x"}, "Decimal sign must be"),
+        ({"sheet": "Log"}, "Option sheet must be left out for .*: a csv file has none"),
+    ],
+)
+def test_what_is_stated_of_a_csv_file_and_cannot_be(
+    tmp_path: Path, options: dict[str, str], says: str
+) -> None:
     path = tmp_path / "log.csv"
-    path.write_text("t_s;x_ref_m\n0;1,5\n")
-    refused(path, "decimal point, not a comma; it is '1,5'", delimiter=";")
+    path.write_text("t_s;x_ref_m\n0;1\n")
+    with pytest.raises(InputError, match=says) as caught:
+        read_log(path, **options)
+    assert one_sentence(str(caught.value))
+
+
+def test_a_torn_line_far_inside_a_large_file_is_named(tmp_path: Path) -> None:
+    lines = ["t_s;x_ref_um", "s;um", *(f"{k};{k},5" for k in range(200_000))]
+    lines[150_000] = "149998"
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([*lines, ""]))
+    refused(path, "Line 150001 of .* must have 2 cells as the header has; it has 1")
+
+
+@pytest.mark.parametrize("keep", [0.1, 0.5, 0.98])
+def test_a_torn_compressed_file(tmp_path: Path, keep: float) -> None:
+    write_log(stage_arrays(), tmp_path / "log.csv")
+    path = tmp_path / "torn.csv.gz"
+    data = gzip.compress((tmp_path / "log.csv").read_bytes())
+    path.write_bytes(data[: int(len(data) * keep)])
+    refused(path, "must be a complete CSV file; it is cut short or damaged")
 
 
 def test_binary_as_csv(tmp_path: Path) -> None:
@@ -137,7 +168,7 @@ def test_bad_meta(tmp_path: Path, text: str, says: str) -> None:
     assert one_sentence(str(caught.value))
 
 
-@pytest.mark.parametrize(("suffix", "extra"), [(".parquet", "parquet"), (".h5", "hdf5")])
+@pytest.mark.parametrize(("suffix", "extra"), [(".h5", "hdf5")])
 def test_missing_extra_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, extra: str
 ) -> None:
@@ -146,7 +177,7 @@ def test_missing_extra_says_what_to_install(
     real = importlib.import_module
 
     def without_extras(name: str, *rest: Any) -> Any:
-        if name.partition(".")[0] in ("pyarrow", "h5py"):
+        if name.partition(".")[0] in ("h5py", "python_calamine"):
             raise ImportError(name)
         return real(name, *rest)
 

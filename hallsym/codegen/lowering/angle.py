@@ -109,7 +109,7 @@ class _Assembly:
                 Flag("FIELD", "field", "least_field", f"field below {WEAK:g} of its amplitude: no magnet"),
             )
         self._finish(phase, self.symbols[zero.name])
-        ends = Box({c: self._ends(c) for c in inputs})
+        ends = self.given.over({c: self._ends(c) for c in inputs})
         return Decoupler(
             model=model,
             inputs=inputs,

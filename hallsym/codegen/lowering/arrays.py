@@ -17,11 +17,13 @@ import numpy as np
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
+from hallsym.codegen.fixed_point import Program
 from hallsym.codegen.lowering.arrays_bounds import Rounding
 from hallsym.codegen.lowering.arrays_fit import Arrays
 from hallsym.codegen.lowering.arrays_steps import Pieces
 from hallsym.codegen.lowering.wave_groups import groups_of
-from hallsym.codegen.lowering.wave_steps import Wave, logarithm_steps, wave_of
+from hallsym.codegen.lowering.wave_integers import program
+from hallsym.codegen.lowering.wave_steps import Collected, Wave, logarithm_steps, wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -31,6 +33,8 @@ SWING = 0.1
 """Share of its swing by which a reading may leave what the model gives over the box: noise, temperature."""
 NEAR = 0.3
 """Share of a period by which what says the period may be off, and trials let it be."""
+FUNCTIONS = 1 / 16
+"""Share of an accuracy that each function of integers may take: their errors add up in the pose."""
 SAFE = 1.5
 """What errors met over trial poses are multiplied by where they are stated."""
 TRIALS = 20_000
@@ -51,10 +55,18 @@ def decoupler(
     arm = model.family.pose_metric.arm_m
     leaves = np.array([aim if c.endswith("_m") else aim / arm for c in model.pose])
     found = Arrays(own, np.asarray(p, dtype=float), weight, groups, middle, half, leaves)
-    return _Assembly(found, _waves(found, aim), given=box).make()
+    made = _Assembly(found, _waves(found, aim), given=box).make()
+
+    def integers(accuracy: float = aim, plan: Sequence[int] | None = None) -> Program:
+        waves = _waves(found, accuracy, radial=False)
+        native = _Assembly(found, waves, Collected(native=True), given=box)
+        share = FUNCTIONS * accuracy / max(g.phasor.lc for g in groups)
+        return program(native.make(), native.made.least, share, plan)
+
+    return replace(made, integers=integers)
 
 
-def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
+def _waves(found: Arrays, aim: float, radial: bool = True) -> tuple[Wave, ...]:
     """Return the wave of each array over the heights that poses of the box bring it to."""
     pose = found.poses(np.random.default_rng(2), 2000)
     out = []
@@ -66,7 +78,7 @@ def _waves(found: Arrays, aim: float) -> tuple[Wave, ...]:
                 "smaller "
                 "range of rotations or heights with --range."
             )
-        out.append(wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim))
+        out.append(wave_of(group.phasor, (float(heights.min()), float(heights.max())), aim, radial))
     return tuple(out)
 
 
@@ -115,7 +127,7 @@ class _Assembly(Pieces):
             approximation=max(leaves.values()), leaves=leaves,
             bounded=Rounding(found, self.waves, self.names, tuple(made.steps), values, nears, self._drawn),
             rest=tuple(self.drawn(found.middle[:, None], np.zeros((2, 1)))[:, 0].tolist()),
-            drawn=self._drawn, said=self._said(leaves), evident=False,
+            drawn=self._drawn, said=self._said(leaves), evident=made.native,
         )  # fmt: skip
 
     # -- ranges, trials, what is said ----------------------------------------------------------------------
@@ -134,7 +146,7 @@ class _Assembly(Pieces):
             wave = 2 * pi * found.groups[found.axes[axis][0]].phasor.lc
             most = float(np.abs(found.middle[axis]) + found.half[axis] + NEAR * wave)
             ends[c] = (-most, most)
-        return Box(ends)
+        return self.given.over(ends)
 
     def drawn(self, pose: np.ndarray, off: np.ndarray) -> np.ndarray:
         """Return inputs (n, s) of poses (6, s); `off` (2, s): of what says the period, in periods."""
@@ -172,7 +184,8 @@ class _Assembly(Pieces):
         pose = found.poses(np.random.default_rng(5), TRIALS)
         met = np.abs(found.decoded(found.readings(pose), pose[:2]) - pose).max(axis=1)
         n = len(found.groups)
-        each = np.array([w.error * w.phasor.lc for w in self.waves])
+        native = self.made.native  # the errors of its functions are counted where they are computed
+        each = np.array([(w.left if native else w.error) * w.phasor.lc for w in self.waves])
         functions = np.abs(found.inverse) @ np.concatenate([each, each]) * SAFE
         return dict(zip(found.model.pose, (SAFE * met + functions).tolist(), strict=True)) if n else {}
 

@@ -20,6 +20,7 @@ from hallsym.codegen.lowering.wave_steps import (
     Powers,
     Wave,
     arctangent_steps,
+    least_inside,
     phasor_steps,
 )
 from hallsym.errors import InputError
@@ -32,6 +33,8 @@ ROOMY = 1.1
 """Times the largest tangent of the box: end of the polynomial of a turn."""
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
+ONCE = 1.01
+"""Times the largest power of a phasor where no flag is set: end of what integers hold it in."""
 LOST = 1e-12
 """Displacement [m] that is rounding of the analysis."""
 ONE = 1e-9
@@ -66,12 +69,13 @@ class Pieces:
 
     def least_inside(self) -> str:
         """The least of what the flag of the field looks at, over the arrays, each over its own least."""
-        made, least = self.made, min(w.least_inside for w in self.waves)
-        made.entry("least_inside", least, "1", "1 - t^2 at the ends of the heights, t as computed")
+        made = self.made
+        least_inside(made, self.waves)
         value = made.symbols[f"inside_{self.names[0]}"]
         for name in self.names[1:]:
             other = made.symbols[f"inside_{name}"]
-            value = made.step(f"least_to_{name}", ca.if_else(value < other, value, other))
+            least = ca.fmin(value, other) if made.native else ca.if_else(value < other, value, other)
+            value = made.step(f"least_to_{name}", least)
         return f"least_to_{self.names[-1]}"
 
     # -- places and heights --------------------------------------------------------------------------------
@@ -79,7 +83,8 @@ class Pieces:
     def heights(self, logs: Sequence[ca.SX]) -> list[ca.SX]:
         """Heights from those in the middle of the box, over lc and without sign: logarithms."""
         out = []
-        for k, (group, log) in enumerate(zip(self.found.groups, logs, strict=True)):
+        for k, (group, seen) in enumerate(zip(self.found.groups, logs, strict=True)):
+            log = self._held(seen, self.names[k])
             at = float(self.found.at_middle[len(logs) + k, 0])
             value = group.phasor.rising * (at - group.phasor.middle) / group.phasor.lc
             if abs(value) * group.phasor.lc < LOST:
@@ -90,6 +95,15 @@ class Pieces:
             )
             out.append(self.made.step(f"deep_{self.names[k]}", log - entry))
         return out
+
+    def _held(self, log: ca.SX, name: str) -> ca.SX:
+        """A logarithm, of integers held where the flag is set."""
+        if not self.made.native:
+            return log
+        most = max(-float(np.log(w.least)) for w in self.waves)
+        return self.made.step(
+            f"held_log_{name}", self.made.held(log, "most_log", most, "1", "largest logarithm")
+        )
 
     def places(self, vectors: Sequence[Pair]) -> list[ca.SX]:
         """For each axis: the mean place [m] from the middle, then the turns of the other arrays from the
@@ -119,19 +133,22 @@ class Pieces:
             middle = made.entry(f"place_{name}_middle", at, "m", "place in the middle of the box")
             from_middle = place - middle
         from_middle = made.step(f"from_middle_{name}", from_middle)
-        if not self.wide(axis):
+        if not self.wide(axis) and not made.native:
             half = made.entry(f"half_wave_{name}", pi * lc, "m", "half the wavelength")
             beyond = made.step(f"next_{name}", from_middle - ca.if_else(from_middle < 0, -whole, whole))
             return made.step(
                 f"along_{name}", ca.if_else(ca.fabs(from_middle) <= half, from_middle, beyond), "[m]"
             )
         per = made.entry(f"per_wave_{name}", 1 / (2 * pi * lc), "1/m", "periods per metre")
-        center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
-        near = made.symbols[f"{column}_near_m"]
-        count = made.step(f"periods_{name}", ((near - center) - from_middle) * per + (PERIODS + 0.5))
-        most = 2.0 * PERIODS  # of readings of no pose it could be anything
-        held = ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count))
-        count = made.step(f"counted_{name}", held, "periods to the known place")
+        away = -from_middle
+        if self.wide(axis):
+            center = made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
+            away = (made.symbols[f"{column}_near_m"] - center) - from_middle
+        count = made.step(f"periods_{name}", away * per + (PERIODS + 0.5))
+        if not made.native:
+            most = 2.0 * PERIODS  # of readings of no pose it could be anything
+            held = ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count))
+            count = made.step(f"counted_{name}", held, "periods to the known place")
         made.steps.append(Whole(f"whole_{name}", count))
         number = made.symbols.setdefault(f"whole_{name}", ca.SX.sym(f"whole_{name}"))
         return made.step(f"along_{name}", from_middle + whole * (number - float(PERIODS)), "[m]")
@@ -141,6 +158,9 @@ class Pieces:
         made, (a, b), (c, d), name = self.made, vectors[first], vectors[k], self.names[k]
         real = made.step(f"cross_real_{name}", c * a + d * b)
         imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
+        if made.native:
+            made.least[f"turn_{name}"] = self.waves[first].least * self.waves[k].least
+            return made.step(f"turn_{name}", ca.atan2(imaginary, real), "[rad]")
         steep, floor = self._cone(first, k)
         cone = made.entry(f"cone_{name}", steep, "1", "cotangent of the largest turn of two phasors")
         least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
@@ -299,17 +319,38 @@ class Pieces:
             a, b = self._kind(k, "2", vectors)
             re, im = a * a - b * b, (a * b) + (a * b)
         else:
-            size = made.symbols[f"size_{name}"]
-            if f"held_size_{name}" not in made.symbols:
-                if "least_size" not in made.symbols:
-                    value = min(w.least for w in self.waves) ** 2
-                    made.entry("least_size", value, "1", "least square of a phasor")
-                least = made.symbols["least_size"]
-                made.step(f"held_size_{name}", ca.if_else(size > least, size, least))
             c, d = powers(int(kind))
-            held = made.symbols[f"held_size_{name}"]
-            re, im = c / held, -(d / held)
+            if made.native:
+                inverse = self._inverse(name)
+                re, im = c * inverse, -(d * inverse)
+            else:
+                held = self._held_size(name)
+                re, im = c / held, -(d / held)
+        power = 4 if kind in ("4", "6") else 0
+        most = ONCE * max(1 / w.least for w in self.waves) ** power
+        re, im = (
+            made.held(v, f"most_power_{power}", most, "1", f"length of a phasor to the {power}")
+            for v in (re, im)
+        )
         return made.step(f"{key}_re", re), made.step(f"{key}_im", im)
+
+    def _held_size(self, name: str) -> ca.SX:
+        """The square of a phasor, no less than where the flag is set."""
+        made = self.made
+        if f"held_size_{name}" in made.symbols:
+            return made.symbols[f"held_size_{name}"]
+        if "least_size" not in made.symbols:
+            value = min(w.least for w in self.waves) ** 2
+            made.entry("least_size", value, "1", "least square of a phasor")
+        size, least = made.symbols[f"size_{name}"], made.symbols["least_size"]
+        return made.step(f"held_size_{name}", ca.if_else(size > least, size, least))
+
+    def _inverse(self, name: str) -> ca.SX:
+        """One over the square of a phasor, from its logarithm: no division."""
+        made, key = self.made, f"inverse_{name}"
+        if key in made.symbols:
+            return made.symbols[key]
+        return made.step(key, ca.exp(-2.0 * made.symbols[f"held_log_{name}"]))
 
     def _product(
         self, value: ca.SX, kind: str, side: int, turns: tuple[int, ...], k: int, rotations: dict[int, ca.SX]
@@ -345,6 +386,10 @@ class Pieces:
         most = float(((TILT * self.found.half[3:]) ** 2).sum())
         made.entry("least_turns", -most, "rad2", "less the largest sum of the squares of the rotations")
         made.step("turns", -(out[3] * out[3] + out[4] * out[4] + out[5] * out[5]))
+        if made.native:
+            for i in (3, 4, 5):
+                held = made.held(out[i], "most_turn", most**0.5, "rad", "largest rotation")
+                out[i] = made.step(f"held_{short(self.found.model.pose[i])}", held)
         return out
 
     def bent(self, linear: Sequence[ca.SX]) -> list[ca.SX]:

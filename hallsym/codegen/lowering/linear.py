@@ -73,7 +73,7 @@ class _Assembly:
         )
         self.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         at_pose = self._solve(rows, self._bends(eta * scale), monomials)
-        box = Box({**taken.readings(self.p), **dict(taken.box.ends)})
+        box = taken.box.over({**taken.readings(self.p), **dict(taken.box.ends)})
         return Decoupler(
             model=model,
             inputs=inputs,

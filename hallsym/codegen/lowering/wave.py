@@ -6,7 +6,8 @@ polynomials with proved bounds (`lowering.wave_steps`). What they are made of is
 readings (`lowering.phasors`).
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from math import pi
 
 import casadi as ca
@@ -15,13 +16,17 @@ import numpy as np
 from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
+from hallsym.codegen.fixed_point import Program
 from hallsym.codegen.lowering import arrays
 from hallsym.codegen.lowering.phasors import Phasor, phasor
 from hallsym.codegen.lowering.wave_bounds import Rounding
+from hallsym.codegen.lowering.wave_integers import program
 from hallsym.codegen.lowering.wave_steps import (
+    POLYNOMIALS,
     Collected,
     Wave,
     arctangent_steps,
+    least_inside,
     logarithm_steps,
     phasor_steps,
     wave_of,
@@ -57,7 +62,15 @@ def decoupler(
     along, height = _coordinates(model)
     found = phasor(model, p, weight, along, height, box.ends[height])
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})
-    return _Assembly(own, wave_of(found, box.ends[height], aim), box, along, height).make()
+    ends = box.ends[height]
+    made = _Assembly(own, wave_of(found, ends, aim), box, along, height).make()
+
+    def integers(accuracy: float = ENOUGH, plan: Sequence[int] | None = None) -> Program:
+        wave = wave_of(found, ends, accuracy, radial=False)
+        native = _Assembly(own, wave, box, along, height, Collected(native=True))
+        return program(native.make(), native.made.least, POLYNOMIALS * accuracy / found.lc, plan)
+
+    return replace(made, integers=integers)
 
 
 def refuse(model: Model) -> None:
@@ -114,9 +127,10 @@ class _Assembly:
     given: Box
     along: str
     height: str
+    made: Collected = field(default_factory=Collected)
 
     def make(self) -> Decoupler:
-        model, wave, made = self.model, self.wave, Collected()
+        model, wave, made = self.model, self.wave, self.made
         found, inputs = wave.phasor, model.channels
         made.symbols |= {c: ca.SX.sym(short(c)) for c in inputs}
         zeros = tuple(
@@ -125,7 +139,9 @@ class _Assembly:
         )
         made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         heights = self.given.ends[self.height]
-        ends = Box({c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)})
+        ends = self.given.over(
+            {c: self.given.ends.get(c, ends_of(found, k, heights)) for k, c in enumerate(inputs)}
+        )
         vector = phasor_steps(made, wave, {short(c): made.symbols[c] for c in inputs})
         after_vector = len(made.steps)
         self._pose(made, logarithm_steps(made, wave, vector), arctangent_steps(made, wave, vector))
@@ -144,23 +160,27 @@ class _Assembly:
             exact=self._exact,
             symbols=made.symbols,
             flags=(Flag("FIELD", "inside", "least_inside", FLAG),),
-            approximation=found.lc * wave.error + ROUNDED,
+            approximation=found.lc * (wave.left if made.native else wave.error) + ROUNDED,
             bounded=Rounding(wave, model.pose, self.along, tuple(made.steps[:after_vector]), values),
             rest=tuple(readings_of(found, 0.0, found.middle).tolist()),
             listed=self._listed(),
             said=self._said(),
-            evident=False,
+            evident=made.native,
         )
 
     def _pose(self, made: Collected, logarithm: ca.SX, phase: ca.SX) -> None:
         """Add the last steps: place within half a wavelength, and height."""
         found, wave = self.wave.phasor, self.wave
         lc = made.entry("lc", found.lc, "m", "wavelength over 2 pi")
-        half = made.entry("half_wave", pi * found.lc, "m", "half the wavelength")
         middle = made.entry("middle", found.middle, "m", f"{self.height} at which the phasor is 1")
-        made.entry(
-            "least_inside", wave.least_inside, "1", "1 - t^2 at the ends of the heights, t as computed"
-        )
+        least_inside(made, (wave,))
+        if made.native:  # integers wrap what repeats by themselves
+            made.step(short(self.along), lc * phase, "[m]")
+            rise = lc * logarithm
+            made.step(short(self.height), middle + rise if found.rising > 0 else middle - rise, "[m]")
+            made.keep((short(self.along), short(self.height), "inside"))
+            return
+        half = made.entry("half_wave", pi * found.lc, "m", "half the wavelength")
         place = made.step("place", lc * phase + made.symbols[f"zero_{short(self.along)}"])
         beyond = place - ca.if_else(place < 0, -half, half)
         level = middle + made.symbols[f"zero_{short(self.height)}"]
@@ -189,13 +209,14 @@ class _Assembly:
     def _said(self) -> tuple[str, ...]:
         wave, lc = self.wave, self.wave.phasor.lc
         out = [f"{self.along} repeats each {2e3 * pi * lc:.6g} mm; which period it is, readings do not say."]
-        return (*out, *said_of(wave))
+        return (*out, *said_of(wave, self.made.native))
 
 
-def said_of(wave: Wave) -> tuple[str, ...]:
-    """Return what is said of the approximations of a wave."""
+def said_of(wave: Wave, native: bool = False) -> tuple[str, ...]:
+    """Return what is said of the approximations of a wave; `native`: without those of functions."""
     lc, out = wave.phasor.lc, []
-    for name, series in (("arctangent", wave.arctangent), ("logarithm", wave.logarithm)):
+    polynomials = (("arctangent", wave.arctangent), ("logarithm", wave.logarithm))
+    for name, series in () if native else polynomials:
         out.append(
             f"The {name} is a polynomial of degree {series.degree}: off by at most {series.error * lc:.2g} m "
             f"(proved)."

@@ -4,8 +4,20 @@
 #include <float.h>
 #include <stddef.h>
 
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
+#error "NaN must be told from numbers: compile without -ffast-math and -ffinite-math-only"
+#elif defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__)
+#error "bounds and bits are those of IEEE 754: compile without -fassociative-math and -freciprocal-math"
+#endif
+
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF /* gcc: -std=c99 or -ffp-contract=off */
+#if __clang_major__ >= 11
+#pragma clang fp reassociate(off) /* clang does not tell that it was asked for */
+#endif
+#if __clang_major__ >= 18
+#pragma clang fp reciprocal(off)
+#endif
 #endif
 
 #define LENGTH ((uint32_t)sizeof(decoupler_params_t))
@@ -51,13 +63,12 @@ static uint32_t negative(float value) /* -0 is: its bits are no limit */
 static uint32_t ranges(const decoupler_params_t *p)
 {
     uint32_t found = 0U;
-    const float spread_v_sin = 0.0f;
     if (!((negative(p->limit_v_sin) == 0U)
         && (negative(p->limit_v_cos) == 0U)))
     {
         found |= DECOUPLER_BAD_LIMITS;
     }
-    if (!((spread_v_sin < (0.899999976f * greater(p->least_field, -p->least_field)))))
+    if (!((greater(p->least_field, -p->least_field) > 0.0f)))
     {
         found |= DECOUPLER_BAD_GAIN;
     }

@@ -5,8 +5,8 @@
 #define DECOUPLER_VECTORS 85U
 
 static const double decoupler_bounds[3] = {6.062e-10, 2.066e-10, 1.338e-09};
-const uint32_t decoupler_hash_short = 0xD24982F0UL;
-const uint32_t decoupler_hash_long = 0x41768FF1UL;
+const uint32_t decoupler_hash_short = 0xFDC33CEBUL;
+const uint32_t decoupler_hash_long = 0x07FC6DD3UL;
 
 static const vector_t decoupler_vectors[DECOUPLER_VECTORS] = {
     {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, {-0.000000000000e+00, 0.000000000000e+00, -0.000000000000e+00}, 0x0UL},

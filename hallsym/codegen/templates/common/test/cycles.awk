@@ -2,11 +2,18 @@
 # Arguments: what objdump -d says of a program, and QEMU's log of each instruction that it ran. Variables: name, start and
 # size of the function, caller and caller_size of the one that calls it, core as gcc names it.
 #
-# Cycles are those of Arm's technical reference manuals for memory without wait states: Cortex-M0 DDI 0432 table 3-1,
-# Cortex-M3 100165 table 3-1, Cortex-M4 100166 table 3-1 and its FPU table 4-1. They are a range where the manual gives
-# one: a load or store that is paired with another takes 1 and not 2, a taken branch fills the pipeline in 1 to 3, a
-# multiplier of a Cortex-M0 takes 1 or 32, a float that the next instruction needs takes 1 more. What runs beside a
-# division is not taken off. A Cortex-M7 issues two instructions at a time: its manual states no cycles.
+# Cycles are those of Arm's technical reference manuals for memory without wait states:
+#   Cortex-M0      DDI 0432, table 3-1: branches 3 (bl 4), a load 2, a product 1 or 32 as the core was built (checked
+#                  from a copy of the table)
+#   Cortex-M0+     DDI 0484C, table 3-1: branches 2 (bl 3), a load 2, a product 1 or 32 as the core was built
+#   Cortex-M3      DDI 0337I, table 3-1, and "load/store timings" below it
+#   Cortex-M4      DDI 0439, the tables of the instruction set and of the FPU; they are repeated in Texas Instruments'
+#                  SWCU192, tables 3-25 and 3-27, from which the numbers here were checked
+# They are a range where the manual gives one: a load or store behind a load takes 1 and not 2, one from the program
+# counter 1 more, a taken branch fills the pipeline in 1 to 3, a division takes 2 to 12, an `it` 0 or 1. A float that the
+# next instruction needs may take 1 more: stated in the manual's notes on its FPU table, which could not be read again
+# here. What runs beside a division is not taken off. A Cortex-M7 issues two instructions at a time: Arm publishes no
+# cycles of its instructions, and none are given.
 
 function hex(text,  k, n) {
     n = 0; text = tolower(text)
@@ -35,23 +42,36 @@ function reads(what, list, register,  text) {
 function takes(a, b) { low += a; high += b }
 
 function branch(what, taken, list) {
-    if (what ~ /^tb[bh]$/) takes(2 + 1, 2 + 3)
-    else if (core == "m0") takes(taken ? (what == "bl" ? 4 : 3) : 1, taken ? (what == "bl" ? 4 : 3) : 1)
+    if (what ~ /^tb[bh]$/) takes(2 + 1 + 1, 2 + 1 + 3) # load, sum, pipeline
+    else if (small && !taken) takes(1, 1)
+    else if (small) takes(refill + (what == "bl"), refill + (what == "bl"))
     else takes(taken ? 2 : 1, taken ? 4 : 1)
 }
 
 function memory(what, taken, list,  n) {
     n = (list ~ /\{/) ? registers(list) : (what ~ /^(ldrd|strd)/) ? 2 : 0
     if (n > 0) takes(1 + n, 1 + n)
-    else if (core == "m0") takes(2, 2)
+    else if (small) takes(2, 2)
     else takes(1, 2)
+    address(list)
     if (!taken || what ~ /^(st|push)/) return
-    if (core == "m0") takes(3, 3) # to the program counter
+    if (small) takes(refill, refill) # to the program counter
     else takes(n > 0 ? 1 : 2, 3)
 }
 
+# An address that the instruction before computed comes one cycle later; one beside the program counter may.
+function address(list,  what, part, base) {
+    if (small || !match(list, /\[[a-z0-9]+/)) return
+    base = substr(list, RSTART + 1, RLENGTH - 1)
+    if (base == "pc") takes(0, 1)
+    what = mnemonic[earlier]
+    if (what ~ /^(ldr|ldm|str|stm|push|pop|v|cmp|cmn|tst|teq|it|nop)/ || what ~ BRANCHES) return
+    split(operands[earlier], part, /, */)
+    if (part[1] == base || (what ~ /^[us]m[ul]l/ && part[2] == base)) takes(1, 1)
+}
+
 function product(what) {
-    if (core == "m0") takes(1, 32)
+    if (small) takes(1, 32)
     else if (core == "m4" || what ~ /^mul/) takes(1, 1)
     else if (what ~ /^[us]mlal/) takes(4, 7)
     else if (what ~ /^[us]mull/) takes(3, 5)
@@ -62,7 +82,10 @@ function floating(what, list, next_what, next_list,  n, part) {
     if (what ~ /^v(ldm|stm|push|pop)/) {
         n = registers(list) * (list ~ /\{d/ ? 2 : 1)
         takes(1 + n, 1 + n)
-    } else if (what ~ /^v(ldr|str)/) takes(list ~ /^d/ ? 3 : 2, list ~ /^d/ ? 3 : 2)
+    } else if (what ~ /^v(ldr|str)/) {
+        takes(list ~ /^d/ ? 3 : 2, list ~ /^d/ ? 3 : 2)
+        address(list)
+    }
     else if (what ~ /^v(div|sqrt)/) takes(14, 14)
     else if (what ~ /^v(fm|fnm|ml|nml)/) takes(3, 3)
     else if (what ~ /^vmov/ && list ~ /(^|, *)(r[0-9]|ip|lr|sp|sl|fp)/) takes(1, 2)
@@ -75,18 +98,20 @@ function floating(what, list, next_what, next_list,  n, part) {
 function add(pc, after,  what, list, taken) {
     what = mnemonic[pc]; list = operands[pc]; taken = (after != pc + bytes[pc])
     if (what ~ /^v/) floating(what, list, mnemonic[after], operands[after])
-    else if (what ~ /^(b|bl|bx|blx|cbz|cbnz|tbb|tbh|b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le|hs|lo|al))$/) branch(what, taken, list)
+    else if (what ~ BRANCHES) branch(what, taken, list)
     else if (what ~ /^(ldr|ldm|str|stm|push|pop)/) memory(what, taken, list)
     else if (what ~ /^[us]div/) takes(2, 12)
     else if (what ~ /^(mul|mla|mls|[us]mull|[us]mlal)/) product(what)
     else if (what ~ /^it[te]*$/) takes(0, 1) # folded into the instruction before
-    else if (taken) takes(core == "m0" ? 3 : 2, core == "m0" ? 3 : 4) # to the program counter
+    else if (taken) takes(small ? refill : 2, small ? refill : 4) # to the program counter
     else takes(1, 1)
 }
 
 BEGIN {
     sub(/^cortex-/, "", core); sub(/\+.*/, "", core)
-    stated = (core == "m0" || core == "m3" || core == "m4")
+    stated = (core ~ /^(m0|m0plus|m3|m4)$/)
+    small = (core ~ /^m0/); refill = (core == "m0") ? 3 : 2
+    BRANCHES = "^(b|bl|bx|blx|cbz|cbnz|tbb|tbh|b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le|hs|lo|al))$"
     first = hex(start); from = hex(caller); to = from + hex(caller_size)
 }
 
@@ -109,13 +134,14 @@ match($0, /\[[0-9a-f]+\/[0-9a-f]+\//) {
     if (pc == first && !inside) { calls++; inside = 1 }
     if (pc >= from && pc < to) inside = 0
     if (inside) count[calls]++
-    before = pc
+    earlier = before; before = pc
 }
 
 END {
     printf "%s, %d bytes, instructions per call:", name, hex(size)
     for (k = 1; k <= calls; k++) printf " %d", count[k]
-    printf "\ncycles of %s per call, Cortex-%s without wait states:", name, toupper(core)
+    called = toupper(core); sub(/PLUS/, "+", called)
+    printf "\ncycles of %s per call, Cortex-%s without wait states:", name, called
     for (k = 1; stated && k <= calls; k++) printf (least[k] == most[k]) ? " %d" : " %d-%d", least[k], most[k]
     print stated ? "" : " not stated for this core"
 }

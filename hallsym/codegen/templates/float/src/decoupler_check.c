@@ -4,9 +4,7 @@
 #include <float.h>
 #include <stddef.h>
 
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF /* gcc: -std=c99 or -ffp-contract=off */
-#endif
+@IEEE@
 
 #define LENGTH ((uint32_t)sizeof(decoupler_params_t))
 #define COVERED ((uint32_t)offsetof(decoupler_params_t, version))

@@ -1,0 +1,112 @@
+"""A calibration on another log: errors of the decoded pose, whether it describes it, zeros that moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hallsym.errors import InputError
+from hallsym.estimation.calibration import Fit, load_fit
+from hallsym.estimation.channel_assignment import as_read, rewired
+from hallsym.estimation.decoding import ErrorTable, knows_rails, logged_columns
+from hallsym.estimation.gauss_newton import Shifts, judged
+from hallsym.estimation.goodness_of_fit import GoodnessOfFit
+from hallsym.estimation.task import noise_of
+from hallsym.log import Log, Noise, as_log, usable
+from hallsym.log.phase import LISTED
+from hallsym.model import Model
+from hallsym.shown import Shown
+from hallsym.units import readable
+
+MOSTLY = 0.5
+"""Share of the squared error from which on another zero is what to say first of it."""
+REMEDY = "--own-zero estimates it"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Shown):
+    """What `evaluate` returns: errors of the decoded pose against the reference of a log, by run.
+
+    `table.over(runs)` gives rmse and peak by pose coordinate, SI. `goodness`: what is left, in multiples of
+    the noise. `notes`: what has to be said of the log.
+    """
+
+    model: Model
+    table: ErrorTable
+    goodness: GoodnessOfFit
+    noise: Noise
+    notes: tuple[str, ...]
+    log_name: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record that `hallsym evaluate --json` prints."""
+        return {
+            "goodness_of_fit": self.goodness.to_dict(),
+            "model": self.model.name,
+            "errors": self.table.over(),
+            "by_run": {str(run): self.table.over([run]) for run in self.table.runs},
+            "noise": {c: {"value": s.value, "source": s.source} for c, s in self.noise.sigmas.items()},
+            "notes": list(self.notes),
+        }
+
+
+def evaluate(
+    calibration: Fit | str | Path, log: Any, *, own_zero: bool = False, drop_bad: bool = False
+) -> Evaluation:
+    """Decode a log with a calibration and compare it with the log's reference.
+
+    `calibration`: a fit, or the path of a saved one. `log`: as `fit` takes it. The zero deviations of each
+    run are estimated from that run. `own_zero`: so is the zero of a reference that turns. `drop_bad`: leave
+    out bad samples.
+
+    Raises `InputError` for a log that is not of the machine that was calibrated.
+    """
+    known = calibration if isinstance(calibration, Fit) else load_fit(calibration)
+    model = known.model
+    given, rails = as_log(log, known.columns), not knows_rails(model)
+    given, notes = usable(given, logged_columns(model), drop_bad=drop_bad, rails=rails)
+    _belongs(given, known)
+    seen = as_read(given, model, known.wiring)
+    noise = noise_of(seen, model)
+    found = judged(seen, model, known.values, noise.std, own_zero=own_zero)
+    notes += _shift_notes(model, found.table, found.shifts, taken_out=own_zero)
+    goodness = found.goodness.judged(
+        noise, (*model.channels, *model.references), given.meta.gap_threshold_rel
+    )
+    return Evaluation(model, found.table, goodness, noise, tuple(notes), given.name)
+
+
+def _belongs(log: Log, known: Fit) -> None:
+    """Refuse a log that a family knows not to be of the machine that was calibrated."""
+    model = known.model
+    if model.inspect is None:
+        return
+    found = model.inspect(model, rewired(log, model.channels, known.wiring), fitted=False)
+    if found.wiring is not None:
+        raise InputError(
+            f"In {log.name} {' and '.join(model.references)} runs the other way round than when the "
+            "calibration was made: turn the sign of the reference in a column file, or put the wires of "
+            f"{' and '.join(model.channels)} right."
+        )
+
+
+def _shift_notes(model: Model, table: ErrorTable, shifts: Shifts, *, taken_out: bool) -> list[str]:
+    """Say which references have another zero than when the calibration was made, and how to take it out."""
+    notes, count = [], dict(zip(table.runs, table.count.tolist(), strict=True))
+    for column, own in shifts.items():
+        made = sum(count[run] * shift**2 for run, shift in own.items())
+        if not taken_out and made <= MOSTLY * table.squares[:, model.references.index(column)].sum():
+            continue
+        factor, unit, _ = readable(column)
+        said = [f"run {run}: {factor * shift:+.4f}" for run, shift in own.items()]
+        said = said if len(own) > 1 else [f"{factor * shift:+.4f}" for shift in own.values()]
+        more = f", and {len(own) - LISTED} more" if len(own) > LISTED else ""
+        remedy = "The errors are without it." if taken_out else f"Most of the error is that; {REMEDY}."
+        if not taken_out and len(own) > 1:
+            remedy = f"{remedy[:-1]} from each run, a fit with --effect zero_deviation gives each its own."
+        notes.append(
+            f"{column} counts from another zero than when the calibration was made; in {unit}, beside that: "
+            f"{', '.join(said[:LISTED])}{more}. {remedy}"
+        )
+    return notes

@@ -1,0 +1,343 @@
+"""Which column of a file could be which of ours: by its name, its unit, and by what the data do.
+
+A suggestion is written for a person to confirm; nothing of it is applied.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.families import FAMILIES, build
+from hallsym.families.naming import BARE, RUN, TIME, likeness, numbers_of
+from hallsym.log import Meta
+from hallsym.log.limits import likely_units, limit_of
+from hallsym.log.table import Source
+from hallsym.model import Model
+from hallsym.units import UNITS, Array, quantity, split_unit
+
+ROWS = 50_000
+"""Samples that are looked at."""
+MOVES = 0.9
+"""Correlation from which a column moves as another one does: the other axes and the noise make the rest."""
+LIKE = 0.5
+"""The same of one that the readings tell: which axis of the nominal, not yet calibrated, machine it is."""
+NEAR = 3.0
+"""Ratio of sizes up to which a unit fits: gains and nominal values are not exact."""
+OTHERS = ("temperature", "current", "speed")
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Our stem for a column of the file, its unit ("" where nothing tells it), and what speaks for it."""
+
+    stem: str
+    theirs: str
+    unit: str
+    why: str
+    sign: int = 1
+    counts_per_turn: int | None = None
+
+    @property
+    def line(self) -> str:
+        """The line of a column file; a comment where the unit is not known."""
+        ours = self.stem if self.stem == RUN else f"{self.stem}_{self.unit or 'UNIT'}"
+        name = json.dumps(self.theirs, ensure_ascii=False)
+        more = ", sign = -1" if self.sign < 0 else ""
+        more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
+        entry = f"{ours} = {{ name = {name}{more} }}" if more else f"{ours} = {name}"
+        lacking = not self.unit and self.stem != RUN
+        return f"# {entry}" if lacking else entry
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """Guesses for a file and the model they are for; `rest`: columns that nothing is known of."""
+
+    model: str
+    guesses: tuple[Guess, ...]
+    rest: tuple[str, ...]
+
+    def to_toml(self, log: str) -> str:
+        """Return the column file, each line with what speaks for it."""
+        width = max((len(g.line) for g in self.guesses), default=0)
+        lines = [f"{g.line.ljust(width)}  # {g.why}" for g in self.guesses]
+        others = [f"# not recognised: {', '.join(map(repr, self.rest))}"] if self.rest else []
+        head = [
+            f"# Suggested for {log}, as {self.model} needs it. Check every line: nothing of it is used",
+            "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um).",
+        ]
+        return "\n".join([*head, "", "[columns]", *lines, *others, ""])
+
+
+def suggest(source: Source, model: str | None = None) -> Suggestion:
+    """Return the best guess for each column of a file; `model`: what it is for, else what fits its names.
+
+    Raises `InputError` for a file without a column of numbers.
+    """
+    data = _numbers(source)
+    if not data:
+        raise InputError("No column of the file holds numbers; nothing can be suggested.")
+    chosen = _model(source, model)
+    named = _by_name(source, data, chosen)
+    guesses = [*named, *_by_motion(source, data, chosen, named)]
+    order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
+    known = {g.theirs for g in guesses}
+    return Suggestion(
+        chosen.name,
+        tuple(sorted(guesses, key=lambda g: order[g.stem])),
+        tuple(name for name in source.names if name not in known),
+    )
+
+
+def _numbers(source: Source) -> dict[str, Array]:
+    """Return the first samples of the columns that hold numbers."""
+    if not source.names:
+        return {}
+    try:
+        return _head(source, source.names)
+    except InputError:
+        pass
+    found: dict[str, Array] = {}
+    for name in source.names:
+        try:
+            found |= _head(source, [name])
+        except InputError:
+            continue  # words, dates
+    return found
+
+
+def _head(source: Source, names: Sequence[str]) -> dict[str, Array]:
+    parts: list[Mapping[str, Array]] = []
+    rows = 0
+    for part in source.chunks(names, ROWS):
+        parts.append(part)
+        rows += len(part[names[0]])
+        if rows >= ROWS:
+            break
+    joined = (
+        {n: np.concatenate([np.asarray(p[n], float) for p in parts])[:ROWS] for n in names} if parts else {}
+    )
+    return {n: v for n, v in joined.items() if np.isfinite(v).any()}
+
+
+def _stems(model: Model) -> list[str]:
+    return [split_unit(c)[0] for c in (*model.channels, *_measured(model), *model.references)]
+
+
+def _measured(model: Model) -> tuple[str, ...]:
+    computed = {c.name for c in model.computed}
+    return tuple(c for c in model.state if c not in computed)
+
+
+def _model(source: Source, name: str | None) -> Model:
+    """Return the model whose columns the names of a file fit best, in the form in which it is read there."""
+    numbers = numbers_of(source.names)
+
+    def fits(model: Model) -> float:
+        stems = _stems(model)
+        return sum(max(likeness(s, name, numbers) for name in source.names) for s in stems) / len(stems)
+
+    names = [name] if name else [family.default for family in FAMILIES]
+    return max((form for name in names for form in _forms(name)), key=fits)
+
+
+def _forms(name: str) -> list[Model]:
+    """Return a model as it is read by its channels, and where that is another one, as its pose is read."""
+    usual = build(name)
+    other = build(name, meta=Meta(columns=(*usual.pose, *usual.references)))
+    return [usual] if other.channels == usual.channels else [usual, other]
+
+
+# -- by name ---------------------------------------------------------------------------------------------
+
+
+def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Guess]:
+    numbers = numbers_of(source.names)
+    stems = [RUN, TIME, *_stems(model), *OTHERS]
+    pairs = [(likeness(stem, name, numbers), stem, name) for stem in stems for name in data]
+    pairs += [(BARE / 2, stem, name) for stem in (RUN, TIME) for name in data if _behaves(stem, data[name])]
+    found: dict[str, Guess] = {}
+    taken: set[str] = set()
+    for score, stem, name in sorted(pairs, key=lambda p: (-p[0], stems.index(p[1]))):
+        unfit = stem in (RUN, TIME) and not _behaves(stem, data[name])
+        if score <= 0 or stem in found or name in taken or unfit or not _unit_fits(source, name, stem):
+            continue
+        why = "its name" if score >= BARE else "its data"
+        if stem == RUN:
+            why += ": whole numbers that stay" if score < BARE else ""
+        guess = _with_unit(source, data[name], Guess(stem, name, "", why))
+        found[stem] = guess
+        taken.add(name)
+    return list(found.values())
+
+
+def _behaves(stem: str, values: Array) -> bool:
+    """Say whether values are such as run numbers (whole, and stay) or times (rise by even steps)."""
+    if not np.isfinite(values).all() or len(values) < 3:
+        return False
+    steps = np.diff(values)
+    if stem == RUN:
+        changes = np.count_nonzero(steps)
+        return bool((values == np.floor(values)).all() and changes <= len(values) / 8 and (steps >= 0).all())
+    usual = np.median(steps)
+    return bool(usual > 0 and (np.abs(steps - usual) < 0.5 * usual).mean() > 0.8)
+
+
+def _stated(source: Source, name: str) -> str:
+    """Return the unit that the file states for a column, in its header or in its name; "" without one."""
+    if name in source.units:
+        return source.units[name]
+    last = name.rpartition("_")[2].lower()
+    return last if "_" in name and last in UNITS and (len(last) > 1 or last in "sm") else ""
+
+
+def _unit_fits(source: Source, name: str, stem: str) -> bool:
+    stated = _stated(source, name)
+    return not stated or stem == RUN or UNITS[stated].si in quantity(stem)
+
+
+def _with_unit(source: Source, values: Array, guess: Guess) -> Guess:
+    """Add the unit that the file states, else the one that the size of the values suggests."""
+    if guess.stem == RUN:
+        return guess
+    stated = _stated(source, guess.theirs)
+    kinds = quantity(guess.stem)
+    if stated and UNITS[stated].si == "count" and "rad" in kinds:
+        why = f"{guess.why}; its unit is stated, THE TURN ONLY BY ITS SIZE"
+        return replace(guess, unit="count", counts_per_turn=_turn(values), why=why)
+    if stated:
+        return replace(guess, unit=stated, why=f"{guess.why}; its unit is stated")
+    span = float(np.nanmax(values) - np.nanmin(values))
+    for si in kinds:
+        limit = limit_of(f"{guess.stem}_{si}")
+        if limit and span > 0:
+            units = [si] if span <= limit.likely else likely_units(limit, span)
+            if units:
+                return replace(guess, unit=units[0], why=f"{guess.why}; UNIT ONLY BY ITS SIZE")
+    return _turning(values, guess, span) if "rad" in kinds else guess
+
+
+def _turning(values: Array, guess: Guess, span: float) -> Guess:
+    """An angle that goes round: whole numbers are counts, up to 7 radians, up to 400 degrees."""
+    whole = bool((values == np.floor(values)).all())
+    if whole and span > 400:
+        turn = _turn(values)
+        return replace(guess, unit="count", counts_per_turn=turn, why=f"{guess.why}; COUNTS ONLY BY SIZE")
+    unit = "rad" if span < 7 else "deg" if span < 400 else ""
+    return replace(guess, unit=unit, why=f"{guess.why}; UNIT ONLY BY ITS SIZE") if unit else guess
+
+
+def _turn(values: Array) -> int:
+    return 1 << int(np.nanmax(values)).bit_length()
+
+
+# -- by motion -------------------------------------------------------------------------------------------
+
+
+def _by_motion(
+    source: Source, data: Mapping[str, Array], model: Model, named: Sequence[Guess]
+) -> list[Guess]:
+    """Return guesses for readings that move as the references say they should, and the other way round."""
+    known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
+    free = [n for n in data if n not in {g.theirs for g in named} and np.ptp(data[n]) > 0]
+    has = {split_unit(c)[0] for c in (*model.channels, *_measured(model), *model.references)}
+    lacking = [s for s in has if s not in {g.stem for g in named}]
+    references = [split_unit(c)[0] for c in model.references]
+    channels = [c for c in model.channels if split_unit(c)[0] in lacking]
+    if channels and any(r in known for r in references):
+        expected = _readings(model, known)
+        return _matched(source, data, free, {split_unit(c)[0]: expected[c] for c in channels})
+    missing = [c for c in model.references if split_unit(c)[0] in lacking]
+    if missing and all(split_unit(c)[0] in known for c in model.channels):
+        decoded = _decoded(model, known)
+        readings = np.array([known[split_unit(c)[0]] for c in model.channels])
+        told = [n for n in free if _told(data[n], readings)]
+        return _matched(source, data, told, {split_unit(c)[0]: decoded[c] for c in missing}, LIKE)
+    return []
+
+
+def _told(values: Array, readings: Array) -> bool:
+    """Say whether a column is a linear function of the readings, but for a small part."""
+    matrix = np.vstack([readings, np.ones(readings.shape[1])]).T
+    left = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
+    return bool(np.var(left) <= (1 - MOVES**2) * np.var(values))
+
+
+def _si(values: Array, guess: Guess) -> Array:
+    unit = UNITS[guess.unit]
+    factor = 2 * np.pi / guess.counts_per_turn if guess.counts_per_turn else unit.factor
+    return np.asarray(factor * values + unit.offset)
+
+
+def _readings(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
+    """Return what the nominal machine would read where the references say it is."""
+    rows = len(next(iter(known.values())))
+    pose = np.array([known.get(split_unit(c)[0], np.zeros(rows)) for c in model.references])
+    rest = model.rest
+    state = np.array([known.get(split_unit(c)[0], np.full(rows, rest.get(c, 0.0))) for c in model.state])
+    zeros = np.zeros((len(model.zeros), 1))
+    found = np.asarray(model.reading(model.nominal, zeros, pose, state.reshape(len(model.state), rows)))
+    return dict(zip(model.channels, found, strict=True))
+
+
+def _decoded(model: Model, known: Mapping[str, Array]) -> dict[str, Array]:
+    """Return where the nominal machine would be, to first order about its rest, where its readings say so."""
+    rows = len(next(iter(known.values())))
+    rest = model.rest
+    still = np.array([rest.get(c, 0.0) for c in model.pose])
+    state = np.array([rest.get(c, 0.0) for c in model.state])
+    zeros = np.zeros(len(model.zeros))
+    steps = np.array([1e-6] * len(still))
+    base = np.asarray(model.reading(model.nominal, zeros, still, state)).ravel()
+    slopes = np.stack(
+        [
+            (np.asarray(model.reading(model.nominal, zeros, still + s * e, state)).ravel() - base) / s
+            for s, e in zip(steps, np.eye(len(still)), strict=True)
+        ],
+        axis=1,
+    )
+    readings = np.array([known[split_unit(c)[0]] for c in model.channels]).reshape(-1, rows)
+    found = np.linalg.pinv(slopes) @ (readings - readings.mean(axis=1, keepdims=True))
+    return dict(zip(model.references, found, strict=True))
+
+
+def _matched(
+    source: Source,
+    data: Mapping[str, Array],
+    free: Sequence[str],
+    expected: Mapping[str, Array],
+    least: float = MOVES,
+) -> list[Guess]:
+    """Return the pairs of columns and stems that move together, the surest first."""
+    pairs = []
+    for stem, wanted in expected.items():
+        for name in free:
+            if _unit_fits(source, name, stem) and np.isfinite(data[name]).all() and np.ptp(wanted) > 0:
+                pairs.append((float(np.corrcoef(wanted, data[name])[0, 1]), stem, name))
+    found: dict[str, Guess] = {}
+    taken: set[str] = set()
+    for r, stem, name in sorted(pairs, key=lambda p: -abs(p[0])):
+        if abs(r) < least or stem in found or name in taken:
+            continue
+        why = f"moves as {stem} should (r = {r:.3f})"
+        guess = Guess(stem, name, "", why, 1 if r > 0 else -1)
+        found[stem] = _sized(source, data[name], expected[stem], guess)
+        taken.add(name)
+    return list(found.values())
+
+
+def _sized(source: Source, values: Array, expected: Array, guess: Guess) -> Guess:
+    """Add the unit in which the values have the size that is expected of them."""
+    stated = _stated(source, guess.theirs)
+    if stated:
+        return replace(guess, unit=stated, why=f"{guess.why}; its unit is stated")
+    factor = float(np.std(expected) / np.std(values))
+    kinds = quantity(guess.stem)[:1]
+    near = [u for u in UNITS.values() if u.si in kinds and 1 / NEAR < u.factor / factor < NEAR]
+    best = min(near, key=lambda u: abs(np.log(u.factor / factor)), default=None)
+    return replace(guess, unit=best.name, why=f"{guess.why}; UNIT ONLY BY ITS SIZE") if best else guess

@@ -1,0 +1,70 @@
+"""Tables in memory as logs: data frames of any library that speaks Arrow, arrays by name."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.arrow import array_of, is_numeric
+from hallsym.log.extras import load
+from hallsym.log.table import Arrays
+from hallsym.log.text.units import split_header
+from hallsym.units import Array
+
+
+def is_table(data: Any) -> bool:
+    """Say whether something is a table in memory and not the name of a file."""
+    return isinstance(data, Mapping) or hasattr(data, "__arrow_c_stream__")
+
+
+def source_of(data: Any, where: str) -> Arrays:
+    """Return the columns of numbers of a table: a dict of arrays, or what has `__arrow_c_stream__`.
+
+    A name may state its unit as in a file: `x_ref_um`, `x_ref [um]`. Columns of other things are left out.
+    """
+    columns, left_out = _of_mapping(data, where) if isinstance(data, Mapping) else _of_arrow(data, where)
+    parts = {name: split_header(name) for name in columns}
+    stems = Counter(stem for stem, _ in parts.values())
+    short = {name: stem if stems[stem] == 1 else name for name, (stem, _) in parts.items()}
+    source = Arrays({short[name]: values for name, values in columns.items()})
+    source.units = {short[name]: unit for name, (_, unit) in parts.items() if unit}
+    source.aliases = {name: short[name] for name in columns if short[name] != name}
+    source.left_out = left_out
+    return source
+
+
+Columns = tuple[dict[str, Array], dict[str, str]]
+
+
+def _of_mapping(data: Mapping[Any, Any], where: str) -> Columns:
+    columns: dict[str, Array] = {}
+    left_out: dict[str, str] = {}
+    for name, given in data.items():
+        values = np.asarray(given)
+        if values.dtype.kind not in "fiu":
+            left_out[str(name)] = "it holds no numbers"
+            continue
+        first = next(iter(columns.values()), values)
+        if values.ndim != 1 or len(values) != len(first):
+            raise InputError(
+                f"Column {name} of {where} must be a vector as long as the others; it is {values.shape}."
+            )
+        columns[str(name)] = values
+    return columns, left_out
+
+
+def _of_arrow(data: Any, where: str) -> Columns:
+    arrow = load("pyarrow")
+    try:
+        table = arrow.RecordBatchReader.from_stream(data).read_all()
+    except (arrow.ArrowException, TypeError, ValueError) as error:
+        raise InputError(f"{where} must be a table of columns; it is none ({error}).") from error
+    numeric = {field.name: is_numeric(field.type) for field in table.schema}
+    if len(numeric) < len(table.schema):
+        raise InputError(f"Columns of {where} must have different names; one is there twice.")
+    columns = {name: array_of(table.column(name)) for name, holds in numeric.items() if holds}
+    return columns, {name: "it holds no numbers" for name, holds in numeric.items() if not holds}

@@ -1,0 +1,70 @@
+"""Results in a session: what their commands print, tables, pictures and files, as methods.
+
+Who shows a result is told by the top of the package (`hallsym/__init__.py`): results know no report.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hallsym.errors import InputError
+from hallsym.files import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SHOWING: list[Callable[[], Any]] = []
+
+
+def shown_by(load: Callable[[], Any]) -> None:
+    """Say who shows results: `load()` returns what has `summary`, `brief`, `page`, `table` and `figure`."""
+    _SHOWING[:] = [load]
+
+
+class Shown:
+    """A result that a session can print, tabulate, draw and save."""
+
+    def summary(self) -> str:
+        """Return what the command of this result prints."""
+        return str(_SHOWING[0]().summary(self))
+
+    def to_dataframe(self) -> Any:
+        """Return the table of this result as a `pandas.DataFrame`, in SI; its units stand in a column.
+
+        Raises `InputError` where pandas is not installed (`pip install 'hallsym[pandas]'`).
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise InputError(
+                "A data frame needs pandas, which is not installed; run: pip install 'hallsym[pandas]'."
+            ) from error
+        return pandas.DataFrame(_SHOWING[0]().table(self))
+
+    def plot(self, log: Any = None) -> Figure:
+        """Return a picture of this result as a matplotlib `Figure`.
+
+        `log`: where the picture is of one and the result was read from a file, which does not hold it.
+        """
+        figure: Figure = _SHOWING[0]().figure(self, log)
+        return figure
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of this result."""
+        raise NotImplementedError
+
+    def save(self, path: str | Path) -> None:
+        """Write the record as JSON; a file that was there is replaced only by a complete new one."""
+        text = json.dumps(self.to_dict(), indent=1, allow_nan=False)
+        atomic_write(Path(path), (text + "\n").encode())
+
+    def __repr__(self) -> str:
+        """Return a few lines."""
+        return str(_SHOWING[0]().brief(self))
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return str(_SHOWING[0]().page(self))

@@ -1,0 +1,121 @@
+"""Which column could be which: by its name, its unit, and by what the data do; never applied by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hallsym
+from hallsym.errors import InputError
+from hallsym.families.naming import likeness, words_of
+from hallsym.families.suggest import Suggestion, suggest
+from hallsym.log import open_source, read_column_file, read_log
+
+
+@pytest.fixture(scope="module")
+def columns() -> dict[str, np.ndarray]:
+    """Ten runs of the bundled campaign."""
+    log = hallsym.bundled_campaign()
+    run = log.array("run").astype(int)
+    chosen = np.isin(run, log.runs[:20:2])
+    return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+
+
+LAB = {
+    "run": ("Pass", 1.0), "t_s": ("Time [ms]", 1e3), "hall_a_m": ("HallA [um]", 1e6),
+    "hall_b_m": ("HallB [um]", 1e6), "hall_c_m": ("HallC [um]", 1e6), "z_m": ("Height [mm]", 1e3),
+    "rx_rad": ("Roll [mrad]", 1e3), "ry_rad": ("Pitch [mrad]", 1e3), "x_ref_m": ("IFM_X [nm]", 1e9),
+    "y_ref_m": ("IFM_Y [nm]", 1e9), "rz_ref_rad": ("IFM_Yaw [urad]", 1e6),
+}  # fmt: skip
+
+
+def guessed(columns: dict[str, np.ndarray], **others: tuple[str, float]) -> Suggestion:
+    """Suggest for the columns under a laboratory's names."""
+    names = LAB | others
+    return suggest(open_source({names[c][0]: v * names[c][1] for c, v in columns.items()})[2])
+
+
+def found(suggestion: Suggestion) -> dict[str, tuple[str, str, int]]:
+    return {g.stem: (g.theirs, g.unit, g.sign) for g in suggestion.guesses}
+
+
+def test_names_and_units(columns: dict[str, np.ndarray]) -> None:
+    made = guessed(columns)
+    assert made.model == "stage31"
+    assert made.rest == ()
+    for ours, (name, _) in LAB.items():
+        stem = "run" if ours == "run" else ours.rpartition("_")[0]
+        text, _, unit = name.partition(" [")
+        assert found(made)[stem] == (text, unit.rstrip("]"), 1), ours
+
+
+def test_numbers_stand_for_letters(columns: dict[str, np.ndarray]) -> None:
+    for first in (0, 1):
+        names = {f"hall_{c}_m": (f"Hall{k + first} [um]", 1e6) for k, c in enumerate("abc")}
+        made = found(guessed(columns, **names))
+        assert [made[f"hall_{c}"][0] for c in "abc"] == [f"Hall{k + first}" for k in range(3)]
+
+
+def test_readings_without_a_name_are_found_by_what_they_move_with(columns: dict[str, np.ndarray]) -> None:
+    names = {"hall_a_m": ("U7", 1e6), "hall_b_m": ("U2", -1e6), "hall_c_m": ("U5", 1e3)}
+    made = found(guessed(columns, **names))
+    assert made["hall_a"] == ("U7", "um", 1)
+    assert made["hall_b"] == ("U2", "um", -1)
+    assert made["hall_c"] == ("U5", "mm", 1)
+
+
+def test_references_without_a_name_are_found_by_the_readings(columns: dict[str, np.ndarray]) -> None:
+    names = {"x_ref_m": ("L1 [um]", 1e6), "y_ref_m": ("L2 [um]", 1e6), "rz_ref_rad": ("L3 [urad]", 1e6)}
+    made = found(guessed(columns, **names))
+    assert [made[c][0] for c in ("x_ref", "y_ref", "rz_ref")] == ["L1", "L2", "L3"]
+
+
+def test_an_angle_in_counts() -> None:
+    t = np.arange(4000) * 1e-3
+    angle = 2 * np.pi * 0.5 * t
+    raw = np.floor((angle / (2 * np.pi) % 1) * 4096)
+    made = suggest(
+        open_source({"time [s]": t, "Angle [counts]": raw, "Angle ref [deg]": np.degrees(angle)})[2]
+    )
+    assert made.model.startswith("rotary")
+    assert found(made)["angle"] == ("Angle", "count", 1)
+    assert found(made)["angle_ref"] == ("Angle ref", "deg", 1)
+    (angle_guess,) = [g for g in made.guesses if g.stem == "angle"]
+    assert angle_guess.counts_per_turn == 4096
+
+
+def test_the_column_file_that_is_written_is_read(columns: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = tmp_path / "columns.toml"
+    path.write_text(guessed(columns, hall_b_m=("U2", -1e6)).to_toml("lab.csv"), encoding="utf-8")
+    stated = read_column_file(path)
+    assert stated.columns["hall_b_um"].scale == -1.0
+    table = {LAB[c][0]: v * LAB[c][1] for c, v in columns.items()} | {"U2": -1e6 * columns["hall_b_m"]}
+    log = read_log(table, column_file=path)
+    assert np.allclose(log.array("hall_b_m"), columns["hall_b_m"], rtol=1e-12)
+
+
+def test_what_has_no_unit_is_written_as_a_comment() -> None:
+    t = np.arange(100) * 1e-3
+    made = suggest(open_source({"time": t, "Temp": 20 + 1e3 * t, "Words": ["a"] * 100})[2], "stage31")
+    text = made.to_toml("lab.csv")
+    assert '# temperature_UNIT = "Temp"' in text or 'temperature_degc = "Temp"' in text
+    assert "hall" not in text.split("[columns]")[1]
+    with pytest.raises(InputError, match="No column of the file holds numbers"):
+        suggest(open_source({"Words": ["a"] * 100})[2])
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("IFM_X", {"ref", "x"}), ("hallB", {"reading", "b"}), ("Pos X ref", {"ref", "x"}), ("ThetaZ", {"rz"}),
+     ("Encoder sin", {"encoder", "sin"}), ("RX", {"rx"}), ("CH12", {"reading", "12"})],
+)  # fmt: skip
+def test_words_of_names(name: str, words: set[str]) -> None:
+    assert words_of(name) == words
+
+
+def test_a_height_is_no_reference_of_it() -> None:
+    assert likeness("z", "Height") == 1.0
+    assert likeness("z_ref", "Height") == 0.5
+    assert likeness("x_ref", "Hall X") == 0.0

@@ -1,0 +1,249 @@
+"""The same log in every text that laboratories write is the same log, without an option."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mangled import cells, rows, variants, with_units, write_workbook
+
+import hallsym
+from hallsym.errors import InputError
+from hallsym.estimation import Fit, fit
+from hallsym.log import Log, read_log
+
+
+@pytest.fixture(scope="module")
+def columns() -> dict[str, np.ndarray]:
+    """Some runs of the bundled campaign, at other heights and tilts."""
+    log = hallsym.bundled_campaign()
+    run = log.array("run").astype(int)
+    chosen = np.isin(run, log.runs[:12:2])
+    return {c: run[chosen] if c == "run" else log.array(c)[chosen] for c in log.columns}
+
+
+@pytest.fixture(scope="module")
+def usual(columns: dict[str, np.ndarray]) -> Fit:
+    """The fit of the same arrays."""
+    return fit(Log.from_arrays(columns), "stage31", solver="direct")
+
+
+def same(found: Fit, wanted: Fit) -> bool:
+    return bool(np.allclose(found.values, wanted.values, rtol=1e-7, atol=1e-12))
+
+
+def _names() -> list[str]:
+    return list(variants({"run": np.arange(3), "t_s": np.arange(3) * 0.1, "x_ref_m": np.arange(3) * 1e-6}))
+
+
+@pytest.mark.parametrize("name", _names())
+def test_mangled_text_is_the_same_log(
+    tmp_path: Path, columns: dict[str, np.ndarray], usual: Fit, name: str
+) -> None:
+    file, data = variants(columns)[name]
+    path = tmp_path / file
+    path.write_bytes(data)
+    log = read_log(path)
+    assert set(log.columns) == set(columns)
+    assert log.rows == len(columns["run"])
+    for column, values in columns.items():
+        assert np.allclose(log.array(column), values, rtol=1e-14, atol=1e-21), column
+    assert len(log.notes) <= 1
+    assert same(fit(log, "stage31", solver="direct"), usual)
+
+
+@pytest.mark.parametrize("above", [True, False])
+def test_a_workbook_is_the_same_log(
+    tmp_path: Path, columns: dict[str, np.ndarray], usual: Fit, above: bool
+) -> None:
+    write_workbook(tmp_path / "log.xlsx", columns, above=above)
+    log = read_log(tmp_path / "log.xlsx")
+    assert np.allclose(log.array("x_ref_m"), columns["x_ref_m"], rtol=1e-14, atol=1e-21)
+    assert "sheet 'Log'" in log.notes[0]
+    assert same(fit(log, "stage31", solver="direct"), usual)
+
+
+def test_a_workbook_with_several_tables_asks_which(tmp_path: Path) -> None:
+    import xlsxwriter
+
+    book = xlsxwriter.Workbook(str(tmp_path / "log.xlsx"))
+    for name in ("Monday", "Tuesday"):
+        book.add_worksheet(name).write_column(0, 0, ["x_ref_m", 1, 2])
+    book.close()
+    with pytest.raises(InputError, match=r"2 sheets with cells .*--sheet Monday"):
+        read_log(tmp_path / "log.xlsx")
+    assert read_log(tmp_path / "log.xlsx", sheet="Tuesday").rows == 2
+    with pytest.raises(InputError, match=r"no sheet 'Munday'.*did you mean 'Monday'"):
+        read_log(tmp_path / "log.xlsx", sheet="Munday")
+
+
+def test_what_was_recognised_is_said_in_one_line(tmp_path: Path, columns: dict[str, np.ndarray]) -> None:
+    for name, words in {
+        "utf-16": ("UTF-16", "semicolons", "decimal comma", "names in line 1 with units in line 2"),
+        "lines above the names": ("names in line 4", "2 lines above them not used"),
+        "words below": ("the last 3 lines left out ('End of measurement: 60 s')",),
+        "thousands": ("decimal comma and '.' between thousands",),
+    }.items():
+        file, data = variants(columns)[name]
+        (tmp_path / file).write_bytes(data)
+        (note,) = read_log(tmp_path / file).notes
+        assert all(word in note for word in words), note
+        assert "\n" not in note
+
+
+def test_a_mapping_says_the_unit_or_takes_that_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("Time [ms];HallA [µm];IFM\n0;1,5;2\n1;2,5;3\n")
+    log = read_log(path, columns={"t": "Time", "hall_a": "HallA", "x_ref_nm": "IFM"})
+    assert log.array("hall_a_m").tolist() == [1.5 * 1e-6, 2.5 * 1e-6]
+    assert log.array("t_s").tolist() == [0.0, 1e-3]
+    by_whole_name = read_log(path, columns={"hall_a_um": "HallA [µm]"})
+    assert by_whole_name.array("hall_a_m").tolist() == [1.5 * 1e-6, 2.5 * 1e-6]
+    other = read_log(path, columns={"hall_a_mm": "HallA"})
+    assert other.array("hall_a_m")[0] == pytest.approx(1.5e-3)
+    assert "Column 'HallA' is read in mm as stated; its header says um." in other.notes
+    with pytest.raises(InputError, match="must end with the unit"):
+        read_log(path, columns={"x_ref": "IFM"})
+
+
+_WATCH = """
+import sys
+import pyarrow.csv, numpy
+from hallsym.log import read_log
+
+def peak():
+    line = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024
+
+before = peak()
+log = read_log(sys.argv[1])
+rows = sum(len(block.data["x_ref_m"]) for block in log.blocks(["x_ref_m", "hall_a_m"]))
+print(rows, peak() - before, log.table.in_memory)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
+@pytest.mark.slow
+def test_a_large_file_is_read_in_64_MB(tmp_path: Path, columns: dict[str, np.ndarray]) -> None:
+    few = {name: 0 * values[:500] if name == "run" else values[:500] for name, values in columns.items()}
+    body = rows(["run", *with_units(few)[1:]], cells(few), ";").replace(".", ",")
+    head, _, lines = body.partition("\n")
+    with open(tmp_path / "log.csv", "w", encoding="latin-1") as file:
+        file.write(head + "\n")
+        for _ in range(2600):
+            file.write(lines)
+    command = [sys.executable, "-c", _WATCH, str(tmp_path / "log.csv")]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    count, megabytes, in_memory = result.stdout.split()
+    assert (int(count), in_memory) == (1_300_000, "False")
+    assert float(megabytes) < 64
+
+
+def test_a_calibration_remembers_the_names_of_its_log(
+    tmp_path: Path, columns: dict[str, np.ndarray], usual: Fit
+) -> None:
+    """The next log of the machine needs no option, in another format neither; ours need none anyway."""
+    named = {"hall_a_m": "HallA", "x_ref_m": "IFM"}
+    table = {
+        named.get(c, c): v * (1e6 if c == "hall_a_m" else -1.0 if c == "x_ref_m" else 1.0)
+        for c, v in columns.items()
+    }
+    (tmp_path / "columns.toml").write_text(
+        '[columns]\nhall_a_um = "HallA"\nx_ref_m = { name = "IFM", sign = -1 }\n'
+    )
+    path = tmp_path / "lab.csv"
+    path.write_text(
+        rows(
+            list(table),
+            [list(map(repr, row)) for row in zip(*(v.tolist() for v in table.values()), strict=True)],
+        )
+    )
+    first = fit(read_log(path, column_file=tmp_path / "columns.toml"), "stage31", solver="direct")
+    assert same(first, usual)
+    first.save(tmp_path / "calib.json")
+    known = hallsym.load_fit(tmp_path / "calib.json")
+    assert dict(known.columns) == dict(first.columns)
+    found = hallsym.evaluate(known, path)
+    assert "Columns are named as in the calibration: hall_a_um is 'HallA', x_ref_m is 'IFM'." in found.notes
+    direct = hallsym.evaluate(known, columns)
+    assert not any("named as in" in note for note in direct.notes)
+    assert found.table.over()["rmse"]["x_m"] == pytest.approx(direct.table.over()["rmse"]["x_m"], rel=1e-9)
+    assert "columns" not in usual.to_dict()
+
+
+def test_a_remembered_name_in_another_unit_is_asked_about(tmp_path: Path) -> None:
+    from hallsym.log import Foreign
+
+    path = tmp_path / "next.csv"
+    path.write_text("t_s;HallA [mm]\n0;1,5\n1;2,5\n")
+    with pytest.raises(InputError, match=r"is in mm by its header; .* it was in um: .*hall_a_mm=HallA"):
+        read_log(path, remembered={"hall_a_um": Foreign("HallA")})
+    log = read_log(path, remembered={"hall_a_um": Foreign("HallA")}, columns={"hall_a_mm": "HallA"})
+    assert log.array("hall_a_m")[0] == pytest.approx(1.5e-3)
+    assert (
+        read_log(path, remembered={"hall_a": Foreign("HallA")}).array("hall_a_m")[0]
+        == log.array("hall_a_m")[0]
+    )
+
+
+@pytest.mark.parametrize("name", ["log.xlsx", "log.csv.gz"])
+def test_what_is_only_read_is_not_written(tmp_path: Path, columns: dict[str, np.ndarray], name: str) -> None:
+    with pytest.raises(InputError, match=r"not written as .*end .* with \.parquet"):
+        hallsym.write_log(columns, tmp_path / name)
+
+
+def test_head_of_a_file(tmp_path: Path) -> None:
+    from hallsym.log import open_source
+
+    path = tmp_path / "lab.csv"
+    path.write_text("Time;HallA;Note\ns;um;\n0;1,50;ok\n1;2,50;ok\n")
+    source = open_source(path)[2]
+    assert source.head(1, 2) == [["0", "1,50"]]
+    assert dict(source.units) == {"Time": "s", "HallA": "um"}
+    assert source.recognised.startswith("UTF-8, columns separated by semicolons, decimal comma")
+
+
+COUNTED = [f"{k};{k},5" for k in range(30)]
+
+
+@pytest.mark.parametrize(
+    ("head", "body"),
+    [
+        (["LabVIEW Measurement", "Separator;;", "***End_of_Header***;", ";", "t [s];x_ref [um]"], COUNTED),
+        (["t;x_ref;run", "s;um;1"], [f"{line};0" for line in COUNTED]),
+        (["Datum;t_s;x_ref µm"], [f"22.11.2026;{line}" for line in COUNTED]),
+        (["Time;t [s];x_ref (um)"], [f"2026-11-22 12:00:{k:02d},5;{k};{k},5" for k in range(30)]),
+        (["t_s;ok;x_ref/um"], [f"{k};TRUE;{k},5" for k in range(30)]),
+        (["t (s)   x_ref (um)"], [f"  {k}    {k}.5" for k in range(30)]),
+        (["t_s;x_ref_um"], [*COUNTED[:-1], "29;29,5", "", "Messung beendet", ""]),
+        (["t_s,x_ref_um"], [f'{k},"{k},5"' for k in range(30)]),
+        (["t_s;x_ref_mm"], [f"{k};0,{k:03d}5" for k in range(30)]),
+    ],
+)
+def test_what_programs_write(tmp_path: Path, head: list[str], body: list[str]) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([*head, *body, ""]), encoding="utf-8")
+    log = read_log(path)
+    assert log.array("t_s").tolist() == list(map(float, range(30)))
+    assert log.array("x_ref_m")[-1] == pytest.approx(29.5e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("".join(f"{k};{k},5\n" for k in range(30)), "must hold column names"),
+        ("t_s,x_ref_mm\n" + "".join(f"{k},0,{k},5\n" for k in range(30)), "commas may be decimal signs too"),
+        ("t_s,x_um\n" + "".join(f"{k},{k}\n" for k in range(9)) * 2 + "t_s,x_um\n", "Line 20, column"),
+        ("t_s,x_ref\n" + "".join(f"{k},{k},{k}\n" for k in range(30)), "Line 2 of .* must have 2 cells"),
+        ("t;x_ref_um\n0;1\n" + "".join(f"{k};{k % 900},5\n" for k in range(40000)) + "1;1.234,5\n",
+         "Line 40003.*if a point separates thousands, state --decimal ,"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says):
+        list(read_log(path).blocks())
