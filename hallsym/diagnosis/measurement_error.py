@@ -30,8 +30,6 @@ SAMPLES = 8_000
 The bias is a few standard deviations of a score at most, and this many samples tell it to about 1 %."""
 
 
-DRAWS = 3
-"""Times that all of this is drawn: the noise of the bias is then a third of that of a score at most."""
 SETTLE = 100
 """Samples of noise that are dropped before each block, so that its colour is settled."""
 
@@ -43,8 +41,8 @@ WHITE = np.array([1.0, 0.0])
 class _Moved:
     """A log with some columns moved by noise of standard deviation `sizes`; `colour`: autocorrelation."""
 
-    def __init__(self, log: Any, sizes: Mapping[str, float], colour: np.ndarray, draw: int) -> None:
-        self.log, self.sizes, self.draw = log, sizes, draw
+    def __init__(self, log: Any, sizes: Mapping[str, float], colour: np.ndarray) -> None:
+        self.log, self.sizes = log, sizes
         order = len(colour) - 1
         phi = np.linalg.solve(toeplitz(colour[:order]), colour[1:])
         self.filter = np.append(1.0, -phi)
@@ -58,7 +56,7 @@ class _Moved:
         return self
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
-        rng, wanted = np.random.default_rng(self.draw), self.log.columns if columns is None else columns
+        rng, wanted = np.random.default_rng(0), self.log.columns if columns is None else columns
         known = (b for batch in batches(self.log, wanted) for b in batch.blocks)
         for block in known if is_held(self.log) else self.log.blocks(wanted, size):
             data = dict(block.data)
@@ -115,31 +113,28 @@ def shared_noise(
         return own, slopes.rows(batch, zeros, weights), residual
 
     sums: dict[tuple[int, int], np.ndarray] = {}
-    for draw in range(DRAWS):
-        log = _Moved(base.log, sizes, colour, draw)
-        share_windows(base.log, log)  # type: ignore[arg-type]
-        moved = batches_of(log)
-        seen: dict[int, int] = {}
-        for down, up in zip(batches_of(base.log), moved, strict=True):
-            weights = down.weights(base.keep)
-            own, rows, residual = columns_at(
-                _thinned(up, every), None if weights is None else weights[::every]
-            )
-            own2, rows2, residual2 = columns_at(
-                _thinned(down, every), None if weights is None else weights[::every]
-            )
-            change = precision @ (residual - residual2)
-            products = np.zeros((n + slopes.columns, change.shape[1]))
-            products[:n] = np.einsum("cks,ks->cs", own - own2, change)
-            for k, column in enumerate(slopes.column):
-                products[n + column] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
-            keys, first, counts = _stretches(up, seen, length)
-            low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
-            high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])
-            parts = np.add.reduceat(products, low, axis=1) * (np.array(counts) / np.maximum(high - low, 1))
-            for key, own_part in zip(keys, parts.T, strict=True):
-                sums[key] = sums.get(key, 0.0) + own_part
-    return {key: total / DRAWS for key, total in sums.items()}
+    log = _Moved(base.log, sizes, colour)
+    share_windows(base.log, log)  # type: ignore[arg-type]
+    moved = batches_of(log)
+    seen: dict[int, int] = {}
+    for down, up in zip(batches_of(base.log), moved, strict=True):
+        weights = down.weights(base.keep)
+        own, rows, residual = columns_at(_thinned(up, every), None if weights is None else weights[::every])
+        own2, rows2, residual2 = columns_at(
+            _thinned(down, every), None if weights is None else weights[::every]
+        )
+        change = precision @ (residual - residual2)
+        products = np.zeros((n + slopes.columns, change.shape[1]))
+        products[:n] = np.einsum("cks,ks->cs", own - own2, change)
+        for k, column in enumerate(slopes.column):
+            products[n + column] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
+        keys, first, counts = _stretches(up, seen, length)
+        low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
+        high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])
+        parts = np.add.reduceat(products, low, axis=1) * (np.array(counts) / np.maximum(high - low, 1))
+        for key, own_part in zip(keys, parts.T, strict=True):
+            sums[key] = sums.get(key, 0.0) + own_part
+    return sums
 
 
 def _thinned(batch: Batch, every: int) -> Batch:

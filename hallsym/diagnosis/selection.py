@@ -306,7 +306,7 @@ class _Search:
                 (self.judged(self.judges(self.refit(e for e in self.found if e is not f)), with_all), f)
                 for f in self.found
             ]
-            weak = [(j.value, k) for k, (j, _) in enumerate(judged) if not j.holds]
+            weak = [(j.value, k) for k, (j, f) in enumerate(judged) if not self.held(j, f)]
             if not weak:
                 return
             value, k = min(weak)
@@ -315,12 +315,17 @@ class _Search:
             self.found = [f for f in self.found if f is not self.found[k]]
             self.now = self.refit(self.found)
 
+    def held(self, judged: Judged, effect: Selected) -> bool:
+        """Return whether an effect lowers the gap of other runs by no chance, or is certain by its score."""
+        return judged.holds or (judged.value > 0 and effect.exact.score.p_value < self.policy.certain)
+
     def judges(self, fit: Refitted) -> dict[tuple[int, ...], float]:
         """Return the squares of the fitted runs, each as the others foresee them."""
         known = set(self.runs)
         return {r: v for r, v in foreseen(fit, self.nested.groups).items() if known.issuperset(r)}
 
     def judged(self, before: Squares, after: Squares) -> Judged:
+        """Return how far the gap of these runs shrinks."""
         return Judged.of(before, after, self.policy.fewest_judges)
 
     def refit(self, effects: Iterable[Selected]) -> Refitted:

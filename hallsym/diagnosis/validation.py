@@ -97,7 +97,7 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     whole = survey(replace(end, keep=None), runs)
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
-    gap = fit.gap(fit.fitted)
+    gap = block_errors(replace(end, keep=None), setup.runs, setup.log.rows, None).metric
     floor = _lowered_floor(setup, gap, bool(effects), found)
     rest = lack_of_fit(end, setup.runs)
     if gap <= floor.metric * (1 + setup.policy.floor_known):
@@ -181,7 +181,7 @@ def cures(fault: Fault) -> float:
 def _lowered_floor(setup: Setup, gap: float, explained: bool, found: Sequence[Fault]) -> Floor:
     """Lower an estimated floor to what effects, or few steps of CORDIC, leave: it held a part of the gap.
 
-    `gap`: with the effects, on the fitted runs.
+    `gap`: with the effects, on all samples of the fitted runs.
     """
     chip = sum(f.power for f in found if f.name == "cordic_steps")  # an error of each angle, no noise
     least = gap * float(np.sqrt(max(1 - chip, 1e-6)))

@@ -15,11 +15,12 @@ Verdict = Literal["no gap", "explained", "unexplained"]
 def decide(setup: Setup, found: Validation) -> Verdict:
     """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
 
-    What is named must lower the gap by the threshold, and not by chance on all judging runs. A residual that
+    What is named must lower the gap by the threshold, and be certain by a score or hold on all judging runs. A residual that
     is a gap by itself (`gap.remains`) makes the verdict "unexplained", unless what is named closes nearly all
     of the excess above the noise floor.
     """
-    held = found.judged is None or found.judged.holds or found.faults or found.miswired
+    judged, certain = found.judged, setup.policy.certain
+    held = judged is None or judged.holds or min(e.p_value for e in found.effects) < certain
     named = found.named and held and 1 - found.metric / found.before.metric >= setup.threshold
     base, metric = (found.base, found.metric) if named else (found.start.base, found.before.metric)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)

@@ -17,7 +17,7 @@ from hallsym.report.page.html import Markup, facts, items, join, table, tag
 from hallsym.report.page.page import Section, document
 from hallsym.report.page.series import all_series
 from hallsym.report.tables import concise
-from hallsym.report.text.diagnosis import units_of
+from hallsym.report.text.diagnosis import significance_text, units_of
 from hallsym.report.words import MINUS
 
 
@@ -72,6 +72,7 @@ def _input(d: Diagnosis) -> Markup:
             (f"{d.held_out}s", f"{len(d.validation_runs)} ({parts.numbers(d.validation_runs)}), {judging}"),
             ("noise floor", f"{parts.each(d.noise_floor.outputs)}; {d.noise_floor.source}"),
             ("worth reporting", f"a decrease of the gap by at least {100 * d.threshold:g} %"),
+            ("any effect", f"p {significance_text(d.significance)}" if d.significance else None),
         ]
     )
 

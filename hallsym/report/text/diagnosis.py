@@ -11,6 +11,7 @@ from hallsym.diagnosis import (
     Estimate,
     FoundEffect,
     Separation,
+    Significance,
     Statement,
     Unexplained,
     degrees_of,
@@ -24,6 +25,8 @@ MUCH = 1e3
 WIDTH = 110
 MOST = 10
 """Statements on where a gap lies that are printed at most."""
+FEW_UNITS = 8
+"""Units of a test by signs below which the least p-value they can give is said: 2 / 2^8 is 0.008."""
 LEAST_P = 1e-6
 """P-values below this are only said to be below it: no test is better than its assumptions."""
 UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""),
@@ -86,8 +89,20 @@ def _basis(d: Diagnosis) -> str:
         f"verdict: {d.verdict}. Model {d.model}; errors are on "
         f"{counted(len(d.validation_runs), d.held_out)}, which took part in neither the fit nor the "
         f"choice of effects; a decrease of {100 * d.threshold:g} % is worth reporting; the noise floor is "
-        f"{d.noise_floor.source}; {d.seconds:.1f} s."
+        f"{d.noise_floor.source}; {_any_effect(d)}{d.seconds:.1f} s."
     )
+
+
+def _any_effect(d: Diagnosis) -> str:
+    """Return the p-value that any effect is there, and the least possible one where units are few."""
+    s = d.significance
+    return f"any effect of the catalogue: p {significance_text(s)}; " if s else ""
+
+
+def significance_text(s: Significance) -> str:
+    """Return a p-value with what it rests on: `= 0.3 (46 runs)`, with the least possible one of few units."""
+    least = f", {p_text(s.least)} at least" if s.units < FEW_UNITS else ""
+    return f"= {p_text(s.p_value)} ({counted(s.units, s.unit)}{least})"
 
 
 def _errors(d: Diagnosis) -> str:
