@@ -15,9 +15,9 @@ Verdict = Literal["no gap", "explained", "unexplained"]
 def decide(setup: Setup, found: Validation) -> Verdict:
     """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
 
-    What is named must lower the gap by the threshold, and be certain by a score or hold on all judging runs. A residual that
-    is a gap by itself (`gap.remains`) makes the verdict "unexplained", unless what is named closes nearly all
-    of the excess above the noise floor.
+    What is named must lower the gap by the threshold, and be certain by a score or hold on all judging runs.
+    A residual that is a gap by itself (`gap.remains`) makes the verdict "unexplained", unless what is named
+    closes nearly all of the excess above the noise floor.
     """
     judged, certain = found.judged, setup.policy.certain
     held = judged is None or judged.holds or min(e.p_value for e in found.effects) < certain
