@@ -13,8 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.linalg import toeplitz
-from scipy.signal import lfilter
+from scipy.signal.windows import parzen
 
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.residuals import Base
@@ -30,10 +29,6 @@ SAMPLES = 8_000
 The bias is a few standard deviations of a score at most, and this many samples tell it to about 1 %."""
 
 
-SETTLE = 100
-"""Samples of noise that are dropped before each block, so that its colour is settled."""
-
-
 WHITE = np.array([1.0, 0.0])
 """Autocorrelation of white noise."""
 
@@ -42,11 +37,11 @@ class _Moved:
     """A log with some columns moved by noise of standard deviation `sizes`; `colour`: autocorrelation."""
 
     def __init__(self, log: Any, sizes: Mapping[str, float], colour: np.ndarray) -> None:
-        self.log, self.sizes = log, sizes
-        order = len(colour) - 1
-        phi = np.linalg.solve(toeplitz(colour[:order]), colour[1:])
-        self.filter = np.append(1.0, -phi)
-        self.drive = float(np.sqrt(max(1 - phi @ colour[1:], 1e-6)))
+        self.log, self.sizes, n = log, sizes, len(colour)
+        tapered = colour * parzen(2 * n - 1)[n - 1 :]
+        spectrum = np.maximum(np.fft.rfft(np.append(tapered, tapered[:0:-1])).real, 0.0)
+        weights = np.fft.fftshift(np.fft.irfft(np.sqrt(spectrum), 2 * n - 1))
+        self.weights = weights / np.sqrt((weights**2).sum())
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.log, name)
@@ -60,12 +55,11 @@ class _Moved:
         known = (b for batch in batches(self.log, wanted) for b in batch.blocks)
         for block in known if is_held(self.log) else self.log.blocks(wanted, size):
             data = dict(block.data)
-            n = len(next(iter(data.values()))) + SETTLE
+            n = len(next(iter(data.values()))) + len(self.weights) - 1
             for column, by in self.sizes.items():
                 signs = rng.integers(0, 2, n) * 2.0 - 1.0
                 if column in data:
-                    noise = lfilter([self.drive], self.filter, signs)[SETTLE:]
-                    data[column] = data[column] + by * noise
+                    data[column] = data[column] + by * np.convolve(signs, self.weights, "valid")
             yield Block(block.run, data)
 
 

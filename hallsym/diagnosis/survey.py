@@ -23,8 +23,6 @@ LAGS = 64
 """Samples up to which the residual's memory is added up."""
 ENOUGH = 1_000_000
 """Samples that are looked at one by one; of a longer log every 64th block beyond."""
-ORDER = 3
-"""Lags of the residual's autocorrelation that give noise its colour: a resonance and a drift."""
 UNCORRELATED = 0.02
 """Autocorrelation below which the residual's memory ends."""
 KNOWN_VALUES = 20_000
@@ -192,7 +190,7 @@ class _Work:
         rho = self.correlation / max(self.correlation[0], 1e-300)
         stop = next((k for k in range(1, LAGS) if rho[k] < UNCORRELATED), LAGS)
         f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
-        f.colour = rho[: ORDER + 1] if self.correlation[0] > 0 else f.colour
+        f.colour = rho if self.correlation[0] > 0 else f.colour
         if self.shift:
             self._judge_instants()
         f.values = tuple(np.sort(np.fromiter(v, float)) for v in self.values)
