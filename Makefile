@@ -16,7 +16,7 @@ FIRMWARE := gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck c
 SLOW := $(if $(filter true,$(CI)),-m "slow or not slow")
 
 .DEFAULT_GOAL := help
-.PHONY: help install tools demo test bench lint clean browser
+.PHONY: help install tools demo test bench docs lint clean browser
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -54,13 +54,17 @@ bench: $(BENCHABLE) ## the benchmarks in tests/benchmarks
 	    echo "== $$script"; $(BIN)/python "$$script"; \
 	done
 
+docs: install ## the documentation site, in build/site (warnings are errors)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -b html -q -W --keep-going docs build/site
+	@echo "open build/site/index.html"
+
 lint: install ## ruff and mypy
 	$(BIN)/python -m ruff check
 	$(BIN)/python -m ruff format --check
 	$(BIN)/python -m mypy
 
 clean: ## remove caches, builds and the output of demo and bench (the environment stays)
-	rm -rf build dist demo bench *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf build dist demo bench docs/examples docs/reference/generated docs/sg_execution_times.rst *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Debian and Ubuntu ship Python without ensurepip: there pip is put into the environment from outside.
@@ -82,7 +86,7 @@ $(PLAIN): pyproject.toml
 
 $(INSTALLED): $(PLAIN)
 	@echo "installing extras, tests and linters into $(VENV)"
-	@$(PIP) -e '.[all,test,lint]'
+	@$(PIP) -e '.[all,test,lint,docs]'
 	@touch $@
 
 $(BENCHABLE): $(INSTALLED)

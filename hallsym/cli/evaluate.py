@@ -9,6 +9,7 @@ from typing import Any
 from hallsym.cli import NOT_DESCRIBED, OK
 from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
 from hallsym.estimation import evaluate, load_fit
+from hallsym.log import Fault
 from hallsym.report.text.evaluation import evaluation_text
 
 
@@ -18,7 +19,8 @@ def add(sub: Any) -> None:
         sub, "evaluate", run,
         "Decode a log with a saved calibration and tabulate the errors against its reference. The zero\n"
         "deviations of each run are estimated from that run: a reset is a reset. Where the calibration does\n"
-        "not describe the log, the report begins with that, and the exit code is 3.",
+        "not describe the log, the report begins with that, and the exit code is 3, as for faults of the\n"
+        "recording, which are judged as 'hallsym fit' does.",
     )  # fmt: skip
     parser.add_argument("calibration", metavar="CALIB", help="a calibration saved by 'hallsym fit -o'")
     parser.add_argument("log", metavar="LOG", help="log to judge on")
@@ -43,6 +45,7 @@ def run(options: Namespace) -> int:
     record = {**found.to_dict(), "calibration": str(options.calibration), "log": str(options.log)}
     say(options, record, lambda: evaluation_text(found, by_run=options.by_run), notes=found.notes)
     amiss = goodness.sentence
-    if amiss and options.json:
-        print(f"hallsym: {amiss}", file=sys.stderr)
-    return NOT_DESCRIBED if amiss else OK
+    faults = [note for note in found.notes if isinstance(note, Fault)]
+    for said in (*faults, *([amiss] if amiss and options.json else [])):
+        print(f"hallsym: {said}", file=sys.stderr)
+    return NOT_DESCRIBED if amiss or faults else OK

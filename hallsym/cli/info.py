@@ -16,7 +16,7 @@ from hallsym.estimation import LOSSES, SOLVERS
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, effects, models
 from hallsym.files import atomic_write
-from hallsym.log import Log, check_log, estimate_noise, open_source, spans
+from hallsym.log import Log, Meta, check_log, estimate_noise, open_source, spans
 from hallsym.log.limits import is_moving
 from hallsym.log.table import Source
 from hallsym.report.tables import grid
@@ -135,8 +135,9 @@ def _suggest(options: Namespace) -> int:
     """Write the column file that is to be checked."""
     from hallsym.families.suggest import suggest
 
-    source = _source(options)
-    found = suggest(source, options.model)
+    _, folder, source = open_source(options.file, **{name: getattr(options, name) for name in FILE_OPTIONS})
+    described = folder is not None and (folder / "meta.json").exists()
+    found = suggest(source, options.model, Meta.read(folder / "meta.json") if folder and described else None)
     text = found.to_toml(options.file)
     atomic_write(options.suggest, text)
     record = {

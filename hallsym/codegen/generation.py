@@ -118,8 +118,8 @@ def generate(
     `correction` is "series", "table", or "auto" for the one of fewer bytes. Magnet arrays: `accuracy` is what
     harmonics and polynomials may leave of a place [m]. `name`: prefix of symbols and files, so that several
     decouplers fit in one image. `like`: a generated folder whose code it shall have, for a recalibration:
-    what was chosen there, such as exponents and the form of a table, is taken where it is not given. Raises
-    `InputError` for a calibration that cannot be trusted on a controller.
+    what was chosen there, such as exponents and the form of ranges and tables, is taken where it is not
+    given. Raises `InputError` for a calibration that cannot be trusted on a controller.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(

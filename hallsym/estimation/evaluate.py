@@ -12,6 +12,7 @@ from hallsym.estimation.channel_assignment import as_read, rewired
 from hallsym.estimation.decoding import ErrorTable, knows_rails, logged_columns
 from hallsym.estimation.gauss_newton import Shifts, judged
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
+from hallsym.estimation.recorded import recording_notes
 from hallsym.estimation.task import noise_of
 from hallsym.log import Log, Noise, as_log, usable
 from hallsym.log.phase import LISTED
@@ -60,7 +61,8 @@ def evaluate(
     run are estimated from that run. `own_zero`: so is the zero of a reference that turns. `drop_bad`: leave
     out bad samples.
 
-    Raises `InputError` for a log that is not of the machine that was calibrated.
+    Raises `InputError` for a log that is not of the machine that was calibrated, and for one whose units,
+    signs or runs are wrong, as a fit of it does.
     """
     known = calibration if isinstance(calibration, Fit) else load_fit(calibration)
     model = known.model
@@ -69,6 +71,7 @@ def evaluate(
     _belongs(given, known)
     seen = as_read(given, model, known.wiring)
     noise = noise_of(seen, model)
+    notes += recording_notes(seen, model, known.values, noise.std)
     found = judged(seen, model, known.values, noise.std, own_zero=own_zero)
     notes += _shift_notes(model, found.table, found.shifts, taken_out=own_zero)
     goodness = found.goodness.judged(

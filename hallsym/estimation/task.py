@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hallsym.errors import InputError
 from hallsym.estimation import outliers, start
 from hallsym.estimation.calibration import Errors, Fit
 from hallsym.estimation.channel_assignment import Wiring, rewired, wiring_of
@@ -28,6 +29,7 @@ from hallsym.log import Log, Noise, estimate_noise
 from hallsym.log.batches import Weigh, remembered
 from hallsym.log.drop import Drop, without
 from hallsym.log.phase import continuous, designed, nearest_turn
+from hallsym.log.quality.gains import explained
 from hallsym.model import Model
 
 Progress = Callable[[str], None]
@@ -40,6 +42,9 @@ BEGIN = (2 / 3, 1 / 3)
 thirds of a share of up to 1.5 is all of it."""
 SPIKY = 1e-3
 """Share of samples that are spikes from which on slopes are judged after the fit, without them."""
+CLEARLY = 2.0
+"""Cost of a fit over that of another reading of the log from which on the other is right: noise alone makes
+them equal, to a few percent."""
 ROUNDS = 12
 """Of taking outliers out and fitting again, at most."""
 
@@ -121,13 +126,15 @@ class Task:
         """Fit run statistics, which hold all that the cost can ask of the log."""
         task, begun = self, self.begin(self.summary())
         judged = self.judged(begun)
-        wiring = wiring_of(judged.whole) if resolve_wiring else None
+        found, wiring = judged, wiring_of(judged.whole) if resolve_wiring else None
         if wiring is not None:
             task = replace(self, log=rewired(self.log, self.model.channels, wiring))
             begun = task.begin(task.summary())
             judged = task.judged(begun).resolved(judged)
         judged.refuse()
         state = task.solve(begun)
+        if wiring is not None:
+            self.refuse_references(found, state)
         errors, keep, notes = task.errors(state, None), None, judged.notes
         if task.suspicious(state, errors) if self.loss == "auto" else self.loss != "none":
             state, keep, said = task.without_outliers(state)
@@ -141,6 +148,17 @@ class Task:
         notes += () if late is None else (late,)
         task.check(state)
         return Solved(task, state, errors, keep, wiring, notes)
+
+    def refuse_references(self, found: Judgement, state: Started) -> None:
+        """Refuse a reference where its sign or order explains the log, and not that of the channels.
+
+        By linear slopes both may; what the fit leaves tells. `state`: the fit with the channels resolved.
+        """
+        for other in (e for e in found.whole if e.only_references and all(c.factor == 1 for c in e.changes)):
+            as_meant = tuple((c.source, c.sign) for c in other.references)
+            task = replace(self, log=rewired(self.log, self.model.references, as_meant))
+            if CLEARLY * task.solve(task.begin(task.summary()), "direct").search.cost < state.search.cost:
+                raise InputError(explained(self.log, self.model, [other]).sentence)
 
     def by_passes(self, first: Fit | None) -> Solved:
         """Fit a model without run statistics, from `first`: the fit of what it is without its effects."""

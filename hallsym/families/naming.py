@@ -30,7 +30,8 @@ _SPLIT = re.compile(r"[A-Z]{2,}(?![a-z])|[A-Z]?[a-zäöü]+|[A-Z]|\d+")
 _IDLE = {"v", "pos", "position", "value", "signal", "raw", "data", "meas", "stage", "out", "val", "the", "of"}
 """Words that tell nothing."""
 FULL, MORE, NUMBERED, BARE = 1.0, 0.9, 0.8, 0.5
-"""Likeness of names: the same words; further words; a number for a letter; a reference without that word."""
+"""Likeness of names: the same words; further words; a number for a letter; all but the word that the unit,
+or the other columns, tell: of a reference, of an angle."""
 _FURTHER = 0.05
 """What each further word takes."""
 
@@ -67,7 +68,8 @@ def likeness(ours: str, theirs: str, numbers: tuple[int, ...] = ()) -> float:
         place = sorted(numbers).index(int(digits[0])) if int(digits[0]) in numbers else -1
         if string.ascii_lowercase[place] == letters[0] and wanted - set(letters) <= found - set(digits):
             return NUMBERED
-    return BARE if REF in wanted and found and wanted - {REF} == found else 0.0
+    told = ({REF}, {ANGLE})  # by the other columns, by the unit
+    return BARE if found and any(word <= wanted and wanted - word == found for word in told) else 0.0
 
 
 def numbers_of(names: tuple[str, ...]) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ from hallsym.log import Meta
 from hallsym.log.limits import likely_units, limit_of
 from hallsym.log.table import Source
 from hallsym.model import Model
-from hallsym.units import UNITS, Array, quantity, split_unit
+from hallsym.units import UNITS, Array, quantity, si_name, split_unit
 
 ROWS = 50_000
 """Samples that are looked at."""
@@ -43,13 +43,17 @@ class Guess:
     counts_per_turn: int | None = None
 
     @property
+    def ours(self) -> str:
+        """Our name, with the unit."""
+        return self.stem if self.stem == RUN else f"{self.stem}_{self.unit or 'UNIT'}"
+
+    @property
     def line(self) -> str:
         """The line of a column file; a comment where the unit is not known."""
-        ours = self.stem if self.stem == RUN else f"{self.stem}_{self.unit or 'UNIT'}"
         name = json.dumps(self.theirs, ensure_ascii=False)
         more = ", sign = -1" if self.sign < 0 else ""
         more += f", counts_per_turn = {self.counts_per_turn}" if self.counts_per_turn else ""
-        entry = f"{ours} = {{ name = {name}{more} }}" if more else f"{ours} = {name}"
+        entry = f"{self.ours} = {{ name = {name}{more} }}" if more else f"{self.ours} = {name}"
         lacking = not self.unit and self.stem != RUN
         return f"# {entry}" if lacking else entry
 
@@ -64,9 +68,12 @@ class Suggestion:
 
     def to_toml(self, log: str) -> str:
         """Return the column file, each line with what speaks for it."""
-        width = max((len(g.line) for g in self.guesses), default=0)
-        lines = [f"{g.line.ljust(width)}  # {g.why}" for g in self.guesses]
-        others = [f"# not recognised: {', '.join(map(repr, self.rest))}"] if self.rest else []
+        mapped = [g for g in self.guesses if g.ours != g.theirs]
+        width = max((len(g.line) for g in mapped), default=0)
+        lines = [f"{g.line.ljust(width)}  # {g.why}" for g in mapped]
+        own = [g.theirs for g in self.guesses if g.ours == g.theirs]
+        lines += [f"# read as they are: {', '.join(own)}"] if own else []
+        others = [f"# not used: {', '.join(map(repr, self.rest))}"] if self.rest else []
         head = [
             f"# Suggested for {log}, as {self.model} needs it. Check every line: nothing of it is used",
             "# until you give the file with --column-file. A line that begins with # lacks its UNIT (um).",
@@ -74,15 +81,16 @@ class Suggestion:
         return "\n".join([*head, "", "[columns]", *lines, *others, ""])
 
 
-def suggest(source: Source, model: str | None = None) -> Suggestion:
-    """Return the best guess for each column of a file; `model`: what it is for, else what fits its names.
+def suggest(source: Source, model: str | None = None, meta: Meta | None = None) -> Suggestion:
+    """Return the best guess for each column of a file.
 
+    `model`: what it is for, else that of `meta`, what a folder says of its log, else what the names fit.
     Raises `InputError` for a file without a column of numbers.
     """
     data = _numbers(source)
     if not data:
         raise InputError("No column of the file holds numbers; nothing can be suggested.")
-    chosen = _model(source, model)
+    chosen = _model(source, model, meta or Meta())
     named = _by_name(source, data, chosen)
     guesses = [*named, *_by_motion(source, data, chosen, named)]
     order = {stem: k for k, stem in enumerate((RUN, TIME, *_stems(chosen), *OTHERS))}
@@ -134,7 +142,7 @@ def _measured(model: Model) -> tuple[str, ...]:
     return tuple(c for c in model.state if c not in computed)
 
 
-def _model(source: Source, name: str | None) -> Model:
+def _model(source: Source, name: str | None, meta: Meta) -> Model:
     """Return the model whose columns the names of a file fit best, in the form in which it is read there."""
     numbers = numbers_of(source.names)
 
@@ -142,15 +150,22 @@ def _model(source: Source, name: str | None) -> Model:
         stems = _stems(model)
         return sum(max(likeness(s, name, numbers) for name in source.names) for s in stems) / len(stems)
 
-    names = [name] if name else [family.default for family in FAMILIES]
-    return max((form for name in names for form in _forms(name)), key=fits)
+    stated = name or meta.base_model
+    names = [stated] if stated else [family.default for family in FAMILIES]
+    own = tuple(si_name(n) for n in source.names if _own(n))
+    return max((form for name in names for form in _forms(name, own, meta)), key=fits)
 
 
-def _forms(name: str) -> list[Model]:
-    """Return a model as it is read by its channels, and where that is another one, as its pose is read."""
+def _forms(name: str, own: tuple[str, ...], meta: Meta) -> list[Model]:
+    """Return a model as it is read by its channels, as its pose is read, and as columns of ours say."""
     usual = build(name)
-    other = build(name, meta=Meta(columns=(*usual.pose, *usual.references)))
-    return [usual] if other.channels == usual.channels else [usual, other]
+    found = [usual]
+    for columns in ((*usual.pose, *usual.references), own):
+        try:
+            found.append(build(name, meta=replace(meta, columns=columns)))
+        except InputError:
+            continue  # not a form of it
+    return found
 
 
 # -- by name ---------------------------------------------------------------------------------------------
@@ -160,12 +175,16 @@ def _by_name(source: Source, data: Mapping[str, Array], model: Model) -> list[Gu
     numbers = numbers_of(source.names)
     stems = [RUN, TIME, *_stems(model), *OTHERS]
     pairs = [(likeness(stem, name, numbers), stem, name) for stem in stems for name in data]
-    pairs += [(BARE / 2, stem, name) for stem in (RUN, TIME) for name in data if _behaves(stem, data[name])]
+    alone = [(stem, name) for stem in (RUN, TIME) for name in data if _behaves(stem, data[name])]
+    pairs += [(BARE / 2, s, n) for s, n in alone if s == RUN or not _whole(data[n])]  # an index is no time
     found: dict[str, Guess] = {}
     taken: set[str] = set()
     for score, stem, name in sorted(pairs, key=lambda p: (-p[0], stems.index(p[1]))):
         unfit = stem in (RUN, TIME) and not _behaves(stem, data[name])
-        if score <= 0 or stem in found or name in taken or unfit or not _unit_fits(source, name, stem):
+        foreign = _own(name) in ("", stem)  # a name of ours is not another one of ours
+        if score <= 0 or stem in found or name in taken or unfit or not foreign:
+            continue
+        if not _unit_fits(source, name, stem, model):
             continue
         why = "its name" if score >= BARE else "its data"
         if stem == RUN:
@@ -183,22 +202,40 @@ def _behaves(stem: str, values: Array) -> bool:
     steps = np.diff(values)
     if stem == RUN:
         changes = np.count_nonzero(steps)
-        return bool((values == np.floor(values)).all() and changes <= len(values) / 8 and (steps >= 0).all())
+        return bool(_whole(values) and changes <= len(values) / 8 and (steps >= 0).all())
     usual = np.median(steps)
     return bool(usual > 0 and (np.abs(steps - usual) < 0.5 * usual).mean() > 0.8)
+
+
+def _whole(values: Array) -> bool:
+    return bool((values == np.floor(values)).all())
 
 
 def _stated(source: Source, name: str) -> str:
     """Return the unit that the file states for a column, in its header or in its name; "" without one."""
     if name in source.units:
         return source.units[name]
+    if _own(name):
+        unit = split_unit(name)[1]
+        return unit.name if unit else ""
     last = name.rpartition("_")[2].lower()
     return last if "_" in name and last in UNITS and (len(last) > 1 or last in "sm") else ""
 
 
-def _unit_fits(source: Source, name: str, stem: str) -> bool:
+def _own(name: str) -> str:
+    """Return the stem of a name that is one of ours, with its unit; "" for any other."""
+    stem, unit = split_unit(name)
+    return RUN if name == RUN else stem if unit and quantity(stem) else ""
+
+
+def _unit_fits(source: Source, name: str, stem: str, model: Model) -> bool:
+    """Say whether the unit of a column, where it is stated, is one that the model takes, or counts of it."""
     stated = _stated(source, name)
-    return not stated or stem == RUN or UNITS[stated].si in quantity(stem)
+    taken = {
+        split_unit(c)[0]: c.rpartition("_")[2] for c in (*model.channels, *model.state, *model.references)
+    }
+    kinds = (taken[stem],) if stem in taken else quantity(stem)
+    return not stated or stem == RUN or UNITS[stated].si in (*kinds, *("count",) * ("rad" in kinds))
 
 
 def _with_unit(source: Source, values: Array, guess: Guess) -> Guess:
@@ -224,8 +261,7 @@ def _with_unit(source: Source, values: Array, guess: Guess) -> Guess:
 
 def _turning(values: Array, guess: Guess, span: float) -> Guess:
     """An angle that goes round: whole numbers are counts, up to 7 radians, up to 400 degrees."""
-    whole = bool((values == np.floor(values)).all())
-    if whole and span > 400:
+    if _whole(values) and span > 400:
         turn = _turn(values)
         return replace(guess, unit="count", counts_per_turn=turn, why=f"{guess.why}; COUNTS ONLY BY SIZE")
     unit = "rad" if span < 7 else "deg" if span < 400 else ""
@@ -244,20 +280,26 @@ def _by_motion(
 ) -> list[Guess]:
     """Return guesses for readings that move as the references say they should, and the other way round."""
     known = {g.stem: _si(data[g.theirs], g) for g in named if g.unit and g.stem != RUN}
-    free = [n for n in data if n not in {g.theirs for g in named} and np.ptp(data[n]) > 0]
+    taken = {g.theirs for g in named}
+    free = [n for n in data if n not in taken and not _own(n) and np.ptp(data[n]) > 0]
     has = {split_unit(c)[0] for c in (*model.channels, *_measured(model), *model.references)}
     lacking = [s for s in has if s not in {g.stem for g in named}]
     references = [split_unit(c)[0] for c in model.references]
     channels = [c for c in model.channels if split_unit(c)[0] in lacking]
     if channels and any(r in known for r in references):
-        expected = _readings(model, known)
-        return _matched(source, data, free, {split_unit(c)[0]: expected[c] for c in channels})
+        expected = {split_unit(c)[0]: _readings(model, known)[c] for c in channels}
+        round_ = {split_unit(c)[0] for c in channels if c in model.period}
+        turning = [
+            g for stem in sorted(round_) if (g := _going_round(source, data, free, stem, expected[stem]))
+        ]
+        straight = {stem: values for stem, values in expected.items() if stem not in round_}
+        return [*turning, *_matched(source, data, free, straight, model)]
     missing = [c for c in model.references if split_unit(c)[0] in lacking]
     if missing and all(split_unit(c)[0] in known for c in model.channels):
         decoded = _decoded(model, known)
         readings = np.array([known[split_unit(c)[0]] for c in model.channels])
         told = [n for n in free if _told(data[n], readings)]
-        return _matched(source, data, told, {split_unit(c)[0]: decoded[c] for c in missing}, LIKE)
+        return _matched(source, data, told, {split_unit(c)[0]: decoded[c] for c in missing}, model, LIKE)
     return []
 
 
@@ -266,6 +308,26 @@ def _told(values: Array, readings: Array) -> bool:
     matrix = np.vstack([readings, np.ones(readings.shape[1])]).T
     left = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
     return bool(np.var(left) <= (1 - MOVES**2) * np.var(values))
+
+
+def _going_round(
+    source: Source, data: Mapping[str, Array], free: Sequence[str], stem: str, expected: Array
+) -> Guess | None:
+    """Return the column that goes round as an angle should, in the unit in which it does it best."""
+    best: tuple[float, Guess] | None = None
+    for name in free:
+        values, stated = data[name], _stated(source, name)
+        units = {"rad": 1.0, "deg": np.pi / 180} | (
+            {"count": 2 * np.pi / _turn(values)} if _whole(values) else {}
+        )
+        for unit, factor in units.items():
+            for sign in (1, -1):
+                r = float(np.abs(np.nanmean(np.exp(1j * (sign * factor * values - expected)))))
+                if stated in ("", unit) and r >= MOVES and (best is None or r > best[0]):
+                    turn = _turn(values) if unit == "count" else None
+                    why = f"goes round as {stem} should (coherence {r:.3f}); UNIT AND TURN ONLY BY THAT"
+                    best = r, Guess(stem, name, unit, why, sign, turn)
+    return best[1] if best else None
 
 
 def _si(values: Array, guess: Guess) -> Array:
@@ -311,13 +373,14 @@ def _matched(
     data: Mapping[str, Array],
     free: Sequence[str],
     expected: Mapping[str, Array],
+    model: Model,
     least: float = MOVES,
 ) -> list[Guess]:
     """Return the pairs of columns and stems that move together, the surest first."""
     pairs = []
     for stem, wanted in expected.items():
         for name in free:
-            if _unit_fits(source, name, stem) and np.isfinite(data[name]).all() and np.ptp(wanted) > 0:
+            if _unit_fits(source, name, stem, model) and np.isfinite(data[name]).all() and np.ptp(wanted) > 0:
                 pairs.append((float(np.corrcoef(wanted, data[name])[0, 1]), stem, name))
     found: dict[str, Guess] = {}
     taken: set[str] = set()

@@ -85,7 +85,7 @@ class Curve:
         return np.unique(np.r_[np.linspace(self.start, self.stop, least + 1), breaks])
 
     def speed(self, t: Array) -> Array:
-        """Return |dp/dt| over the lengths (len(t),)."""
+        """Return `|dp/dt|` over the lengths (len(t),)."""
         return np.linalg.norm(self(t, 1)[:, self.lengths], axis=1)
 
     def arc_lengths(self) -> tuple[Array, Array]:

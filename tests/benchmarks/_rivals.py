@@ -99,6 +99,16 @@ def sympy_encoder(fit: hallsym.Fit) -> Rival:
     return _printed_by_sympy([sympy.atan2(row(y), row(x))], 2)
 
 
+def sympy_array(fit: hallsym.Fit) -> Rival:
+    """SymPy on the closed form of a magnet array with numbers: the first harmonic, functions of libm."""
+    import sympy
+
+    model, readings = fit.model, ca.SX.sym("m", len(fit.model.channels))
+    begin = model.begin(readings, {n: ca.SX(v) for n, v in model.named(fit.values).items()})
+    rows = [sympy.expand_log(e, force=True) for e in _sympy(ca.vertsplit(ca.densify(begin)))]
+    return _printed_by_sympy(rows, len(model.channels))
+
+
 def _printed_by_sympy(rows: Sequence, n: int) -> Rival:
     import sympy
     from sympy.codegen.ast import float32, real
@@ -144,6 +154,7 @@ def _value(o: Operation, args: list) -> object:
     return {
         "add": lambda: a + b, "sub": lambda: a - b, "mul": lambda: a * b, "div": lambda: a / b,
         "sq": lambda: a * a, "neg": lambda: -a, "inv": lambda: 1 / a, "twice": lambda: 2 * a,
+        "atan2": lambda: sympy.atan2(a, b), "log": lambda: sympy.log(a),
     }[o.op]()  # fmt: skip
 
 

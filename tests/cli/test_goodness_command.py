@@ -1,6 +1,7 @@
 """What `fit`, `evaluate` and their followers say of a model that does not describe its log: exit code 3."""
 
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -85,6 +86,38 @@ def test_evaluate_says_it_of_another_log(capsys, tmp_path):
     assert err == ""
     code, out, err = run(capsys, "evaluate", calibration, tmp_path / "later.parquet", *noise, "--json")
     assert (code, err) == (3, f"hallsym: {json.loads(out)['goodness_of_fit']['statement']}\n")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "code", "says"),
+    [
+        (lambda c: {"y_ref_m": -c["y_ref_m"]}, 2, "the sign of y_ref_m looks inverted.*"),
+        (lambda c: {"hall_a_m": 1e3 * c["hall_a_m"]}, 2, "hall_a_m looks like mm.*"),
+        (lambda c: {"hall_b_m": np.clip(c["hall_b_m"], -3.5e-4, 3.5e-4)}, 3, "hall_b_m .* is saturated.*"),
+        (lambda c: {"hall_c_m": np.where(c["run"] == 31, -1, 1) * c["hall_c_m"]}, 2, "In run 31 .*"),
+        (lambda c: late(c, 2), 3, "References of .* look 2 samples"),
+    ],
+    ids=["sign", "unit", "rails", "run", "delay"],
+)
+def test_evaluate_says_of_a_recording_what_fit_says(capsys, tmp_path, wrong, code, says):
+    """The same sentence on stderr and the same exit code, beside a calibration of the machine as it was."""
+    calibration, log = tmp_path / "calib.json", bundled_campaign()
+    assert run(capsys, "fit", CAMPAIGN, "--solver", "direct", "-o", calibration)[0] == 0
+    columns = {c: log.array(c).copy() for c in log.columns}
+    write_log(columns | wrong(columns), tmp_path / "wrong.parquet")
+    noise = [w for c, s in log.noise.std.items() for w in ("--noise", f"{c}={s}")]
+    fitted = run(capsys, "fit", tmp_path / "wrong.parquet", *noise, "--solver", "direct")
+    judged = run(capsys, "evaluate", calibration, tmp_path / "wrong.parquet", *noise)
+    assert (fitted[0], judged[0]) == (code, code)
+    assert re.findall(says, fitted[2])
+    assert re.findall(says, judged[2]) == re.findall(says, fitted[2])
+
+
+def late(columns, samples):
+    """The references of every run, some samples late."""
+    parts = [np.flatnonzero(columns["run"] == run) for run in np.unique(columns["run"])]
+    at = np.concatenate([np.r_[np.repeat(p[0], samples), p[:-samples]] for p in parts])
+    return {c: columns[c][at] for c in ("x_ref_m", "y_ref_m", "rz_ref_rad")}
 
 
 def test_what_is_made_of_such_a_calibration_repeats_it(capsys, plain, tmp_path):

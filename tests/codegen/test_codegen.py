@@ -512,6 +512,12 @@ def test_stated_bounds_hold_against_fifty_digits(double):
             lambda r: r["parameters"]["theta_A"].update(value=9.0),
             "theta_A of the calibration is 9, outside its",
         ),
+        (lambda r: r["added"].append("wobble"), "Effect must be one of"),
+        (lambda r: r["added"].append("saturation:most=1"), "has no number 'most'"),
+        (
+            lambda r: [probe.update(senses=[0.0, 1.0]) for probe in r["layout"]],
+            "all sense along one direction",
+        ),
     ],
 )
 def test_a_calibration_that_cannot_be_is_refused(tmp_path, capsys, change, says):
@@ -522,6 +528,40 @@ def test_a_calibration_that_cannot_be_is_refused(tmp_path, capsys, change, says)
     assert code == 2
     assert says in err
     assert not (tmp_path / "fw").exists()
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="long double has no more digits than double")
+def test_the_bound_of_double_counts_the_rounding_of_the_table():
+    """Model (31) with eleven more bits, near the corners of the box, where errors are largest."""
+    code = generate(calibration(), double=True)
+    p = {n: np.longdouble(v) for n, v in code.decoupler.model.named(calibration().values).items()}
+    c, s = ({k: f(p[f"theta_{k}"]) for k in "ABC"} for f in (np.cos, np.sin))
+    matrix = np.array([
+        [-s["A"], c["A"], p["H1x"] * c["A"] + p["H1y"] * s["A"]],
+        [-s["B"], c["B"], p["H2y"] * s["B"] - p["H2x"] * c["B"]],
+        [c["C"], s["C"], p["H3x"] * s["C"] - p["H3y"] * c["C"]],
+    ])  # fmt: skip
+    rows = np.roll(matrix, -1, axis=0), np.roll(matrix, -2, axis=0)
+    cofactors = np.cross(*rows)  # the inverse without a solver, which would take it to double
+    inverse = cofactors.T / (matrix[0] * cofactors[0]).sum()
+    rng = np.random.default_rng(3)
+    low, high = np.array([code.decoupler.ends(c) for c in code.decoupler.inputs]).T[:, :, None]
+    near = 1 - 1e-3 * rng.random((6, 200_000))
+    inputs = near * np.where(rng.random(near.shape) < 0.5, low, high)
+    pose, status = code.backend.step(inputs)
+    m, z, rx, ry = inputs[:3].astype(np.longdouble), *inputs[3:].astype(np.longdouble)
+    phi = np.array([p[f"eta_{n}"] + p[f"a_{n}"] * z + p[f"b_{n}"] * rx + p[f"c_{n}"] * ry for n in "ABC"])
+    exact = (inverse[:, :, None] * (m / phi)[None]).sum(axis=1)
+    worst = np.abs(pose - exact).max(axis=1).astype(float)
+    assert not status.any()
+    bound = np.array(list(code.backend.error_bound.values()))
+    assert (worst <= bound).all(), worst / bound
+
+
+def test_an_empty_folder_name_is_refused(capsys):
+    code, _, err = run(capsys, "codegen", GOLDEN / "calib.json", "-o", "")
+    assert code == 2
+    assert err == "hallsym: 'output' must not be empty; give a value or leave it out.\n"
 
 
 # -- recalibrations with other ranges --------------------------------------------------------------------

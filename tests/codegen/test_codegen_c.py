@@ -148,6 +148,50 @@ def test_the_zero_belongs_to_a_reset(compiled):
         library.table[:] = before
 
 
+INTERRUPTED = """
+#include "decoupler.h"
+#include "decoupler_params.h"
+
+static decoupler_params_t table;
+static decoupler_in_t in;
+static decoupler_out_t meanwhile;
+
+uint32_t decoupler_crc(const uint8_t *bytes, uint32_t count) /* called before the zeros are stored */
+{
+    (void)decoupler_step(&table, &in, &meanwhile);
+    return (uint32_t)bytes[0] + count;
+}
+
+int main(void)
+{
+    const decoupler_out_t known = {0};
+    decoupler_out_t before;
+    decoupler_out_t after;
+    table = decoupler_params;
+    table.zero_x = 5e-4F;
+    (void)decoupler_step(&table, &in, &before);
+    const uint32_t status = decoupler_zero(&table, &in, &known);
+    (void)decoupler_step(&table, &in, &after);
+    return ((status == 0U) && (before.x_m > 4.9e-4F) && (meanwhile.x_m == before.x_m) &&
+            (after.x_m < 1e-9F)) ? 0 : 1;
+}
+"""
+
+
+@pytest.mark.parametrize("case", ["stage31", "exact_rotation"])
+@pytest.mark.parametrize("arithmetic", ["float", "q31"])
+def test_an_interrupt_while_a_zero_is_taken_sees_the_old_one(case, arithmetic, tmp_path):
+    need("gcc")
+    if (case, arithmetic) == ("exact_rotation", "q31"):
+        pytest.skip("integers are for models that are linear in the pose")
+    folder = written(made(case, arithmetic=arithmetic), tmp_path / "fw")
+    of_integers = INTERRUPTED.replace("5e-4F", "1000000").replace("4.9e-4F", "900000").replace("1e-9F", "1")
+    (folder / "interrupted.c").write_text(INTERRUPTED if arithmetic == "float" else of_integers)
+    files = ["src/decoupler.c", "params/decoupler_params.c", "interrupted.c"]
+    ran(folder, "gcc", *STRICT, *PATHS, *files, "-o", "interrupted")
+    ran(folder, "./interrupted")
+
+
 @pytest.mark.parametrize("case", ["exact_rotation", pytest.param("cubic", marks=pytest.mark.slow)])
 def test_the_zero_of_a_non_linear_model(tmp_path, case):
     need("gcc")

@@ -121,6 +121,18 @@ def test_three_decouplers_link_into_one_image(image, compiler):
     ran(image, f"./{compiler}")
 
 
+@pytest.mark.parametrize("name", ["stage", *(pytest.param(n, marks=pytest.mark.slow) for n in NAMES[1:])])
+def test_a_million_inputs_of_any_bits_without_undefined_behaviour(image, name):
+    """The self-test hashes a million samples of floats, a hundred thousand of integers, NaN among them."""
+    need("gcc")
+    paths = [f"-I{name}/{where}" for where in ("include", "params", "test")]
+    files = [f for f in sources(image) if f.startswith(f"{name}/")]
+    files += [f"{name}/test/{file}.c" for file in ("selftest", "faults", "main")]
+    undefined = ("-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+    ran(image, "gcc", *STRICT, *undefined, *paths, *files, "-o", "undefined")
+    assert ran(image, "./undefined").count("as stated") == 2
+
+
 @pytest.mark.parametrize(
     "core", [c if c == "M4F" else pytest.param(c, marks=pytest.mark.slow) for c in CORES]
 )

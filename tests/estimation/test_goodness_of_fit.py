@@ -117,6 +117,15 @@ def test_a_little_more_noise_is_significant_and_not_material():
     assert found.residual_over_noise == pytest.approx(1.1, abs=0.02)
 
 
+@pytest.mark.parametrize(("excess", "significant"), [(0.02, False), (0.04, True)])
+def test_three_standard_deviations_are_significant(excess, significant):
+    """20,000 readings tell the mean square of noise to 1 %."""
+    found = goodness(record(seed=1))
+    found = replace(found, cost_per_degree_of_freedom=1 + excess, degrees_of_freedom=20_000.0)
+    assert found.scatter == pytest.approx(0.01)
+    assert found.significant is significant
+
+
 def test_a_fifth_more_noise_is_material():
     found = goodness(louder(record(seed=4), 1.2))
     assert found.material
@@ -157,6 +166,42 @@ def test_a_reference_that_is_late(samples, runs):
     assert "next: hallsym.diagnose(log" in found.goodness.sentence
 
 
+def early(by: tuple[float, ...], louder: float = 1.0, bent: float = 0.0) -> Log:
+    """18 runs whose readings are early by samples, channel by channel; noise `louder` times, as is stated.
+
+    `bent`: share by which gains grow towards the ends of x, which no model here knows.
+    """
+    log, rng = bundled_campaign(), np.random.default_rng(1)
+    data = {c: v[log.array("run") < 18] for c, v in columns_of(log).items()}
+    out, std = dict(data), log.noise.std
+    for c, samples in zip(HALL, by, strict=True):
+        parts = [data[c][data["run"] == run] for run in range(18)]
+        moved = [np.interp(np.arange(len(v)) + samples, np.arange(len(v)), v) for v in parts]
+        more = np.sqrt(louder**2 - 1) * std[c] * rng.standard_normal(len(data[c]))
+        out[c] = np.concatenate(moved) * (1 + bent * np.abs(data["x_ref_m"]) / 3e-4) + more
+    return Log.from_arrays(
+        out, Noise({c: Sigma(louder * s if c in HALL else s, "given") for c, s in std.items()})
+    )
+
+
+@pytest.mark.parametrize(
+    ("log", "late"),
+    [
+        ({"by": (0.3, 0.3, 0.3)}, False),  # a lag, or half a sample of a logger
+        ({"by": (0.7, 0.7, 0.7)}, True),
+        ({"by": (2.0, 2.0, 2.3)}, True),
+        ({"by": (2.0, 2.0, 2.6)}, False),  # channels of their own
+        ({"by": (0.7, 0.7, 0.7), "louder": 15.0}, True),
+        ({"by": (0.7, 0.7, 0.7), "louder": 20.0}, False),  # 1.4 times the variance of noise
+        ({"by": (0.7, 0.7, 0.7), "bent": 0.1}, True),
+        ({"by": (0.7, 0.7, 0.7), "bent": 0.14}, False),  # another cause makes as much
+    ],
+)
+def test_a_delay_is_named_where_it_explains_the_misfit(log, late):
+    notes = fit(early(**log), "stage31", solver="direct", loss="none").notes
+    assert any("late beside the readings" in note for note in notes) is late
+
+
 def test_a_channel_that_lags_in_one_run_is_named():
     data = columns_of(bundled_campaign())
     late = np.flatnonzero(data["run"] == 5)
@@ -177,6 +222,19 @@ def test_one_run_counts_although_the_whole_does_not():
     assert found.residual_over_noise < found.limit
     assert found.material
     assert found.worst_run == 12
+
+
+@pytest.mark.parametrize(("times", "counts"), [(1.25, False), (1.8, True)])
+def test_a_channel_in_a_run_counts_from_twice_the_variance_on(times, counts):
+    columns = record(seed=6, samples=400)
+    cost = cost_on(with_noise(columns), MODEL)
+    usual = np.sqrt(cost.at(MODEL.nominal).covariance[12, 1, 1])
+    more = np.where(columns["run"] == 12, np.sqrt(times**2 - 1) * usual, 0.0)
+    noise = more * np.random.default_rng(1).standard_normal(len(more))
+    found = goodness(columns | {"hall_b_m": columns["hall_b_m"] + noise}, loss="none")
+    assert found.residual_over_noise < 1.1
+    assert (found.worst_run, found.worst_channel) == (12, "hall_b_m")
+    assert found.material is counts
 
 
 def test_a_short_run_is_not_worst_by_chance():

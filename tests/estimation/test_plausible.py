@@ -3,6 +3,8 @@
 What is said of each mistake stands in the table of `tests/log`.
 """
 
+import re
+
 import numpy as np
 import pytest
 from twins import HALL, record, with_noise
@@ -106,6 +108,84 @@ def test_two_explanations_are_both_named_and_the_other_is_a_note_where_one_is_ta
     found = fit(wrong, "stage31", solver="direct", resolve_wiring=True)
     assert found.wiring == tuple((c, -1) for c in HALL)
     assert any("the sign of x_ref_m, y_ref_m and rz_ref_rad looks inverted" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("factor", "refused"), [(0.5, True), (0.57, False), (1.7, False), (1.9, True)])
+def test_a_gain_of_one_run_is_that_of_another_machine_beyond_a_factor(six, factor, refused):
+    """From .53 to 1.8 an effect may make it: a note; no effect makes more."""
+    first = six["run"] == 0
+    log = log_of(six | {"hall_a_m": np.where(first, factor, 1.0) * six["hall_a_m"]})
+    if refused:
+        with pytest.raises(InputError, match=r"In run 0 .* hall_a_m changes by .* where 0.873 is usual"):
+            fit(log, "stage31", solver="direct")
+    else:
+        notes = fit(log, "stage31", solver="direct").notes
+        assert any("In run 0 " in note and "the gain of hall_a_m differs by" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("usual", "share", "refused"),
+    [(0.0, 0.38, False), (0.0, 0.6, True), (0.07, 0.7, True), (0.15, 0.7, False)],
+)
+def test_a_run_is_another_s_where_its_references_explain_less_than_half(six, usual, share, refused):
+    """Noise makes `share` of the variance of the readings of run 0, and `usual` of that of the others."""
+    rng, arrays = np.random.default_rng(1), dict(six)
+    part = np.where(six["run"] == 0, share, usual)
+    for c in HALL:
+        still = np.array([six[c][six["run"] == run].std() for run in range(6)])[six["run"].astype(int)]
+        arrays[c] = six[c] + np.sqrt(part / (1 - part)) * still * rng.standard_normal(len(part))
+    try:
+        notes = fit(log_of(arrays), "stage31", solver="direct", loss="none").notes
+    except InputError as error:
+        notes = (str(error),)
+    assert any("In run 0 " in n and "explain less than half of the readings" in n for n in notes) is refused
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    truth = published.values("table7_estimates")
+    return simulate(build("stage31"), truth, paper_campaign(step_s=1e-2), NoiseModel(SIGMA), seed=1)
+
+
+def gains(rows, **changes):
+    """Return what multiplies gains of channels in the runs that `rows` chooses, and adds noise [m]."""
+
+    def change(arrays):
+        here, rng = rows(arrays["run"]), np.random.default_rng(3)
+        out = {f"hall_{c}_m": np.where(here, 1 + v, 1) for c, v in changes.items() if c != "noise"}
+        out = {c: arrays[c] * v for c, v in out.items()}
+        more = here * changes.get("noise", 0.0) * rng.standard_normal(len(here))
+        return arrays | out | {"hall_a_m": out["hall_a_m"] + more}
+
+    return change
+
+
+def at(run):
+    return lambda runs: runs == run
+
+
+def since(run):
+    return lambda runs: runs >= run
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (gains(since(30), a=0.022), None),  # a mount may slip so far
+        (gains(since(30), a=0.045), r"The gain of hall_a_m .* changes by \+4.4 % from run 30"),
+        (gains(at(0), a=0.005), None),  # by chance
+        (gains(at(0), a=0.0075), r"In run 0 .* the gain of hall_a_m differs by \+0.7\d? %"),
+        (gains(at(30), a=0.1, b=0.014), r"In run 30 .* the gain of hall_a_m differs by \+10 %"),
+        (gains(at(30), a=0.1, b=0.03), r"In run 30 .* hall_a_m and hall_b_m differ by \+10 % and \+3 %"),
+        (gains(at(30), a=0.02, noise=3e-6), r"In run 30 .* the gain of hall_a_m differs by \+1.8 %"),
+        (gains(at(30), a=0.02, noise=5e-6), None),  # its noise is another: that is for goodness of fit
+    ],
+)  # fmt: skip
+def test_a_run_that_the_others_contradict(campaign, change, says):
+    notes = fit(log_of(change(campaign)), "stage31", solver="direct", loss="none").notes
+    found = [note for note in notes if "gain" in note]
+    assert len(found) == (says is not None), notes
+    assert says is None or re.search(says, found[0])
 
 
 def test_a_held_out_run_is_a_note(six):

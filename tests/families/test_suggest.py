@@ -119,3 +119,28 @@ def test_a_height_is_no_reference_of_it() -> None:
     assert likeness("z", "Height") == 1.0
     assert likeness("z_ref", "Height") == 0.5
     assert likeness("x_ref", "Hall X") == 0.0
+
+
+def test_columns_of_ours_stay_what_they_are() -> None:
+    """A name of ours is not taken for another one of ours, and needs no line."""
+    log = hallsym.bundled_campaign()
+    few = {c: log.array(c)[:500] for c in log.columns} | {"hall_7_v": log.array("hall_a_m")[:500]}
+    made = suggest(
+        open_source({c: v for c, v in few.items() if c != "hall_a_m"} | {"z_ref_m": few["z_m"]})[2]
+    )
+    assert "hall_a" not in found(made)
+    assert found(made)["z"][0] == "z_m"
+    assert set(made.rest) == {"hall_7_v", "z_ref_m"}
+    text = made.to_toml("log").split("[columns]")[1]
+    assert all(line.startswith("#") for line in text.strip().split("\n"))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_angle_without_a_name_is_found_by_how_it_goes_round(sign: int) -> None:
+    angle = np.linspace(0, 12 * np.pi, 3000)
+    raw = np.floor(((sign * angle + 1.3) / (2 * np.pi) % 1) * 16384)
+    table = {"step_index": np.arange(3000.0), "ref_deg": np.degrees(angle), "raw": raw}
+    made = suggest(open_source(table)[2], "rotary_ideal")
+    assert found(made)["angle_ref"] == ("ref_deg", "deg", 1)
+    assert found(made)["angle"] == ("raw", "count", sign)
+    assert made.rest == ("step_index",)

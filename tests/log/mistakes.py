@@ -296,6 +296,12 @@ RECORDING = (
         r"t_s .* repeats 1 times, first in row 1702 \(run 3\).*sort",
         "refusal",
     ),
+    of_stage(
+        "time in ms",
+        scale("t_s", 1e3),
+        r"usual step of 2 s; if that is 2 ms, say --column t_ms=t_s",
+        "remark",
+    ),
     of_stage("time in us", scale("t_s", 1e6), r"t_s .* step is 2000 s: it looks like ms", "refusal"),
     of_stage(
         "time in ms, said to be us", scale("t_s", 1e-6), r"t_s .* in run \d .* covers .*unit", "refusal"

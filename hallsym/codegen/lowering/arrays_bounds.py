@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Step, Whole
+from hallsym.codegen.entries import short
 from hallsym.codegen.intervals import Enclosure, constant, enclose
 from hallsym.codegen.lowering.angle_bounds import half_ulp
 from hallsym.codegen.lowering.arrays_fit import Arrays
@@ -123,23 +124,34 @@ class Rounding:
         return made
 
     def _ranges(self) -> dict[str, tuple[float, float]]:
-        """What poses of the box make of each step, and some room."""
         inputs = self.drawn(np.random.default_rng(6), TRIALS)
         columns = (*self.found.model.channels, *self.nears)
-        value: dict[str, Any] = {c.rpartition("_")[0]: row for c, row in zip(columns, inputs, strict=True)}
-        value |= {name: v for name, v in self.values.items() if not isinstance(v, tuple)}
-        value |= {f"zero_{c.rpartition('_')[0]}": 0.0 for c in self.found.model.pose}
-        out = {}
-        for step in self.steps:
-            symbols = ca.symvar(step.expression)
-            given = [np.broadcast_to(value[s.name()], TRIALS) for s in symbols]
-            run = on_arrays(ca.Function("step", [ca.vertcat(*symbols)], [step.expression]))
-            made = np.asarray(run(given)[0])[0]
-            value[step.name] = np.floor(made) if isinstance(step, Whole) else made
-            low, high = float(value[step.name].min()), float(value[step.name].max())
-            room = (ROOM - 1) * max(high - low, 1e-3 * max(abs(low), abs(high)))
-            out[step.name] = low - room, high + room
-        return out
+        return ranges_of(self.steps, columns, inputs, self.values, self.found.model.pose)
+
+
+def ranges_of(
+    steps: Sequence[Step],
+    columns: Sequence[str],
+    inputs: np.ndarray,
+    values: Values,
+    pose: Sequence[str],
+) -> dict[str, tuple[float, float]]:
+    """Return what trial inputs (n_inputs, s) make of each step, and some room; zeros are 0."""
+    count = inputs.shape[1]
+    value: dict[str, Any] = {short(c): row for c, row in zip(columns, inputs, strict=True)}
+    value |= {name: v for name, v in values.items() if not isinstance(v, tuple)}
+    value |= {f"zero_{short(c)}": 0.0 for c in pose}
+    out = {}
+    for step in steps:
+        symbols = ca.symvar(step.expression)
+        given = [np.broadcast_to(value[s.name()], count) for s in symbols]
+        run = on_arrays(ca.Function("step", [ca.vertcat(*symbols)], [step.expression]))
+        made = np.asarray(run(given)[0])[0]
+        value[step.name] = np.floor(made) if isinstance(step, Whole) else made
+        low, high = float(value[step.name].min()), float(value[step.name].max())
+        room = (ROOM - 1) * max(high - low, 1e-3 * max(abs(low), abs(high)))
+        out[step.name] = low - room, high + room
+    return out
 
 
 def _chosen(step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int) -> Enclosure:

@@ -17,7 +17,7 @@ from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
 from hallsym.codegen.fixed_point import Program
-from hallsym.codegen.lowering import arrays
+from hallsym.codegen.lowering import arrays, travel
 from hallsym.codegen.lowering.phasors import Phasor, phasor
 from hallsym.codegen.lowering.wave_bounds import Rounding
 from hallsym.codegen.lowering.wave_integers import program
@@ -37,6 +37,8 @@ from hallsym.model import Model
 ENOUGH = 6e-7
 """Place and height [m] that rounds and polynomials may leave: an eighth of what a gain off by a thousandth
 changes at a wavelength of 30 mm."""
+TWO = 2
+"""Coordinates of one array: place and height."""
 SIX = 6
 """Coordinates of a mover over several arrays."""
 SWING = 0.1
@@ -59,6 +61,8 @@ def decoupler(
     if len(model.pose) == SIX:
         return arrays.decoupler(model, p, weight, box, accuracy)
     aim = ENOUGH if accuracy is None else accuracy
+    if len(model.pose) == TWO and not model.period:
+        return travel.decoupler(model, p, weight, box, aim)
     along, height = _coordinates(model)
     found = phasor(model, p, weight, along, height, box.ends[height])
     own = replace(model, period={**model.period, along: 2 * pi * found.lc})

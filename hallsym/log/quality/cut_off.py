@@ -45,7 +45,8 @@ def is_cut_off(x: Array, motion: Sequence[Array], run: Array, pile: Pile, free: 
     if linear is not None:
         return linear
     open_runs = np.isin(run, np.unique(run[free]))  # a run that never leaves the pile says nothing
-    if pile.ratio * np.count_nonzero(within & open_runs) < _SURE * np.count_nonzero(within):
+    told = np.count_nonzero(within & open_runs)
+    if not told or pile.ratio * told < _SURE * np.count_nonzero(within):
         return False
     goes_on = any(_goes_on(values, run, within) for values in _related(x, motion, free))
     return goes_on and _has_corners(x, run, within) and _is_flat(x, run, within)

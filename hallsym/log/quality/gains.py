@@ -60,7 +60,7 @@ def judge_gains(
     model = seen.model
     if not usual.possible():
         found = explanations(usual, model.references, model.channels, _units(log, model))
-        return Judged(tuple(_whole(log, model, found)), tuple(found))
+        return Judged((explained(log, model, found),) if found else (), tuple(found))
     return Judged(tuple(_by_run(log, seen, usual, holdout, moved_by_state)))
 
 
@@ -90,11 +90,11 @@ def _medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
 # -- the whole log ---------------------------------------------------------------------------------------
 
 
-def _whole(log: Any, model: Model, found: Sequence[Explanation]) -> Iterator[Finding]:
-    if found:
-        text = "; or ".join(said(e) for e in found)
-        ways = dict.fromkeys(r for e in found for r in remedies(log, e))
-        yield sentence(f"In {name_of(log)} {text} against the layout of {model.name}", ways)
+def explained(log: Any, model: Model, found: Sequence[Explanation]) -> Finding:
+    """Return the refusal of a log whose slopes are explained so, in one way or another."""
+    text = "; or ".join(said(e) for e in found)
+    ways = dict.fromkeys(r for e in found for r in remedies(log, e))
+    return sentence(f"In {name_of(log)} {text} against the layout of {model.name}", ways)
 
 
 def sentence(text: str, ways: Iterable[str]) -> Finding:

@@ -57,10 +57,9 @@ def judge_runs(log: Any, model: Model, seen: Products, holdout: Collection[int] 
         return
     step, odd = _step(seen, whole), _odd(seen, whole)
     if step is not None and (odd is None or step.left < odd.left):
-        change = 100 * (step.gain - 1)
         yield Finding(
-            f"The gain of {model.channels[step.channel]} of {log.name} changes by {change:+.2g} % from "
-            f"{_moment(log, step)} on",
+            f"The gain of {model.channels[step.channel]} of {log.name} changes by "
+            f"{_percent(step.gain - 1)} % from {_moment(log, step)} on",
             remedy="check its range, supply and mount; fit the runs before and after apart",
         )
     elif odd is not None and (text := _said(odd, model)):
@@ -127,7 +126,7 @@ def _said(odd: Odd, model: Model) -> str:
             f"the readings contradict the model by {np.sqrt(odd.excess):.2g} times the noise: references or "
             f"{listed(model.state) if model.state else 'readings'} of another run"
         )
-    changes = listed([f"{100 * v:+.2g} %" for v, here in zip(off, clear, strict=True) if here])
+    changes = listed([f"{_percent(v)} %" for v, here in zip(off, clear, strict=True) if here])
     if len(names) == 1 and heard.sum() > 1:
         return f"the gain of {names[0]} differs by {changes}: its range, its supply, or another mount"
     state = f"{listed(model.state)} of another run, or " if model.state else ""
@@ -212,3 +211,12 @@ def _explained(seen: Products, weights: np.ndarray, total: Sums, k: int) -> tupl
     free = own - np.einsum("sf,fg,sg->s", cross, inverse, cross)
     size = np.where(free > SINGULAR * own, right / np.where(free > SINGULAR * own, free, 1.0), 0.0)
     return size * right / seen.variance[k], size
+
+
+def _percent(share: float) -> str:
+    """Return a change to two digits.
+
+    >>> _percent(-2.0), _percent(0.095), _percent(1.0 / 3)
+    ('-200', '+9.5', '+33')
+    """
+    return f"{float(f'{100 * share:.2g}'):+.6g}"

@@ -13,6 +13,9 @@ from hallsym.log.quality.scan import Scan, Spans
 from hallsym.units import UNITS, si_unit, split_unit
 
 _LONGEST_TICK_S = 100.0
+_SLOW_TICK_S = 1.0
+"""Usual step of a clock from which on it may be in ms: motion is recorded at 10 Hz and faster, and a log that
+is slower than 1 Hz approaches its points one by one. Nothing else tells the two apart."""
 _TOLD_DECADES = 1.0
 """So many decades nearer to what other columns span, a unit is the only one that is named."""
 
@@ -37,10 +40,15 @@ def units(log: Log, spans: Spans) -> Iterator[Finding]:
 
 
 def clock_unit(log: Log, seen: Scan) -> Iterator[Finding]:
-    """A clock that ticks too slowly for a recording."""
+    """A clock that ticks too slowly for a recording, or so slowly that its unit is worth a remark."""
     tick = seen.clock.tick if seen.clock else 0.0
     if tick > _LONGEST_TICK_S:
         yield _unit(log, "t_s", f"its usual step is {tick:.4g} s", ["ms" if tick < 1e4 else "us"])
+    elif tick > _SLOW_TICK_S and log.table.source_name("t_s") == "t_s":
+        yield Finding(
+            f"{the(log, 't_s')} has a usual step of {tick:.4g} s; if that is {tick:.4g} ms, say --column "
+            "t_ms=t_s, or delays, time constants and frequencies will be 1000 times off"
+        )
 
 
 def speeds(log: Log, seen: Scan, spans: Spans) -> Iterator[Finding]:

@@ -1,0 +1,16 @@
+"""
+What a calibration gains
+========================
+
+A fit of Model (31) to the bundled campaign of 57 runs: errors of the decoded position at each of
+the 19 vertical settings, with the design's parameters and with the fitted ones. The dashed line is
+what the stated noise leaves.
+"""
+
+import hallsym
+from hallsym.report.data import look_over
+from hallsym.report.figures import errors_by_setting
+
+log = hallsym.bundled_campaign()
+fit = hallsym.fit(log, "stage31", solver="direct")
+figure = errors_by_setting(fit, look_over(log, fit))

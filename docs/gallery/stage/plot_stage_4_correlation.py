@@ -1,0 +1,13 @@
+"""
+Which parameters are traded
+===========================
+
+Correlation of the estimates. Two parameters near +1 or -1 can change together without changing the
+readings.
+"""
+
+import hallsym
+from hallsym.report.figures import correlation
+
+fit = hallsym.fit(hallsym.bundled_campaign(), "stage31", solver="direct")
+figure = correlation(hallsym.identify(fit))

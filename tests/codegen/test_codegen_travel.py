@@ -1,0 +1,123 @@
+"""C for an array that travels over a longer board: absolute place and gap, sensors weighted as they see it.
+
+Independent facts: the finite field of magnetised rectangles at a known pose; hallsym's own decoder, which
+fits all readings with that field; a place moves by as much as the mover does, also where sensors come and go.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from firmware import STRICT, need, ran
+from waves import calibrated
+
+import hallsym
+from hallsym.errors import InputError
+from hallsym.families.halbach.effects import ends
+from hallsym.families.halbach.layout import columns
+from hallsym.families.halbach.models import halbach
+from hallsym.model import on_arrays
+
+VALUES = {"a1": 0.62, "b1": 0.11, "a5": -6e-4, "b5": -8e-4, "edges": 1.0}
+REACH, GAPS = 0.08, (0.004, 0.007)
+FIELD, COVER = 0x40000000, 0x20000000
+
+
+@cache
+def fit_of(count=18, reach=REACH):
+    """A board of 18 columns at 10 mm, an array of three periods, a third of it over no sensor at the ends."""
+    places = [(j - (count - 1) / 2) * 0.01 for j in range(count)]
+    fit = calibrated(ends.array_edges(halbach(columns(places, length_m=0.09))), VALUES, gaps=GAPS, sigma=1e-3)
+    return replace(fit, log={**fit.log, "span": {"x_ref_m": [-reach, reach], "z_ref_m": list(GAPS)}})
+
+
+@cache
+def made():
+    return hallsym.generate(fit_of())
+
+
+def read(x, z):
+    fit = fit_of()
+    return on_arrays(fit.model.reading)(fit.values, [], [x, z], [])[0]
+
+
+def test_readings_give_place_and_gap_back_over_all_of_the_board():
+    rng, backend = np.random.default_rng(1), made().backend
+    x, z = rng.uniform(-REACH, REACH, 4000), rng.uniform(*GAPS, 4000)
+    pose, status = backend.step(read(x, z).astype(np.float32))
+    assert not status.any()
+    assert (np.abs(pose - [x, z]).max(axis=1) <= list(backend.error_bound.values())).all()
+    assert max(backend.error_bound.values()) < 6e-5  # a third of an array is all that is left at the ends
+    inner = np.abs(x) < 0.04
+    assert np.abs(pose - [x, z])[:, inner].max() < 2e-5
+
+
+def test_nothing_steps_as_sensors_come_and_go():
+    x = np.linspace(-REACH, REACH, 16_001)
+    pose, _ = made().backend.step(read(x, np.full_like(x, 5e-3)).astype(np.float32))
+    off = pose - [x, np.full_like(x, 5e-3)]
+    assert np.abs(np.diff(off, axis=1)).max() < 5e-7  # in 10 um of travel
+
+
+def test_the_reference_is_the_decoder_of_the_model():
+    x, z = np.array([-0.07, 0.013, 0.055]), np.array([4.2e-3, 5e-3, 6.5e-3])
+    assert np.abs(made().decoupler.exact(read(x, z)) - [x, z]).max() < 1e-9
+
+
+def test_no_array_and_an_array_off_the_board_raise_a_flag():
+    backend = made().backend
+    nothing = np.zeros((len(backend.inputs), 1), dtype=np.float32)
+    noise = np.random.default_rng(2).normal(0, 1e-3, (len(backend.inputs), 200)).astype(np.float32)
+    for given in (nothing, noise):
+        pose, status = backend.step(given)
+        assert (status & FIELD == FIELD).all()
+        assert np.isfinite(pose).all()
+    far = np.array([-0.15, 0.14, 0.16])
+    assert (backend.step(read(far, np.full(3, 5e-3)).astype(np.float32))[1] & (FIELD | COVER) != 0).all()
+    near = np.clip(read(np.array([0.01]), np.array([1.5e-3])), *np.array(backend.span))
+    assert backend.step(near.astype(np.float32))[1] & FIELD
+
+
+def test_whatever_the_bits_the_pose_is_finite():
+    backend = made().backend
+    pose, _ = backend.step(backend.sample(np.arange(20_000)))
+    assert np.isfinite(pose).all()
+
+
+def test_stated_errors_hold_and_rounding_is_small():
+    code = made()
+    assert max(code.bounds.error.values()) < 3e-7
+    for column, met in code.errors.items():
+        assert 0 < met <= code.backend.error_bound[column]
+
+
+def test_what_is_not_generated_is_refused_in_one_sentence():
+    for reach, said in ((0.14, "do not say which period"),):
+        with pytest.raises(InputError, match=said):
+            hallsym.generate(fit_of(18, reach))
+    with pytest.raises(InputError, match="use float"):
+        hallsym.generate(fit_of(), arithmetic="q31")
+    with pytest.raises(InputError, match="--jacobian is not generated"):
+        hallsym.generate(fit_of(), jacobian=True)
+
+
+def test_the_folder_passes_its_self_test_without_undefined_behaviour(tmp_path):
+    need("gcc")
+    made().write(tmp_path / "fw")
+    out, include = str(tmp_path / "selftest"), ("-Iinclude", "-Iparams", "-Itest")
+    sources = [f"{n}.c" for n in ("src/decoupler", "src/decoupler_check", "params/decoupler_params",
+                                  "test/selftest", "test/faults", "test/main")]  # fmt: skip
+    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
+    ran(tmp_path / "fw", "gcc", *STRICT, "-pedantic", *sanitize, *include, *sources, "-o", out)
+    said = ran(tmp_path / "fw", out)
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+    assert "0 faults of a table not found, 0 zeros wrong" in said
+
+
+@pytest.mark.slow
+def test_same_bits_on_a_cortex_m4f(tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    made().write(tmp_path / "fw")
+    assert ran(tmp_path / "fw", "make", "qemu").count("as stated") == 2

@@ -1,0 +1,85 @@
+"""The documentation site: every public name has its page; it builds without a warning and works offline."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hallsym
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+
+
+def test_every_public_name_is_in_the_reference():
+    page = (DOCS / "reference" / "python.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^   (\w+)$", page, re.M)
+    assert sorted(listed) == sorted(set(hallsym.__all__) - {"__version__"})
+
+
+def test_every_page_is_in_the_contents():
+    contents = "".join((DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("howto", "explanation"))
+    listed = set(re.findall(r"^(\w+)$", contents, re.M))
+    assert {page.stem for page in DOCS.glob("*.md")} - {"index", "howto", "explanation"} == listed
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The site, built from a copy: the gallery and the reference write beside their sources."""
+    pytest.importorskip("sphinx_gallery", reason="the extra `docs` is not installed")
+    folder = tmp_path_factory.mktemp("site")
+    ignored = shutil.ignore_patterns("examples", "generated")
+    shutil.copytree(DOCS, folder / "docs", ignore=ignored)
+    (folder / "data").symlink_to(ROOT / "data")
+    command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-W", "--keep-going", "docs", "site"]
+    made = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
+    assert made.returncode == 0, made.stderr
+    assert made.stderr == ""
+    return folder / "site"
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_its_links_lead_somewhere(site):
+    pages = [page for page in site.rglob("*.html") if "_static" not in page.parts]
+    assert len(pages) > 60
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        for target in re.findall(r'(?:href|src)="([^"#?]+)', text):
+            if re.match(r"[a-z]+:", target):
+                assert target.startswith("https://"), f"{page.name}: {target}"
+                continue
+            assert (page.parent / target).exists(), f"{page.name} leads to {target}"
+
+
+@pytest.mark.slow
+def test_pages_are_read_without_a_network(site):
+    """No script, style, font or picture comes from elsewhere."""
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert re.findall(r'<(?:script|img|iframe)[^>]+src="https?:', text) == [], page.name
+        assert re.findall(r'<link[^>]+rel="stylesheet"[^>]+href="https?:', text) == [], page.name
+
+
+@pytest.mark.slow
+def test_the_gallery_shows_pictures(site):
+    thumbnails = re.findall(r'<img[^>]+src="([^"]+thumb[^"]+)"', (site / "examples/index.html").read_text())
+    assert len(thumbnails) >= 12
+    for path in thumbnails:
+        assert (site / "examples" / path).stat().st_size > 2_000
+
+
+@pytest.mark.slow
+def test_a_browser_finds_no_fault(site):
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if not browser:
+        pytest.skip("Chromium is not installed")
+    for name in ("index.html", "theory.html", "examples/index.html", "reference/python.html"):
+        options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
+        command = [browser, *options, "--virtual-time-budget=8000", f"file://{site / name}"]
+        seen = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        faults = [line for line in seen.stderr.splitlines() if ":CONSOLE" in line and "Error" in line]
+        assert faults == [], name
+        assert "</html>" in seen.stdout, name
