@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from firmware import calibration, need
 from test_codegen_correction import fit_of
+from waves import VALUES, calibrated, sums
 
 from hallsym.codegen import generate
 
@@ -95,6 +96,7 @@ CASES = {
     "encoder of two voltages, table": lambda: generate(fit_of("clipped"), accuracy=5e-3),
     "encoder of a decoded angle": lambda: generate(fit_of("meng angle")),
     "encoder of two voltages in integers": lambda: generate(fit_of("meng volts"), arithmetic="q31"),
+    "magnet array": lambda: generate(calibrated(sums(3), VALUES)),
     "encoder of a decoded angle in integers": lambda: generate(fit_of("meng angle"), arithmetic="q31"),
 }
 

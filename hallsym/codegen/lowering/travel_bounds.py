@@ -1,10 +1,10 @@
 """Rounding error bound of place and height of a wave that travels along a row of sensors.
 
-Sums of few terms (sensors without weight add nothing, exactly) round by a share of the sum of their
-magnitudes (Higham, Accuracy and Stability of Numerical Algorithms, 3.1), which 2 x 2 least squares passes on:
-both are bounded for each of many poses, and the largest is taken with some room. Arctangent and logarithm are
-bounded as of one wave (`lowering.wave_bounds`). Weights multiply reading and model alike, so what they are
-off by themselves moves the vector by that share of what ends leave, which is far less.
+Sums of few terms (sensors without weight add less than half a unit of the last place) round by a share of the
+sum of their magnitudes (Higham, Accuracy and Stability of Numerical Algorithms, 3.1), which 2 x 2 least
+squares passes on: both are bounded for each of many poses, and the largest is taken with some room.
+Arctangent and logarithm are bounded as of one wave (`lowering.wave_bounds`). Weights multiply reading and
+model alike, so what they are off by moves the vector by that share of what ends leave, which is far less.
 """
 
 from collections.abc import Callable

@@ -129,8 +129,8 @@ class Pieces:
         for name, at in zip(self.names, self.places, strict=True):
             away = made.step(f"away_{name}", ca.fabs(at - x))
             depth = made.step(f"depth_{name}", start - away * rate)
-            low = made.step(f"held_low_{name}", ca.if_else(depth > 0.0, depth, 0.0))
-            share = made.step(f"held_{name}", ca.if_else(low < 1.0, low, 1.0))
+            # 0 to 1 without a branch: its rounding is a millionth of a weight
+            share = made.step(f"share_{name}", (ca.fabs(depth) - ca.fabs(depth - 1.0) + 1.0) * 0.5)
             out.append(made.step(f"weight_{name}", share * share * (3.0 - (share + share))))
         return out
 
