@@ -70,14 +70,31 @@ class NoiseFinding:
 class Shrinkage:
     """How far the gap shrinks with everything that was found.
 
-    `value`: 1 - gap after / gap before; `interval`: its 95 % interval from resampled blocks; `share_closed`:
-    part of the excess above the noise floor that is closed (squares); `parameters_added`: to the model.
+    `value`: 1 - gap after / gap before, on `judges` runs that took part in neither fit nor choice: the
+    holdout runs, and every fitted run with the search repeated without it. `interval`: 95 % of recordings of
+    as many runs lie within; None below 6 judges. `share_closed`: part of the excess above the noise floor
+    that is closed on the holdout runs (squares); `parameters_added`: to the model.
     """
 
     value: float
-    interval: tuple[float, float]
+    interval: tuple[float, float] | None
     share_closed: float
     parameters_added: int
+    judges: int = 0
+
+
+@dataclass(frozen=True)
+class Significance:
+    """Whether any effect of the catalogue is there at all.
+
+    `p_value`: from random signs of `units` scores, each of a "run" or of a "stretch" of one (`unit`), the
+    largest of all that was tried. `least`: the smallest p-value that so many units can give.
+    """
+
+    p_value: float
+    least: float
+    units: int
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -116,9 +133,10 @@ class Resemblance:
 class FoundEffect:
     """An effect that lowers the gap, with all other effects of the list in place.
 
-    `shrinkage`: 1 - gap with it / gap without it, on the holdout runs; `interval`: its 95 % interval from
-    resampled blocks. `share`: part of the excess above the noise floor that it closes. `p_value`: of its
-    absence, valid for residuals that are correlated within a run, corrected for everything that was tested.
+    `shrinkage`: 1 - gap with it / gap without it, on runs that took part in neither fit nor choice;
+    `interval`: as of `Shrinkage`, None too for a fault of the recording. `share`: part of the excess above
+    the noise floor that it closes. `p_value`: of its absence, from random signs of the runs, corrected for
+    everything that was tried.
     `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
     `at_bound`: parameters that ended at a bound; they have no uncertainty. `behaves_like`: why the machine
     only behaves like the effect; None where no flexible alternative beats it. `note` says both in words, and
@@ -131,7 +149,7 @@ class FoundEffect:
     parameters: dict[str, Estimate]
     p_value: float
     shrinkage: float
-    interval: tuple[float, float]
+    interval: tuple[float, float] | None
     share: float
     cost: str
     text: str = ""
@@ -403,6 +421,7 @@ class Diagnosis(Shown):
     waves: tuple[Waves, ...] = ()
     noise: NoiseFinding | None = None
     """The noise that is left, None where the log is too short to tell."""
+    significance: Significance | None = None
     held_out: str = "holdout run"
     """What judges: a run, or a piece of a recording of too few."""
 
