@@ -35,17 +35,13 @@ from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, of_si
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, distance, ordered
 from hallsym.diagnosis.record import (
-    Band,
-    CurveShape,
     Diagnosis,
     Estimate,
     FoundEffect,
     Gap,
     LogRecord,
     Metric,
-    ModelLeft,
     NoiseFloor,
-    NotExcluded,
     Resemblance,
     Separation,
     Share,
@@ -53,11 +49,11 @@ from hallsym.diagnosis.record import (
     Significance,
     SmallerFinding,
     Statement,
-    Unexplained,
 )
 from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inside_bounds, refit, with_model
 from hallsym.diagnosis.regression import others
+from hallsym.diagnosis.remainder import Band, CurveShape, ModelLeft, NotExcluded, Unexplained
 from hallsym.diagnosis.report import unexplained
 from hallsym.diagnosis.residual_table import ResidualTable, Spectrum, residual_table
 from hallsym.diagnosis.residuals import Base

@@ -24,8 +24,8 @@ from hallsym.diagnosis.record import (
     NoiseFloor,
     Shrinkage,
     Sizes,
-    Unexplained,
 )
+from hallsym.diagnosis.remainder import Unexplained
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shares import sizes
