@@ -86,11 +86,11 @@ class ResidualTally:
         if not self.segments:
             nothing = np.zeros((len(self.pose), 0))
             return Residuals(*common, np.zeros(0), nothing, self.floor, self.timed, self.turning)
-        frequency = np.fft.rfftfreq(self.length, self.step)[1:]
+        frequency = np.fft.rfftfreq(self.length, self.step)[1:-1]  # the last has half the power
         edges = np.geomspace(frequency[0], frequency[-1] * 1.001, POINTS + 1)
         starts = np.unique(np.searchsorted(frequency, edges[:-1]))
         width = np.diff([*starts, len(frequency)])
-        power = np.add.reduceat(self.power[:, 1:], starts, axis=1) / (width * self.segments)
+        power = np.add.reduceat(self.power[:, 1:-1], starts, axis=1) / (width * self.segments)
         at = np.add.reduceat(frequency, starts) / width
         white = self.floor * np.sqrt(2.0 * self.step)
         return Residuals(*common, at, np.sqrt(power), white, self.timed, self.turning)

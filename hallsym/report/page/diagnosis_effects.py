@@ -23,11 +23,7 @@ def effects_section(d: Diagnosis) -> Section:
 
 
 def _ranking(d: Diagnosis) -> Figure | None:
-    rows = [
-        (e.name, e.shrinkage, e.interval if all(map(math.isfinite, e.interval)) else None)
-        for e in d.effects
-        if math.isfinite(e.shrinkage)
-    ]
+    rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
     if not rows:
         return None
     title = "decrease of the gap by the effect [%], with its 95 % interval"

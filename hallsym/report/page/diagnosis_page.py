@@ -19,7 +19,7 @@ from hallsym.report.page.diagnosis_places import rest_section, where_section
 from hallsym.report.page.diagnosis_words import changed, percent, typeset
 from hallsym.report.page.sketch import CAUSE, POSSIBLE, sketch
 from hallsym.report.tables import concise
-from hallsym.report.text.diagnosis import noise_name, units_of
+from hallsym.report.text.diagnosis import noise_name, significance_text, units_of
 from hallsym.report.words import MINUS
 
 STATES = {"no gap": "good", "explained": "good"}
@@ -111,6 +111,7 @@ def _input(d: Diagnosis) -> Facts:
         ("noise floor", f"{shared.each(d.noise_floor.outputs)}; {d.noise_floor.source}"),
         (noise_name(d), noise_text(d.noise, d.noise_floor.source == "stated") if d.noise else None),
         ("worth reporting", f"a decrease of the gap by at least {100 * d.threshold:g} %"),
+        ("any effect", f"p {significance_text(d.significance)}" if d.significance else None),
     ]
     return Facts(pairs, frozenset({"log"}))
 

@@ -27,6 +27,8 @@ from hallsym.report.page.marks import (
 from hallsym.report.words import MINUS, largest, name, scale, three
 
 LEFT, TOP, BOTTOM = 46.0, 22.0, 112.0
+DECADE = 10.0
+"""A spectrum that spans less is drawn on a linear scale."""
 LOOKS = {1: ("median",), 2: ("median0", "median")}
 """Lines by how many versions of a model there are."""
 
@@ -90,8 +92,9 @@ def _spectrum(found: Mapping[str, Residuals], k: int) -> Chart:
     sizes = sizes[sizes > 0] if (sizes > 0).any() else np.ones(1)
     factor, unit = scale(first.pose[k], float(sizes.max()), first.turning)
     low, high = factor * float(sizes.min()) / 1.3, factor * float(sizes.max()) * 1.3
+    log = high > DECADE * low
     x = Scale(float(first.frequency[0]), float(first.frequency[-1]), LEFT, NARROW - RIM, log=True)
-    y = Scale(low, high, BOTTOM, TOP, log=True)
+    y = Scale(low if log else 0.0, high, BOTTOM, TOP, log)
     per = "√Hz" if first.timed else "√(cycles per sample)"
     title = "frequency [Hz]" if first.timed else "frequency [cycles per sample]"
     parts = [text(0, 12, f"{name(first.pose[k])} [{unit}/{per}]", look="title")]

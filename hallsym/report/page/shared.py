@@ -222,7 +222,7 @@ def parameters_of(fit: Fit) -> list[Any]:
     """Return the parameters, what the data determine in place of some, and their correlation."""
     head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "meaning", "verdict"]
     rows = [_parameter(row) for row in parameter_rows(fit)]
-    table = Table(head, rows, f"parameters of {fit.model.name}", wordy=(2, 6, 7), sortable=True)
+    table = Table(head, rows, f"parameters of {fit.model.name}", wordy=(6, 7), sortable=True)
     content: list[Any] = [Words(VALUES, note=True), table]
     if fit.combinations:
         rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
