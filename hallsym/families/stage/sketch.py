@@ -10,7 +10,7 @@ SKETCH = (
     ),
     Part(
         "transducer", "Hall probes", "M50 73h11v12h-11zM178 73h11v12h-11zM114 133h12v11h-12zM189 79h43",
-        (174.0, 62.0), centred=False,
+        (174.0, 54.0), centred=False,
     ),
     *SIGNAL,
 )  # fmt: skip

@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from hallsym.report.data.survey import Survey
 
-BINS, REACH = 41, 5.0
+BINS, REACH = 61, 4.0
 """Bins of a histogram, and where it ends, in rms of the error or the noise floor, whichever is more."""
 SHORTEST, LONGEST = 32, 1024
 """Samples of a segment of which a spectrum is averaged: a power of two up to half the median run."""

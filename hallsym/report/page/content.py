@@ -85,12 +85,11 @@ class Items:
 
 @dataclass(frozen=True)
 class Figure:
-    """Charts with a caption: small ones side by side, `wide` ones one under the other."""
+    """Charts with a caption, side by side; `look`: "two" in a row, or one "alone" that may be wider."""
 
     kind: ClassVar[str] = "figure"
     charts: Sequence[Chart]
     caption: str = ""
-    wide: bool = False
     look: str = ""
 
 

@@ -27,7 +27,7 @@ def _ranking(d: Diagnosis) -> Figure | None:
     if not rows:
         return None
     title = "decrease of the gap by the effect [%], with its 95 % interval"
-    return Figure([bars.intervals(rows, title)], wide=True)
+    return Figure([bars.intervals(rows, title)], look="two")
 
 
 def _ranked(d: Diagnosis) -> Table:

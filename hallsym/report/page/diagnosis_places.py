@@ -73,7 +73,7 @@ def _statements(statements: Sequence[Statement], title: str) -> list[Any]:
     ]
     chart = [bars.shares([(_place(s), s.share) for s in drawn[:MOST]], title)] if drawn else []
     head = ["statement (fitted runs)", "on holdout runs", "p"]
-    found = [Figure(chart, wide=True), Table(head, rows, "statements on the places")]
+    found = [Figure(chart, look="two"), Table(head, rows, "statements on the places")]
     return found if statements else []
 
 

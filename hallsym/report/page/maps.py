@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from hallsym.report.data import Cells
 from hallsym.report.page.marks import (
+    HALF,
     NARROW,
     RIM,
-    WIDE,
     Chart,
     Mark,
     Scale,
@@ -29,6 +29,8 @@ from hallsym.report.page.marks import beside as axis_beside
 from hallsym.report.words import largest, name, scale, thinned, three
 
 LEFT, TOP, BOTTOM = 44.0, 22.0, 112.0
+MOST = 12
+"""Cells with labels in one chart."""
 LONG = 4
 """Labels with more characters stand upright."""
 
@@ -50,18 +52,30 @@ def _shown(cells: Cells, output: int, floor: float, reach: float) -> _Shown:
     return _Shown(name(cells.pose[output]), unit, median, rms, factor * floor)
 
 
-def profile(cells: Cells, output: int, floor: float = 0.0, after: Cells | None = None) -> Chart:
+def profiles(cells: Cells, output: int, floor: float = 0.0, after: Cells | None = None) -> list[Chart]:
     """Draw median (line) and rms (band to both sides) of one output by cell; `floor` [SI] is dashed.
 
-    `after`: the same cells of another version, drawn over it on the same scale.
+    `after`: the same cells of another version, drawn over it on the same scale. Cells with labels are drawn
+    in two charts where they are more than `MOST`, so that they can be read on a phone.
     """
+    n = len(cells.count)
+    starts = range(0, n, -(-n // 2) if cells.labels and n > MOST else n)
+    step = starts.step
+    return [_profile(cells, output, floor, after, slice(k, min(k + step, n))) for k in starts]
+
+
+def _profile(cells: Cells, output: int, floor: float, after: Cells | None, part: slice) -> Chart:
     both = [cells] if after is None else [cells, after]
     reach = max(floor, *(largest(v[output]) for c in both for v in (c.rms, c.median)))
     shown, *more = (_shown(c, output, floor, reach) for c in both)
-    width = WIDE if cells.labels else NARROW
+    width = HALF if cells.labels else NARROW
     right = width - RIM
     high = 1.08 * max(shown.floor, *(largest(v) for x in (shown, *more) for v in (x.rms, x.median))) or 1.0
     y = Scale(-high, high, BOTTOM, TOP)
+    if cells.labels:
+        cells = _cut(cells, part)
+        both = [cells] if after is None else [cells, _cut(after, part)]
+        shown, *more = (_shown(c, output, floor, reach) for c in both)
     spans, axis, height = _groups(cells, right) if cells.labels else _coordinate(cells, right)
     parts = [text(0, 11, f"{shown.name} [{shown.unit}]", look="title"), *axis_beside(y, LEFT, right), *axis]
     for x, c, old in zip((shown, *more), both, (bool(more), False), strict=False):
@@ -74,6 +88,18 @@ def profile(cells: Cells, output: int, floor: float = 0.0, after: Cells | None =
     worst = int(np.nanargmax(shown.rms)) if np.isfinite(shown.rms).any() else 0
     says = f"{shown.name} by {cells.by}: largest rms {_says(cells, shown, worst)}"
     return Chart(width, height, says, parts)
+
+
+def _cut(cells: Cells, part: slice) -> Cells:
+    """Return some of the cells with labels."""
+    return replace(
+        cells,
+        count=cells.count[part],
+        median=cells.median[:, part],
+        rms=cells.rms[:, part],
+        labels=cells.labels[part],
+        marked=tuple(k - part.start for k in cells.marked if part.start <= k < part.stop),
+    )
 
 
 def _bands(
@@ -116,7 +142,7 @@ def _groups(cells: Cells, right: float) -> tuple[list[tuple[float, float]], list
         _upright(float(at[k]) + 4, BOTTOM + 8, cells.labels[k])
         if upright
         else text(float(at[k]), BOTTOM + 14, cells.labels[k], "middle")
-        for k in thinned(len(at), 40 if upright else 30)
+        for k in thinned(len(at), 22 if upright else 14)
     ]
     height = BOTTOM + (6.4 * longest + 12 if upright else 22)
     return [(v - half, v + half) for v in at.tolist()], words, height
@@ -191,7 +217,8 @@ def plane(shown: Plane, version: str, what: str, output: int, title: tuple[str, 
     y = Scale(shown.across[0], shown.across[-1], bottom, TOP)
     quantity, unit = title
     words = f"{what} {quantity}, full: {three(full)} {unit}"
-    parts = [text(0, 12, words, look="title"), *axis_beside(y, LEFT, LEFT, 4), *below(x, bottom, shown.by)]
+    parts = [text(0, 12, words, look="title"), *axis_beside(y, LEFT, LEFT, 4)]
+    parts += below(x, bottom, f"{shown.by}, upwards {shown.up}")
     columns = len(shown.edges) - 1
     for k, value in enumerate(values):
         if value is None:

@@ -11,9 +11,10 @@ import numpy as np
 
 from hallsym.report.words import MINUS
 
-WIDE, NARROW = 740.0, 240.0
+HALF, NARROW = 360.0, 240.0
+"""Width of a picture of which two stand side by side, a phone's width, and of one of three [px]."""
 RIM = 14.0
-"""Width of pictures, and what half a number at the right end of an axis needs [px]."""
+"""What half a number at the right end of an axis needs [px]."""
 
 
 class Mark(NamedTuple):

@@ -69,7 +69,7 @@ def sizes_table(
         level = floor.get(c) or 0.0
         factor, unit = scale(c, max(level, *(gap["rmse"][c] for gap in rows.values())), turning)
         row = [f"{name(c)} [{unit}]", *(three(factor * gap["rmse"][c]) for gap in rows.values())]
-        ratio = f"{last['rmse'][c] / level:.2g} ×" if level else ""
+        ratio = f"{three(last['rmse'][c] / level)} ×" if level else ""
         body.append([*row, three(factor * level) if level else "", ratio])
     head = ["rmse", *rows, "noise floor", "times floor"]
     return Table(head, body, "size of the error against the noise floor")
@@ -147,17 +147,17 @@ def _profiles(
     how = (OVER if both else BANDS) + (" Dashed: noise floor." if floor else "")
     content: list[Any] = [Words(f"Along one coordinate. {how}", note=True)] if lines else []
     for m, a in lines:
-        content.append(Figure(_profile(m, a, floor), f"over {m.by}"))
+        content.append(Figure(_charts(m, a, floor), f"over {m.by}"))
     for m, a in ((m, a) for m, a in pairs if m.labels):
         held = " An h marks runs that were held out." if m.marked else ""
         content += [Heading(f"By {m.by}"), Words(f"{how}{held}", note=True)]
-        content += [Figure(_profile(m, a, floor), wide=True)]
+        content.append(Figure(_charts(m, a, floor), look="two"))
         content.append(Fold(f"numbers by {m.by}", _cell_table(m, a)))
     return content
 
 
-def _profile(m: Cells, a: Cells | None, floor: Mapping[str, float]) -> list[Any]:
-    return [maps.profile(m, k, floor.get(c) or 0.0, a) for k, c in enumerate(m.pose)]
+def _charts(m: Cells, a: Cells | None, floor: Mapping[str, float]) -> list[Any]:
+    return [c for k, name_ in enumerate(m.pose) for c in maps.profiles(m, k, floor.get(name_) or 0.0, a)]
 
 
 def _cell_table(cells: Cells, after: Cells | None = None) -> Table:
@@ -233,7 +233,7 @@ def parameters_of(fit: Fit) -> list[Any]:
         how = (
             "The fuller the colour the stronger; a dash marks a negative one. Point at a cell for its number."
         )
-        content += [Heading("Correlation"), Words(how, note=True), Figure([chart], wide=True)]
+        content += [Heading("Correlation"), Words(how, note=True), Figure([chart], look="alone")]
     return content
 
 

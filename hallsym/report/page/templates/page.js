@@ -65,7 +65,8 @@
       });
     };
     p.fit = () => {
-      const wide = Math.max(300, Math.min(740, svg.parentElement.clientWidth || 740));
+      const room = matchMedia("print").matches ? 740 : svg.parentElement.clientWidth;
+      const wide = Math.max(300, Math.min(740, room || 740));
       p.width = wide - left - 8;
       svg.setAttribute("viewBox", `0 0 ${wide} ${full}`);
       view.setAttribute("width", p.width);
@@ -150,7 +151,7 @@
     load(run);
     fit();
     new ResizeObserver(fit).observe(figure);
-    addEventListener("beforeprint", () => hover(null));
+    addEventListener("beforeprint", () => { hover(null); fit(); });
   }
   function pointer(p, hover, done) {
     let begin = null, mark = null;
@@ -199,7 +200,7 @@
       put(svg, "text", { x: 0, y: 12, class: "title" }, `${what} ${quantity}, full: ${three(full)} ${unit}`);
       axisY(svg, ey[0], last(ey), bottom, top, left, left, 4);
       axisX(svg, ex[0], last(ex), left, right, bottom, 4);
-      put(svg, "text", { x: (left + right) / 2, y: bottom + 29, "text-anchor": "middle", class: "soft" }, x);
+      put(svg, "text", { x: (left + right) / 2, y: bottom + 29, "text-anchor": "middle", class: "soft" }, `${x}, upwards ${y}`);
       values.forEach((value, k) => {
         if (value === null) return;
         const [i, j] = turned ? [Math.floor(k / n), k % n] : [k % n, Math.floor(k / n)];
