@@ -10,6 +10,10 @@ from hallsym.report.page.marks import Chart
 from hallsym.report.page.rendering import render
 
 
+BRIEF = 30
+"""Rows of a table that is not broken over two printed pages."""
+
+
 @dataclass(frozen=True)
 class Words:
     """A paragraph; a `note` is smaller."""
@@ -45,6 +49,11 @@ class Table:
     def look(self, column: int) -> str | None:
         """Return the class of a column's cells."""
         return None if column < self.left else "t" if column in self.wordy else "n"
+
+    @property
+    def brief(self) -> bool:
+        """Whether the table fits on a printed page."""
+        return len(self.rows) <= BRIEF
 
     @property
     def many(self) -> bool:

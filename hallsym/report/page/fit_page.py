@@ -48,9 +48,9 @@ def fit_page(log: Log, fit: Fit, *, command: str = "", calibration: str = "calib
     same = log.sha256 == fit.to_dict()["log"]["sha256"]
     log = as_read(log, fit.model, fit.wiring)
     fit = fit if same else _elsewhere(log, fit)
-    found = gather(log, fit)
+    found = gather(log, fit, label="fitted")
     if same and _above_recorded(found, fit):
-        found = gather(log, fit, keep=_spikes(log, fit))
+        found = gather(log, fit, label="fitted", keep=_spikes(log, fit))
     rows = _rows(fit, found) if same else {"this log": found.survey.fitted.over()}
     shown = {k: v for k, v in rows.items() if v is not None}
     notes = [*circumstances(fit), *_notes(log, fit, found, same)]

@@ -2,6 +2,9 @@
 (function () {
   const NS = "http://www.w3.org/2000/svg", ACROSS = 20000, UP = 5000;
   const all = (root, selector) => [...root.querySelectorAll(selector)];
+  let printed = false;
+  addEventListener("beforeprint", () => { printed = true; for (const d of all(document, "details")) d.open = true; });
+  addEventListener("afterprint", () => { printed = false; });
   function put(parent, name, attributes, words) {
     const element = document.createElementNS(NS, name);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
@@ -65,8 +68,7 @@
       });
     };
     p.fit = () => {
-      const room = matchMedia("print").matches ? 740 : svg.parentElement.clientWidth;
-      const wide = Math.max(300, Math.min(740, room || 740));
+      const room = printed ? 740 : svg.parentElement.clientWidth || 740, wide = Math.max(300, Math.min(740, room));
       p.width = wide - left - 8;
       svg.setAttribute("viewBox", `0 0 ${wide} ${full}`);
       view.setAttribute("width", p.width);
@@ -151,7 +153,7 @@
     load(run);
     fit();
     new ResizeObserver(fit).observe(figure);
-    addEventListener("beforeprint", () => { hover(null); fit(); });
+    for (const name of ["beforeprint", "afterprint"]) addEventListener(name, () => { hover(null); fit(); });
   }
   function pointer(p, hover, done) {
     let begin = null, mark = null;
@@ -261,5 +263,4 @@
   all(document, "figure.series").forEach(series);
   all(document, ".planes").forEach(planes);
   all(document, "table.sortable").forEach(sortable);
-  addEventListener("beforeprint", () => all(document, "details").forEach((d) => { d.open = true; }));
 })();
