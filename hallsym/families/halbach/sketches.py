@@ -28,7 +28,7 @@ ARRAYS = "".join(
 GRID = "".join(f"M{x} {y}h5v5h-5z" for x in (190, 202, 214) for y in range(40, 140, 16))
 
 PLANAR = (
-    REFERENCE,
+    Part("reference", "reference", "M4 26h32v18h-32zM36 35h20", (2.0, 18.0), centred=False),
     Part("mechanics", "mover", "M56 24h118v114h-118z", (115.0, 86.0)),
     Part("field", "magnet arrays", ARRAYS, (115.0, 152.0)),
     Part("transducer", "Hall sensors", GRID + "M219 79h13", (182.0, 32.0), centred=False),

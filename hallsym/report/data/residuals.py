@@ -6,7 +6,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import welch
 
 from hallsym.report.data.survey import Survey
 
@@ -75,6 +74,8 @@ class ResidualTally:
         if step <= 0 or np.abs(steps / self.step - 1.0).max() > EVEN:
             return
         rows = np.where(missing, 0.0, errors)
+        from scipy.signal import welch  # takes long to import
+
         _, power = welch(rows, 1.0 / self.step, nperseg=self.length, noverlap=0, axis=1)
         count = errors.shape[1] // self.length
         self.power += count * power

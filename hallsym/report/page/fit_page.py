@@ -138,7 +138,7 @@ def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
 
 
 def _amiss(fit: Fit) -> str:
-    said = fit.goodness.sentence if fit.goodness else None
+    said = fit.goodness.said(f"{fit.goodness.what} does not describe this log") if fit.goodness else None
     return f"{said}." if said else ""
 
 

@@ -148,4 +148,5 @@ def matrix(found: Correlation, least: float) -> Chart | None:
     ]
     says = f"correlation of parameters: {', '.join(strong) or f'none of {least:g} or more'}"
     size = room + cell * n + 2
-    return Chart(size, size, says, parts, {"class": "matrix" if size <= 560 else "matrix wide"})
+    look = "matrix" if size <= 560 else "matrix wide"
+    return Chart(size, size, says, parts, {"class": look, "width": px(1.2 * size)})
