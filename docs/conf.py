@@ -43,14 +43,16 @@ myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
 math_number_all = False
 
-# -- tutorials: each page is a notebook, which runs in the build and can be downloaded with its outputs -------
+# -- tutorials: each page is a notebook, which runs in the build and can be downloaded with its outputs ----
 
 nb_execution_mode = "off"  # of all other pages the tests run every example
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
-NotebookClient.__init__ = partialmethod(NotebookClient.__init__, coalesce_streams=True)  # of 100 bytes each
-os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # `hallsym` of this Python
+# a command's text comes in pieces of 100 bytes
+NotebookClient.__init__ = partialmethod(NotebookClient.__init__, coalesce_streams=True)
+# the `hallsym` of this Python
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 _ipython = Path(__file__).parents[1] / "build" / "ipython"  # not the user's own settings and history
 (_ipython / "profile_default").mkdir(parents=True, exist_ok=True)
 (_ipython / "profile_default" / "ipython_kernel_config.json").write_text(
@@ -68,6 +70,7 @@ def _offer_notebooks(app: Any, failed: Exception | None) -> None:
 def setup(app: Any) -> None:
     """Register what is done after a build."""
     app.connect("build-finished", _offer_notebooks)
+
 
 # -- reference ---------------------------------------------------------------------------------------------
 

@@ -5,8 +5,8 @@ Blocks of one page run in order in one temporary folder, in which `data` is the 
 A ```toml or ```json block is written to the last `file` named before it. `<!--setup ... -->` is Python that a
 reader does not need. A comment `# exit 3` states the exit code that is expected, 0 otherwise.
 
-The tutorials are notebooks: cells of Python, of shell commands (`%%sh`; `|| echo` where the exit code shall not be 0)
-and files to write (`%%writefile`). They run here without a kernel; tests/test_site.py runs them with one.
+The tutorials are notebooks: cells of Python, of shell commands (`%%sh`; `|| echo` where the exit code shall
+be 3) and files to write (`%%writefile`). They run here without a kernel, in tests/test_site.py with one.
 """
 
 import contextlib
