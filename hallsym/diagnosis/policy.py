@@ -102,10 +102,14 @@ class Policy:
 
     # validation on the holdout runs
 
+    fewest_judges: int = 6
+    """Judging runs below which the shrinkage has no interval: Student's t of fewer is wider than the gap.
+
+    At 6 runs it is 2.6 standard errors, at 4 it is 3.2, and the error itself is known to a factor of 2."""
     bent: float = 0.5
     """Squares that an exact refit leaves, over those of its score, below which the score is no evidence.
 
-    Half: such an effect (clipping) is judged by its decrease on the holdout runs instead."""
+    Half: such an effect (clipping) is judged by its decrease on the judging runs instead."""
 
     # verdict
 
