@@ -243,7 +243,8 @@ def test_logs_that_are_not_of_one_device_are_one_sentence(logs):
     refused(first, second, model="stage31", holdout=[999], match="Held-out run 999")
     refused(first, model="stage31", per_log=["eta_A"], holdout_logs=[second], match="two logs at least")
     refused(first, second, model="stage31", per_log=["eta_A"], holdout_logs=[first], match="held-out log")
-    refused(first, second, model="stage31", effects=["hysteresis:half_width_m=6e-05"], match="no run statistics")
+    late = ["hysteresis:half_width_m=6e-05"]
+    refused(first, second, model="stage31", effects=late, match="no run statistics")
     device = [Log(log.table, log.noise, Meta(device=name)) for log, name in ((first, "A7"), (second, "B2"))]
     refused(*device, model="stage31", match="different devices, 'A7' and 'B2'")
     named = [
@@ -263,5 +264,5 @@ def test_units_that_differ_between_files_are_one_sentence():
             "v_sin_v": sin, "v_cos_v": cos, "angle_ref_rad": angle,
         })  # fmt: skip
 
-    fit([encoder(1.0), encoder(1.3)], "rotary", solver="direct")  # another air gap
-    refused(encoder(1.0), encoder(1e-3), model="rotary", match="Units differ between files")
+    fit([encoder(5.0), encoder(6.0)], "rotary", solver="direct")  # another air gap
+    refused(encoder(5.0), encoder(5e-3), model="rotary", match="Units differ between files")
