@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 from hallsym.report.page.marks import Chart
 from hallsym.report.page.rendering import render
 
-
 BRIEF = 30
 """Rows of a table that is not broken over two printed pages."""
 
