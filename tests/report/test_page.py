@@ -2,9 +2,11 @@
 
 import math
 import re
+import shlex
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +17,11 @@ from twins import Chopped, record, with_noise
 from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.estimation import Fit, fit
+from hallsym.estimation import ErrorTable, Fit, fit
+from hallsym.families import FAMILIES
 from hallsym.log import Log, read_log
-from hallsym.report.data import Decoder, Tally, gather, run_series
+from hallsym.model import LINKS
+from hallsym.report.data import Decoder, ResidualTally, Tally, gather, run_series, worst_first
 from hallsym.report.page import (
     ACROSS,
     UP,
@@ -28,6 +32,7 @@ from hallsym.report.page import (
     label,
     render,
     runs,
+    sketch,
     ticks,
 )
 
@@ -166,6 +171,9 @@ def test_saved_calibration_gives_the_same_page(tmp_path, monkeypatch, capsys):
     assert main(["report", "calib.json", "log.csv", "-o", "page.html"]) == 0
     assert "wrote page.html" in capsys.readouterr().out
     first = Path("page.html").read_bytes()
+    (typed,) = re.findall(r"<dt>command</dt><dd><code>(.*?)</code>", first.decode())
+    assert main(shlex.split(typed)[1:]) == 0
+    assert Path("report.html").read_bytes() == first  # the printed command writes it again
     assert (
         fit_page(read, load_fit("calib.json"), command="hallsym report calib.json log.csv").encode() == first
     )
@@ -458,3 +466,74 @@ def test_a_zoom_stops_where_columns_would_pass_for_samples():
     columns = len(_points(long["lines"][0][0])[0]) / 2
     assert long["least"] * columns / ACROSS == pytest.approx(200, abs=1)
     assert short["least"] * 200 / ACROSS == pytest.approx(4, abs=0.1)
+
+
+# -- headline, sketch, residuals ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES, ids=str)
+def test_every_family_has_a_sketch_with_a_part_for_each_link(family):
+    assert {part.link for part in family.sketch} == set(LINKS)
+    plain = sketch(family.sketch, {})
+    lit = sketch(family.sketch, {"field": "lit", "clock": "maybe"})
+    words = [m.words for m in lit.marks if m.name == "text"]
+    assert sum(w.startswith("● ") for w in words) == sum(p.link == "field" for p in family.sketch)
+    assert sum(w.startswith("○ ") for w in words) == 1
+    assert "lit: " in lit.says
+    assert "lit" not in plain.says
+    numbers = [float(n) for m in lit.marks for n in re.findall(r"M(\S+) ", str(m.attributes.get("d", "")))]
+    assert 0 <= min(numbers) <= max(numbers) <= lit.width
+
+
+def test_a_family_without_a_sketch_has_none():
+    assert sketch((), {"field": "lit"}) is None
+
+
+def test_headline_has_sizes_before_and_after_and_the_next_command(page: str, fitted: Fit):
+    card = page.partition('<div class="card good">')[2].partition("</header>")[0]
+    text = Outline(f"<div>{card}").text
+    rows = fitted.errors.rows()
+    for c, name in zip(fitted.model.pose, ("x [µm]", "y [µm]", "Rz [µrad]"), strict=True):
+        sizes = (rows["designed"]["rmse"][c], rows["holdout"]["rmse"][c], fitted.noise_floor[c])
+        assert f"{name} {' '.join(f'{1e6 * v:#.3g}'.rstrip('.') for v in sizes)}" in text
+    assert "hallsym codegen calib.json -o firmware" in text
+    assert "At the noise floor." in text
+
+
+def test_headline_of_a_model_that_leaves_more_asks_for_a_diagnosis(log: Log):
+    text = fit_page(log, fit(log, "stage30", solver="direct", loss="none", holdout=HOLDOUT))
+    assert 'class="card bad"' in text
+    assert re.search(r"<code>.*diagnose.*stage30.*</code>", text)
+
+
+def test_runs_are_offered_worst_first(log: Log, fitted: Fit):
+    survey = gather(log, fitted).survey
+    order = worst_first(survey, fitted.noise_floor, 60)
+    assert sorted(order) == sorted(survey.runs)
+    floor = np.array(list(fitted.noise_floor.values()))
+    rms = np.sqrt(survey.fitted.squares / survey.fitted.count[:, None])
+    size = dict(zip(survey.runs, (rms / floor).max(axis=1), strict=True))
+    assert [size[run] for run in order] == sorted(size.values(), reverse=True)
+    assert worst_first(survey, {}, 2) == worst_first(survey, {}, 60)[:2]
+
+
+def test_residuals_count_all_samples_and_have_the_power_of_the_errors():
+    """White noise: a flat spectrum whose integral is the variance (Parseval); a wave: a line where it is."""
+    rng, n, step, pose = np.random.default_rng(1), 8192, 1e-3, ("x_m", "y_m")
+    time, white = step * np.arange(n), 1e-6 * rng.standard_normal(n)
+    wave = 2e-6 * np.sin(2 * np.pi * 80.0 * time)
+    errors = np.array([white, wave])
+    rms = np.sqrt((errors**2).mean(axis=1))
+    table = ErrorTable(pose, (0,), np.array([float(n)]), (errors**2).sum(axis=1)[None], rms[None])
+    survey = SimpleNamespace(fitted=table, edges=np.array([0, n]), time=True)
+    tally = ResidualTally(pose, survey, np.array([1e-6, 0.0]))
+    for part in np.array_split(np.arange(n), 4):
+        tally.add(time[part], errors[:, part])
+    found = tally.found()
+    assert found.counts.sum(axis=1).tolist() == [n, n]
+    assert np.median(found.density[0]) == pytest.approx(1e-6 * math.sqrt(2 * step), rel=0.1)
+    assert found.white[0] == pytest.approx(1e-6 * math.sqrt(2 * step))
+    assert found.frequency[np.argmax(found.density[1])] == pytest.approx(80.0, rel=0.05)
+    late = ResidualTally(pose, survey, np.array([1e-6, 0.0]))
+    late.add(np.sort(rng.uniform(0.0, 8.0, n)), errors)
+    assert late.found().frequency.size == 0
