@@ -28,7 +28,7 @@ from hallsym.report.figures.intervals import intervals
 from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
 from hallsym.report.figures.profiles import ends_in_words, profiles
-from hallsym.report.figures.saving import SUFFIXES, save_figures
+from hallsym.report.figures.saving import SUFFIXES, Place, save_figures
 from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
 from hallsym.report.figures.sorting import save_sorting
 from hallsym.report.figures.spectrum import sorts, spectrum
@@ -44,6 +44,7 @@ __all__ = [
     "STYLE",
     "SUFFIXES",
     "WIDTH",
+    "Place",
     "blocks",
     "broken",
     "budget_bars",
@@ -80,7 +81,7 @@ __all__ = [
 def save_pictures(
     log: Log,
     fit: Fit,
-    folder: str | Path,
+    folder: str | Path | Place,
     *,
     keep: Weigh | None = None,
     steps: Mapping[str, ErrorTable] | None = None,
