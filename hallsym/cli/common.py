@@ -72,7 +72,9 @@ def place_of(folder: str | Path, formats: Sequence[str], *named: object) -> "Pla
     def told(sentence: str) -> None:
         print(f"note: {sentence}", file=sys.stderr)
 
-    return Place(Path(folder), formats, ", ".join(str(name) for name in named if name), told)
+    words = [str(name) for name in named if name]
+    brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
+    return Place(Path(folder), formats, ", ".join(brief), told)
 
 
 def plots_place(options: Namespace, *named: object) -> "Place":

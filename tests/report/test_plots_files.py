@@ -57,6 +57,49 @@ def test_other_suffixes(log: Log, fitted: Fit, tmp_path: Path) -> None:
     assert path.read_bytes().startswith(b"%PDF")
 
 
+def test_every_kind_of_file_names_its_source(fitted: Fit, tmp_path: Path) -> None:
+    place = plots.Place(tmp_path, plots.SUFFIXES, "campaign/log.parquet, stage31")
+    draw = {"parameters": lambda: plots.parameters(fitted)}
+    png, pdf, svg = plots.save_figures(draw, place)
+    assert "campaign/log.parquet, stage31" in svg.read_text(encoding="utf-8")
+    assert pdf.read_bytes().startswith(b"%PDF")
+    (bare,) = plots.save_figures(draw, tmp_path / "bare")
+    sizes = [[int.from_bytes(p.read_bytes()[k : k + 4], "big") for k in (16, 20)] for p in (png, bare)]
+    assert sizes[0][0] == sizes[1][0] == round(plots.WIDTH * plots.DPI)
+    assert sizes[0][1] > sizes[1][1]  # a line of its own, nothing written over
+    assert plots.DPI == 300
+    first = [path.read_bytes() for path in (png, pdf, svg)]
+    assert [path.read_bytes() for path in plots.save_figures(draw, place)] == first
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "drawn"),
+    [
+        ([1.0], [2.0], False),
+        ([1.0, 1.0, 1.0], [2.0, 2.0, 2.0], False),
+        ([0.0, 1.0, 2.0], [3.0, 3.0, 3.0], False),
+        ([0.0, 1.0, 2.0, 3.0], [1e-6, 3e-6, 5e-6, 7e-6], False),
+        ([0.0, 1.0, np.nan, 3.0], [1.0, 2.0, 9.0, 4.0], False),
+        ([0.0, 1.0, 2.0], [3.0, 3.0, 3.1], True),
+        ([0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], True),
+    ],
+)
+def test_a_straight_line_or_a_dot_is_no_picture(x: list, y: list, drawn: bool, tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    def draw() -> Figure:
+        figure = Figure()
+        ax = figure.subplots()
+        ax.plot(x, y, "o-")
+        ax.axhline(1.5, ls="--")
+        return figure
+
+    said: list[str] = []
+    place = plots.Place(tmp_path, told=said.append)
+    assert bool(plots.save_figures({"line": draw}, place)) == drawn
+    assert said == ([] if drawn else ["The picture line would be a straight line or a dot; it is left out."])
+
+
 def test_a_folder_that_cannot_be_is_one_sentence(log: Log, fitted: Fit, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(InputError, match=r"^Cannot make the folder .*file.*\.$"):

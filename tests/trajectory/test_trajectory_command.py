@@ -57,7 +57,7 @@ def test_everything_is_written(capsys, tmp_path):
         "100ms", "--plots", tmp_path / "pictures",
     )  # fmt: skip
     assert "fewest numbers to store" in text
-    assert text.count("wrote ") == 8
+    assert text.count("wrote ") == 14  # five files, three pictures as png, pdf and svg
     assert all(file.stat().st_size > 200 for file in [*files, tmp_path / "c.h"])
     assert len(list((tmp_path / "pictures").glob("trajectory_*.png"))) == 3
     assert read_curve(files[0]).max_error_m <= 0.05e-6
