@@ -349,7 +349,7 @@ def test_every_command_works_on_an_encoder(form, tmp_path, monkeypatch, capsys):
     assert main(["report", "calib.json", "log.csv", "-o", "page.html"]) == 0
     page = Path("page.html").read_text()
     assert "mdeg" in page
-    assert "NaN" not in page
+    assert "NaN" not in page.partition('"use strict"')[0]  # in nothing but the script
 
 
 def test_a_campaign_that_moves_what_a_model_lacks_is_refused():

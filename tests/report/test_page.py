@@ -241,7 +241,7 @@ def test_a_log_without_time_counts_samples(log: Log):
     bare = replace(Log.from_arrays(columns), noise=log.noise)
     text = fit_page(bare, fit(bare, "stage31", solver="direct", loss="none"))
     assert "sample of the run" in text
-    assert '"unit": "samples"' in text
+    assert '"unit":"samples"' in text
 
 
 def test_what_lacks_a_column_is_refused(tmp_path, fitted: Fit, capsys):
