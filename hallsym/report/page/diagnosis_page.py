@@ -8,8 +8,8 @@ from dataclasses import asdict
 from typing import Any
 
 from hallsym.diagnosis import Diagnosis, noise_text
-from hallsym.estimation import Fit
-from hallsym.families import family_called
+from hallsym.estimation import Fit, added_effects
+from hallsym.families import family_called, plain
 from hallsym.report.data import Cells, Residuals, RunSeries
 from hallsym.report.page import shared
 from hallsym.report.page.content import Facts, Heading, Headline, Item, Items, Section, Table, document
@@ -71,6 +71,11 @@ def _headline(d: Diagnosis, fit: Fit | None, reading: Sequence[str]) -> Headline
     if d.next_step:
         next_command = shlex.join(["hallsym", "fit", d.log.path or "LOG", *d.next_step, *reading])
         why = "Next, fit the model with the effects found:"
+    elif d.verdict == "no gap" and fit:
+        words = [word for effect in added_effects(fit.model) for word in ("--effect", effect)]
+        known = ["hallsym", "fit", d.log.path or "LOG", "--model", plain(fit.model).name, *words, *reading]
+        next_command = shlex.join([*known, "-o", "calib.json"])
+        why = "Next, keep the calibration of this model:"
     return Headline(
         STATES.get(d.verdict, "open"),
         word,

@@ -28,7 +28,7 @@ from hallsym.report.page.marks import (
 from hallsym.report.page.marks import beside as axis_beside
 from hallsym.report.words import largest, name, scale, thinned, three
 
-LEFT, TOP, BOTTOM = 44.0, 22.0, 112.0
+LEFT, TOP, BOTTOM = 54.0, 22.0, 112.0
 MOST = 12
 """Cells with labels in one chart."""
 LONG = 4

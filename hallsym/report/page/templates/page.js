@@ -195,7 +195,7 @@
       const { version, what, output } = svg.dataset, values = plane.values[version][what][output];
       const full = plane.full[what][output], [quantity, unit] = titles[output];
       const [ex, ey] = turned ? [plane.across, plane.edges] : [plane.edges, plane.across], n = plane.edges.length - 1;
-      const [left, right, top, bottom] = [44, 226, 22, 204], last = (e) => e[e.length - 1];
+      const [left, right, top, bottom] = [54, 226, 22, 194], last = (e) => e[e.length - 1];
       const px = (v) => left + ((v - ex[0]) / (last(ex) - ex[0])) * (right - left);
       const py = (v) => bottom - ((v - ey[0]) / (last(ey) - ey[0])) * (bottom - top);
       svg.replaceChildren();
