@@ -13,6 +13,8 @@ from typing import Any
 
 from nbclient import NotebookClient
 
+import hallsym
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 project = "hallsym"
@@ -59,6 +61,18 @@ _ipython = Path(__file__).parents[1] / "build" / "ipython"  # not the user's own
     json.dumps({"IPKernelApp": {"log_level": 40}})
 )
 os.environ["IPYTHONDIR"] = str(_ipython)
+
+
+# -- file formats: the schemas that validate what is read ---------------------------------------------------
+
+_schemas = Path(__file__).parent / "reference" / "generated" / "schemas"
+_schemas.mkdir(parents=True, exist_ok=True)
+for _name, _schema in (
+    ("calibration", hallsym.calibration_schema()),
+    ("diagnosis", hallsym.diagnosis_schema()),
+    ("meta", hallsym.meta_schema()),
+):
+    (_schemas / f"{_name}.schema.json").write_text(json.dumps(_schema, indent=1) + "\n", encoding="utf-8")
 
 
 def _offer_notebooks(app: Any, failed: Exception | None) -> None:
