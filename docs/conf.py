@@ -115,6 +115,7 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = "hallsym"
+html_context = {"default_mode": "auto"}
 html_static_path = ["site"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False

@@ -67,7 +67,7 @@ addEventListener("load", () => setTimeout(() => {
     faults,
     pictures: pictures.length,
     broken: pictures.filter((i) => !i.complete || !i.naturalWidth).map((i) => i.src),
-    nameless: pictures.filter((i) => !i.alt).map((i) => i.src),
+    nameless: pictures.filter((i) => !i.alt && !i.closest(".sphx-glr-thumbcontainer")).map((i) => i.src),
     formulas: all("mjx-container").length,
     unset: all("mjx-merror").length,
     results: all("#search-results li a").map((a) => a.getAttribute("href")),
