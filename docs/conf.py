@@ -119,7 +119,7 @@ html_context = {"default_mode": "auto"}
 html_static_path = ["site"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
-html_sidebars = {"tutorials/*": []}  # what a command prints is wide
+html_sidebars = {"tutorials/*": [], "formats": []}  # what a command prints is wide
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": True,
