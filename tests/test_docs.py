@@ -45,6 +45,7 @@ COMMANDS = (
     "sort",
     "trajectory",
     "info",
+    "completion",
 )
 
 

@@ -3,14 +3,15 @@
 import argparse
 import json
 import math
-import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import COMMANDS
+from hallsym.cli import COMMANDS, progress
+from hallsym.cli.parser import HelpText
+from hallsym.cli.progress import Meter
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
 from hallsym.families import build, model_for
@@ -21,19 +22,27 @@ from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_colu
 from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
+from hallsym.terminal import fitted
 from hallsym.toml import column_of
 
 
 def command(
-    sub: Any, name: str, run: Callable[[Namespace], int], description: str, epilog: str = ""
+    sub: Any,
+    name: str,
+    run: Callable[[Namespace], int],
+    description: str,
+    epilog: str = "",
+    *,
+    json: bool = True,
 ) -> ArgumentParser:
-    """Add a sub-command that `run(options)` carries out; it has `--json`."""
+    """Add a sub-command that `run(options)` carries out; it has `--json` unless it prints no record."""
     parser = sub.add_parser(
         name, help=COMMANDS[name], description=description, epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpText,
     )  # fmt: skip
     parser.set_defaults(run=run)
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    if json:
+        parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     return parser
 
 
@@ -74,7 +83,9 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         "--column", action="append", default=[], metavar="OURS=THEIRS",
         help=f"our name, ending with the unit their column is in: --column {example} (repeat)",
     )  # fmt: skip
-    group.add_argument("--format", help="parquet, csv, mat, hdf5 or xlsx, when the suffix does not tell")
+    group.add_argument(
+        "--format", metavar="FORMAT", help="parquet, csv, mat, hdf5 or xlsx, when the suffix does not tell"
+    )
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
     )
@@ -89,13 +100,15 @@ def model_options(parser: ArgumentParser, default: str) -> None:
     """Options of every command that builds a model."""
     group = parser.add_argument_group("model")
     group.add_argument(
-        "--model", help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})"
+        "--model",
+        metavar="MODEL",
+        help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})",
     )
     group.add_argument(
         "--effect",
         action="append",
         default=[],
-        metavar="NAME",
+        metavar="EFFECT",
         help="add an effect, such as exact_rotation or mains_hum:frequency_hz=50.02 (repeat)",
     )
     group.add_argument(
@@ -206,14 +219,8 @@ def run_numbers(text: str) -> list[int]:
 
 
 def progress_of(options: Namespace) -> Callable[[str], None]:
-    """Return what shows one line on a terminal's stderr, overwriting the last; silent elsewhere."""
-    if options.json or not sys.stderr.isatty():
-        return lambda _: None
-
-    def say(text: str) -> None:
-        print(f"\r\033[K{text} ...", end="", file=sys.stderr, flush=True)
-
-    return say
+    """Return what shows the progress of long work on stderr; nothing beside `--json`."""
+    return (lambda _: None) if options.json else Meter()
 
 
 def say(
@@ -228,10 +235,9 @@ def say(
     if options.json:
         print(json.dumps(record, indent=1))
         return
-    if sys.stderr.isatty():
-        print("\r\033[K", end="", file=sys.stderr, flush=True)
+    progress.ended()
     lines = [f"note: {note}" for note in notes] + [f"wrote {path}" for path in wrote]
-    print("\n".join([text(), *lines]))
+    print(fitted("\n".join([text(), *lines])))
 
 
 def save_fit_pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:

@@ -6,7 +6,7 @@ from argparse import Namespace
 from dataclasses import replace
 from typing import Any
 
-from hallsym.cli import NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK
+from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK
 from hallsym.cli.common import (
     command,
     log_options,
@@ -58,12 +58,16 @@ def add(sub: Any) -> None:
     )
     group.add_argument(
         "--solver",
+        metavar="SOLVER",
         default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
         "or the global search: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
     )
     group.add_argument(
-        "--loss", default="auto", help="auto (take out isolated spikes if there are any), none, reject, tukey"
+        "--loss",
+        metavar="LOSS",
+        default="auto",
+        help="auto (take out isolated spikes if there are any), none, reject, tukey",
     )
     group.add_argument(
         "--resolve-wiring",
@@ -132,7 +136,7 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
         print(f"hallsym: {fault}", file=sys.stderr)
     if result.status != "converged":
         print(f"hallsym: the solver did not converge ({result.status}): {result.message}.", file=sys.stderr)
-        return NOT_CONVERGED
+        return INTERRUPTED if result.status == "interrupted" else NOT_CONVERGED
     if result.undetermined_by_log:
         what = ", ".join(result.undetermined_by_log)
         print(

@@ -32,7 +32,8 @@ MOVED = 5.0
 class Evidence:
     """Likelihood `cost`, its optimum `p` (n,), what it determines (`found`), and how certainly.
 
-    `recorded`: what to call the log or the plan.
+    `recorded`: what to call the log or the plan. `amiss`: the sentence that a report begins with where the
+    model does not describe the log; it is the first of the notes too.
     """
 
     cost: Cost
@@ -42,6 +43,7 @@ class Evidence:
     workspace: Workspace
     recorded: str
     notes: tuple[str, ...] = ()
+    amiss: str = ""
 
     @property
     def model(self) -> Model:
@@ -83,6 +85,7 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         visited(source, found.model, sigma=sigma, values=found.model.named(found.values)),
         source.name,
         notes,
+        amiss or "",
     )
 
 

@@ -22,6 +22,7 @@ from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.evaluation import evaluation_text
 from hallsym.report.text.fit import fit_text
 from hallsym.report.text.identifiability import report_text
+from hallsym.terminal import fitted
 from hallsym.uncertainty import Budget
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class View:
 
 def summary(result: Any) -> str:
     """Return what the command of a result prints."""
-    return _view(result).summary(result)
+    return fitted(_view(result).summary(result))
 
 
 def brief(result: Any) -> str:

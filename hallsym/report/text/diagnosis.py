@@ -1,4 +1,4 @@
-"""The diagnosis as a person reads it in a terminal: at most 110 characters wide."""
+"""The diagnosis as a person reads it in a terminal, in lines of prose that fit it."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -19,11 +19,11 @@ from hallsym.diagnosis import (
 )
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
+from hallsym.terminal import prose_width
 from hallsym.units import readable
 
 MUCH = 1e3
 """Factor by which a difference must grow above which the number says nothing: this log shows none."""
-WIDTH = 110
 MOST = 10
 """Statements on where a gap lies that are printed at most."""
 LEAST_P = 1e-6
@@ -90,7 +90,7 @@ def p_text(p: float | None) -> str:
 
 
 def _wrapped(text: str, indent: str = "") -> str:
-    return fill(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return fill(text, prose_width(), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _basis(d: Diagnosis) -> str:

@@ -44,14 +44,12 @@ def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
 def parameter_text(fit: Fit) -> str:
     """Return the parameter table: value(std), bounds, and what is to be said of each, else what it means."""
     head = ["parameter", "value", "unit", "nominal", "bounds"]
-    rows, last = [head], ["", ""]
+    rows = [[*head, ""]]
     for p in parameter_rows(fit):
         value = concise(p.value, p.std) if p.determined else f"({p.value:.4g})"
         bounds = "fixed" if p.fixed else f"{p.lower:.4g} .. {p.upper:.4g}"
-        rows.append([p.name, value, p.unit, f"{p.nominal:.4g}", bounds])
-        last.append(p.remark or p.meaning)
-    lines = grid(rows).split("\n")
-    return "\n".join(f"{line}  {words}".rstrip() for line, words in zip(lines, last, strict=True))
+        rows.append([p.name, value, p.unit, f"{p.nominal:.4g}", bounds, p.remark or p.meaning])
+    return grid(rows, words=True)
 
 
 def combination_text(fit: Fit) -> str:

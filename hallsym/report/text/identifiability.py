@@ -23,7 +23,9 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     cost = report.evidence.cost
     runs, recorded = len(cost.summary.runs), report.evidence.recorded
     what = "will determine" if cost.planned else "determine" if runs > 1 else "determines"
+    amiss = report.evidence.amiss
     parts = [
+        *([amiss, ""] if amiss else []),
         f"{report.model.name}: what {f'{runs} runs of ' if runs > 1 else ''}{recorded} {what}",
         "",
         parameters_text(report.parameters, {p.name: p.meaning for p in report.model.parameters}),
@@ -35,7 +37,7 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     parts += ["", outputs_text(report), "", *offsets_text(report.offsets, zeros)]
     parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
     parts += [f"not computed: {sentence}" for sentence in report.partial]
-    parts += [f"note: {note}" for note in report.evidence.notes]
+    parts += [f"note: {note}" for note in report.evidence.notes if note != amiss]
     return "\n".join(parts)
 
 
@@ -55,9 +57,7 @@ def parameters_text(parameters: Sequence[ParameterReport], meanings: Mapping[str
         rows[-1].append(
             entry.verdict.word + (f": {because}" if because else f"; {meaning}" if meaning else "")
         )
-    body = grid([row[:-1] for row in rows]).split("\n")
-    width, words = len(body[1]), [rows[0][-1], "", *(row[-1] for row in rows[1:])]
-    return "\n".join(f"{line:{width}}  {word}".rstrip() for line, word in zip(body, words, strict=True))
+    return grid(rows, words=True)
 
 
 def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:

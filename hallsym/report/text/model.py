@@ -8,6 +8,7 @@ from typing import Any
 from hallsym.families import effects
 from hallsym.model import LINKS, Model, Parameter
 from hallsym.report.tables import grid
+from hallsym.terminal import prose_width
 
 
 def model_record(model: Model) -> dict[str, Any]:
@@ -82,8 +83,7 @@ def _table(what: str, entries: Sequence[Mapping[str, Any]]) -> str:
         fixed = e["lower"] is not None and e["upper"] is not None and isclose(e["lower"], e["upper"])
         ends = ["fixed", ""] if fixed else [_number(e["lower"], "-inf"), _number(e["upper"], "inf")]
         rows.append([e["name"], e["unit"], f"{e['nominal']:.6g}", *ends, e["meaning"]])
-    width = max(len(row[-1]) for row in rows)
-    return grid([[*row[:-1], row[-1].ljust(width)] for row in rows], left=2)
+    return grid(rows, left=2, words=True)
 
 
 def _number(value: float | None, none: str) -> str:
@@ -91,4 +91,4 @@ def _number(value: float | None, none: str) -> str:
 
 
 def _wrapped(text: str) -> str:
-    return fill(text, 110, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    return fill(text, prose_width(), subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
