@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import shlex
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -230,13 +231,16 @@ def say(
     *,
     notes: Sequence[str] = (),
     wrote: Sequence[str | Path] = (),
+    then: Sequence[str] = (),
 ) -> None:
-    """Print the JSON record; or the text, then the notes and the names of the files that were written."""
+    """Print the JSON record; or the text, then the notes, the names of the files that were written, and the
+    words of the command that comes next."""
     if options.json:
         print(json.dumps(record, indent=1))
         return
     progress.ended()
     lines = [f"note: {note}" for note in notes] + [f"wrote {path}" for path in wrote]
+    lines += [f"next: {shlex.join(then)}"] if then else []
     print(fitted("\n".join([text(), *lines])))
 
 

@@ -114,7 +114,7 @@ def run(options: Namespace) -> int:
         result.save(options.output)
     pictures = save_fit_pictures(log, result, options.plots)
     wrote = [*([options.output] if options.output else []), *pictures]
-    say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote)
+    say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
 
 
@@ -124,6 +124,17 @@ def _diagnose(options: Namespace, result: Fit) -> str:
     words += [word for effect in added_effects(result.model) for word in ("--effect", effect)]
     words += ["--holdout", options.holdout] if options.holdout else []
     return shlex.join([*words, *reading_words(options)])
+
+
+def _next(options: Namespace, result: Fit) -> list[str]:
+    """Return the words of the command that follows a fit, where its first line does not say one."""
+    if (result.goodness and result.goodness.sentence) or result.status != "converged":
+        return []
+    if not options.output:
+        return [*options.typed, "-o", "calib.json"]
+    if result.undetermined_by_log:
+        return ["hallsym", "sensitivity", options.output, options.log]
+    return ["hallsym", "report", options.output, options.log, "-o", "report.html"]
 
 
 def exit_code(result: Fit, *, said: bool = True) -> int:

@@ -71,6 +71,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     if options.command is None:
         parser.print_help()
         return OK
+    options.typed = ["hallsym", *words]
     _check(options)
     return options.run(options)
 

@@ -8,7 +8,7 @@ from textwrap import fill, wrap
 import numpy as np
 
 from hallsym.terminal import columns
-from hallsym.units import readable
+from hallsym.units import parameter_unit, readable
 
 LEAST_WORDS = 20
 """Characters that a column of words needs beside others; where there are fewer, it stands below its row."""
@@ -144,6 +144,12 @@ def concise(value: float, std: float | None) -> str:
     if decimals <= 0:
         return f"{value:.0f}({std:.0f})"
     return f"{value:.{decimals}f}({round(std * 10**decimals):d})"
+
+
+def in_units(value: float, std: float | None, si: str) -> tuple[str, str]:
+    """Return value and 1 sigma of a parameter or a combination as `concise` does, and their unit."""
+    factor, unit = parameter_unit(si)
+    return concise(value * factor, None if std is None else std * factor), unit
 
 
 def error_rows(

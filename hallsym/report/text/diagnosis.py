@@ -20,7 +20,7 @@ from hallsym.diagnosis import (
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
 from hallsym.terminal import prose_width
-from hallsym.units import readable
+from hallsym.units import parameter_unit, readable
 
 MUCH = 1e3
 """Factor by which a difference must grow above which the number says nothing: this log shows none."""
@@ -174,7 +174,7 @@ def _parameters(effect: FoundEffect, units: Mapping[str, tuple[float, str]]) -> 
 
 
 def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> str:
-    factor, unit = units.get(p.unit, (1.0, p.unit))
+    factor, unit = parameter_unit(p.unit) if p.unit in ("m", "rad") else units.get(p.unit, (1.0, p.unit))
     std = None if p.std is None else p.std * factor
     return f"{concise(p.value * factor, std)} {unit}".strip()
 

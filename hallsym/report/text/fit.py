@@ -5,8 +5,11 @@ from typing import Any
 
 from hallsym.errors import counted
 from hallsym.estimation import MANY, Fit
+from hallsym.log import Log
 from hallsym.report.data import parameter_rows
-from hallsym.report.tables import concise, error_rows, grid
+from hallsym.report.data.periodic import periodic_of
+from hallsym.report.tables import concise, error_rows, grid, in_units
+from hallsym.report.text.periodic import periodic_text
 from hallsym.units import readable
 
 TOO_SMALL = 0.1
@@ -17,9 +20,8 @@ def fit_text(fit: Fit) -> str:
     """Return what `hallsym fit` prints: errors, parameters, identifiable combinations, notes."""
     log = fit.log
     used = log["runs"] - len(log["holdout"])
-    amiss = fit.goodness and fit.goodness.sentence
     parts = [
-        *([amiss, ""] if amiss else []),
+        *([fit.goodness.verdict, ""] if fit.goodness else []),
         f"{fit.model.name} on {log['path'] or 'a log in memory'}: {counted(log['rows'], 'sample')}, "
         + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
@@ -27,6 +29,7 @@ def fit_text(fit: Fit) -> str:
         "",
         error_rows(fit.model.pose, _labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
         "",
+        *periodic_lines(fit),
         parameter_text(fit),
     ]
     if fit.combinations:
@@ -36,6 +39,12 @@ def fit_text(fit: Fit) -> str:
     return "\n".join(parts)
 
 
+def periodic_lines(fit: Fit, log: Log | None = None) -> list[str]:
+    """Return what is said of errors that repeat, then an empty line; nothing without a log or such errors."""
+    found = periodic_of(fit, log)
+    return [periodic_text(found, fit.model.family), ""] if found else []
+
+
 def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
     labels = {"designed": "nominal", "fitted": "fitted", "holdout": "held out"}
     return {labels.get(k, k): v for k, v in rows.items()}
@@ -43,7 +52,7 @@ def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
 
 def parameter_text(fit: Fit) -> str:
     """Return the parameter table: value(std), bounds, and what is to be said of each, else what it means."""
-    head = ["parameter", "value", "unit", "nominal", "bounds"]
+    head = ["parameter", "value (1 sigma)", "unit", "nominal", "bounds"]
     rows = [[*head, ""]]
     for p in parameter_rows(fit):
         value = concise(p.value, p.std) if p.determined else f"({p.value:.4g})"
@@ -54,8 +63,8 @@ def parameter_text(fit: Fit) -> str:
 
 def combination_text(fit: Fit) -> str:
     """Return the combinations that the data determine although they do not determine their parameters."""
-    rows = [["identifiable combinations", "value", "unit"]]
-    rows += [[c.expression, concise(c.value, c.std), c.unit] for c in fit.combinations]
+    rows = [["identifiable combinations", "value (1 sigma)", "unit"]]
+    rows += [[c.expression, *in_units(c.value, c.std, c.unit)] for c in fit.combinations]
     return grid(rows)
 
 
@@ -101,9 +110,9 @@ def _goodness(fit: Fit) -> str:
         return f"goodness of fit: cost per degree of freedom {cost:.3f}{_too_small(fit)}"
     more = ", more than noise" if fitted.significant else ""
     return (
-        f"goodness of fit: cost per degree of freedom {cost:.3f} (expected 1 +- {fitted.scatter:.2g}){more}; "
-        f"most is left in run {fitted.worst_run}, {fitted.worst_channel}: {fitted.worst:.2f} x the noise"
-        + _too_small(fit)
+        f"goodness of fit: cost per degree of freedom {cost:.3f} (expected 1 +- {fitted.scatter:.2g}, "
+        f"1 sigma){more}; most is left in {fitted.where}: "
+        f"{fitted.worst:.2f} x the noise" + _too_small(fit)
     )
 
 
