@@ -57,8 +57,6 @@ def test_the_right_model_is_no_news(capsys):
     assert (code, err) == (0, "")
     assert out.startswith("The model describes this log: residual error is 1.01 times the noise floor.\n")
     assert out.splitlines()[2].startswith("stage31 on ")
-        "The model describes this log: residual error is 1.01 times the noise floor.\n\nstage31 on "
-    )
     assert out.splitlines()[-1].startswith("next: hallsym fit")
     assert "x the lower bound, a linear fit with 36 free coefficients" in out
     assert "goodness of fit: cost per degree of freedom 1.01" in out

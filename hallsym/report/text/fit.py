@@ -10,6 +10,7 @@ from hallsym.report.data import parameter_rows
 from hallsym.report.data.periodic import periodic_of
 from hallsym.report.tables import concise, error_rows, grid, in_units
 from hallsym.report.text.periodic import periodic_text
+from hallsym.report.text.several import several_text
 from hallsym.units import readable
 
 TOO_SMALL = 0.1
@@ -22,14 +23,15 @@ def fit_text(fit: Fit) -> str:
     used = log["runs"] - len(log["holdout"])
     parts = [
         *([fit.goodness.verdict, ""] if fit.goodness else []),
-        f"{fit.model.name} on {log['path'] or 'a log in memory'}: {counted(log['rows'], 'sample')}, "
+        f"{fit.model.name} on {_logs(fit)}: {counted(log['rows'], 'sample')}, "
         + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
         + f"; {fit.status} in {fit.seconds:.2f} s",
         "",
         error_rows(fit.model.pose, _labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
         "",
-        *periodic_lines(fit),
+        *([] if fit.logs else periodic_lines(fit)),
+        *([*several_text(fit), ""] if fit.logs else []),
         parameter_text(fit),
     ]
     if fit.combinations:
@@ -43,6 +45,12 @@ def periodic_lines(fit: Fit, log: Log | None = None) -> list[str]:
     """Return what is said of errors that repeat, then an empty line; nothing without a log or such errors."""
     found = periodic_of(fit, log)
     return [periodic_text(found, fit.model.family), ""] if found else []
+
+
+def _logs(fit: Fit) -> str:
+    """What the log is called, or how many there are."""
+    fitted = [log["name"] for log in fit.logs if not log["held_out"]]
+    return counted(len(fitted), "log") if fitted else fit.log["path"] or "a log in memory"
 
 
 def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
