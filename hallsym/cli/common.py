@@ -78,7 +78,7 @@ def log_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
-FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
+FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock", "dates")
 """Options that say what a file is."""
 
 
@@ -101,6 +101,9 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         "--decimal", metavar="SIGN", help="of its numbers: . or , where both would be possible"
     )
     group.add_argument("--sheet", help="of a workbook that has several")
+    group.add_argument(
+        "--dates", metavar="FIRST", help="day or month: which stands first in dates such as 03/04/2026"
+    )
     return group
 
 
@@ -150,11 +153,13 @@ def open_log(options: Namespace, machine: Machine | None = None, known: Fit | No
         delimiter=options.delimiter,
         decimal=options.decimal,
         sheet=options.sheet,
+        dates=options.dates,
         clock=options.clock,
         drop_bad=options.drop_bad,
         noise=dict(assignment(text) for text in options.noise),
         counts_per_turn=options.counts_per_turn,
         remembered=None if known is None else known.columns,
+        read_with=None if known is None else known.read_with,
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 
@@ -261,9 +266,19 @@ def save_fit_pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:
     return save_pictures(log, result, Path(folder), keep=result.keep)
 
 
-def reading_words(options: Namespace) -> list[str]:
-    """Words of a command that its next step needs too: how the log is read, and the machine."""
-    words = [word for column in options.column for word in ("--column", column)]
+def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
+    """Words of a command that its next step needs too: how the log is read, and the machine.
+
+    `known`: a calibration that the next step does not read, but whose mapping of columns it needs.
+    """
+    mapped = known.columns if known else {}
+    columns = [f"{ours}={c.name}" for ours, c in mapped.items() if not options.column and c.scale == 1.0]
+    words = [word for column in (*options.column, *columns) for word in ("--column", column)]
+    counts = next((c.counts_per_turn for c in mapped.values() if c.counts_per_turn), None)
+    if counts and options.counts_per_turn is None:
+        words += ["--counts-per-turn", f"{counts:g}"]
+    for name, text in (known.read_with if known else {}).items():
+        words += [f"--{name}", text] if getattr(options, name, None) is None else []
     words += [word for noise in options.noise for word in ("--noise", noise)]
     for option in ("counts_per_turn", "column_file", *FILE_OPTIONS, "machine", "effects"):
         value = getattr(options, option, None)

@@ -76,7 +76,7 @@ def evaluate(
     """
     known = calibration if isinstance(calibration, Fit) else load_fit(calibration)
     model = known.model
-    given, rails = as_log(log, known.columns), not knows_rails(model)
+    given, rails = as_log(log, known.columns, known.read_with), not knows_rails(model)
     given, notes = usable(given, logged_columns(model), drop_bad=drop_bad, rails=rails)
     _belongs(given, known)
     seen = as_read(given, model, known.wiring)

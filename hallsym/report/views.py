@@ -157,7 +157,7 @@ def _log_of(fit: Fit, log: Any, call: str) -> Log:
     """Return the log of a fit, or another one of the same machine, under the names that the fit knows."""
     if log is None and fit.source is None:
         raise InputError(f"A calibration that was read from a file does not hold its log; give it: {call}.")
-    return fit.source if log is None and fit.source else as_log(log, fit.columns)
+    return fit.source if log is None and fit.source else as_log(log, fit.columns, fit.read_with)
 
 
 # -- a calibration on another log ------------------------------------------------------------------------
