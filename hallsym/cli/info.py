@@ -211,7 +211,8 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
         numbers = ["" if entry[k] is None else f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
         sigma = "" if entry["noise"] is None else f"{entry['noise'] * factor:.3g}"
         rows.append([c, *numbers, sigma, unit, entry["noise_source"] or ""])
-    head = f"{log.name}: {log.rows} samples in {len(log.runs)} runs"
+    runs = f" in {counted(len(log.runs), 'run')}" if len(log.runs) > 1 else ""
+    head = f"{log.name}: {counted(log.rows, 'sample')}{runs}"
     if log.meta.holdout:
         head += f"; held out by its meta.json: {', '.join(map(str, log.meta.holdout))}"
     told = log.table.source.recognised  # stands above the first rows already

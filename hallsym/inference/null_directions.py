@@ -81,7 +81,7 @@ def _named(
     out = []
     for row in echelon(null.T):
         involved = tuple(names[k] for k in np.flatnonzero(np.abs(row) > least * np.abs(row).max()).tolist())
-        telling = [c for c in combinations if _mentions(c.expression, involved)]
+        telling = [c for c in combinations if mentions(c.expression, involved)]
         first = telling[0] if telling else None
         out.append(
             NullDirection(
@@ -96,5 +96,6 @@ def _named(
     return tuple(sorted(out, key=lambda d: list(names).index(d.parameters[0])))
 
 
-def _mentions(expression: str, parameters: Sequence[str]) -> bool:
+def mentions(expression: str, parameters: Sequence[str]) -> bool:
+    """Return whether an expression holds one of some parameters."""
     return bool(set(re.findall(r"[A-Za-z_]\w*", expression)) & set(parameters))

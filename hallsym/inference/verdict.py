@@ -7,7 +7,7 @@ import numpy as np
 
 from hallsym.estimation import coverage_factor
 from hallsym.inference.evidence import Evidence
-from hallsym.inference.null_directions import NullDirection, NullSpace
+from hallsym.inference.null_directions import NullDirection, NullSpace, mentions
 
 VERDICTS = ("determined", "weak", "at bound", "not determined", "no effect", "fixed")
 WEAK = 1 / 3
@@ -97,7 +97,8 @@ def _instead(name: str, *directions: NullDirection, cause: str = "by any recordi
     if wide is not None:
         first, second, *more = (n for n in wide.parameters if n != name)
         return f"{cause}; it may change together with {first}, {second} and {len(more)} more"
-    told = [d.determined for d in directions if d.determined]
+    every = [text for d in directions if d.determined for text in (d.determined, *d.also)]
+    told = [text for text in every if mentions(text, (name,))] or every
     if told:
         return f"{cause}; only {_listed(dict.fromkeys(told))} determined"
     alone = all(len(d.parameters) == 1 for d in directions)

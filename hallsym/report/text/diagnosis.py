@@ -108,13 +108,22 @@ def _basis(d: Diagnosis) -> str:
 def _any_effect(d: Diagnosis) -> str:
     """Return the p-value that any effect is there, and the least possible one where units are few."""
     s = d.significance
-    return f"any effect of the catalogue: p {significance_text(s)}; " if s else ""
+    return f"any effect of the catalogue: p {significance_text(s, piece_of(d))}; " if s else ""
 
 
-def significance_text(s: Significance) -> str:
-    """Return a p-value with what it rests on: `= 0.3 (46 runs)`, with the least possible one of few units."""
+def piece_of(d: Diagnosis) -> str:
+    """Return what a recording was taken to pieces of: "run", "time slice", "knot group"."""
+    return d.held_out.removeprefix("held-out ").removeprefix("holdout ")
+
+
+def significance_text(s: Significance, piece: str = "run") -> str:
+    """Return a p-value with what it rests on: `= 0.3 (46 runs)`, with the least possible one of few units.
+
+    `piece`: what a run of the log is called.
+    """
+    unit = piece if s.unit == "run" else s.unit
     least = f", {p_text(s.least)} at least" if s.units < FEW_UNITS else ""
-    return f"= {p_text(s.p_value)} ({counted(s.units, s.unit)}{least})"
+    return f"= {p_text(s.p_value)} ({counted(s.units, unit)}{least})"
 
 
 def _errors(d: Diagnosis) -> str:
@@ -195,7 +204,7 @@ def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> str:
 
 def _shrinks(d: Diagnosis) -> str:
     s = d.shrinkage
-    judges = f"{counted(s.judges, 'run')} that took no part" if s.judges else f"{d.held_out}s"
+    judges = f"{counted(s.judges, piece_of(d))} that took no part" if s.judges else f"{d.held_out}s"
     few = f"no interval: too few {judges} judge" if s.judges else "no interval"
     known = few if s.interval is None else f"95 % of recordings like it: {_ends(s.interval)}; {judges}"
     return (

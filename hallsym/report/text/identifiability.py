@@ -113,7 +113,9 @@ def _direction(direction: NullDirection) -> str:
     if direction.is_wide:
         known = 1 + len(direction.also)
         return f"  {named} may change together; {known} combinations of them are identifiable (table above)"
-    value = " ".join(in_units(direction.value or 0.0, direction.std, direction.unit or "1"))
+    value = " ".join(in_units(direction.value or 0.0, direction.std, direction.unit or "1")).removesuffix(
+        " 1"
+    )
     return f"  {named}: only {' and '.join((f'{direction.determined} = {value}', *direction.also))}"
 
 
