@@ -50,6 +50,7 @@ COMMANDS = (
     "sort",
     "trajectory",
     "info",
+    "completion",
 )
 
 

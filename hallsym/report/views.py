@@ -22,6 +22,7 @@ from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.evaluation import evaluation_text
 from hallsym.report.text.fit import fit_text
 from hallsym.report.text.identifiability import report_text
+from hallsym.terminal import fitted
 from hallsym.uncertainty import Budget
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class View:
 
 def summary(result: Any) -> str:
     """Return what the command of a result prints."""
-    return _view(result).summary(result)
+    return fitted(_view(result).summary(result))
 
 
 def brief(result: Any) -> str:
@@ -150,7 +151,7 @@ def _log_of(fit: Fit, log: Any, call: str) -> Log:
     """Return the log of a fit, or another one of the same machine, under the names that the fit knows."""
     if log is None and fit.source is None:
         raise InputError(f"A calibration that was read from a file does not hold its log; give it: {call}.")
-    return fit.source if log is None and fit.source else as_log(log, fit.columns)
+    return fit.source if log is None and fit.source else as_log(log, fit.columns, fit.read_with)
 
 
 # -- a calibration on another log ------------------------------------------------------------------------
