@@ -51,6 +51,11 @@ def log_options(parser: ArgumentParser) -> None:
         "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
     )
     group.add_argument(
+        "--clock", metavar="GROUP:HOW",
+        help="of a file (TDMS, MDF, MCAP) whose groups have several: whose samples become the rows, and how "
+        "others are read there: Hall:linear or Hall:nearest",
+    )  # fmt: skip
+    group.add_argument(
         "--counts-per-turn", type=float, metavar="N",
         help="of an angle in counts, as in --column angle_count=raw: 16384 for 14 bits",
     )  # fmt: skip
@@ -63,7 +68,7 @@ def log_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
-FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet")
+FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock")
 """Options that say what a file is."""
 
 
@@ -74,7 +79,9 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         "--column", action="append", default=[], metavar="OURS=THEIRS",
         help=f"our name, ending with the unit their column is in: --column {example} (repeat)",
     )  # fmt: skip
-    group.add_argument("--format", help="parquet, csv, mat, hdf5 or xlsx, when the suffix does not tell")
+    group.add_argument(
+        "--format", help="parquet, csv, mat, hdf5, xlsx, tdms, mdf or mcap, when the suffix is another"
+    )
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
     )
@@ -129,6 +136,7 @@ def open_log(options: Namespace, machine: Machine | None = None, known: Fit | No
         delimiter=options.delimiter,
         decimal=options.decimal,
         sheet=options.sheet,
+        clock=options.clock,
         drop_bad=options.drop_bad,
         noise=dict(assignment(text) for text in options.noise),
         counts_per_turn=options.counts_per_turn,

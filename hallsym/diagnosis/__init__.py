@@ -14,7 +14,7 @@ from hallsym.diagnosis.coordinates import Coordinate, coordinates, hats, knots
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.curve_words import shape, waves_per_period
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
-from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, errors_of, interval
+from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, errors_of
 from hallsym.diagnosis.detection import QUICK, REPEATS, CurvePoint, Rate
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.facts import facts_of, instants, rails_of
@@ -28,42 +28,42 @@ from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape, lack_of_fit
 from hallsym.diagnosis.links import smoothed
 from hallsym.diagnosis.localisation import Located, both, located
+from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
-from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, of_signs, student
+from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, student
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, distance, ordered
 from hallsym.diagnosis.record import (
-    Band,
-    CurveShape,
     Diagnosis,
     Estimate,
     FoundEffect,
     Gap,
     LogRecord,
     Metric,
-    ModelLeft,
     NoiseFloor,
-    NotExcluded,
     Resemblance,
     Separation,
     Share,
     Shrinkage,
+    Significance,
     SmallerFinding,
     Statement,
-    Unexplained,
 )
 from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inside_bounds, refit, with_model
 from hallsym.diagnosis.regression import others
+from hallsym.diagnosis.remainder import Band, CurveShape, ModelLeft, NotExcluded, Unexplained
 from hallsym.diagnosis.report import unexplained
 from hallsym.diagnosis.residual_table import ResidualTable, Spectrum, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, candidates, scores
-from hallsym.diagnosis.selection import Selected, select
+from hallsym.diagnosis.selection import Selected, cancelled, select
 from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable, SelfTest, Trial, selftest
 from hallsym.diagnosis.setup import Floor, base_of
 from hallsym.diagnosis.shares import sizes
+from hallsym.diagnosis.shrinkage import Judged, Nested, foreseen
+from hallsym.diagnosis.sign_flips import SignFlips, adjusted, of_products, searched, stretch
 from hallsym.diagnosis.simulated_machine import (
     SimulatedMachine,
     decimated,
@@ -72,7 +72,7 @@ from hallsym.diagnosis.simulated_machine import (
     simulated_noise,
 )
 from hallsym.diagnosis.survey import survey
-from hallsym.diagnosis.validation import decrease_p, validate
+from hallsym.diagnosis.validation import validate
 from hallsym.diagnosis.verdict import QUIET, decide
 from hallsym.diagnosis.words import degrees_of, gap_text, gap_unit, shown
 from hallsym.families.user import load_effects
@@ -82,19 +82,20 @@ __all__ = [
     "NO_EFFECT", "PAST", "POLICY", "QUICK", "QUIET", "RATIOS", "REPEATS", "ROWS", "Accumulator",
     "Alternative", "Band", "Base", "Bench", "BlockErrors", "Comparison", "Coordinate", "CurvePoint",
     "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact", "Examined", "Facts",
-    "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Key", "LackOfFit", "Located",
-    "LogRecord", "Metric", "ModelLeft", "NoiseFloor", "NotExcluded", "ParameterChange", "PlaceChange",
-    "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable", "Score", "Selected", "SelfTest",
-    "Separation", "Shape", "Share", "Shrinkage", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum",
-    "Statement", "Trial", "Unexplained", "Variant", "alternatives", "as_many", "as_often", "base_of",
-    "beyond", "block_errors", "both", "candidates", "compare", "confusable", "coordinates", "cordic",
-    "decide", "decimated", "decrease_p", "degrees_of", "diagnose", "distance", "errors_of", "examine",
-    "exceeds", "facts_of", "faults", "firmware_cost", "flexible", "gap_text", "gap_unit", "generator",
-    "hats", "injections", "inside_bounds", "instants", "interval", "knot_group", "knots", "lack_of_fit",
-    "load_effects", "located", "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations",
-    "of_signs", "operations", "ordered", "others", "prepare", "rails_of", "range_of", "readings_of",
-    "recorded", "recordings", "refit", "remains", "resemblances", "residual_table", "run_gains", "scores",
-    "select", "selftest", "separation", "shape", "shown", "simulated_noise", "sized", "sizes",
-    "smaller_findings", "smoothed", "split", "student", "survey", "unexplained", "used_up", "validate",
-    "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
+    "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key", "LackOfFit",
+    "Located", "LogRecord", "Metric", "ModelLeft", "Nested", "NoiseFloor", "NotExcluded", "ParameterChange",
+    "PlaceChange", "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable", "Score",
+    "Selected", "SelfTest", "Separation", "Shape", "Share", "Shrinkage", "SignFlips", "Significance",
+    "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial", "Unexplained",
+    "Variant", "adjusted", "alternatives", "as_many", "as_often", "base_of", "beyond", "block_errors",
+    "both", "cancelled", "candidates", "compare", "confusable", "coordinates", "cordic", "decide",
+    "decimated", "degrees_of", "diagnose", "distance", "errors_of", "examine", "exceeds", "facts_of",
+    "faults", "firmware_cost", "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats",
+    "injections", "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects",
+    "located", "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations", "of_products",
+    "operations", "ordered", "others", "prepare", "rails_of", "range_of", "readings_of", "recorded",
+    "recordings", "refit", "remains", "resemblances", "residual_table", "run_gains", "scores", "searched",
+    "select", "selftest", "separation", "shape", "shared_noise", "shown", "simulated_noise", "sized",
+    "sizes", "smaller_findings", "smoothed", "split", "stretch", "student", "survey", "unexplained",
+    "used_up", "validate", "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Any
 from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.ranking import refitted
-from hallsym.diagnosis.scores import candidates, scores
+from hallsym.diagnosis.scores import Screen, candidates
 from hallsym.diagnosis.setup import base_of, fitted
 from hallsym.diagnosis.survey import survey
 from hallsym.errors import InputError
@@ -59,10 +59,11 @@ def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     base = base_of(log, known)
     holdout = set(known.log["holdout"])
     runs = [r for r in base.log.runs if r not in holdout]
-    facts = facts_of(base, survey(base, frozenset(runs)))
+    seen = survey(base, frozenset(runs))
+    facts = facts_of(base, seen)
     tried, trouble = candidates(base, [effect], facts)
-    ranked = scores(base, tried, runs)[0] if tried else []
-    exact = refitted(base, ranked, runs, facts, lambda s: s.corrected(1) < POLICY.certain)
+    ranked = Screen(base, tried, runs, POLICY.inflation, colour=seen.colour).scores if tried else []
+    exact = refitted(base, ranked, runs, facts, lambda s: s.p_value < POLICY.certain)
     if not exact:
         reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
         raise InputError(

@@ -289,7 +289,7 @@ def smaller_findings(
     out = [SmallerFinding(e.name, e.shrinkage, e.p_value) for e in below] + list(found.dropped)
     known = {h.selected.name for h in found.effects} | {d.name for d in found.dropped}
     for score in by_name(selection.last):
-        p, shrinkage = score.corrected(setup.tested), 1 - score.ratio
+        p, shrinkage = score.p_value, 1 - score.ratio
         # what is worth more was judged, and not selected
         small = setup.policy.smallest * setup.threshold <= shrinkage < setup.threshold
         if p < setup.policy.certain and small and score.effect.name not in known:

@@ -4,7 +4,8 @@ import numpy as np
 
 from hallsym.diagnosis.coordinates import unit_of
 from hallsym.diagnosis.curves import MEMORIES, Curve
-from hallsym.diagnosis.record import Band, CurveShape, Statement
+from hallsym.diagnosis.record import Statement
+from hallsym.diagnosis.remainder import Band, CurveShape
 from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.diagnosis.words import percent, plain, shown
 from hallsym.units import readable

@@ -15,8 +15,6 @@ from hallsym.log.phase import designed
 
 BLOCKS = 400
 """Blocks that a log is cut into for resampling, none shorter than 50 samples."""
-RESAMPLED = 1000
-"""Times that blocks are drawn for an interval: the ends of 95 % are then those of 94 to 96 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,19 +84,6 @@ def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None)
         np.array(squares).reshape(-1, len(model.pose)),
         peak,
     )
-
-
-def interval(before: BlockErrors, after: BlockErrors) -> tuple[float, float]:
-    """95 % interval of 1 - after / before, from resampled blocks."""
-    rng = np.random.default_rng(0)
-    a, b = before.sums, after.sums
-    if len(a) != len(b):
-        value = 1 - after.metric / before.metric
-        return value, value
-    pick = rng.integers(0, len(a), (RESAMPLED, len(a)))
-    ratio = np.sqrt(b[pick].sum(axis=1) / np.maximum(a[pick].sum(axis=1), 1e-300))
-    low, high = np.quantile(1 - ratio, [0.025, 0.975])
-    return float(low), float(high)
 
 
 FIRST = 12

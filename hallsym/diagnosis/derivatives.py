@@ -15,6 +15,19 @@ from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 
 
+def reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return `(p, zeros, pose, state) -> reading, its derivatives by parameters and by zeros`, on arrays."""
+
+    def made() -> Callable[..., list[np.ndarray]]:
+        s = model.symbols
+        reading = s.full(s.reading)
+        parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
+        inputs = [s.parameters, s.zeros, s.pose, s.state]
+        return on_arrays(ca.Function("base", inputs, [ca.densify(part) for part in parts]))
+
+    return model.remember("reading, derivatives", made)
+
+
 @dataclass(frozen=True, eq=False)
 class Slope:
     """`run(p, zeros, pose, state) -> (rows, samples)`; each row has a channel and a column (parameter)."""

@@ -79,7 +79,7 @@ def examine(setup: Setup) -> Examined:
     selection = select(setup)
     found = validate(setup, selection)
     resembled = resemblances(setup, found)
-    noise = noise_of_rest(found.judged, setup.runs)
+    noise = noise_of_rest(found.counted, setup.runs)
     verdict = decide(setup, found, resembled, noise)
     named = findings(setup, found, resembled)
     quiet = verdict in QUIET

@@ -168,6 +168,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
         on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),
+        on_runs_tried=2 ** (len(log.runs) - 1),
     )
 
 

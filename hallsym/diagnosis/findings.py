@@ -7,7 +7,6 @@ import casadi as ca
 import numpy as np
 
 from hallsym.codegen import cost_of
-from hallsym.diagnosis.decoded_errors import interval
 from hallsym.diagnosis.faults import Fault, wiring_p, wirings
 from hallsym.diagnosis.flexible import PAST
 from hallsym.diagnosis.ranking import count_of
@@ -65,8 +64,8 @@ def _effect(found: Validation, held: Held, spread: np.ndarray, resembled: Resemb
             for n, j in index.items()
         },
         p_value=held.p_value,
-        shrinkage=1 - found.after.metric / held.errors.metric,
-        interval=interval(held.errors, found.after),
+        shrinkage=held.judged.value,
+        interval=held.judged.interval(),
         share=_share(found, held.errors.metric**2 - found.after.metric**2),
         cost=firmware_cost(before, model, fit.base.p),
         text=score.variant.text,
@@ -120,7 +119,7 @@ def _fault(setup: Setup, found: Validation, fault: Fault) -> FoundEffect:
         parameters=fault.parameters,
         p_value=min(1.0, fault.p_value * setup.tested),
         shrinkage=1 - scale,
-        interval=(1 - scale, 1 - scale),
+        interval=None,
         share=_share(found, (1 - scale**2) * found.after.metric**2),
         cost="no parameter: a repair, not a model",
         note=_repair(fault.name),
@@ -148,7 +147,7 @@ def _assignment(setup: Setup, found: Validation) -> FoundEffect:
         parameters={},
         p_value=min(1.0, p),
         shrinkage=drop,
-        interval=(drop, drop),
+        interval=None,
         share=closed(found.before.metric, found.metric, found.floor.metric),
         cost="no parameter: the channel assignment is corrected",
         note=_repair(name),

@@ -86,7 +86,7 @@ class _Work:
     def __init__(self, base: Base, held: Held, runs: frozenset[int], moving: bool) -> None:
         self.base, self.moving, model = base, moving, base.model
         self.features = Features(base, runs)
-        self.read = model.remember("reading, derivatives", lambda: reading_and_derivatives(model))
+        self.read = reading_and_derivatives(model)
         self.plain = on_arrays(model.reading)
         self.p = np.where(np.isin(model.names, held.added), model.nominal, base.p)
         self.z, self.n = len(model.zeros), len(base.free)

@@ -4,8 +4,9 @@ import numpy as np
 
 from hallsym.diagnosis.confusable import Confusable
 from hallsym.diagnosis.ranking import count_of
-from hallsym.diagnosis.record import Gap, ModelLeft, NotExcluded, Unexplained
+from hallsym.diagnosis.record import Gap
 from hallsym.diagnosis.refit import Refitted
+from hallsym.diagnosis.remainder import ModelLeft, NotExcluded, Unexplained
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
 from hallsym.estimation.calibration import added_effects

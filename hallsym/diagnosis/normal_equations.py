@@ -9,11 +9,11 @@ matrices any set of effects can be fitted, cross-validated and judged without re
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
-from hallsym.diagnosis.derivatives import Slopes
+from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.many_channels import by_candidate
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation import eliminate, pseudo_inverse
@@ -21,7 +21,6 @@ from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
 from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 
 UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
@@ -48,6 +47,10 @@ class NormalEquations:
     """The runs of `follow`."""
     spoiled: frozenset[str] = frozenset()
     """Candidates whose slope is not finite somewhere; their columns are 0."""
+    offsets: np.ndarray | None = None
+    """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
+
+    Over a whole run they add up to 0. None where every unit is a whole run."""
 
     def units(self, runs: Sequence[int]) -> np.ndarray:
         """Return the index of the units whose runs are all among `runs`."""
@@ -60,27 +63,34 @@ MANY = 6
 ENTRIES, FEWEST = 2_000_000, 256
 """Derivatives of the readings that are held at once, 16 MB, and samples that are taken together at least: a
 refit of many channels with a number each would hold all channels times itself."""
-Unit = tuple[tuple[int, ...], np.ndarray, np.ndarray, float]
-"""Runs, products for the likelihood, products in the output, samples."""
 
 
-def reading_and_derivatives(model: Model) -> Callable[..., list[np.ndarray]]:
-    """Return what computes the reading and its derivatives in parameters and zeros, on arrays."""
-    s = model.symbols
-    reading = s.full(s.reading)
-    parts = [reading, ca.jacobian(reading, s.parameters), ca.jacobian(reading, s.zeros)]
-    inputs = [s.parameters, s.zeros, s.pose, s.state]
-    return on_arrays(ca.Function("base", inputs, [ca.densify(part) for part in parts]))
+class Unit(NamedTuple):
+    """Runs, products for the likelihood and in the output, samples, and products with the zeros."""
+
+    runs: tuple[int, ...]
+    white: np.ndarray
+    out: np.ndarray
+    samples: float
+    offsets: np.ndarray | None = None
+
+    def plus(self, other: "Unit") -> "Unit":
+        """Return both together."""
+        runs = tuple(dict.fromkeys((*self.runs, *other.runs)))
+        return Unit(runs, self.white + other.white, self.out + other.out, self.samples + other.samples)
 
 
 def normal_equations(
-    base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
+    base: Base,
+    candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
+    length: int | None = None,
 ) -> NormalEquations:
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
-    New parameters are taken at their nominal value, where they have no effect.
+    New parameters are taken at their nominal value, where they have no effect. `length`: samples of a unit,
+    where a run is to be several.
     """
-    work = Accumulator(base, candidates)
+    work = Accumulator(base, candidates, length)
     for batch, weights in work.weighed():
         work.add(batch, weights)
     return work.result()
@@ -112,11 +122,14 @@ class Accumulator:
     """Accumulates the products of each run."""
 
     def __init__(
-        self, base: Base, candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None
+        self,
+        base: Base,
+        candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
+        length: int | None = None,
     ) -> None:
-        self.base = base
+        self.base, self.length = base, length
         model = base.model
-        self.read = model.remember("reading, derivatives", lambda: reading_and_derivatives(model))
+        self.read = reading_and_derivatives(model)
         self.gain = decoding_gain(model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
@@ -131,9 +144,10 @@ class Accumulator:
         self.precision = np.linalg.inv(base.covariance)
         self.whiten = np.linalg.cholesky(self.precision).T
         self.run: int | None = None
+        self.seen = 0
+        self.open: list[Unit] = []
         self.done: list[Unit] = []
         self.order: list[int] = []
-        self.begun = 0
         self.follow: list[np.ndarray] = []
 
     def batches(self, *further: str) -> Iterator[Batch]:
@@ -153,6 +167,8 @@ class Accumulator:
 
     def add(self, batch: Batch, weights: np.ndarray | None) -> None:
         """Add a batch to the runs that it belongs to."""
+        if self.length:
+            batch = batch.cut(self.length, self.seen if batch.blocks[0].run == self.run else 0)
         near, D = self._near(batch, weights)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
         metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY else D
@@ -167,7 +183,7 @@ class Accumulator:
             for k, block in enumerate(batch.blocks[first:last]):
                 part = slice(batch.edges[first + k], batch.edges[first + k + 1])
                 count = float(part.stop - part.start if weights is None else weights[part].sum())
-                self._gather(block.run, white[k], out[k], count)
+                self._gather(Unit((block.run,), white[k], out[k], count), part.stop - part.start)
 
     def _products(self, near: np.ndarray, rows: list[np.ndarray], metric: np.ndarray) -> np.ndarray:
         """Products (blocks, c, c) of all columns with zeros, parameters and residual, and of each candidate
@@ -275,57 +291,68 @@ class Accumulator:
         if run:
             yield run
 
-    def _gather(self, run: int, white: np.ndarray, out: np.ndarray, count: float) -> None:
-        if run != self.run:
-            self.done.append(((run,), white, out, count))
-            self.order.append(run)
-            self.begun += 1
-            self.run = run
+    def _gather(self, part: Unit, samples: int) -> None:
+        if part.runs[0] != self.run:
+            self._close()
+            self.run, self.seen = part.runs[0], 0
+            self.order.append(self.run)
+        if self.open and (self.length is None or self.seen % self.length):
+            self.open[-1] = self.open[-1].plus(part)
         else:
-            _, w, o, c = self.done[-1]
-            self.done[-1] = ((run,), w + white, o + out, c + count)
-        if len(self.done) > 1 and len(self.follow) < self.begun - 1:
-            self.done[-2] = self._reduced(self.done[-2])
-            if len(self.done) > 2 * UNITS:
-                self._pool()
+            self.open.append(part)
+        self.seen += samples
 
-    def _pool(self) -> None:
-        """Pool neighbouring units of the same side, all but the last, which is still being read."""
-        sides: dict[bool, list[Unit]] = {True: [], False: []}
-        for unit in self.done[:-1]:
-            sides[unit[0][0] in self.base.holdout].append(unit)
-        pooled = []
-        for units in sides.values():
-            for k in range(0, len(units), 2):
-                pair = units[k : k + 2]
-                runs = tuple(run for r, *_ in pair for run in r)
-                white = np.sum([w for _, w, _, _ in pair], axis=0)
-                out = np.sum([o for _, _, o, _ in pair], axis=0)
-                pooled.append((runs, white, out, float(sum(count for *_, count in pair))))
-        self.done[:-1] = pooled
-
-    def _reduced(self, entry: Unit) -> Unit:
+    def _close(self) -> None:
         """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
-        run, white, out, count = entry
-        z = self.z
-        own, follow = eliminate(white, z)
+        if not self.open:
+            return
+        z, total = self.z, np.sum([u.white for u in self.open], axis=0)
+        own, follow = eliminate(total, z)
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
         self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        return run, own, eliminated(out, follow), count
+        if len(self.open) == 1:
+            (unit,) = self.open
+            self.done.append(unit._replace(white=own, out=eliminated(unit.out, follow)))
+        else:
+            root = np.linalg.cholesky(pseudo_inverse(total[:z, :z])).T if z else np.zeros((0, 0))
+            self.done += [
+                u._replace(
+                    white=eliminated(u.white, follow),
+                    out=eliminated(u.out, follow),
+                    offsets=root @ (u.white[:z, z:] + u.white[:z, :z] @ follow),
+                )
+                for u in self.open
+            ]
+        self.open = []
+        if len(self.done) > 2 * UNITS and not self.length:
+            self._pool()
+
+    def _pool(self) -> None:
+        """Pool neighbouring units of the same side."""
+        sides: dict[bool, list[Unit]] = {True: [], False: []}
+        for unit in self.done:
+            sides[unit.runs[0] in self.base.holdout].append(unit)
+        self.done = [
+            units[k].plus(units[k + 1]) if k + 1 < len(units) else units[k]
+            for units in sides.values()
+            for k in range(0, len(units), 2)
+        ]
 
     def result(self) -> NormalEquations:
         """Return what has been gathered."""
-        if self.done and len(self.follow) < self.begun:
-            self.done[-1] = self._reduced(self.done[-1])
+        self._close()
+        parts = any(u.offsets is not None for u in self.done)
+        none = np.zeros((self.z, self.size - self.z))
         return NormalEquations(
-            np.array([w for _, w, _, _ in self.done]),
-            np.array([o for _, _, o, _ in self.done]),
-            np.array([c for *_, c in self.done]),
-            tuple(runs for runs, *_ in self.done),
+            np.array([u.white for u in self.done]),
+            np.array([u.out for u in self.done]),
+            np.array([u.samples for u in self.done]),
+            tuple(u.runs for u in self.done),
             self.span,
             np.array(self.follow),
             tuple(self.order),
             frozenset(self.slopes.spoiled),
+            np.array([none if u.offsets is None else u.offsets for u in self.done]) if parts else None,
         )
 
 

@@ -102,10 +102,14 @@ class Policy:
 
     # validation on the holdout runs
 
+    fewest_judges: int = 6
+    """Judging runs below which the shrinkage has no interval: Student's t of fewer is wider than the gap.
+
+    At 6 runs it is 2.6 standard errors, at 4 it is 3.2, and the error itself is known to a factor of 2."""
     bent: float = 0.5
     """Squares that an exact refit leaves, over those of its score, below which the score is no evidence.
 
-    Half: such an effect (clipping) is judged by its decrease on the holdout runs instead."""
+    Half: such an effect (clipping) is judged by its decrease on the judging runs instead."""
 
     # verdict
 
@@ -126,6 +130,10 @@ class Policy:
     which an estimated floor must exceed what the effects leave to be lowered to that.
 
     A choice: noise is often stated from a recording at rest and is larger in motion."""
+    excess_errors: float = 2.0
+    """Standard errors by which a metric must exceed a stated floor for an excess without a shape.
+
+    Noise with a long memory makes the rms of a few short runs scatter: 2.3 % of them lie beyond 2."""
     closes: float = 0.9
     """Part of the excess that named effects must close for `explained` where something with a shape is left.
 

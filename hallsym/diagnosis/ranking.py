@@ -87,7 +87,7 @@ def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: 
     tried, _ = candidates(base, [finer], facts)
     ranked, _ = scores(base, tried, runs, policy.inflation)
     best = min([score, *ranked], key=lambda s: s.bic)
-    return replace(best, effect=score.effect)
+    return replace(best, effect=score.effect, p_value=score.p_value)
 
 
 def _exact(base: Base, score: Score, runs: Sequence[int], policy: Policy) -> Exact:

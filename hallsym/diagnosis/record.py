@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hallsym.diagnosis.plain_data import plain, typed
+from hallsym.diagnosis.remainder import ModelLeft, Unexplained
 from hallsym.estimation import KNOWN
 from hallsym.shown import Shown
 
@@ -70,14 +71,31 @@ class NoiseFinding:
 class Shrinkage:
     """How far the gap shrinks with everything that was found.
 
-    `value`: 1 - gap after / gap before; `interval`: its 95 % interval from resampled blocks; `share_closed`:
-    part of the excess above the noise floor that is closed (squares); `parameters_added`: to the model.
+    `value`: 1 - gap after / gap before, on `judges` runs that took part in neither fit nor choice: the
+    holdout runs, and every fitted run with the search repeated without it. `interval`: 95 % of recordings of
+    as many runs lie within; None below 6 judges. `share_closed`: part of the excess above the noise floor
+    that is closed on the holdout runs (squares); `parameters_added`: to the model.
     """
 
     value: float
-    interval: tuple[float, float]
+    interval: tuple[float, float] | None
     share_closed: float
     parameters_added: int
+    judges: int = 0
+
+
+@dataclass(frozen=True)
+class Significance:
+    """Whether any effect of the catalogue is there at all.
+
+    `p_value`: from random signs of `units` scores, each of a "run" or of a "stretch" of one (`unit`), the
+    largest of all that was tried. `least`: the smallest p-value that so many units can give.
+    """
+
+    p_value: float
+    least: float
+    units: int
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -116,9 +134,10 @@ class Resemblance:
 class FoundEffect:
     """An effect that lowers the gap, with all other effects of the list in place.
 
-    `shrinkage`: 1 - gap with it / gap without it, on the holdout runs; `interval`: its 95 % interval from
-    resampled blocks. `share`: part of the excess above the noise floor that it closes. `p_value`: of its
-    absence, valid for residuals that are correlated within a run, corrected for everything that was tested.
+    `shrinkage`: 1 - gap with it / gap without it, on runs that took part in neither fit nor choice;
+    `interval`: as of `Shrinkage`, None too for a fault of the recording. `share`: part of the excess above
+    the noise floor that it closes. `p_value`: of its absence, from random signs of the runs, corrected for
+    everything that was tried.
     `cost`: firmware cost. `text`: what `--effect` takes to fit it, empty for a fault of the recording.
     `at_bound`: parameters that ended at a bound; they have no uncertainty. `behaves_like`: why the machine
     only behaves like the effect; None where no flexible alternative beats it. `note` says both in words, and
@@ -131,7 +150,7 @@ class FoundEffect:
     parameters: dict[str, Estimate]
     p_value: float
     shrinkage: float
-    interval: tuple[float, float]
+    interval: tuple[float, float] | None
     share: float
     cost: str
     text: str = ""
@@ -272,78 +291,6 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Band:
-    """A curve with its 95 % band, one number per place of the grid; `low == high`: no samples there."""
-
-    value: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class CurveShape:
-    """How the residual of each reading follows a coordinate.
-
-    `column`, `unit`: of the `grid`. `line`: whether that is a place on a line; several coordinates together,
-    a direction of motion and an acceleration are none, `grid` then counts features, which `labels` names.
-    `kind`: "offset" (in `value_unit`, the unit of the reading) or "gain" (relative change of the gain).
-    """
-
-    coordinate: str
-    line: bool
-    column: str
-    unit: str
-    kind: str
-    value_unit: str
-    grid: tuple[float, ...]
-    labels: tuple[str, ...] | None
-    readings: dict[str, Band]
-
-
-@dataclass(frozen=True)
-class Unexplained:
-    """What no effect explains: `share` of the gap above the noise floor that is left (squares).
-
-    `by`, `at`: of the first statement on it, None where it goes with nothing; `of_it`: the share of the rest
-    that goes with that. `curve`: over the coordinate that most of it goes with, None where there is none.
-    """
-
-    share: float
-    by: str | None
-    at: str | None
-    of_it: float | None
-    text: str
-    curve: CurveShape | None
-
-
-@dataclass(frozen=True)
-class NotExcluded:
-    """A model that the log does not exclude.
-
-    `effects`: as `--effect` takes them. `values`: of its parameters, by name [SI]. `weight`: its probability
-    among these models, by BIC.
-    """
-
-    effects: tuple[str, ...]
-    values: dict[str, float]
-    weight: float
-
-
-@dataclass(frozen=True)
-class ModelLeft:
-    """What the error of the model adds to the uncertainty of a position, for `hallsym budget --diagnosis`.
-
-    `rest`: standard uncertainty by output of what is left above the noise, without its shape where
-    `shape_counts`: then `unexplained.curve` holds that as a function of the pose or the state. `candidates`:
-    the named model first, then the others that the log does not exclude; none where there is no other.
-    """
-
-    rest: dict[str, float] = field(default_factory=dict)
-    shape_counts: bool = False
-    candidates: tuple[NotExcluded, ...] = ()
-
-
-@dataclass(frozen=True)
 class LogRecord:
     """The log that was diagnosed. `span`: least and greatest value by column of reference and state."""
 
@@ -403,6 +350,7 @@ class Diagnosis(Shown):
     waves: tuple[Waves, ...] = ()
     noise: NoiseFinding | None = None
     """The noise that is left, None where the log is too short to tell."""
+    significance: Significance | None = None
     held_out: str = "holdout run"
     """What judges: a run, or a piece of a recording of too few."""
 

@@ -4,9 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
 
+import numpy as np
+
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
 from hallsym.diagnosis.curve_words import shape
-from hallsym.diagnosis.decoded_errors import block_errors, interval, waves
+from hallsym.diagnosis.decoded_errors import block_errors, waves
+from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.gap import worth_reporting
 from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.model_error import model_error
@@ -22,8 +25,9 @@ from hallsym.diagnosis.record import (
     NoiseFloor,
     Shrinkage,
     Sizes,
-    Unexplained,
 )
+from hallsym.diagnosis.remainder import Unexplained
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shares import sizes
@@ -63,12 +67,7 @@ def report(
         gap_before=Gap(**found.before.gap()),
         gap_after=gap_after,
         metric=metric,
-        shrinkage=Shrinkage(
-            value=1 - metric.after / metric.before,
-            interval=(0.0, 0.0) if quiet else interval(found.before, found.after),
-            share_closed=share,
-            parameters_added=0 if quiet else len(found.base.p) - len(found.start.base.p),
-        ),
+        shrinkage=_shrinkage(found, metric, share, quiet),
         ranked=alike.ranked,
         groups=alike.groups,
         effects=named,
@@ -91,6 +90,21 @@ def report(
         waves=waves(found.start.base, found.base if named else None),
         next_step=() if quiet else next_step(setup, found),
         noise=noise,
+        significance=selection.screened[0].significance,
+    )
+
+
+def _shrinkage(found: Validation, metric: Metric, share: float, quiet: bool) -> Shrinkage:
+    """Return how far the gap shrinks; a channel assignment and faults of samples count by what they are."""
+    added, judged = len(found.base.p) - len(found.start.base.p), found.judged
+    if quiet or judged is None:
+        return Shrinkage(1 - metric.after / metric.before, None, share, 0 if quiet else added)
+    start = found.start
+    held = [u for u in range(len(start.output)) if u not in set(start.fitted.tolist())]
+    rewired = start.gap(np.array(held)) / found.before.metric if found.miswired and held else 1.0
+    scale = found.metric / found.after.metric * min(rewired, 1.0)
+    return Shrinkage(
+        1 - scale * (1 - judged.value), judged.interval(scale), share, added, judges=len(judged.before)
     )
 
 
@@ -142,14 +156,31 @@ def _located(
     plain = replace(start, keep=None)
     floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
     if found.before.metric > floor * (1 + setup.policy.floor_known):
-        gap = located(plain, runs, selection.scores_at(found.start.base), found.faults, found.variance)
+        gap = _placed(selection, found.start.base, plain, runs, found.faults, found.variance)
     else:
         gap = Located((), (), *both(plain, runs))
+    if verdict in QUIET:  # noise has a spectrum, see `noise`, and no place
+        gap = replace(gap, statements=tuple(s for s in gap.statements if s.kind not in ("band", "motion")))
     if verdict != "unexplained":
         return gap, None
     if found.base is start:
         return gap, gap
-    return gap, located(found.base, runs, selection.scores_at(found.base))
+    return gap, _placed(selection, found.base, found.base, runs)
+
+
+def _placed(
+    selection: Selection,
+    screened: Base,
+    base: Base,
+    runs: Sequence[int],
+    faults: Sequence[Fault] = (),
+    variance: float = 1.0,
+) -> Located:
+    """Return where what `base` leaves lies, beside the catalogue as it was scored at `screened`."""
+    s = selection.screened_at(screened)
+    if s is None:
+        return located(base, runs, (), faults, variance)
+    return located(base, runs, s.scores, faults, variance, top=s.top, colour=s.colour)
 
 
 def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:

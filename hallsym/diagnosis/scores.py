@@ -1,15 +1,18 @@
 """Screening: score tests of the whole catalogue, from one pass over the log."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
-from hallsym.diagnosis.p_values import beyond
-from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.sign_flips import NIL, SignFlips, adjusted, least_p, searched, stretch
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
@@ -17,8 +20,6 @@ from hallsym.model import Effect, Facts, Model, Variant
 
 FOLDS = 11
 """A prime, so that folds do not fall in step with settings that recur every few runs."""
-NIL = 1e-9
-"""Part of a column's squares below which what is left of it is rounding (products are good to 1e-13)."""
 
 
 class Candidate(NamedTuple):
@@ -36,9 +37,9 @@ class Score:
 
     `gain`: decrease of the whitened squares on the fitted runs. `size`: parameters added, searched numbers
     included. `bic`: Bayesian information criterion with the effect. `ratio`: gap metric over that without the
-    effect, cross-validated within the fitted runs. `p_value`: of the score test across runs, not corrected.
-    `absorbed`: the model's own parameters can do the same. `place`: of the effect in the catalogue, usual
-    causes first.
+    effect, cross-validated within the fitted runs. `p_value`: from random signs of the runs' scores,
+    corrected for all that was tried; `statistic`: what it rests on. `absorbed`: the model's own parameters
+    can do the same. `place`: of the effect in the catalogue, usual causes first.
     """
 
     effect: Effect
@@ -51,10 +52,7 @@ class Score:
     p_value: float
     absorbed: bool = False
     place: int = 0
-
-    def corrected(self, effects: int) -> float:
-        """Return the p-value corrected for `effects` tested and for the numbers searched within this one."""
-        return min(1.0, self.p_value * effects * self.variant.tried)
+    statistic: float = -np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,17 +117,114 @@ def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, li
 def scores(
     base: Base, tried: dict[str, Candidate], runs: Sequence[int], inflation: float = POLICY.inflation
 ) -> tuple[list[Score], frozenset[str]]:
-    """Score every candidate on `runs`, best first (by BIC); return those that are not finite beside it.
+    """Score every candidate on `runs`, best first, without p-values; and those that are not finite."""
+    screen = Screen(base, tried, runs, inflation)
+    return screen.scores, screen.spoiled
 
-    One pass over the log for all candidates, or for as many as have `COLUMNS` parameters together.
+
+class Screen:
+    """The catalogue scored beside one fit, from one pass over the log.
+
+    One pass for all candidates, or for as many as have `COLUMNS` parameters together. `scores`: best first,
+    by BIC. `significance`: that any of them is there at all. `tables`: the products of each pass. `top`:
+    the largest statistic of all with each draw of signs, that of the log first.
     """
-    places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
-    found, spoiled = list[Score](), frozenset[str]()
-    for part in _parts(tried):
-        t = normal_equations(base, {key: (c.model, c.new) for key, c in part.items()})
-        found += _scored(t, part, base, runs, inflation, places)
-        spoiled |= t.spoiled
-    return sorted(found, key=lambda s: s.bic), spoiled
+
+    def __init__(
+        self,
+        base: Base,
+        tried: dict[str, Candidate],
+        runs: Sequence[int],
+        inflation: float,
+        *,
+        colour: np.ndarray | None = None,
+    ) -> None:
+        """Score `tried` on `runs`; `colour`: autocorrelation of the residual, None: without p-values."""
+        self.tried, self.tables, self.inflation = tried, list[Table](), inflation
+        places = {name: k for k, name in enumerate(dict.fromkeys(c.effect.name for c in tried.values()))}
+        variants = Counter(c.effect.name for c in tried.values())
+        found, flipped = list[Score](), list[np.ndarray]()
+        length = (
+            stretch(base.log.rows / len(base.log.runs) * len(runs), len(runs)) if colour is not None else None
+        )
+        for part in _parts(tried):
+            plain = {key: (c.model, c.new) for key, c in part.items()}
+            t = normal_equations(base, plain, length)
+            table = Table(t, part, len(base.model.channels))
+            flips = (
+                SignFlips(t, runs, shared_noise(base, plain, length, colour)) if colour is not None else None
+            )
+            self.tables.append(table)
+            for key, score in table.fast(runs, inflation):
+                at, name = table.at(key), score.effect.name
+                z = None if score.absorbed or flips is None else flips.statistic(at)
+                if z is not None:
+                    # numbers that were searched elsewhere, and are not among the variants
+                    flipped.append(searched(z, score.variant.tried / variants[name]))
+                p = 1.0 if z is None else -1.0
+                found.append(
+                    replace(
+                        score,
+                        place=places[name],
+                        p_value=p,
+                        ratio=table.ratio(key, runs),
+                        statistic=-np.inf if z is None else float(flipped[-1][0]),
+                    )
+                )
+        adjusted_p, least = adjusted(np.array(flipped))
+        self.top = np.max(flipped, axis=0, initial=-np.inf) if flipped else None
+        units = len(self.tables[0].t.units(runs))
+        unit = "run" if length is None else "stretch"
+        self.significance = Significance(least, least_p(units), units, unit)
+        rest = iter(adjusted_p.tolist())
+        found = [s if s.p_value > 0 else replace(s, p_value=next(rest)) for s in found]
+        self.scores = sorted(found, key=lambda s: s.bic)
+
+    def choice(self, runs: Sequence[int], level: float, taken: str | None, policy: Policy) -> "Choice | None":
+        """Return what some of the runs alone would choose: the best by BIC that lowers the gap by `level`.
+
+        `taken`: an effect that stays the choice where it is as good. To first order, from the products.
+        """
+        ranked = sorted(
+            (
+                (s.bic, s.gain, key, table)
+                for table in self.tables
+                for key, s in table.fast(runs, self.inflation)
+            ),
+            key=lambda r: r[0],
+        )
+        most = max((gain for _, gain, *_ in ranked), default=0.0)
+        found: dict[str, tuple[float, Choice]] = {}
+        for least, gain, key, table in ranked:
+            name = table.tried[key].effect.name
+            if name in found or gain < policy.promising * most or len(found) == policy.most_refits:
+                continue
+            if table.ratio(key, runs) <= 1 - level:
+                found[name] = least, Choice(name, key, table)
+        if not found:
+            return None
+        best = min(found.values(), key=lambda f: f[0])
+        own = found.get(taken or "")
+        return own[1] if own and own[0] - best[0] < policy.as_good else best[1]
+
+    def foreseen(
+        self, runs: Sequence[int], group: frozenset[int], choice: "Choice | None"
+    ) -> dict[tuple[int, ...], float]:
+        """Return the squared decoded errors of the runs of `group` as `runs` foresee them with a choice."""
+        table = choice.table if choice else self.tables[0]
+        at = table.at(choice.key) if choice else NONE
+        train = Split(table.products(runs), table.own)
+        theta = table.solved(train, choice.key) if choice else np.zeros(0)
+        out: dict[tuple[int, ...], float] = {}
+        for unit, own in enumerate(table.t.runs):
+            if not group.isdisjoint(own):
+                out[own] = out.get(own, 0.0) + train.error(table.t.output[unit], at, theta)
+        return out
+
+    @property
+    def spoiled(self) -> frozenset[str]:
+        """Candidates whose readings are not finite."""
+        return frozenset(key for table in self.tables for key in table.t.spoiled)
 
 
 COLUMNS = 400
@@ -149,60 +244,18 @@ def _parts(tried: dict[str, Candidate]) -> Iterator[dict[str, Candidate]]:
     yield part
 
 
-def _scored(
-    t: NormalEquations,
-    tried: dict[str, Candidate],
-    base: Base,
-    runs: Sequence[int],
-    inflation: float,
-    places: dict[str, int],
-) -> list[Score]:
-    """Score candidates from their products."""
-    units = t.units(runs)
-    groups = [units[k::FOLDS] for k in range(min(FOLDS, len(units)))]
-    sums = [t.likelihood[g].sum(axis=0) for g in groups]
-    own = t.span[""].stop
-    total = _Split(np.sum(sums, axis=0), own)
-    folds = [
-        _Fold(_Split(total.M - left_out, own), t.output[g].sum(axis=0), left_out)
-        for g, left_out in zip(groups, sums, strict=True)
-    ]
-    plain = sum(f.train.tested(f.output, NONE)[-1, -1] for f in folds)
-    N = float(t.count[units].sum()) * len(base.model.channels)
-    out = []
-    for key, c in tried.items():
-        if key in t.spoiled:
-            continue
-        at = np.arange(t.span[key].start, t.span[key].stop)
-        products = total.of(at)
-        raw, left = np.diag(total.M)[at], np.diag(products)[:-1]
-        lower, upper = (b[[c.model.names.index(n) for n in c.new]] for b in c.model.bounds)
-        best = np.clip(total.solved(at, raw), lower, upper)
-        v = np.append(-best, 1.0)
-        cost = float(v @ products @ v)
-        ratio, p = _cross_validated(folds, at, raw, (lower, upper), plain, best)
-        size = len(c.new) + c.variant.shapes
-        out.append(
-            Score(
-                effect=c.effect,
-                variant=c.variant,
-                model=c.model,
-                gain=max(total.square - cost, 0.0),
-                size=size,
-                bic=bic(cost, N / inflation, size, N),
-                ratio=ratio,
-                p_value=p,
-                absorbed=bool(np.all(left <= NIL * np.maximum(raw, 1e-300))),
-                place=places[c.effect.name],
-            )
-        )
-    return out
+class Choice(NamedTuple):
+    """A variant of an effect that was chosen, and the products that say so."""
+
+    name: str
+    key: str
+    table: "Table"
 
 
 NONE = np.zeros(0, dtype=int)
 
 
-class _Split:
+class Split:
     """Products over some units, the model's own parameters projected out of the columns asked for."""
 
     def __init__(self, products: np.ndarray, parameters: int) -> None:
@@ -229,6 +282,16 @@ class _Split:
         out[seen] = coefficients(own[pick[:, None], pick], np.arange(len(seen)))
         return out
 
+    def cost(self, at: np.ndarray, theta: np.ndarray) -> float:
+        """Return the squares that are left with the columns `at` times `theta`."""
+        v = np.append(-theta, 1.0)
+        return float(v @ self.of(at) @ v)
+
+    def error(self, M: np.ndarray, at: np.ndarray, theta: np.ndarray) -> float:
+        """Return the squares of other units, of products M, with what these units give."""
+        v = np.append(-theta, 1.0)
+        return float(v @ self.tested(M, at) @ v)
+
     def tested(self, M: np.ndarray, at: np.ndarray) -> np.ndarray:
         """Return the products of other units, with the projection that these units give."""
         pick = np.append(at, len(self.M) - 1)
@@ -237,42 +300,89 @@ class _Split:
         return M[pick[:, None], pick] - across - across.T + P.T @ M[: self.own, : self.own] @ P
 
 
-class _Fold(NamedTuple):
-    """A group of runs left out: products of the others, and of its own in the output and the likelihood."""
+class Table:
+    """Products of candidates and of the model's own parameters, from which any set of runs is scored."""
 
-    train: _Split
-    output: np.ndarray
-    likelihood: np.ndarray
+    def __init__(self, t: NormalEquations, tried: dict[str, Candidate], channels: int) -> None:
+        self.t, self.tried, self.channels = t, tried, channels
+        self.own = t.span[""].stop
+        self.run = np.array([unit[0] for unit in t.runs])
+        self.known: tuple[tuple[int, ...], list[tuple[Split, np.ndarray]]] = ((), [])
+
+    def at(self, key: str) -> np.ndarray:
+        """Return the columns of a candidate."""
+        return np.arange(self.t.span[key].start, self.t.span[key].stop)
+
+    def limits(self, key: str) -> tuple[np.ndarray, ...]:
+        """Return the bounds of the parameters of a candidate."""
+        c = self.tried[key]
+        return tuple(b[[c.model.names.index(n) for n in c.new]] for b in c.model.bounds)
+
+    def folds(self, runs: Sequence[int], count: int = FOLDS) -> list[np.ndarray]:
+        """Return the units of groups of runs that are left out in turn."""
+        units = self.t.units(runs)
+        own = list(dict.fromkeys(self.run[units].tolist()))
+        return [units[np.isin(self.run[units], own[k::count])] for k in range(min(count, len(own)))]
+
+    def products(self, runs: Sequence[int]) -> np.ndarray:
+        """Return the products of all columns over some runs."""
+        return self.t.likelihood[self.t.units(runs)].sum(axis=0)
+
+    def solved(self, train: "Split", key: str) -> np.ndarray:
+        """Return the coefficients of a candidate within its bounds."""
+        at = self.at(key)
+        return np.clip(train.solved(at, np.diag(train.M)[at]), *self.limits(key))
+
+    def ratio(self, key: str, runs: Sequence[int]) -> float:
+        """Return the gap metric with a candidate over that without, cross-validated within some runs."""
+        at, folds = self.at(key), self.split(tuple(runs))
+        squares = sum(train.error(output, at, self.solved(train, key)) for train, output in folds)
+        plain = sum(train.error(output, NONE, np.zeros(0)) for train, output in folds)
+        return float(np.sqrt(squares / max(plain, 1e-300)))
+
+    def split(self, runs: tuple[int, ...]) -> list[tuple["Split", np.ndarray]]:
+        """Return the products of all groups of runs but one, and of that one in the output, for each."""
+        if self.known[0] != runs:
+            groups = self.folds(runs)
+            sums = [self.t.likelihood[g].sum(axis=0) for g in groups]
+            total = np.sum(sums, axis=0)
+            folds = [
+                (Split(total - left_out, self.own), self.t.output[g].sum(axis=0))
+                for g, left_out in zip(groups, sums, strict=True)
+            ]
+            self.known = runs, folds
+        return self.known[1]
+
+    def fast(self, runs: Sequence[int], inflation: float) -> Iterator[tuple[str, Score]]:
+        """Score every candidate on some runs; p-values, places and the cross-validated gap are not set."""
+        total = Split(self.products(runs), self.own)
+        N = float(self.t.count[self.t.units(runs)].sum()) * self.channels
+        square = total.square
+        for key, c in self.tried.items():
+            if key in self.t.spoiled:
+                continue
+            at = self.at(key)
+            raw, left = np.diag(total.M)[at], np.diag(total.of(at))[:-1]
+            cost, size = total.cost(at, self.solved(total, key)), len(c.new) + c.variant.shapes
+            yield (
+                key,
+                Score(
+                    effect=c.effect,
+                    variant=c.variant,
+                    model=c.model,
+                    gain=max(square - cost, 0.0),
+                    size=size,
+                    bic=bic(cost, N / inflation, size, N),
+                    ratio=1.0,
+                    p_value=1.0,
+                    absorbed=bool(np.all(left <= NIL * np.maximum(raw, 1e-300))),
+                ),
+            )
 
 
 def bic(cost: float, effective: float, size: int, N: float) -> float:
     """Return the Bayesian information criterion of squares over N numbers, `effective` independent."""
     return float(effective * np.log(max(cost, 1e-300) / N) + size * np.log(max(effective, 2.0)))
-
-
-def _cross_validated(
-    folds: list[_Fold],
-    at: np.ndarray,
-    raw: np.ndarray,
-    bounds: tuple[np.ndarray, np.ndarray],
-    plain: float,
-    best: np.ndarray,
-) -> tuple[float, float]:
-    """Return the gap metric over that without the effect, and the p-value of its score, both across runs.
-
-    The coefficients come from the other folds, so without an effect the score of a fold has mean 0. Its
-    scatter is that of the residual with the effect fitted (`best`), from fold to fold: it holds for noise
-    that is correlated within a run.
-    """
-    total, scores, noise = 0.0, [], []
-    for train, output, likelihood in folds:
-        theta = np.clip(train.solved(at, raw), *bounds)
-        v = np.append(-theta, 1.0)
-        total += float(v @ train.tested(output, at) @ v)
-        M = train.tested(likelihood, at)
-        scores.append(float(theta @ M[:-1, -1]))
-        noise.append(float(theta @ (M[:-1, -1] - M[:-1, :-1] @ best)))
-    return float(np.sqrt(total / max(plain, 1e-300))), beyond(np.array(scores), np.array(noise))
 
 
 def by_name(ranked: Sequence[Score]) -> list[Score]:

@@ -11,10 +11,12 @@ from hallsym.diagnosis.facts import facts_of
 from hallsym.diagnosis.gap import remains, slow_share, used_up
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.ranking import Exact, bic_of, plain_pairs_first, refitted
+from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.scores import Score, by_name, candidates, scores
+from hallsym.diagnosis.scores import Score, Screen, by_name, candidates
 from hallsym.diagnosis.setup import Setup
+from hallsym.diagnosis.shrinkage import Judged, Nested, Squares, foreseen
 from hallsym.diagnosis.survey import survey
 from hallsym.log.phase import designed
 
@@ -114,10 +116,17 @@ class Selected:
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """The scores of the catalogue beside the model and effects of `at`, best first."""
+    """The scores of the catalogue beside the model and effects of `at`, best first.
+
+    `significance`: that any of the catalogue is there; `top`: its largest statistic with each draw of signs.
+    `colour`: autocorrelation of the residual.
+    """
 
     at: Refitted
     scores: list[Score]
+    significance: Significance
+    top: np.ndarray | None
+    colour: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +134,9 @@ class Selection:
     """What the search selected on the fitted runs.
 
     `start`: the fit without effects; `fit`: with all `effects`. `not_testable`: effect -> why this log cannot
-    show it. `screened`: every screening; `last`: scores of the one that found no further effect.
+    show it. `screened`: every screening; `last`: scores of the one that found no further effect. `nested`:
+    the search without each group of runs. `dropped`: effects that runs other than they were fitted to do not
+    hold.
     """
 
     start: Refitted
@@ -135,6 +146,8 @@ class Selection:
     screened: tuple[Screened, ...]
     last: list[Score]
     runs: list[int]
+    nested: Nested
+    dropped: tuple[Selected, ...] = ()
     refits: dict[tuple[Exact, ...], Refitted] = field(default_factory=dict)
 
     def without(self, effect: Selected) -> Refitted:
@@ -142,9 +155,9 @@ class Selection:
         others = [e.exact for e in self.effects if e is not effect]
         return refit_with(self.start, others, self.runs, self.refits)
 
-    def scores_at(self, base: Base) -> list[Score]:
-        """Return the scores of the catalogue at a fit that was screened; nothing elsewhere."""
-        return next((s.scores for s in self.screened if s.at.base is base), [])
+    def screened_at(self, base: Base) -> Screened | None:
+        """Return the screening of the catalogue at a fit; None where there was none."""
+        return next((s for s in self.screened if s.at.base is base), None)
 
 
 def refit_with(
@@ -180,6 +193,7 @@ def select(setup: Setup) -> Selection:
         search.prune()
     if len(search.found) > 1 and search.reconsider():
         search.grow()
+    search.hold()
     return Selection(
         start=search.start,
         fit=search.now,
@@ -188,6 +202,8 @@ def select(setup: Setup) -> Selection:
         screened=tuple(search.screened),
         last=search.last,
         runs=setup.runs,
+        nested=search.nested,
+        dropped=tuple(search.dropped),
         refits=search.refits,
     )
 
@@ -205,6 +221,8 @@ class _Search:
         self.owner: dict[str, str] = {}
         self.refits: dict[tuple[Exact, ...], Refitted] = {}
         self.last: list[Score] = []
+        self.dropped: list[Selected] = []
+        self.nested = Nested(setup.runs, setup.policy)
 
     def grow(self) -> None:
         """Add effects while they lower the gap metric by the threshold."""
@@ -212,10 +230,15 @@ class _Search:
             beside = f" beside {count}" if count else ""
             self.setup.say(f"testing {len(self.setup.catalogue)} effects{beside}")
             worth = partial(self.worth, beside=count)
-            exact = self.step(self.now, worth)
+            exact, screen = self.step(self.now, worth)
             self.last = self.screened[-1].scores
             if not exact or not worth(exact[0].score):
+                if self.found and self.needed():
+                    self.nested.step(screen, None, self.setup.threshold)
                 break
+            level = self.setup.threshold * (1.0 if count else self.policy.half)
+            self.nested.step(screen, exact[0].score.effect.name, level)
+            del screen
             self.found.append(Selected(exact[0], tuple(exact[1:]), self.now.cost))
             self.now = exact[0].fit
 
@@ -228,23 +251,29 @@ class _Search:
         if beside == self.setup.base.model.family.most_effects:
             return False
         level = self.setup.threshold
-        certain = score.corrected(self.setup.tested) < self.policy.certain
+        certain = score.p_value < self.policy.certain
         if not beside:
             return score.ratio <= 1 - level or (certain and score.ratio <= 1 - self.policy.half * level)
-        floor = self.setup.floor
-        needed = not floor.stated or _gap(self.now) > floor.metric * (1 + self.policy.floor_known)
-        return needed and certain and score.ratio <= 1 - level
+        return self.needed() and certain and score.ratio <= 1 - level
 
-    def step(self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True) -> list[Exact]:
+    def needed(self) -> bool:
+        """Return whether what is left may hold another effect: it is above the floor, or that is unknown."""
+        floor = self.setup.floor
+        return not floor.stated or _gap(self.now) > floor.metric * (1 + self.policy.floor_known)
+
+    def step(
+        self, at: Refitted, worth: Callable[[Score], bool] = lambda _: True
+    ) -> tuple[list[Exact], Screen]:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         found = survey(at.base, frozenset(self.runs))
         facts = facts_of(at.base, found)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
-        ranked, spoiled = scores(at.base, tried, self.runs, self.policy.inflation)
-        self.screened.append(Screened(at, ranked))
+        screen = Screen(at.base, tried, self.runs, self.policy.inflation, colour=found.colour)
+        ranked = screen.scores
+        self.screened.append(Screened(at, ranked, screen.significance, screen.top, found.colour))
         self.not_testable |= {t.name: t.reason for t in trouble}
         not_finite = "its readings are not finite on this log"
-        self.not_testable |= {tried[key].effect.name: not_finite for key in spoiled}
+        self.not_testable |= {tried[key].effect.name: not_finite for key in screen.spoiled}
         if at is self.start:
             absorbed = "the model's own parameters absorb it on this log"
             self.not_testable |= {s.effect.name: absorbed for s in by_name(ranked) if s.absorbed}
@@ -253,7 +282,7 @@ class _Search:
         exact = refitted(at.base, ranked, self.runs, facts, worth, lambda e: self.stands(e, at), self.policy)
         if self.setup.base.model.family.pairs:
             exact = plain_pairs_first(exact, self.setup.catalogue, self.runs, facts, self.policy)
-        return exact
+        return exact, screen
 
     def stands(self, exact: Exact, at: Refitted) -> bool:
         """Return whether a refit keeps what its score promised, and other parameters do not undo it.
@@ -288,11 +317,44 @@ class _Search:
         before = [f.name for f in self.found]
         for k, found in enumerate(self.found[:-1]):  # the last was chosen with the others in place
             without = self.refit(e for e in self.found if e is not found)
-            exact = self.step(without)
+            exact, _ = self.step(without)
             if exact:
                 self.found[k] = Selected(exact[0], tuple(exact[1:]), without.cost)
                 self.now = exact[0].fit
         return [f.name for f in self.found] != before
+
+    def hold(self) -> None:
+        """Drop effects that do not lower the gap of runs that they were not fitted to, the weakest first.
+
+        Of two that resemble each other either may be dispensable and one be needed.
+        """
+        while self.found:
+            with_all = self.judges(self.now)
+            judged = [
+                (self.judged(self.judges(self.refit(e for e in self.found if e is not f)), with_all), f)
+                for f in self.found
+            ]
+            weak = [(j.value, k) for k, (j, f) in enumerate(judged) if not self.held(j, f)]
+            if not weak:
+                return
+            value, k = min(weak)
+            if value > 0:
+                self.dropped.append(self.found[k])
+            self.found = [f for f in self.found if f is not self.found[k]]
+            self.now = self.refit(self.found)
+
+    def held(self, judged: Judged, effect: Selected) -> bool:
+        """Return whether an effect lowers the gap of other runs by no chance, or is certain by its score."""
+        return judged.holds or (judged.value > 0 and effect.exact.score.p_value < self.policy.certain)
+
+    def judges(self, fit: Refitted) -> dict[tuple[int, ...], float]:
+        """Return the squares of the fitted runs, each as the others foresee them."""
+        known = set(self.runs)
+        return {r: v for r, v in foreseen(fit, self.nested.groups).items() if known.issuperset(r)}
+
+    def judged(self, before: Squares, after: Squares) -> Judged:
+        """Return how far the gap of these runs shrinks."""
+        return Judged.of(before, after, self.policy.fewest_judges)
 
     def refit(self, effects: Iterable[Selected]) -> Refitted:
         """Return the fit with some of the effects."""

@@ -67,6 +67,7 @@ class Survey:
 
     `inflation`: variance of a slow average of the residual over that of white noise of the same size.
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
+    `colour`: autocorrelation of the residual at lags 0, 1, ...
     `jitter_s`: rms sampling-instant error that explains residual growing with speed. `stale_share`,
     `spike_share`: share of samples, `one_sided` the mean sign of the stale ones' delay, `smooth` the
     correlation of neighbouring time shifts (0 for jitter), `bursts` the share of spikes and stale samples
@@ -77,6 +78,7 @@ class Survey:
     duration_s: float = 0.0
     variance: float = 1.0
     fast: float = 1.0
+    colour: np.ndarray = field(default_factory=lambda: np.array([1.0, 0.0]))
     inflation: float = 1.0
     jitter_s: float = 0.0
     jitter_power: float = 0.0
@@ -188,6 +190,7 @@ class _Work:
         rho = self.correlation / max(self.correlation[0], 1e-300)
         stop = next((k for k in range(1, LAGS) if rho[k] < UNCORRELATED), LAGS)
         f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
+        f.colour = rho if self.correlation[0] > 0 else f.colour
         if self.shift:
             self._judge_instants()
         f.values = tuple(np.sort(np.fromiter(v, float)) for v in self.values)

@@ -5,27 +5,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, interval
+from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors
 from hallsym.diagnosis.faults import TAILS, Fault, faults, without_tail
 from hallsym.diagnosis.gap import shaped, slow_share
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
-from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.record import SmallerFinding
 from hallsym.diagnosis.refit import Refitted, refit
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Selected, Selection
 from hallsym.diagnosis.setup import Floor, Setup
+from hallsym.diagnosis.shrinkage import Judged, foreseen
 from hallsym.diagnosis.survey import survey
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """An effect that holds, with the fit `without` it and the `errors` of that fit on the holdout runs."""
+    """A selected effect, with the fit `without` it and the `errors` of that fit on the holdout runs.
+
+    `judged`: all effects against those without it, on every run that took no part.
+    """
 
     selected: Selected
     without: Refitted
     errors: BlockErrors
     p_value: float
+    judged: Judged
 
     @property
     def added(self) -> tuple[str, ...]:
@@ -46,7 +50,8 @@ class Validation:
     over what it is now, else None. `variance`: of the fitted samples' whitened residual; `slow`: decrease of
     the metric without what neighbouring samples have in common; `fast`: that of differences of neighbouring
     samples over that of the noise; `inflation`: variance of a slow average over
-    that of white noise.
+    that of white noise; `error`: standard error of the gap of the holdout runs, over itself, by noise of this
+    memory.
     """
 
     start: Refitted
@@ -54,6 +59,7 @@ class Validation:
     fit: Refitted
     effects: tuple[Held, ...]
     dropped: tuple[SmallerFinding, ...]
+    judged: Judged | None
     before: BlockErrors
     after: BlockErrors
     cured: BlockErrors
@@ -68,6 +74,7 @@ class Validation:
     slow: float
     fast: float
     inflation: float
+    error: float
 
     @property
     def base(self) -> Base:
@@ -75,7 +82,7 @@ class Validation:
         return self.fit.base
 
     @property
-    def judged(self) -> Base:
+    def counted(self) -> Base:
         """The same on the samples that the gap counts: all but those that are a fault by themselves."""
         return self.base if self.cured is not self.after else replace(self.base, keep=None)
 
@@ -97,15 +104,18 @@ def validate(setup: Setup, selection: Selection) -> Validation:
     Samples that are a fault by themselves are left out, and the model is refitted without them.
     """
     before = _errors(setup, setup.as_logged(selection.start.base))
-    selection, effects, after, dropped = _holding(setup, selection, before)
+    unchanged = not selection.effects and not setup.miswired
     fit, runs = selection.fit, frozenset(setup.runs)
+    after = before if unchanged else _errors(setup, replace(fit.base, keep=None))
+    effects = tuple(_held(setup, selection, e, before) for e in selection.effects)
     end = fit.base
     whole = survey(replace(end, keep=None), runs)
     kept = survey(end, runs) if end.keep else whole
     found = [f for f in faults(end, whole, setup.tested) if cures(f) >= setup.threshold]
-    floor = _lowered_floor(setup, after, bool(effects), found)
+    gap = block_errors(replace(end, keep=None), setup.runs, setup.log.rows, None).metric
+    floor = _lowered_floor(setup, gap, bool(effects), found)
     rest = lack_of_fit(end, setup.runs)
-    if after.metric <= floor.metric * (1 + setup.policy.floor_known):
+    if gap <= floor.metric * (1 + setup.policy.floor_known):
         found = []
     if shaped(rest, setup.threshold, setup.policy):
         found = _beyond_shapes(found, rest)
@@ -122,7 +132,8 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         end=end,
         fit=fit,
         effects=effects,
-        dropped=dropped,
+        dropped=tuple(_dropped(e) for e in selection.dropped),
+        judged=_judged(setup, selection, selection.start) if effects else None,
         before=before,
         after=after,
         cured=cured,
@@ -137,64 +148,44 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         slow=slow_share(kept.variance, kept.fast),
         fast=float(np.sqrt(kept.fast)),
         inflation=kept.inflation,
+        error=_error(kept.colour, float(after.count.sum()) * len(setup.fit.model.pose)),
     )
+
+
+def _error(colour: np.ndarray, values: float) -> float:
+    """Return the standard error of an rms of so many values, over itself, for noise with a memory."""
+    return float(np.sqrt((1 + 2 * (colour[1:] ** 2).sum()) / (2 * max(values, 1.0))))
 
 
 # -- effects -------------------------------------------------------------------------------------------------
 
 
-def _holding(
-    setup: Setup, selection: Selection, before: BlockErrors
-) -> tuple[Selection, tuple[Held, ...], BlockErrors, tuple[SmallerFinding, ...]]:
-    """Return the effects that hold, the errors with them, and the effects that do not and yet lower the gap.
-
-    An effect holds if the 95 % interval of its shrinkage lies above 0. The weakest is dropped first: of two
-    that resemble each other either may be dispensable and one be needed.
-    """
-    dropped: list[SmallerFinding] = []
-    while True:
-        unchanged = not selection.effects and not setup.miswired
-        after = before if unchanged else _errors(setup, replace(selection.fit.base, keep=None))
-        held = [_held(setup, selection, e, before, after) for e in selection.effects]
-        weak = [h for h in held if interval(h.errors, after)[0] <= 0]
-        if not weak:
-            return selection, tuple(held), after, tuple(dropped)
-        worst = min(weak, key=lambda h: 1 - after.metric / h.errors.metric)
-        shrinkage = 1 - after.metric / worst.errors.metric
-        if shrinkage > 0:
-            dropped.append(SmallerFinding(worst.selected.name, shrinkage, worst.p_value))
-        others = tuple(e for e in selection.effects if e is not worst.selected)
-        selection = replace(selection, effects=others, fit=worst.without)
-
-
-def _held(
-    setup: Setup, selection: Selection, effect: Selected, before: BlockErrors, after: BlockErrors
-) -> Held:
-    """Return an effect beside the fit without it; `after`: errors with all effects.
+def _held(setup: Setup, selection: Selection, effect: Selected, before: BlockErrors) -> Held:
+    """Return an effect beside the fit without it.
 
     The score of an effect whose exact refit leaves far less than its score predicts says how well its tangent
-    fits, not whether the effect is there: the decrease on the holdout runs is tested instead.
+    fits, not whether the effect is there: the decrease on the judging runs is tested instead. One effect
+    alone is judged with the choice repeated without each group of runs.
     """
-    without = selection.without(effect)
-    alone = len(selection.effects) == 1
+    without, alone = selection.without(effect), len(selection.effects) == 1
     errors = before if alone else _errors(setup, replace(without.base, keep=None))
-    p = effect.exact.score.corrected(setup.tested)
+    judged = _judged(setup, selection, without, nested=alone)
+    p = effect.exact.score.p_value
     if effect.exact.fit.cost < setup.policy.bent * effect.first_order:
-        p = min(1.0, decrease_p(errors, after) * setup.tested)
-    return Held(effect, without, errors, p)
+        p = judged.p_value
+    return Held(effect, without, errors, p, judged)
 
 
-def decrease_p(before: BlockErrors, after: BlockErrors) -> float:
-    """Return the p-value of no decrease: the logarithms of the blocks' ratios, by Student's t.
+def _dropped(effect: Selected) -> SmallerFinding:
+    score = effect.exact.score
+    return SmallerFinding(score.effect.name, 1 - score.ratio, score.p_value)
 
-    The holdout runs took part in neither the fit nor the choice, so nothing tried there is to be corrected
-    for.
-    """
-    a, b = before.sums, after.sums
-    if len(a) != len(b):
-        return 1.0
-    seen = (a > 0) & (b > 0)
-    return beyond(np.log(a[seen] / b[seen]))
+
+def _judged(setup: Setup, selection: Selection, without: Refitted, *, nested: bool = True) -> Judged:
+    """Return all effects against the fit `without` some, on runs that took no part."""
+    search, fewest = selection.nested, setup.policy.fewest_judges
+    after = search.after(selection.fit) if nested else foreseen(selection.fit, search.groups)
+    return Judged.of(foreseen(without, search.groups), after, fewest)
 
 
 def _errors(setup: Setup, base: Base) -> BlockErrors:
@@ -209,10 +200,13 @@ def cures(fault: Fault) -> float:
     return 1 - float(np.sqrt(max(1 - fault.power, 0.0)))
 
 
-def _lowered_floor(setup: Setup, after: BlockErrors, explained: bool, found: Sequence[Fault]) -> Floor:
-    """Lower an estimated floor to what effects, or few steps of CORDIC, leave: it held a part of the gap."""
+def _lowered_floor(setup: Setup, gap: float, explained: bool, found: Sequence[Fault]) -> Floor:
+    """Lower an estimated floor to what effects, or few steps of CORDIC, leave: it held a part of the gap.
+
+    `gap`: with the effects, on all samples of the fitted runs.
+    """
     chip = sum(f.power for f in found if f.name == "cordic_steps")  # an error of each angle, no noise
-    least = after.metric * float(np.sqrt(max(1 - chip, 1e-6)))
+    least = gap * float(np.sqrt(max(1 - chip, 1e-6)))
     floor = setup.floor
     if floor.stated or not (explained or chip) or least * (1 + setup.policy.unstructured) >= floor.metric:
         return floor

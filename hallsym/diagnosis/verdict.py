@@ -27,15 +27,17 @@ def decide(
     one of them, or its parameters ended at their bounds, the machine behaves like it, and the cause is not
     known.
 
-    What is named must lower the gap by the threshold. A residual that is a gap by itself (`gap.remains`)
-    makes the verdict "unexplained", unless what is named closes nearly all of the excess above the noise
-    floor, or the excess is `noise` (of the model with what was found): then nothing is left to explain, and
-    without a name the noise is larger than stated.
+    What is named must lower the gap by the threshold, and be certain by a score or hold on all judging runs.
+    A residual that is a gap by itself (`gap.remains`) makes the verdict "unexplained", unless what is named
+    closes nearly all of the excess above the noise floor, or the excess is `noise` (of the model with what
+    was found): then nothing is left to explain, and without a name the noise is larger than stated.
     """
-    named = found.named and 1 - found.metric / found.before.metric >= setup.threshold
+    judged, certain = found.judged, setup.policy.certain
+    held = judged is None or judged.holds or min(e.p_value for e in found.effects) < certain
+    named = found.named and held and 1 - found.metric / found.before.metric >= setup.threshold
     base, metric = (found.base, found.metric) if named else (found.start.base, found.before.metric)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
-    gap = remains(rest, found.slow, metric, found.floor, setup.threshold, setup.policy)
+    gap = remains(rest, found.slow, metric, found.floor, setup.threshold, setup.policy, found.error)
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = gap and not loud
     if not named:

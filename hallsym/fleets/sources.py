@@ -87,8 +87,8 @@ def _table(path: Path) -> list[Device] | None:
     if LOG_COLUMN not in known:
         return None
     columns = _columns(path, source)
-    logs = [str(value) for value in columns[LOG_COLUMN]]
-    names = [str(v) for v in columns.get(DEVICE_COLUMN, [])] or [_name(Path(log)) for log in logs]
+    logs = [_text(value) for value in columns[LOG_COLUMN]]
+    names = [_text(value) for value in columns.get(DEVICE_COLUMN, [])] or [_name(Path(log)) for log in logs]
     order = columns.get(ORDER_COLUMN, list(range(len(logs))))
     others = [c for c in columns if c not in (LOG_COLUMN, DEVICE_COLUMN, ORDER_COLUMN)]
     out = []
@@ -104,6 +104,10 @@ def _table(path: Path) -> list[Device] | None:
         where = log if Path(log).is_absolute() or "://" in log else str(path.parent / log)
         out.append(Device(name, where, place, {c: columns[c][k] for c in others}))
     return out
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else str(value).strip()
 
 
 def _columns(path: Path, source: Any) -> dict[str, list[Any]]:

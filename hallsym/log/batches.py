@@ -50,6 +50,24 @@ class Batch:
             blocks = tuple(Block(b.run, {c: v[i:j] for c, v in data.items()}) for b, i, j in inside)
             yield Batch(blocks, data, (0, *(stop for *_, stop in inside))), part
 
+    def cut(self, length: int, seen: int = 0) -> "Batch":
+        """Return the same samples in blocks that end at every `length` samples of a run.
+
+        `seen`: samples of the first block's run that lie before this batch.
+        """
+        blocks: list[Block] = []
+        edges, run = [0], None
+        for block, part in self.parts():
+            if block.run != run:
+                seen, run = (seen if run is None else 0), block.run
+            n = part.stop - part.start
+            stops = [*range(length - seen % length, n, length), n]
+            for low, high in zip([0, *stops], stops, strict=False):
+                blocks.append(Block(run, {c: v[low:high] for c, v in block.data.items()}))
+                edges.append(part.start + high)
+            seen += n
+        return Batch(tuple(blocks), self.data, tuple(edges))
+
     def groups(self, most: int) -> Iterator[tuple[int, int]]:
         """Yield first and last (exclusive) block of groups of at most `most`, all of nearly one length."""
         lengths = np.diff(self.edges)

@@ -147,6 +147,11 @@ def extended(
     return ExtendedLog(log, [c.at(values) if c.at and values else c for c in model.computed], known)
 
 
+def share_windows(log: Log, other: Log) -> None:
+    """Smooth the columns of `other`, the same log with other noise, with the windows of `log`."""
+    _HALVES[other] = _HALVES.setdefault(log, {})
+
+
 def _finite(values: np.ndarray) -> np.ndarray:
     values = np.asarray(values, dtype=float)
     return values if np.isfinite(values).all() else np.nan_to_num(values, posinf=0.0, neginf=0.0)

@@ -46,6 +46,7 @@ def read_log(
     delimiter: str | None = None,
     decimal: str | None = None,
     sheet: str | None = None,
+    clock: str | None = None,
     drop_bad: bool = False,
     noise: Mapping[str, float] | None = None,
     counts_per_turn: float | None = None,
@@ -61,12 +62,18 @@ def read_log(
     noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
     `counts_per_turn`: of angles in counts (`{"angle_count": "raw"}`); it wins in the same way.
     Of a text file delimiter and decimal sign are recognised; `delimiter` ("tab" and "blank" are words for
-    them) and `decimal` state them. `sheet`: of a workbook that has several.
+    them) and `decimal` state them. `sheet`: of a workbook that has several. `clock`: of a file whose channel
+    groups (TDMS, MDF, MCAP) have several, "Hall:linear": whose samples become the rows, and how channels of
+    other groups are read there, linear or nearest.
     `remembered`: columns as an earlier log was mapped (`Fit.columns`); those that this file has, and that
     nothing else gives, are read under the same names, and a note says so.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
-    file, folder, source = open_source(path, format=format, delimiter=delimiter, decimal=decimal, sheet=sheet)
+    file, folder, source = open_source(
+        path, format=format, delimiter=delimiter, decimal=decimal, sheet=sheet, clock=clock
+    )
+    if source.unstated:
+        raise InputError(source.unstated)
     where = "The table" if file is None else quoted(file)
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()

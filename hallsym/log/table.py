@@ -26,7 +26,7 @@ class Source(ABC):
     `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
     name. `aliases`: short names by long name, a path in a struct or a group. `units`: what the file states
     beside a name, by name (`hallsym.units`). `notes`: what has to be said about the file; `recognised`: what
-    it is, where that had to be found out.
+    it is, where that had to be found out. `unstated`: what has to be stated before samples are read together.
     """
 
     names: tuple[str, ...]
@@ -37,6 +37,7 @@ class Source(ABC):
     units: Mapping[str, str] = {}
     recognised: str = ""
     notes: tuple[str, ...] = ()
+    unstated: str = ""
 
     def count(self) -> int:
         """Return the number of rows."""

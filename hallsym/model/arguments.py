@@ -36,6 +36,7 @@ class Facts:
     instants: tuple[tuple[int, float], ...] = ()
     instants_tried: int = 1
     on_runs: tuple[int, ...] = ()
+    on_runs_tried: int = 1
 
 
 def example_facts(model: Model) -> Facts:

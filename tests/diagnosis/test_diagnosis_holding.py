@@ -4,17 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_diagnosis_rotary import HELD, machine, third
 
 from hallsym.diagnosis import (
-    BlockErrors,
+    Judged,
     coordinates,
-    decrease_p,
     diagnose,
     examine,
-    interval,
+    foreseen,
     prepare,
     refit,
     residual_table,
+    select,
     with_model,
 )
 from hallsym.families import effects
@@ -36,19 +37,43 @@ def turn(seed=1, pattern=0.0, noise=1e-3, size=200, zero=0.0):
     return Log.from_arrays(columns, name="a knot table")
 
 
-def blocks(sums):
-    sums = np.asarray(sums, dtype=float)
-    return BlockErrors(("angle_rad",), np.ones(1), np.full(len(sums), 10.0), sums[:, None], np.ones(1))
+def judged(before, after, fewest=6):
+    return Judged(np.asarray(before, dtype=float), np.asarray(after, dtype=float), fewest)
 
 
 def test_a_decrease_by_chance_is_uniform_and_a_real_one_is_certain():
     rng = np.random.default_rng(0)
-    draws = rng.chisquare(10, (2, 2000, 10))
-    p = np.array([decrease_p(blocks(a), blocks(b)) for a, b in draws.swapaxes(0, 1)])
+    draws = rng.chisquare(30, (2, 2000, 20))
+    p = np.array([judged(a, b).p_value for a, b in draws.swapaxes(0, 1)])
     for level in (0.05, 0.5):
         assert np.mean(p < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 2000))
-    size = rng.uniform(1.0, 20.0, 10)  # a strong effect that differs from block to block
-    assert decrease_p(blocks(size * draws[0, 0]), blocks(1e-2 * draws[1, 0])) < 1e-5
+    size = rng.uniform(1.0, 20.0, 20)  # a strong effect that differs from run to run
+    assert judged(size * draws[0, 0], 1e-2 * draws[1, 0]).p_value < 1e-5
+
+
+@pytest.mark.parametrize("runs", [12, 40])
+def test_the_interval_holds_new_recordings_of_as_many_runs(runs):
+    """A gap of 1.3 times the noise, other motion in every run: 95 % of new shrinkages lie within."""
+    rng = np.random.default_rng(runs)
+
+    def recording():
+        gap = rng.uniform(0.3, 1.1, runs)
+        return np.array([gap + rng.chisquare(200, runs) / 200, rng.chisquare(200, runs) / 200])
+
+    held = 0
+    for _ in range(1000):
+        low, high = judged(*recording()).interval()
+        held += low < judged(*recording()).value < high
+    assert held / 1000 == pytest.approx(0.95, abs=0.025)
+
+
+def test_few_judges_give_no_interval_and_a_repair_scales_it():
+    before, after = np.arange(10.0, 16.0), np.arange(10.0, 4.0, -1.0)
+    assert judged(before[:5], after[:5]).interval() is None
+    one, half = judged(before, after), judged(before, after).interval(0.5)
+    low, high = one.interval()
+    assert half == pytest.approx((1 - 0.5 * (1 - low), 1 - 0.5 * (1 - high)))
+    assert low < one.value < high
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3))])
@@ -87,6 +112,34 @@ def test_a_turn_goes_on_from_piece_to_piece(zero):
 
 def test_an_interval_around_nothing_contains_it():
     rng = np.random.default_rng(5)
-    a, b = rng.chisquare(10, (2, 12))
-    low, high = interval(blocks(a), blocks(b))
+    low, high = judged(*rng.chisquare(10, (2, 12))).interval()
     assert low < 0 < high
+
+
+def test_the_search_is_repeated_without_each_group_of_runs():
+    """All groups of a clear effect take the same path, and each run is judged by the others."""
+    log = machine(third)
+    setup = prepare(log, "ellipse")
+    found = select(setup)
+    assert found.nested.same == set(range(len(setup.runs)))
+    squares = found.nested.after(found.fit)
+    assert set(squares) == {(r,) for r in log.runs}
+    held = [k for k, runs in enumerate(found.fit.tangents.runs) if runs[0] in setup.holdout]
+    for k in held:
+        assert squares[found.fit.tangents.runs[k]] == found.fit.output[k]
+    own = foreseen(found.fit, [frozenset({r}) for r in setup.runs])
+    for k in found.fit.fitted:  # a run that was left out is foreseen worse than it was fitted
+        assert own[found.fit.tangents.runs[k]] > 0.999 * found.fit.output[k]
+
+
+def test_held_out_runs_take_no_part_in_the_choice():
+    """The same fitted runs choose the same, whatever the holdout runs hold."""
+    log = machine(third)
+    columns = {c: log.array(c) for c in log.columns}
+    spoiled = np.isin(columns["run"], HELD)
+    worse = columns | {"v_sin_v": columns["v_sin_v"] + spoiled * 5e-3 * np.cos(7 * columns["angle_ref_rad"])}
+    one, other = (
+        select(prepare(Log.from_arrays(c, log.noise, log.meta), "ellipse")) for c in (columns, worse)
+    )
+    assert [e.name for e in one.effects] == [e.name for e in other.effects] == ["third_harmonic_distortion"]
+    assert one.fit.base.p == pytest.approx(other.fit.base.p, rel=1e-9)

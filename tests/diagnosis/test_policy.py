@@ -32,6 +32,7 @@ from hallsym.diagnosis import (
     Selected,
     Shape,
     alternatives,
+    cancelled,
     compare,
     confusable,
     decide,
@@ -40,6 +41,7 @@ from hallsym.diagnosis import (
     ordered,
     prepare,
     rails_of,
+    refit,
     remains,
     resemblances,
     select,
@@ -47,9 +49,10 @@ from hallsym.diagnosis import (
     smaller_findings,
     used_up,
     validate,
+    with_model,
 )
 from hallsym.errors import InputError
-from hallsym.families import build
+from hallsym.families import build, effect_named
 from hallsym.log import Log
 
 CONFUSABLE, FLEXIBLE, RANKING = (
@@ -120,7 +123,7 @@ def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
     end = object()
     return SimpleNamespace(
         named=True, metric=after, before=SimpleNamespace(metric=4e-6), base=end, end=end, rest=rest,
-        start=None, slow=0.0, floor=FLOOR, effects=(),
+        start=None, slow=0.0, floor=FLOOR, effects=(), judged=None,
     )  # fmt: skip
 
 
@@ -248,7 +251,7 @@ def test_smaller_findings_are_certain_and_below_the_threshold():
         variant = SimpleNamespace(tried=1)
         return Score(SimpleNamespace(name=name), variant, None, 1.0, 1, 0.0, 1 - shrinkage, p)
 
-    last = [scored("real", 0.03, 1e-6), scored("chance", 0.03, 1e-3), scored("large", 0.08, 1e-6)]
+    last = [scored("real", 0.03, 1e-6), scored("chance", 0.03, 0.02), scored("large", 0.08, 1e-6)]
     last.append(scored("tiny", 0.004, 1e-6))
     setup = SimpleNamespace(tested=20, threshold=LEVEL, policy=POLICY)
     selection, found = SimpleNamespace(last=last), SimpleNamespace(effects=(), dropped=())
@@ -363,9 +366,24 @@ def test_a_flexible_effect_stays_where_a_second_one_beside_it_leaves_far_less(mo
 
 
 def test_an_effect_that_other_parameters_undo_is_rejected():
-    kept, off = without(table(LIKE_A_TABLE), "rotary", cancelling=np.inf)
-    assert "even_nonlinearity" not in [e.name for e in kept.effects]
-    assert "even_nonlinearity" in [e.name for e in off.effects]
+    """A square and a fourth power beside a cubic and a quintic: they grow until they undo each other."""
+    setup = prepare(table(LIKE_A_TABLE), "rotary")
+    fits, owner = [refit(setup.base, setup.runs)], {}
+    for name in ("odd_nonlinearity", "even_nonlinearity"):
+        at = fits[-1].base
+        wide = effect_named(name, at.model).added(at.model, name)
+        owner |= dict.fromkeys((n for n in wide.names if n not in at.model.names), name)
+        fits.append(refit(with_model(at, wide), setup.runs))
+    start, beside, fit = fits
+    assert cancelled(fit, beside, start, owner, POLICY.cancelling)
+    assert not cancelled(fit, beside, start, owner, np.inf)
+
+
+def test_few_runs_judge_without_an_interval():
+    few = diagnose(machine(third), "ellipse", policy=replace(POLICY, fewest_judges=9))
+    enough = diagnose(machine(third), "ellipse")
+    assert (few.shrinkage.interval, few.shrinkage.judges) == (None, 8)
+    assert enough.shrinkage.interval[0] < enough.shrinkage.value < enough.shrinkage.interval[1]
 
 
 def test_an_effect_that_leaves_its_shape_behind_is_no_cause():

@@ -265,15 +265,16 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(broken, monkeypatch):
             hallsym.fleet(folder, "rotary", scheduler=address)
 
 
-def test_logs_of_another_model_are_rows_that_say_so(broken, tmp_path):
+def test_a_log_of_another_model_is_a_row_that_says_so(broken, tmp_path):
     folder, *_ = broken
-    other = recorded(truths(1)[0], 1)
-    angle = np.arctan2(other.pop("v_sin_v"), other.pop("v_cos_v"))
-    write_log({**other, "angle_rad": angle}, tmp_path / "angle.parquet")
-    found = hallsym.fleet(
-        [folder / "dev0.parquet", folder / "dev1.parquet", tmp_path / "angle.parquet"], workers=1
-    )
-    assert [row["verdict"] for row in found.rows[:2]] == ["good", "good"]
+    other = tmp_path / "odd"
+    other.mkdir()
+    (other / "log.parquet").write_bytes((folder / "dev2.parquet").read_bytes())
+    (other / "meta.json").write_text('{"base_model": "rotary_meng"}')
+    found = hallsym.fleet([folder / "dev0.parquet", folder / "dev1.parquet", other], workers=1)
+    assert [row["verdict"] for row in found.rows] == ["good", "good", "failed"]
+    assert "model rotary_meng" in found.rows[2]["reason"]
+    assert found.rows[2]["device"] == "odd"
 
 
 def test_devices_are_in_the_order_of_their_numbers(tmp_path):

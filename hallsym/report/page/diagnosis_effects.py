@@ -21,11 +21,7 @@ def effects_section(d: Diagnosis) -> Markup:
 
 
 def _ranking(d: Diagnosis) -> Markup:
-    rows = [
-        (e.name, e.shrinkage, e.interval if all(map(math.isfinite, e.interval)) else None)
-        for e in d.effects
-        if math.isfinite(e.shrinkage)
-    ]
+    rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
     if not rows:
         return Markup("")
     return tag(

@@ -17,7 +17,7 @@ from hallsym.report.page.html import Markup, facts, items, join, table, tag
 from hallsym.report.page.page import Section, document
 from hallsym.report.page.series import all_series
 from hallsym.report.tables import concise
-from hallsym.report.text.diagnosis import noise_name, units_of
+from hallsym.report.text.diagnosis import noise_name, significance_text, units_of
 from hallsym.report.words import MINUS
 
 
@@ -73,6 +73,7 @@ def _input(d: Diagnosis) -> Markup:
             ("noise floor", f"{parts.each(d.noise_floor.outputs)}; {d.noise_floor.source}"),
             (noise_name(d), noise_text(d.noise, d.noise_floor.source == "stated") if d.noise else None),
             ("worth reporting", f"a decrease of the gap by at least {100 * d.threshold:g} %"),
+            ("any effect", f"p {significance_text(d.significance)}" if d.significance else None),
         ]
     )
 

@@ -20,9 +20,9 @@ def percent(value: float, digits: int = 1) -> str:
     return "" if not math.isfinite(value) else f"{100 * value:.{digits}f} %".replace("-", MINUS)
 
 
-def with_interval(value: float, interval: tuple[float, float]) -> str:
+def with_interval(value: float, interval: tuple[float, float] | None) -> str:
     """Return a share and its interval in per cent: `61.0 % (57.0 to 64.0)`; of each what exists."""
-    if not all(map(math.isfinite, (value, *interval))):
+    if interval is None or not all(map(math.isfinite, (value, *interval))):
         return percent(value)
     return f"{100 * value:.1f} % ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})".replace("-", MINUS)
 

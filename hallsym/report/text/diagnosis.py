@@ -12,6 +12,7 @@ from hallsym.diagnosis import (
     Estimate,
     FoundEffect,
     Separation,
+    Significance,
     Statement,
     Unexplained,
     degrees_of,
@@ -26,6 +27,8 @@ MUCH = 1e3
 WIDTH = 110
 MOST = 10
 """Statements on where a gap lies that are printed at most."""
+FEW_UNITS = 8
+"""Units of a test by signs below which the least p-value they can give is said: 2 / 2^8 is 0.008."""
 LEAST_P = 1e-6
 """P-values below this are only said to be below it: no test is better than its assumptions."""
 UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "s": (1e3, "ms"), "m/s": (1e6, "um/s"), "1": (1.0, ""),
@@ -98,8 +101,20 @@ def _basis(d: Diagnosis) -> str:
         f"verdict: {d.verdict}. Model {d.model}; errors are on "
         f"{counted(len(d.validation_runs), d.held_out)}, which took part in neither the fit nor the "
         f"choice of effects; a decrease of {100 * d.threshold:g} % is worth reporting; the noise floor is "
-        f"{d.noise_floor.source}; {d.seconds:.1f} s."
+        f"{d.noise_floor.source}; {_any_effect(d)}{d.seconds:.1f} s."
     )
+
+
+def _any_effect(d: Diagnosis) -> str:
+    """Return the p-value that any effect is there, and the least possible one where units are few."""
+    s = d.significance
+    return f"any effect of the catalogue: p {significance_text(s)}; " if s else ""
+
+
+def significance_text(s: Significance) -> str:
+    """Return a p-value with what it rests on: `= 0.3 (46 runs)`, with the least possible one of few units."""
+    least = f", {p_text(s.least)} at least" if s.units < FEW_UNITS else ""
+    return f"= {p_text(s.p_value)} ({counted(s.units, s.unit)}{least})"
 
 
 def _errors(d: Diagnosis) -> str:
@@ -153,8 +168,7 @@ def effect_text(effects: tuple[FoundEffect, ...]) -> str:
     """Return the table of effects, best first."""
     rows = [["effect", "link", "gap shrinks by (95 %)", "share of excess", "p"]]
     for e in effects:
-        low, high = e.interval
-        shrinks = f"{100 * e.shrinkage:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+        shrinks = f"{100 * e.shrinkage:.1f} %" + ("" if e.interval is None else f" ({_ends(e.interval)})")
         rows.append([e.name, e.link, shrinks, f"{100 * e.share:.0f} %", p_text(e.p_value)])
     return grid(rows, left=2)
 
@@ -180,12 +194,20 @@ def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> str:
 
 
 def _shrinks(d: Diagnosis) -> str:
-    low, high = d.shrinkage.interval
+    s = d.shrinkage
+    judges = f"{counted(s.judges, 'run')} that took no part" if s.judges else f"{d.held_out}s"
+    few = f"no interval: too few {judges} judge" if s.judges else "no interval"
+    known = few if s.interval is None else f"95 % of recordings like it: {_ends(s.interval)}; {judges}"
     return (
-        f"The gap shrinks by {100 * d.shrinkage.value:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f}); "
+        f"The gap shrinks by {100 * s.value:.1f} % ({known}); "
         f"{100 * d.shrinkage.share_closed:.0f} % of the excess above the noise floor is closed, with "
         f"{counted(d.shrinkage.parameters_added, 'parameter')} more."
     )
+
+
+def _ends(interval: tuple[float, float]) -> str:
+    low, high = interval
+    return f"{100 * low:.1f} to {100 * high:.1f}"
 
 
 def separation_text(s: Separation) -> str:

@@ -10,7 +10,8 @@ from hallsym.model.arguments import Try, found, one_of
 def switched(model: Model, facts: Facts) -> list[Try]:
     """Return the runs in which an external field may have been on."""
     listed = ", ".join(map(str, facts.on_runs))
-    return [Try({"runs": facts.on_runs}, f"on in runs {listed}", shapes=1)] if facts.on_runs else []
+    one = Try({"runs": facts.on_runs}, f"on in runs {listed}", shapes=1, tried=facts.on_runs_tried)
+    return [one] if facts.on_runs else []
 
 
 @effect(link="field", waves=(1,), separate=Way("a run without the mover", "the field from outside stays"))

@@ -61,7 +61,8 @@ def field_saturation(model: Model) -> Model:
 def switched(model: Model, facts: Facts) -> list[Try]:
     """Return the runs in which an external field may have been on."""
     listed = ", ".join(map(str, facts.on_runs))
-    return [Try({"runs": facts.on_runs}, f"on in runs {listed}", shapes=1)] if facts.on_runs else []
+    one = Try({"runs": facts.on_runs}, f"on in runs {listed}", shapes=1, tried=facts.on_runs_tried)
+    return [one] if facts.on_runs else []
 
 
 @effect(link="field", separate=MAGNET, waves=(1,))

@@ -1,0 +1,168 @@
+"""What a candidate's columns and the residual have in common because both hold the noise of the references.
+
+The columns of an effect are functions of the logged pose, and so is the residual. Noise of the pose moves
+both, so their product has a mean that no effect made: a score that says so much of every log is no evidence.
+It is measured: every reference is moved by noise of its size and of the residual's colour, and derived
+columns with it; the product of what that changes is expected to be the bias. Colour matters to derived
+columns only: an acceleration goes with coloured noise otherwise than with white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.signal.windows import parzen
+
+from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
+from hallsym.diagnosis.residuals import Base
+from hallsym.estimation.decoding import columns_of
+from hallsym.log import Block
+from hallsym.log.batches import Batch, batches, is_held
+from hallsym.log.derived import extended, share_windows
+from hallsym.model import Model
+
+SAMPLES = 8_000
+"""Samples that are moved; of a longer log one of so many.
+
+The bias is a few standard deviations of a score at most, and this many samples tell it to about 1 %."""
+
+
+WHITE = np.array([1.0, 0.0])
+"""Autocorrelation of white noise."""
+
+
+class _Moved:
+    """A log with some columns moved by noise of standard deviation `sizes`; `colour`: autocorrelation."""
+
+    def __init__(self, log: Any, sizes: Mapping[str, float], colour: np.ndarray) -> None:
+        self.log, self.sizes, n = log, sizes, len(colour)
+        tapered = colour * parzen(2 * n - 1)[n - 1 :]
+        spectrum = np.maximum(np.fft.rfft(np.append(tapered, tapered[:0:-1])).real, 0.0)
+        weights = np.fft.fftshift(np.fft.irfft(np.sqrt(spectrum), 2 * n - 1))
+        self.weights = weights / np.sqrt((weights**2).sum())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.log, name)
+
+    @property
+    def source(self) -> _Moved:
+        return self
+
+    def blocks(self, columns: Sequence[str] | None = None, size: int = 1 << 16) -> Iterator[Block]:
+        rng, wanted = np.random.default_rng(0), self.log.columns if columns is None else columns
+        known = (b for batch in batches(self.log, wanted) for b in batch.blocks)
+        for block in known if is_held(self.log) else self.log.blocks(wanted, size):
+            data = dict(block.data)
+            n = len(next(iter(data.values()))) + len(self.weights) - 1
+            for column, by in self.sizes.items():
+                signs = rng.integers(0, 2, n) * 2.0 - 1.0
+                if column in data:
+                    data[column] = data[column] + by * np.convolve(signs, self.weights, "valid")
+            yield Block(block.run, data)
+
+
+def with_noise(base: Base, colour: np.ndarray = WHITE) -> Base | None:
+    """Return `base` with its references moved by noise of their size; None where they have none.
+
+    `colour`: autocorrelation of the noise at lags 0, 1, ...
+    """
+    model = base.model
+    columns = (*model.references, *model.state)
+    sizes = {c: s for c in columns if c in base.log.columns and (s := base.sigma.get(c, 0.0)) > 0}
+    if not sizes:
+        return None
+    log = _Moved(base.log, sizes, colour)
+    share_windows(base.log, log)  # type: ignore[arg-type]
+    return replace(base, log=log)  # type: ignore[arg-type]
+
+
+def shared_noise(
+    base: Base,
+    candidates: Mapping[str, tuple[Model, Sequence[str]]],
+    length: int | None,
+    colour: np.ndarray = WHITE,
+) -> dict[tuple[int, int], np.ndarray]:
+    """Return (run, stretch) -> what noise alone makes of the whitened products with the residual, (columns,).
+
+    Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
+    `colour`: autocorrelation of the residual at lags 0, 1, ...
+    """
+    model = base.model
+    noisy = with_noise(base, colour)
+    slopes = Slopes(model, base.p, candidates)
+    if noisy is None or not slopes.columns:
+        return {}
+    wide = model
+    for other, _ in candidates.values():
+        wide = wide.with_columns(*other.computed)
+    wanted = tuple(
+        dict.fromkeys(c for m in (model, *(m for m, _ in candidates.values())) for c in columns_of(m))
+    )
+    read, precision = reading_and_derivatives(model), np.linalg.inv(base.covariance)
+    n, K = len(base.free), len(model.channels)
+    every = max(1, base.log.rows // SAMPLES)
+
+    def batches_of(log: Any) -> Iterator[Batch]:
+        return batches(extended(log, wide, base.sigma, base.values), wanted)
+
+    def columns_at(
+        batch: Batch, weights: np.ndarray | None
+    ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+        """Own columns (n, K, samples), rows of the candidates, and the residual (K, samples)."""
+        zeros = base.zeros_of(batch)
+        pose, state = batch.columns(model.references), batch.columns(model.state)
+        reading, slope, *_ = read(base.p, zeros, pose, state)
+        own = slope.reshape(-1, K, len(batch))[list(base.free)]
+        residual = np.array(batch.columns(model.channels)) - reading
+        if weights is not None:
+            own, residual = own * np.sqrt(weights), residual * np.sqrt(weights)
+        return own, slopes.rows(batch, zeros, weights), residual
+
+    sums: dict[tuple[int, int], np.ndarray] = {}
+    moved = batches_of(noisy.log)
+    seen: dict[int, int] = {}
+    for down, up in zip(batches_of(base.log), moved, strict=True):
+        weights = down.weights(base.keep)
+        own, rows, residual = columns_at(_thinned(up, every), None if weights is None else weights[::every])
+        own2, rows2, residual2 = columns_at(
+            _thinned(down, every), None if weights is None else weights[::every]
+        )
+        change = precision @ (residual - residual2)
+        products = np.zeros((n + slopes.columns, change.shape[1]))
+        products[:n] = np.einsum("cks,ks->cs", own - own2, change)
+        for k, column in enumerate(slopes.column):
+            products[n + column] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
+        keys, first, counts = _stretches(up, seen, length)
+        low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
+        high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])
+        parts = np.add.reduceat(products, low, axis=1) * (np.array(counts) / np.maximum(high - low, 1))
+        for key, own_part in zip(keys, parts.T, strict=True):
+            sums[key] = sums.get(key, 0.0) + own_part
+    return sums
+
+
+def _thinned(batch: Batch, every: int) -> Batch:
+    """Every so many samples of a batch."""
+    data = {c: v[::every] for c, v in batch.data.items()}
+    return Batch(batch.blocks, data, tuple(-(-edge // every) for edge in batch.edges))
+
+
+def _stretches(
+    batch: Batch, seen: dict[int, int], length: int | None
+) -> tuple[list[tuple[int, int]], list[int], list[int]]:
+    """Return (run, stretch), first sample and number of samples of each stretch of a batch.
+
+    `seen`: samples of each run before the batch; it is brought up to date.
+    """
+    whole = batch if length is None else batch.cut(length, seen.get(batch.blocks[0].run, 0))
+    keys, first, counts = list[tuple[int, int]](), list[int](), list[int]()
+    for block, part in whole.parts():
+        done = seen.get(block.run, 0)
+        keys.append((block.run, done // length if length else 0))
+        first.append(part.start)
+        counts.append(part.stop - part.start)
+        seen[block.run] = done + counts[-1]
+    return keys, first, counts

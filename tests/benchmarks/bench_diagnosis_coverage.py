@@ -1,0 +1,119 @@
+"""Does the stated 95 % interval of the shrinkage hold on runs that nobody has seen?
+
+    python tests/benchmarks/bench_diagnosis_coverage.py --gaps 40
+    python tests/benchmarks/bench_diagnosis_coverage.py --quick
+
+Each gap is one effect that the model lacks, at 1.07 to 3 times the noise floor. The machine is diagnosed;
+then the model before and the model after decode a fresh campaign of the same kind, and the shrinkage there is
+held against the interval. `overclaim`: stated less fresh shrinkage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from time import process_time
+
+import numpy as np
+from _noisy_logs import log_of
+
+from hallsym.diagnosis import block_errors, examine, prepare
+from hallsym.diagnosis.normal_equations import normal_equations
+from hallsym.families import build, effect_named
+
+GAPS = (
+    ("stage", "even_nonlinearity", 1e-2),
+    ("stage", "odd_nonlinearity", 1e-2),
+    ("stage", "time_skew", 1e-4),
+    ("rotary", "third_harmonic_distortion", 1e-3),
+    ("rotary", "time_skew", 1e-5),
+    ("rotary", "magnet_tilt", 1e-3),
+)
+MODELS = {"stage": "stage31", "rotary": "ellipse"}
+TIMES = (1.07, 1.15, 1.3, 1.6, 2.0, 3.0)
+RUNS = (12, 24, 57)
+NOISE = ("white", "ar3")
+
+
+def sized(machine: str, effect: str, start: float, runs: int, seed: int, times: float):
+    """The effect's parameters that leave so many times the floor, found by two trials without noise kinds."""
+    base = build(MODELS[machine])
+    make = lambda model: effect_named(effect, model).added(model, effect)  # noqa: E731
+    wide = make(base)
+    rng = np.random.default_rng(seed)
+    signs = {
+        p.name: rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.0)
+        for p in wide.parameters
+        if p.name not in base.names
+    }
+    size = start
+    for _ in range(2):
+        log = log_of(
+            machine, "white", runs, seed, make=make, parameters={n: size * s for n, s in signs.items()}
+        )
+        setup = prepare(log)
+        errors = block_errors(setup.base, setup.base.log.runs, setup.log.rows, None)
+        excess = np.sqrt(max((errors.metric / setup.floor.metric) ** 2 - 1, 1e-4))
+        size *= np.sqrt(times**2 - 1) / excess
+    return make, {n: size * s for n, s in signs.items()}
+
+
+def shrinkage_on(log, before, after) -> float:
+    """Shrinkage of the gap on fresh runs; their zeros are their own."""
+    metric = []
+    for base in (before, after):
+        zeros = dict.fromkeys(log.runs, np.zeros(len(base.model.zeros)))
+        there = replace(base, log=log, zeros=zeros, keep=None, holdout=frozenset())
+        t = normal_equations(there)
+        metric.append(np.sqrt(t.output[:, -1, -1].sum()))
+    return 1 - metric[1] / metric[0]
+
+
+def tried(machine, effect, start, times, runs, kind, seed) -> dict | None:
+    """Diagnose one gap; None where nothing was named."""
+    make, parameters = sized(machine, effect, start, runs, seed, times)
+    began = process_time()
+    found = examine(prepare(log_of(machine, kind, runs, seed, make=make, parameters=parameters)))
+    d, cpu = found.diagnosis, process_time() - began
+    row = {"effect": effect, "times": times, "runs": runs, "kind": kind, "seed": seed, "verdict": d.verdict,
+           "named": [e.name for e in d.effects], "groups": d.groups, "cpu": cpu}  # fmt: skip
+    if found.after is not None:
+        log = log_of(machine, kind, runs, seed + 100_000, make=make, parameters=parameters, fresh=True)
+        fresh = float(shrinkage_on(log, found.before, found.after))
+        row |= {"stated": d.shrinkage.value, "interval": d.shrinkage.interval, "fresh": fresh}
+    return row
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--gaps", type=int, default=12)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--out", help="file for the rows as JSON lines")
+    parser.add_argument("--quick", action="store_true", help="one gap, to see that everything runs")
+    arguments = parser.parse_args()
+    rows = []
+    for k in range(arguments.first, arguments.first + (1 if arguments.quick else arguments.gaps)):
+        machine, effect, start = GAPS[k % len(GAPS)]
+        times, runs, kind = TIMES[k * 5 // 6 % 6], RUNS[k // 2 % 3], NOISE[k // 3 % 2]
+        row = tried(machine, effect, start, times, runs, kind, k)
+        rows.append(row)
+        if arguments.out:
+            with open(arguments.out, "a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+    detected = [r for r in rows if "stated" in r]
+    judged = [r for r in detected if r["interval"] is not None]
+    held = [r["interval"][0] <= r["fresh"] <= r["interval"][1] for r in judged]
+    over = [r["stated"] - r["fresh"] for r in detected]
+    print(f"{len(rows)} gaps, {len(detected)} named; 95 % intervals hold {sum(held)} of {len(held)}; "
+          f"overclaim median {np.median(over):+.3f}, largest {max(over):+.3f}; "
+          f"width median {np.median([r['interval'][1] - r['interval'][0] for r in judged]):.3f}; "
+          f"CPU {np.median([r['cpu'] for r in rows]):.2f} s")  # fmt: skip
+    for times in TIMES:
+        own = [r for r in rows if r["times"] == times]
+        if own:
+            print(f"{times:5.2f} x: {sum('stated' in r for r in own)} of {len(own)} named")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""What a diagnosis says of logs that have no gap: how often it names something, and whether p is uniform.
+
+    python tests/benchmarks/bench_diagnosis_nulls.py --logs 60
+    python tests/benchmarks/bench_diagnosis_nulls.py --quick
+
+`named`: logs with a verdict other than "no gap". `p < .05`: logs whose smallest p-value, corrected for all
+that was tried, is below .05; 5 % are right. `KS`: p-value of Kolmogorov and Smirnov's test that these are
+uniform. `listed`: logs with a smaller finding. The table is by kind of noise, and by number of runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from itertools import product
+from time import process_time
+
+import numpy as np
+from _noisy_logs import KINDS, MACHINES, log_of
+from scipy.stats import kstest
+
+from hallsym.diagnosis import diagnose
+
+RUNS = (8, 12, 24, 57)
+PRIME = 7919
+
+
+def settings(count: int, first: int) -> list[tuple]:
+    """So many settings: each kind of noise with each number of runs, machine and source of noise."""
+    every = list(product(KINDS, MACHINES, RUNS, (True, False)))
+    return [(*every[PRIME * (first + k) % len(every)], first + k) for k in range(count)]
+
+
+def tried(kind: str, machine: str, runs: int, stated: bool, seed: int) -> dict:
+    """Diagnose one log."""
+    log = log_of(machine, kind, runs, seed, stated=stated)
+    began = process_time()
+    d = diagnose(log)
+    return {
+        "kind": kind, "machine": machine, "runs": runs, "stated": stated, "seed": seed,
+        "verdict": d.verdict, "effects": [e.name for e in d.effects],
+        "smaller": [s.name for s in d.smaller_findings],
+        "p": d.significance.p_value, "where": [s.text for s in d.where],
+        "cpu": process_time() - began,
+    }  # fmt: skip
+
+
+def table(rows: list[dict], by: str) -> None:
+    """Print the rates of one grouping."""
+    for value in dict.fromkeys(row[by] for row in rows):
+        own = [row for row in rows if row[by] == value]
+        p = np.array([row["p"] for row in own])
+        print(f"{value!s:>10} {len(own):4d} logs: named {sum(r['verdict'] != 'no gap' for r in own):3d}, "
+              f"p < .05 {np.mean(p < 0.05):6.1%}, KS {kstest(p, 'uniform').pvalue:.2g}, "
+              f"listed {sum(bool(r['smaller']) for r in own):3d}, "
+              f"where {sum(bool(r['where']) for r in own):3d}")  # fmt: skip
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--logs", type=int, default=24)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--out", help="file for the rows as JSON lines")
+    parser.add_argument("--quick", action="store_true", help="two logs, to see that everything runs")
+    arguments = parser.parse_args()
+    rows = []
+    for setting in settings(2 if arguments.quick else arguments.logs, arguments.first):
+        rows.append(tried(*setting))
+        if arguments.out:
+            with open(arguments.out, "a", encoding="utf-8") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+    for row in rows:
+        row["all"] = "all"
+    for by in ("kind", "machine", "runs", "stated", "all"):
+        table(rows, by)
+    names = Counter(name for row in rows for name in row["effects"])
+    print(f"named: {dict(names) or 'none'}; CPU {np.median([row['cpu'] for row in rows]):.2f} s a log")
+
+
+if __name__ == "__main__":
+    main()

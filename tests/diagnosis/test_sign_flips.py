@@ -1,0 +1,125 @@
+"""P-values from random signs: uniform without an effect whatever the noise is like, small with one.
+
+Products of columns are made in plain numpy, without a gap; the share of p-values below 5 % is held against
+the binomial distribution.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gap_twins import machine as stage
+from scipy import stats
+from test_diagnosis_rotary import machine as encoder
+from test_diagnosis_rotary import third
+
+import hallsym
+from hallsym.diagnosis import (
+    Facts,
+    SignFlips,
+    adjusted,
+    base_of,
+    candidates,
+    diagnose,
+    normal_equations,
+    searched,
+    shared_noise,
+    stretch,
+)
+from hallsym.families import effects
+from hallsym.families.stage import FAMILY as STAGE_FAMILY
+from hallsym.log import Log
+
+
+def products(columns, residual, own, runs, size):
+    """Products of [own | candidates | residual] by run."""
+    stack = np.vstack([columns, residual]).reshape(len(columns) + 1, runs, size)
+    M = np.einsum("aru,bru->rab", stack, stack)
+    return SimpleNamespace(
+        likelihood=M, span={"": slice(0, own)}, offsets=None, runs=tuple((k,) for k in range(runs)),
+        units=lambda wanted: np.arange(runs),
+    )  # fmt: skip
+
+
+def noise_of(kind, rng, n):
+    if kind == "heavy":
+        return rng.standard_t(3, n)
+    if kind == "correlated":
+        out = rng.standard_normal(n)
+        for k in range(1, n):
+            out[k] += 0.9 * out[k - 1]
+        return out
+    return rng.standard_normal(n)
+
+
+def largest(kind, seed, size=0.0, runs=30, samples=40):
+    """The p-value of the largest of five candidates of 1 to 3 columns; the third has an effect of `size`."""
+    rng = np.random.default_rng(seed)
+    n = runs * samples
+    t = np.arange(n)
+    columns = np.array(
+        [np.cos(2 * np.pi * t * f / samples + rng.uniform(0, 6)) for f in rng.uniform(0.2, 3, 14)]
+    )
+    columns[4] *= np.repeat(np.arange(runs) < 2, samples)  # an effect that two runs show
+    residual = noise_of(kind, rng, n) + size * columns[6]
+    t = products(columns, residual, 4, runs, samples)
+    flips = SignFlips(t, range(runs), {})
+    spans = [np.array(k) for k in ([4], [5], [6, 7], [8, 9, 10], [11, 12, 13])]
+    p, least = adjusted(np.array([flips.statistic(at) for at in spans]))
+    return p, least
+
+
+@pytest.mark.parametrize("kind", ["white", "heavy", "correlated"])
+def test_the_largest_of_all_is_uniform_without_an_effect(kind):
+    p = np.array([largest(kind, seed)[1] for seed in range(200)])
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+    assert stats.binomtest(int((p <= 0.05).sum()), len(p), 0.05).pvalue > 1e-3
+
+
+def test_an_effect_is_certain_and_what_it_resembles_is_not():
+    p, _ = largest("white", 1, size=0.3)
+    assert p[2] < 0.01
+    assert min(p[[0, 1, 3, 4]]) > 0.05
+
+
+def test_numbers_that_were_searched_count():
+    z = np.append(3.0, np.random.default_rng(0).standard_normal(499))
+    assert searched(z, 1) is z
+    assert searched(z, 100)[0] == pytest.approx(stats.norm.isf(1 - (1 - stats.norm.sf(3.0)) ** 100))
+    assert searched(np.append(30.0, z), 1e6)[0] == 30.0
+
+
+def test_few_runs_are_cut_into_stretches():
+    assert stretch(24_000, 24) is None
+    assert stretch(8000, 8) == 334  # three stretches of each of eight runs of 1000 samples
+
+
+def test_the_least_p_value_is_stated():
+    d = diagnose(encoder(third), "ellipse")
+    assert d.significance.p_value == d.significance.least == 0.0005
+    assert (d.significance.unit, d.significance.units) == ("stretch", 24)
+    assert d.effects[0].p_value == 0.0005
+
+
+def test_noise_that_columns_share_with_the_residual_is_measured():
+    """A cubic column and a reading that is linear: the mean product of cube and noise, 3 u^2 s^2."""
+    log = stage("multisine", seed=3, thin=20)
+    names = ("x_ref_m", "y_ref_m", "rz_ref_rad")
+    fitted = base_of(log, hallsym.fit(log, "stage31", solver="direct", loss="none"))
+    base = replace(fitted, sigma={**fitted.sigma, **dict.fromkeys(names, 5e-6)})
+    chosen = [e for e in effects(STAGE_FAMILY).values() if e.name == "odd_nonlinearity"]
+    tried, _ = candidates(base, chosen, Facts(60.0, log.columns))
+    plain = {key: (c.model, c.new) for key, c in tried.items()}
+    found = sum(shared_noise(base, plain, None).values())
+    columns, rng, draws = {c: log.array(c) for c in log.columns}, np.random.default_rng(0), []
+    for _ in range(12):
+        by = {c: base.sigma[c] * rng.standard_normal(log.rows) for c in names}
+        both = [columns | {c: columns[c] + sign * by[c] for c in names} for sign in (1, 0, -1)]
+        moved = [replace(base, log=Log.from_arrays(c, log.noise, log.meta)) for c in both]
+        up, middle, down = (normal_equations(b, plain).likelihood.sum(axis=0)[:-1, -1] for b in moved)
+        draws.append(0.5 * (up + down) - middle)
+    mean, error = np.mean(draws, axis=0), np.std(draws, axis=0) / np.sqrt(len(draws))
+    certain = np.abs(mean) > 20 * error
+    assert certain[fitted.model.names.index("eta_A") :].sum() >= 3
+    assert found[certain] == pytest.approx(mean[certain], rel=0.2)  # one draw of 1600 samples
