@@ -35,6 +35,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 COMMANDS = (
     "demo",
     "fit",
+    "fleet",
     "evaluate",
     "diagnose",
     "selftest",

@@ -54,8 +54,9 @@ def _devices(fleet: Fleet) -> str:
 
 
 def _reach(spread: Spread) -> float:
-    """Half width of the bounds."""
-    return -float(ndtri(OUTSIDE / 2)) * float(np.hypot(spread.interval[1], spread.mean_std))
+    """Half width of the bounds; an estimate, not only its truth, shall lie within them."""
+    sigma = float(np.linalg.norm([spread.interval[1], spread.mean_std, spread.typical_std]))
+    return -float(ndtri(OUTSIDE / 2)) * sigma
 
 
 def _short(value: float) -> float:
