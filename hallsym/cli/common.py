@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import shlex
+import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

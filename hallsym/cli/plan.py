@@ -110,7 +110,7 @@ def run(options: Namespace) -> int:
 
         written += save_plan_pictures(
             found,
-            plots_place(options, options.ranges, found.model.name),
+            plots_place(options, options.ranges, model.name),
             log or against,
             "recorded" if log else name,
         )

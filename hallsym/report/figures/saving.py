@@ -27,8 +27,8 @@ def _unsaid(sentence: str) -> None:
 class Place:
     """Where pictures are written, as which kinds of file (any of png, pdf, svg), and what each of them names.
 
-    `source`: file and model, below each picture. `told(sentence)` hears of a picture that is not drawn because
-    it would be a straight line or a dot.
+    `source`: file and model, below each picture. `told(sentence)` hears of a picture that is not drawn
+    because it would be a straight line or a dot.
     """
 
     folder: Path
@@ -44,8 +44,8 @@ def save_figures(
 ) -> list[Path]:
     """Draw each picture and save it as `folder/name.suffix`; returns the files written.
 
-    A picture that would be a straight line or a single dot is left out. `suffixes`: any of png, pdf, svg, where
-    `folder` is no `Place`, which has its own. Raises `InputError` for another one or a folder that cannot be
+    A picture that would be a straight line or a single dot is left out. `suffixes`: any of png, pdf, svg,
+    where `folder` is no `Place`, which has its own. Raises `InputError` for another one or a folder that cannot be
     written.
     """
     place = folder if isinstance(folder, Place) else Place(Path(folder), suffixes)
