@@ -45,8 +45,8 @@ def save_figures(
     """Draw each picture and save it as `folder/name.suffix`; returns the files written.
 
     A picture that would be a straight line or a single dot is left out. `suffixes`: any of png, pdf, svg,
-    where `folder` is no `Place`, which has its own. Raises `InputError` for another one or a folder that cannot
-    be written.
+    where `folder` is no `Place`, which has its own. Raises `InputError` for another one or a folder that
+    cannot be written.
     """
     place = folder if isinstance(folder, Place) else Place(Path(folder), suffixes)
     for suffix in place.suffixes:
