@@ -104,7 +104,7 @@ def run(options: Namespace) -> int:
             atomic_write(path, _page(options, seen))
         else:
             _save(path, found.to_dict())
-    words = reading_words(options)
+    words = reading_words(options, known)
     say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=options.output)
     return OK
 

@@ -5,7 +5,7 @@ from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import NOT_CONVERGED, OK
+from hallsym.cli import INTERRUPTED, OK
 from hallsym.cli.common import (
     command,
     log_options,
@@ -113,4 +113,4 @@ def run(options: Namespace) -> int:
 
         wrote += save_detection(found, plots_place(options, options.log, found.model))
     say(options, found.to_dict(), lambda: selftest_text(found), wrote=wrote)
-    return OK if found.complete else NOT_CONVERGED
+    return OK if found.complete else INTERRUPTED
