@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from hallsym.experiment import read_ranges as read_ranges
     from hallsym.families import build as build
     from hallsym.families import published as published
+    from hallsym.fleets import Fleet as Fleet
+    from hallsym.fleets import fleet as fleet
+    from hallsym.fleets import load_fleet as load_fleet
     from hallsym.inference import Identifiability as Identifiability
     from hallsym.inference import identify as identify
     from hallsym.log import Log as Log
@@ -88,6 +91,7 @@ _PUBLIC = {
     ),
     "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),
     "hallsym.families": ("build", "published"),
+    "hallsym.fleets": ("Fleet", "fleet", "load_fleet"),
     "hallsym.inference": ("Identifiability", "identify"),
     "hallsym.log": ("Log", "LogWriter", "Meta", "Noise", "meta_schema", "read_log", "write_log"),
     "hallsym.model": ("Model", "Parameter"),

@@ -36,6 +36,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 COMMANDS = (
     "demo",
     "fit",
+    "fleet",
     "evaluate",
     "diagnose",
     "selftest",
@@ -50,6 +51,7 @@ COMMANDS = (
     "sort",
     "trajectory",
     "info",
+    "completion",
 )
 
 
