@@ -51,6 +51,7 @@ nb_execution_mode = "off"  # of all other pages the tests run every example
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
+nb_output_stderr = "remove"  # progress, on a slow machine; a command that fails ends the build
 # a command's text comes in pieces of 100 bytes
 NotebookClient.__init__ = partialmethod(NotebookClient.__init__, coalesce_streams=True)
 # the `hallsym` of this Python

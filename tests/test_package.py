@@ -22,12 +22,17 @@ def test_the_version_is_one():
     assert cited[1] == PROJECT["version"] == hallsym.__version__
 
 
-def test_all_is_every_extra_that_a_user_may_want():
+def test_the_readme_says_which_extras_all_brings():
     extras = PROJECT["optional-dependencies"]
     named = re.search(r"\[(.*)\]", extras["all"][0])
     assert named
-    # `mdf` is asked for by name
-    assert set(named[1].split(",")) == set(extras) - {"all", "mdf", "test", "lint", "docs", "bench"}
+    text = (
+        (ROOT / "README.md").read_text(encoding="utf-8").partition("`all` adds")[2].partition("Python 3")[0]
+    )
+    brought, _, asked = text.partition("By name only")
+    mine, others = (re.findall(r"`(\w+)`", part) for part in (brought, asked))
+    assert sorted(mine) == sorted(named[1].split(","))
+    assert sorted(mine + others) == sorted(set(extras) - {"all", "test", "lint", "docs", "bench"})
 
 
 def test_types_are_published():
