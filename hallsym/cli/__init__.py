@@ -3,6 +3,7 @@
 COMMANDS = {
     "demo": "the paper's calibration on the bundled campaign",
     "fit": "calibrate a model on a log",
+    "fleet": "calibrate many devices: one row a device, and how they differ",
     "evaluate": "errors of a saved calibration on another log",
     "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
     "selftest": "what 'no gap' on this log is worth: effects injected, diagnosed blind",

@@ -4,11 +4,12 @@ import argparse
 import json
 import math
 import shlex
+import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hallsym.cli import COMMANDS, progress
 from hallsym.cli.parser import HelpText
@@ -25,6 +26,9 @@ from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
 from hallsym.terminal import fitted
 from hallsym.toml import column_of
+
+if TYPE_CHECKING:
+    from hallsym.report.figures import Place
 
 
 def command(
@@ -52,6 +56,39 @@ def seed(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"a seed is a whole number, 0 or more; instead received {text!r}")
     return int(text)
+
+
+def plots_options(parser: Any, what: str = "save pictures") -> None:
+    """Options of every command that draws; `parser` may be a group of options."""
+    parser.add_argument("--plots", metavar="FOLDER", help=what)
+    parser.add_argument(
+        "--plot-formats", type=_formats, default="png,pdf,svg", metavar="LIST",
+        help="files of each picture, as wide as two columns of a journal: any of png (300 dpi), pdf, svg "
+        "(default: all)",
+    )  # fmt: skip
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    known = ("png", "pdf", "svg")
+    found = tuple(dict.fromkeys(text.split(",")))
+    if not set(found) <= set(known):
+        raise argparse.ArgumentTypeError(f"pictures are {', '.join(known)}; instead received {text!r}")
+    return found
+
+
+def place_of(folder: str | Path, formats: Sequence[str], *named: object) -> "Place":
+    """Return where pictures go; `named` on each of them: file and model, those that are known."""
+    from hallsym.report.figures import Place
+
+    def told(sentence: str) -> None:
+        print(f"note: {sentence}", file=sys.stderr)
+
+    return Place(Path(folder), formats, ", ".join(str(name) for name in named if name), told)
+
+
+def plots_place(options: Namespace, *named: object) -> "Place":
+    """Return where `--plots` puts pictures; `named` as in `place_of`."""
+    return place_of(options.plots, options.plot_formats, *named)
 
 
 def log_options(parser: ArgumentParser) -> None:
@@ -257,13 +294,16 @@ def say(
     print(fitted("\n".join([text(), *lines])))
 
 
-def save_fit_pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:
+def save_fit_pictures(
+    log: Log, result: Fit, folder: str | None, formats: Sequence[str] = ("png",)
+) -> list[Path]:
     """Save the pictures of a fit, if a folder is given."""
     if folder is None:
         return []
     from hallsym.report.figures import save_pictures
 
-    return save_pictures(log, result, Path(folder), keep=result.keep)
+    place = place_of(folder, formats, log.path, result.model.name)
+    return save_pictures(log, result, place, keep=result.keep)
 
 
 def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:

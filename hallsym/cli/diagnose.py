@@ -118,16 +118,25 @@ def _page(options: Namespace, seen: Examined) -> str:
     first = seen.fit
     after = None if seen.after is None else _version(seen.after)
     shown = gather(seen.before.log, first, label="before", keep=first.keep, after=after)
-    name = options.model or first.model.name
-    command = shlex.join(["hallsym", "diagnose", options.log, "--model", name])
     return diagnosis_page(
         seen.diagnosis,
         maps=shown.maps,
         after=shown.after,
         series=shown.series,
+        residuals=shown.residuals,
         fit=first,
-        command=command,
+        command=_typed(options, first),
+        reading=reading_words(options),
     )
+
+
+def _typed(options: Namespace, first: Fit) -> str:
+    """Return the command that writes the page again; the name of the page does not change the page."""
+    words = ["hallsym", "diagnose", options.log, "--model", options.model or first.model.name]
+    words += [word for effect in options.effect for word in ("--effect", effect)]
+    words += ["--holdout", options.holdout] if options.holdout else []
+    words += [] if options.threshold is None else ["--threshold", f"{options.threshold:g}"]
+    return shlex.join([*words, *reading_words(options), "-o", "report.html"])
 
 
 def _version(base: Base) -> Version:

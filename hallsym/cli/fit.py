@@ -15,6 +15,7 @@ from hallsym.cli.common import (
     open_log,
     own_effects,
     own_option,
+    plots_options,
     progress_of,
     reading_words,
     run_numbers,
@@ -54,7 +55,7 @@ def add(sub: Any) -> None:
         "device share their parameters",
     )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="JSON", help="save the calibration")
-    parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
+    plots_options(parser)
     model_options(parser, "the log's base_model, else by its columns")
     own_option(parser)
     group = parser.add_argument_group("fit")
@@ -132,7 +133,7 @@ def run(options: Namespace) -> int:
     wrote = _saved(options, result)
     for name, log, part in _pictured(result, logs):
         folder = options.plots and str(Path(options.plots) / name)
-        wrote += save_fit_pictures(log, part, folder)
+        wrote += save_fit_pictures(log, part, folder, options.plot_formats)
     say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
 

@@ -21,7 +21,7 @@ from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
 from hallsym.reading import read_json
-from hallsym.records import structured
+from hallsym.records import schema_of, structured
 from hallsym.shown import Shown
 
 if TYPE_CHECKING:
@@ -292,6 +292,13 @@ def read_record(raw: Any, path: str | Path) -> CalibrationRecord:
     from hallsym.estimation.calibration_file import CalibrationRecord
 
     return structured(raw, CalibrationRecord, f"calibration {quoted(path)}", "fit the log again")
+
+
+def calibration_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a calibration file, from the types that `load_fit` checks it against."""
+    from hallsym.estimation.calibration_file import CalibrationRecord
+
+    return schema_of(CalibrationRecord, "hallsym calibration")
 
 
 def _checked(
