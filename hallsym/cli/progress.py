@@ -12,6 +12,8 @@ EVERY_S = 5.0
 """Seconds between lines where there is no terminal: some hundreds of them in an hour."""
 REDRAWN_S = 0.1
 """Seconds between two drawings of the line on a terminal."""
+LONGEST_WAIT_S = 3600.0
+"""Seconds that a thread waits at once."""
 TICK_S = 1.0
 """Seconds after which the line on a terminal is drawn again where nothing else happens."""
 SURE = 0.02
@@ -67,7 +69,7 @@ class Meter:
 
     def _ticking(self) -> None:
         every = TICK_S if self._redrawn else EVERY_S
-        while not self._ended.wait(every):
+        while not self._ended.wait(min(every, LONGEST_WAIT_S)):
             if self._now() - self._shown >= every:
                 self.draw()
 

@@ -18,6 +18,12 @@ from hallsym.terminal import Step
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.fixture(autouse=True)
+def _every_few_seconds(monkeypatch):
+    """As it is outside of the tests of other things, which have no progress."""
+    monkeypatch.setattr("hallsym.cli.progress.EVERY_S", EVERY_S)
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
