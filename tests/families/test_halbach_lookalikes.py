@@ -7,6 +7,7 @@ from test_halbach_ends import swept
 import hallsym
 from hallsym.families.halbach import PLANAR
 from hallsym.families.halbach.effects import magnets, mechanics, transducer
+from hallsym.families.halbach.layout import columns
 from hallsym.families.halbach.models import halbach
 from hallsym.families.halbach.planar import halbach_planar
 from hallsym.log import Log, Noise
@@ -49,6 +50,16 @@ def test_a_spread_of_all_magnets_is_no_lost_one():
         swept(magnets.remanence_spread(model), values, (4.2e-3, 5.2e-3)), model, holdout=[1]
     )
     assert (found.verdict, found.ranked, found.groups) == ("explained", ("remanence_spread",), ())
+
+
+def test_compression_that_sensors_nearly_share_is_no_cubic_term_of_each():
+    """Scatter of a tenth: nine terms explain 6 % more, by BIC 1 %, and lower the gap by less than 1 %."""
+    model = halbach(columns(tuple(0.01 * (k - 4) for k in range(9))))
+    scatter = (0.9, -1.2, 0.4, 1.1, -0.5, -1.3, 0.2, 0.8, -0.4)
+    values = {f"odd_nonlinearity3_{k}": -8e-3 * (1 + 0.105 * v) for k, v in enumerate(scatter)}
+    log = swept(transducer.odd_nonlinearity(model), values, (4.2e-3, 5.2e-3))
+    found = hallsym.diagnose(log, model, holdout=[1])
+    assert (found.verdict, found.ranked[0]) == ("explained", "field_saturation")
 
 
 def campaign(wide, values):
