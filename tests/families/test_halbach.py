@@ -15,12 +15,12 @@ from hallsym import InputError, Log, Noise, NoiseModel
 from hallsym.families import build
 from hallsym.families.halbach import FAMILY
 from hallsym.families.halbach.effects import field, magnets, mechanics, transducer
+from hallsym.families.halbach.ends import strength
 from hallsym.families.halbach.error_model import (
     harmonic_over_remanence,
     temperature_error_m,
     trace_field_t,
 )
-from hallsym.families.halbach.ends import strength
 from hallsym.families.halbach.layout import arrays, columns, part_of
 from hallsym.families.halbach.models import halbach
 from hallsym.families.published import table as published
@@ -130,7 +130,7 @@ def test_periods_of_the_error_by_cause():
 
 @pytest.mark.parametrize("gap", [4e-3, 8e-3])
 def test_magnets_add_up_to_the_array(gap):
-    """All magnets stronger by a share are the array stronger by it: rectangles in closed form against harmonics.
+    """All magnets stronger by a share are the array stronger by it: rectangles against harmonics.
 
     But for those more than a wavelength beyond the outermost sensors, which are not among them: 2 %.
     """
