@@ -60,7 +60,8 @@ class Policy:
     simpler_gain: float = 0.97
     """Part of the best effect's gain that an effect with fewer parameters must explain to be preferred.
 
-    Below the 5 % that are worth reporting: what it leaves out is no finding."""
+    By BIC: what noise alone gives to the further parameters does not count. Below the 5 % that are worth
+    reporting: what it leaves out is no finding."""
     simpler_gap: float = 0.01
     """Relative gap by which an effect with fewer parameters may be worse than the best and be preferred.
 

@@ -139,7 +139,7 @@ def _simpler_first(exact: list[Exact], scored: Sequence[Score], policy: Policy) 
 def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> bool:
     return (
         e.score.size < best.score.size
-        and e.fit.cost - best.fit.cost <= (1 - policy.simpler_gain) * best.score.gain
+        and e.bic - best.bic <= (1 - policy.simpler_gain) * best.score.gain
         and e.gap <= best.gap * (1 + policy.simpler_gap)
         and not any(
             s.effect is best.score.effect

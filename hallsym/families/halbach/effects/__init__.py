@@ -25,8 +25,8 @@ COMMON = (
 )  # fmt: skip
 """Effects of both models."""
 EFFECTS = (
-    *COMMON, magnets.remanence_spread, magnets.magnetisation_angle_error, magnets.forbidden_harmonics,
-    magnets.wavelength_error, ends.array_edges,
+    *COMMON, magnets.lost_magnet, magnets.remanence_spread, magnets.magnetisation_angle_error,
+    magnets.forbidden_harmonics, magnets.wavelength_error, ends.array_edges,
 )  # fmt: skip
 """Effects of the model of x and z."""
 PLANAR_EFFECTS = (

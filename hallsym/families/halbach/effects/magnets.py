@@ -11,8 +11,8 @@ import numpy as np
 from hallsym.families.halbach.layout import arrays, sensors
 from hallsym.families.halbach.links import Seen
 from hallsym.families.mechanisms import P, free
-from hallsym.model import Model, Parameter, Signals, Way, effect
-from hallsym.model.arguments import one_of
+from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
+from hallsym.model.arguments import Try, found, one_of
 
 TURNED = Way("the mover turned half round about z", "the magnets turn with it, the sensors do not")
 LONGER = Way("a longer array", "what its ends make goes away")
@@ -41,14 +41,17 @@ def segments(model: Model) -> list[tuple[str, int]]:
     return out
 
 
-def magnet_fields(s: Signals, model: Model) -> list[dict[tuple[str, int], tuple[ca.SX, ca.SX]]]:
-    """Return what each channel sees of each magnet: field per share of its remanence, and per rad of turn.
+def magnet_fields(
+    s: Signals, model: Model, which: list[tuple[str, int]]
+) -> list[dict[tuple[str, int], tuple[ca.SX, ca.SX]]]:
+    """Return what each channel sees of some magnets: field per share of the remanence, and per rad of turn.
+
+    `which`: neighbours, from first to last.
 
     Complex field of a magnetised rectangle in two dimensions: Bu - i Bw = -i m / (2 pi) (ln corners), m its
     remanence; a turn multiplies m by i. Fields in V by the first harmonic of the whole array, whose remanence
     is its amplitude over sin(pi/n) / (pi/n) (1 - exp(-k t)), n magnets of height t per period.
     """
-    which = segments(model)
     out = []
     for k in range(len(model.channels)):
         seen = s["seen"](k)
@@ -85,17 +88,16 @@ def _of_element(s: Signals, e: Seen, which: list[int]) -> dict[int, tuple[ca.SX,
 
 
 def _of_magnets(model: Model, name: str, part: int, meaning: str, unit: str) -> Model:
-    """Each magnet differs from the mean of all, which the amplitude of the array and its place hold."""
+    """Each magnet differs from those of an array of the stated amplitude and place; all alike nearly are."""
     which = segments(model)
     several = len(arrays(model.layout)) > 1
     names = [f"{name}_{array}_{i}" if several else f"{name}_{i}" for array, i in which]
 
     def step(s: Signals, p: P) -> None:
-        mean = sum(p[n] for n in names) / len(names)
-        own = {key: p[n] - mean for key, n in zip(which, names, strict=True)}
+        own = {key: p[n] for key, n in zip(which, names, strict=True)}
         added = [
             sum((own[key] * pair[part] for key, pair in row.items()), ca.SX(0))
-            for row in magnet_fields(s, model)
+            for row in magnet_fields(s, model, which)
         ]
         s["field"] = s["field"] + ca.vertcat(*added)
 
@@ -106,13 +108,45 @@ def _of_magnets(model: Model, name: str, part: int, meaning: str, unit: str) -> 
 @effect(link="field", label="each magnet", separate=(TURNED, "a longer stroke"))
 def remanence_spread(model: Model) -> Model:
     """The remanence of the magnets differs from one to the next (mover-fixed)."""
-    return _of_magnets(model, "remanence_spread", 0, "remanence beyond the mean, of magnet", "1")
+    return _of_magnets(model, "remanence_spread", 0, "share of remanence beyond the array's, of magnet", "1")
 
 
 @effect(link="field", label="each magnet", separate=(TURNED, "a longer stroke"))
 def magnetisation_angle_error(model: Model) -> Model:
     """The directions of the magnets are off (mover-fixed)."""
     return _of_magnets(model, "magnetisation_angle_error", 1, "turn of the direction of magnet", "rad")
+
+
+def each_magnet(model: Model, facts: Facts) -> list[Try]:
+    """Return the magnets that sensors see, one by one."""
+    which = [number for _, number in segments(model)]
+    return [Try({"magnet": i}, f"magnet {i}", shapes=1, tried=len(which)) for i in which]
+
+
+LOST = 0.5
+"""Share of its remanence that a magnet must lack to count as lost: missing or broken, no spread."""
+
+
+@effect(
+    link="field",
+    separate=(
+        Way("a longer stroke", "further magnets are as good as their neighbours, or differ too"),
+        TURNED,
+    ),
+    possible=lambda values: all(v >= LOST for n, v in values.items() if n.startswith("lost_")),
+)
+def lost_magnet(
+    model: Model, magnet: int = found(each_magnet, "number of the magnet from the array's crest")
+) -> Model:
+    """One magnet is missing, broken or demagnetised (mover-fixed)."""
+    key, name = (next(iter(arrays(model.layout))), magnet), f"lost_{magnet}"
+
+    def step(s: Signals, p: P) -> None:
+        seen = [row[key][0] for row in magnet_fields(s, model, [key])]
+        s["field"] = s["field"] - p[name] * ca.vertcat(*seen)
+
+    new = free({name: f"share of its remanence that magnet {magnet} lacks"}, LIMIT, "1")
+    return model.with_step("field", step, effect="lost_magnet", parameters=new)
 
 
 @effect(link="field", waves=(1, 3), separate=(HEIGHT, LONGER))
