@@ -63,6 +63,8 @@ class Meta:
         return Meta.from_dict(raw, quoted(path))
 
 
+PARTS = "parts"
+"""Key of a log in parts: how many there are."""
 _MISSPELT = 0.85
 """Likeness (`difflib`) of a key with a known one from which on it is that one misspelt: a letter or two."""
 
