@@ -18,9 +18,10 @@ COMMANDS = {
     "trajectory": "a curve through points or of an expression, with the error it makes",
     "simulate": "write the log a known machine would record",
     "info": "what a log, calibration or campaign file holds, or what a model is",
+    "completion": "the script with which bash, zsh or fish completes this command",
 }
 """Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 
-OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG = 0, 2, 3, 4, 70
+OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG, INTERRUPTED = 0, 2, 3, 4, 70, 130
 NOT_DESCRIBED = NOT_DETERMINED
 """Exit codes, as `hallsym --help` explains them: 3 is done, but not to be used without a second look."""

@@ -49,6 +49,7 @@ from hallsym.diagnosis.record import (
     Significance,
     SmallerFinding,
     Statement,
+    diagnosis_schema,
 )
 from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inside_bounds, refit, with_model
@@ -89,7 +90,8 @@ __all__ = [
     "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial", "Unexplained",
     "Variant", "adjusted", "alternatives", "as_many", "as_often", "base_of", "beyond", "block_errors",
     "both", "cancelled", "candidates", "compare", "confusable", "coordinates", "cordic", "decide",
-    "decimated", "degrees_of", "diagnose", "distance", "errors_of", "examine", "exceeds", "facts_of",
+    "decimated", "degrees_of", "diagnose", "diagnosis_schema", "distance", "errors_of", "examine",
+    "exceeds", "facts_of",
     "faults", "firmware_cost", "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats",
     "injections", "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects",
     "located", "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations", "of_products",

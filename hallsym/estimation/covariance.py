@@ -181,7 +181,7 @@ def _estimate(
         scale, method, dof = fit.cost_per_degree_of_freedom, "likelihood, scaled", fit.degrees_of_freedom
         said = f"the cost per degree of freedom is {scale:.3g} +- {fit.scatter:.2g}; "
     if n == 1:
-        said += "one run cannot show whether its noise is white; it is taken for granted"
+        said += "one recording cannot show whether its noise is white, which is assumed"
         return _Estimate(scale * naive, method, said, dof)
     # noise that is correlated within a run leaves less than stated there, and more between runs
     size = fit.cost_per_degree_of_freedom if fit.contradicts else 1.0

@@ -111,6 +111,7 @@ def fit_of(
         wiring=composed(mounted, solved.wiring, model.channels),
         turned=mounted is not None and solved.wiring is None,
         columns=dict(task.log.table.mapping),
+        read_with=dict(task.log.table.read_with),
         versions=dict(_versions()),
         error_rows=errors.rows() if errors else {},
     )

@@ -34,6 +34,7 @@ from hallsym.log.drop import Drop, without
 from hallsym.log.phase import continuous, designed, nearest_turn
 from hallsym.log.quality.gains import explained
 from hallsym.model import Model
+from hallsym.terminal import Step
 
 Progress = Callable[[str], None]
 LEAST_SIGMA = 1e-13
@@ -248,7 +249,9 @@ class Task:
         """Return a progress callback that says which share of the log is done."""
         total = self.log.rows
         self.say(what)
-        return lambda rows: self.say(f"{what}, {100 * rows // total} % of {total} samples")
+        return lambda rows: self.say(
+            Step(f"{what}, {100 * rows // total} % of {total} samples", rows / total)
+        )
 
     def summary(self, weigh: Weigh | None = None) -> RunStatistics:
         """Return the run statistics of the log."""

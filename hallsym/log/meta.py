@@ -10,7 +10,7 @@ from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.reading import read_json
-from hallsym.records import structured
+from hallsym.records import schema_of, structured
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,18 @@ class Meta:
         return Meta.from_dict(raw, quoted(path))
 
 
+<<<<<<< HEAD
 PARTS = "parts"
 """Key of a log in parts: how many there are."""
+=======
+def meta_schema() -> dict[str, Any]:
+    """Return the JSON Schema of `meta.json`, from the types that are checked when a log is read."""
+    from hallsym.log.meta_file import MetaRecord
+
+    return schema_of(MetaRecord, "hallsym log metadata")
+
+
+>>>>>>> main
 _MISSPELT = 0.85
 """Likeness (`difflib`) of a key with a known one from which on it is that one misspelt: a letter or two."""
 
