@@ -63,10 +63,6 @@ class Meta:
         return Meta.from_dict(raw, quoted(path))
 
 
-<<<<<<< HEAD
-PARTS = "parts"
-"""Key of a log in parts: how many there are."""
-=======
 def meta_schema() -> dict[str, Any]:
     """Return the JSON Schema of `meta.json`, from the types that are checked when a log is read."""
     from hallsym.log.meta_file import MetaRecord
@@ -74,7 +70,8 @@ def meta_schema() -> dict[str, Any]:
     return schema_of(MetaRecord, "hallsym log metadata")
 
 
->>>>>>> main
+PARTS = "parts"
+"""Key of a log in parts: how many there are."""
 _MISSPELT = 0.85
 """Likeness (`difflib`) of a key with a known one from which on it is that one misspelt: a letter or two."""
 

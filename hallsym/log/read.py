@@ -80,19 +80,10 @@ def read_log(
     answer what this file leaves open.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
-<<<<<<< HEAD
-    file, folder, source = open_source(
-        path, format=format, delimiter=delimiter, decimal=decimal, sheet=sheet, clock=clock
-    )
-    if source.unstated:
-        raise InputError(source.unstated)
-    where = quoted(file) if file is not None else path if isinstance(path, str) else "The table"
-=======
     given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet}
     given |= {"clock": clock, "dates": dates}
     (file, folder, source), said = _answered(path, given, read_with or {})
-    where = "The table" if file is None else quoted(file)
->>>>>>> main
+    where = quoted(file) if file is not None else path if isinstance(path, str) else "The table"
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     check_count(source, meta.raw.get(PARTS))
     stated = read_column_file(column_file) if column_file else ColumnFile()
