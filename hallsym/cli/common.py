@@ -183,24 +183,25 @@ def open_log(options: Namespace, machine: Machine | None = None, known: Fit | No
 
     `known`: a calibration, whose names of columns count where nothing else is stated.
     """
-    columns = dict(parse_column_option(text) for text in options.column)
     log = read_log(
         options.log,
-        columns=columns,
-        column_file=options.column_file,
-        format=options.format,
-        delimiter=options.delimiter,
-        decimal=options.decimal,
-        sheet=options.sheet,
-        dates=options.dates,
-        clock=options.clock,
         drop_bad=options.drop_bad,
-        noise=dict(assignment(text) for text in options.noise),
-        counts_per_turn=options.counts_per_turn,
         remembered=None if known is None else known.columns,
         read_with=None if known is None else known.read_with,
+        **reading_of(options),
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
+
+
+def reading_of(options: Namespace) -> dict[str, Any]:
+    """Return how a log is read, as `read_log` takes it: `log_options` but for `--drop-bad`."""
+    return {
+        "columns": dict(parse_column_option(text) for text in options.column),
+        "noise": dict(assignment(text) for text in options.noise),
+        "column_file": options.column_file,
+        "counts_per_turn": options.counts_per_turn,
+        **{name: getattr(options, name) for name in FILE_OPTIONS},
+    }
 
 
 def assignment(text: str) -> tuple[str, float]:

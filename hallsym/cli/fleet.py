@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
-from hallsym.cli.common import assignment, command, log_options, model_options, progress_of, say
+from hallsym.cli.common import command, log_options, model_options, progress_of, reading_of, say
 from hallsym.errors import InputError
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.fleets import fleet, machine_file, tolerance_file
 from hallsym.fleets.page import save_page
 from hallsym.fleets.row import GOOD
-from hallsym.log import parse_column_option
 from hallsym.report.text.fleet import fleet_text
 
 
@@ -62,16 +61,6 @@ def run(options: Namespace) -> int:
     if options.workers is not None and options.workers < 1:
         raise InputError(f"--workers must be 1 or more; instead received {options.workers}.")
     machine = read_machine(options.machine)
-    reading = {
-        "columns": dict(parse_column_option(text) for text in options.column),
-        "column_file": options.column_file,
-        "format": options.format,
-        "delimiter": options.delimiter,
-        "decimal": options.decimal,
-        "sheet": options.sheet,
-        "noise": dict(assignment(text) for text in options.noise),
-        "counts_per_turn": options.counts_per_turn,
-    }
     found = fleet(
         options.logs,
         options.model,
@@ -82,7 +71,7 @@ def run(options: Namespace) -> int:
         loss=options.loss,
         diagnose=options.diagnose,
         drop_bad=options.drop_bad,
-        reading={key: value for key, value in reading.items() if value},
+        reading={key: value for key, value in reading_of(options).items() if value},
         output=options.output,
         workers=options.workers,
         scheduler=options.scheduler,

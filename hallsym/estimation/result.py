@@ -45,7 +45,9 @@ def fit_of(
     task, state, errors = solved.task, solved.solution, solved.errors
     model = task.model
     path = task.log.path
-    whole = path.parent if path is not None and task.log.meta.raw else path  # a folder with its meta.json
+    whole = (
+        path.parent if path is not None and path.is_file() and task.log.meta.raw else path
+    )  # a folder with its meta.json
     command = diagnose_command(whole, model, added_effects(model))
     gain = np.array([model.zero_scale(state.p, s) for s in state.everything.summary.first_state])
     delta = state.everything.at(state.p).zeros

@@ -91,6 +91,8 @@ class Log:
         """SHA-256 of the data file, or of the columns where there is no file; computed on first use."""
         if self.path is None:
             return _hash_columns(self)
+        if self.path.is_dir():
+            return _hash_columns(self)
         with open(self.path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
 

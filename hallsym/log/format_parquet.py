@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,9 @@ _BUFFER = 1 << 20
 class ParquetSource(Source):
     """Columns of one Parquet file; a large one is decoded batch by batch."""
 
-    def __init__(self, path: Path) -> None:
-        """Read the footer."""
-        self.path = path
+    def __init__(self, path: Path, stream: Callable[[], Any] | None = None) -> None:
+        """Read the footer; `stream` opens a file that is not on a disk."""
+        self.path, self._stream = path, stream
         with self._opened() as file:
             self.names = tuple(file.schema_arrow.names)
             self.rows = int(file.metadata.num_rows)
@@ -47,7 +47,8 @@ class ParquetSource(Source):
     @contextmanager
     def _opened(self, **options: Any) -> Iterator[Any]:
         parquet = load("pyarrow.parquet")
-        with parquet.ParquetFile(self.path, page_checksum_verification=True, **options) as file:
+        where = self.path if self._stream is None else self._stream()
+        with parquet.ParquetFile(where, page_checksum_verification=True, **options) as file:
             yield file
 
     def _numbers(self, name: str, column: Any) -> Array:

@@ -23,8 +23,9 @@ from hallsym.log.core import Log, run_notes
 from hallsym.log.formats import FORMATS, format_of
 from hallsym.log.frames import is_table, source_of
 from hallsym.log.guarded import Guarded
-from hallsym.log.meta import Meta
+from hallsym.log.meta import PARTS, Meta
 from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
+from hallsym.log.parts import check_count, open_parts, open_url, part_files
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
 from hallsym.log.text import ORDERS, stated_delimiter
@@ -60,7 +61,8 @@ def read_log(
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
-    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; or a
+    `path` is a data file, or a folder with `log.parquet` (or .csv, .h5, .mat) and perhaps `meta.json`; a
+    folder of Parquet files that are parts of one log, or the URL of such files (`s3://...`, by fsspec); or a
     table in memory: a dict of arrays, or a data frame of any library that speaks Arrow (pandas, polars,
     pyarrow, DuckDB), whose names state their unit as those of a file do: `x_ref_um`, `x_ref [um]`.
     `columns` maps our name, ending with the unit the foreign column is in, to the foreign name:
@@ -81,8 +83,9 @@ def read_log(
     given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet}
     given |= {"clock": clock, "dates": dates}
     (file, folder, source), said = _answered(path, given, read_with or {})
-    where = "The table" if file is None else quoted(file)
+    where = quoted(file) if file is not None else path if isinstance(path, str) else "The table"
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
+    check_count(source, meta.raw.get(PARTS))
     stated = read_column_file(column_file) if column_file else ColumnFile()
     wanted = _resolve({**stated.columns, **(columns or {})}, source)
     again = still_missing(_resolve(remembered or {}, source), source.names, wanted, source.units, where)
@@ -153,9 +156,12 @@ def _locate(path: Path) -> tuple[Path, Path | None]:
     if path.is_dir():
         names = [f"log{suffix}" for entry in FORMATS for suffix in entry.suffixes]
         found = [path / name for name in names if (path / name).is_file()]
+        if not found and part_files(path):
+            return path, path
         if not found:
             raise InputError(
-                f"Folder {path} must hold a log named log.parquet, log.csv, log.h5 or log.mat; it holds none."
+                f"Folder {path} must hold a log named log.parquet, log.csv, log.h5 or log.mat, or its parts; "
+                "it has none."
             )
         return regular(found[0], "Log"), path
     return regular(path, "Log"), None
@@ -198,8 +204,12 @@ def open_source(
     """
     if is_table(path):
         return None, None, source_of(path, "The table")
+    if isinstance(path, str) and "://" in path:
+        return None, None, open_url(path)
     if isinstance(path, str | Path):
         file, folder = _locate(Path(path))
+        if file == folder:
+            return file, folder, open_parts(file)
         return file, folder, _open(file, format, stated)
     raise InputError(
         "A log must be a path, a dict of arrays, a data frame or a Log; instead received a "
