@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from hallsym.codegen import generate as generate
     from hallsym.diagnosis import Diagnosis as Diagnosis
     from hallsym.diagnosis import SelfTest as SelfTest
+    from hallsym.diagnosis import Watch as Watch
     from hallsym.diagnosis import diagnose as diagnose
     from hallsym.diagnosis import selftest as selftest
+    from hallsym.diagnosis import watch as watch
     from hallsym.errors import InputError as InputError
     from hallsym.estimation import ErrorTable as ErrorTable
     from hallsym.estimation import Evaluation as Evaluation
@@ -77,7 +79,7 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
-    "hallsym.diagnosis": ("Diagnosis", "SelfTest", "diagnose", "selftest"),
+    "hallsym.diagnosis": ("Diagnosis", "SelfTest", "Watch", "diagnose", "selftest", "watch"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (
         "ErrorTable", "Evaluation", "Fit", "evaluate", "fit", "judge", "load_fit", "refit",

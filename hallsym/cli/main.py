@@ -21,7 +21,8 @@ OUTPUTS = ("output", "plots")
 """Options of all commands that name what is written."""
 
 EPILOG = """\
-exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done and written, but the log leaves
+exit codes: 0 done; 1 'watch' found a log that does not belong to its calibration; 2 bad input (one
+sentence says what to do); 3 done and written, but the log leaves
 parameters of the model undetermined or its recording is at fault (both are named), or the model does not
 describe the log (the report of 'fit' or 'evaluate' begins with that); 4 the solver did not converge or was
 interrupted (the best so far is written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where).
@@ -30,6 +31,7 @@ examples:
   hallsym demo                                    the paper's calibration on the bundled campaign
   hallsym fit LOG --model stage31 -o calib.json   calibrate a stage from your own log
   hallsym evaluate calib.json OTHER_LOG           errors of that calibration on another log
+  hallsym watch calib.json NEW_LOG                does a new log still belong to that calibration
   hallsym diagnose LOG --model stage31            where the gap lies, why, and how far it shrinks
   hallsym report calib.json LOG -o report.html    one HTML page of a calibration
   hallsym info LOG                                what a log holds, and what is wrong with it
