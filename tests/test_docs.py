@@ -32,6 +32,7 @@ COMMANDS = (
     "demo",
     "fit",
     "evaluate",
+    "watch",
     "diagnose",
     "selftest",
     "report",

@@ -13,22 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.special import chdtrc, fdtrc, ndtri
-
-from hallsym.diagnosis.compare import ParameterChange, changes, welch
-from hallsym.diagnosis.record import Estimate
-from hallsym.diagnosis.watch_record import (
-    BELONGS,
-    CHANGED,
-    NOT_JUDGED,
-    PARAMETER,
-    RESIDUAL,
-    TOGETHER,
-    Watch,
-    WatchedLog,
-    WatchTest,
-)
+from hallsym.diagnosis.watch_record import BELONGS, CHANGED, NOT_JUDGED, Watch, WatchedLog
+from hallsym.diagnosis.watch_tests import colour_of, compared, goodness
 from hallsym.errors import InputError
 from hallsym.estimation import Evaluation, Fit, evaluate, fit, load_fit, rewired
 from hallsym.log import Log, Noise, Sigma, as_log
@@ -37,10 +23,7 @@ FALSE_ALARM = 1 / 500
 """Probability that a log which belongs to the calibration is called changed: one log in 500."""
 LEAST_FALSE_ALARM, MOST_FALSE_ALARM = 1e-6, 0.5
 """Range of that probability: below it, the tails of the distributions are not known so well."""
-SINGULAR = 1e-9
-"""Least eigenvalue of a correlation matrix, of the largest, in whose direction parameters are compared."""
-SMALLEST = 1e-300
-"""Least p-value, so that its score is a number."""
+_CORRELATED = "Noise of neighbouring samples is correlated ({:.2f}); the tests allow for it"
 
 
 def watch(
@@ -133,26 +116,23 @@ def _watched(known: Fit, log: Log, false_alarm: float, drop_bad: bool) -> Watche
         start=known.values,
         drop_bad=drop_bad,
     )
-    one, two, left = _estimates(known, after)
-    single = [name for name in one if name in known.model.names]
-    level = 1 - (1 - false_alarm) ** (1 / (len(one) + 1 + (len(single) > 1)))
-    changed = changes(one, two, level, (_freedom(known), _freedom(after)))
-    tests = [_residual(known, after, level), *_together(known, after, single, level)]
-    tests += [_parameter(change, level) for change in changed]
-    verdict = CHANGED if any(test.beyond for test in tests) else BELONGS
+    colour = colour_of(after)
+    found = compared(known, after, colour, false_alarm)
+    verdict = CHANGED if any(test.beyond for test in found.tests) else BELONGS
+    said = (f"{_CORRELATED.format(colour.correlation)}.",) if colour.memory > 1 else ()
     return WatchedLog(
         name=log.name,
         verdict=verdict,
         rows=log.rows,
         runs=len(log.runs),
         residual=seen.goodness.residual_over_noise,
-        refitted=_goodness(after).residual_over_noise,
+        refitted=goodness(after).residual_over_noise,
         floor=1.0 if known.goodness is None else known.goodness.residual_over_noise,
         errors=_rmse(seen),
-        tests=tuple(tests),
-        changes=changed,
-        not_identified=left,
-        notes=tuple(dict.fromkeys((*seen.notes, *after.notes))),
+        tests=found.tests,
+        changes=found.changes,
+        not_identified=found.left,
+        notes=tuple(dict.fromkeys((*seen.notes, *after.notes, *said))),
     )
 
 
@@ -161,89 +141,6 @@ def _given(noise: Noise) -> Noise:
     return Noise({column: Sigma(sigma.value, "given") for column, sigma in noise.sigmas.items()})
 
 
-def _goodness(found: Fit) -> Any:
-    if found.goodness is None:
-        raise InputError("A fit must say what it leaves; fit the log again.")
-    return found.goodness
-
-
 def _rmse(seen: Evaluation) -> dict[str, float]:
     errors = seen.table.over()
     return {} if errors is None else {name: float(v) for name, v in errors["rmse"].items()}
-
-
-def _estimates(known: Fit, after: Fit) -> tuple[dict[str, Estimate], dict[str, Estimate], dict[str, str]]:
-    """Return what both determine, parameters and combinations, and why other parameters are not compared."""
-    one, two, left = {}, {}, {}
-    for k, name in enumerate(known.model.names):
-        unit = known.model.parameters[k].unit
-        if name in known.held and name in after.held and known.model.parameters[k].width == 0:
-            continue
-        if not known.determined[k]:
-            left[name] = "the calibration does not determine it"
-        elif name in after.at_bound or name in known.at_bound:
-            left[name] = "it is at a bound"
-        elif not after.determined[k]:
-            left[name] = "this log does not identify it"
-        else:
-            one[name] = Estimate(float(known.values[k]), float(known.std[k]), unit)
-            two[name] = Estimate(float(after.values[k]), float(after.std[k]), unit)
-    both = {c.expression for c in known.combinations} & {c.expression for c in after.combinations}
-    for found, out in ((known, one), (after, two)):
-        named = {c.expression: Estimate(c.value, c.std, c.unit) for c in found.combinations}
-        out.update({name: named[name] for name in named if name in both})
-    return one, two, left
-
-
-def _freedom(found: Fit) -> dict[str, float]:
-    own = dict(zip(found.model.names, found.degrees_of_freedom.tolist(), strict=True))
-    return own | {c.expression: c.degrees_of_freedom for c in found.combinations}
-
-
-def _parameter(change: ParameterChange, level: float) -> WatchTest:
-    p = 1.0 if change.p_value is None else change.p_value
-    return _test(PARAMETER, change.name, p, level, np.sign(change.after - change.before))
-
-
-def _residual(known: Fit, after: Fit, level: float) -> WatchTest:
-    """Test whether the log leaves more than the calibration left: the ratio of two variances."""
-    new = _goodness(after)
-    if known.goodness is None:
-        dof = new.degrees_of_freedom
-        p = float(chdtrc(dof, new.cost_per_degree_of_freedom * dof))
-    else:
-        old = known.goodness
-        ratio = new.cost_per_degree_of_freedom / max(old.cost_per_degree_of_freedom, SMALLEST)
-        p = float(fdtrc(new.degrees_of_freedom, old.degrees_of_freedom, ratio))
-    return _test(RESIDUAL, RESIDUAL, p, level, 1.0, one_sided=True)
-
-
-def _together(known: Fit, after: Fit, names: list[str], level: float) -> list[WatchTest]:
-    """Test all parameters at once: a change along which they are correlated shows in none alone."""
-    if len(names) < 2:
-        return []
-    at = [known.model.names.index(name) for name in names]
-    covariance = (known.covariance + after.covariance)[np.ix_(at, at)]
-    scale = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > SINGULAR * values[-1]
-    score = vectors[:, kept].T @ ((after.values - known.values)[at] / scale)
-    distance, count = float(np.sum(score**2 / values[kept])), int(np.count_nonzero(kept))
-    dof = min(
-        welch((known.std[k], after.std[k]), (known.degrees_of_freedom[k], after.degrees_of_freedom[k]))
-        for k in at
-    )
-    if not np.isfinite(dof):
-        p = float(chdtrc(count, distance))
-    elif dof > count:
-        p = float(fdtrc(count, dof - count + 1, distance * (dof - count + 1) / (dof * count)))
-    else:
-        return []
-    return [_test(TOGETHER, TOGETHER, p, level, 1.0, one_sided=True)]
-
-
-def _test(kind: str, name: str, p: float, level: float, sign: float, *, one_sided: bool = False) -> WatchTest:
-    """Return a test on the scale of a normal distribution."""
-    half = 1.0 if one_sided else 0.5
-    score = float(-ndtri(max(half * p, SMALLEST))) * float(sign or 1.0)
-    return WatchTest(kind, name, p, score, float(-ndtri(half * level)))
