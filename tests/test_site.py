@@ -1,5 +1,6 @@
 """The documentation site: every public name has its page; it builds without a warning and works offline."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ import hallsym
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+TUTORIALS = sorted(page.stem for page in DOCS.glob("tutorials/*.md") if page.stem != "index")
 
 
 def test_every_public_name_is_in_the_reference():
@@ -21,9 +23,14 @@ def test_every_public_name_is_in_the_reference():
 
 
 def test_every_page_is_in_the_contents():
-    contents = "".join((DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("howto", "explanation"))
-    listed = set(re.findall(r"^(\w+)$", contents, re.M))
-    assert {page.stem for page in DOCS.glob("*.md")} - {"index", "howto", "explanation"} == listed
+    contents = ("index", "howto", "explanation", "tutorials/index")
+    listed = set()
+    for name in contents:
+        text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+        inside = name.partition("/")[0] + "/" if "/" in name else ""
+        listed |= {inside + page for page in re.findall(r"^([\w/]+)$", text, re.M)}
+    pages = {str(page.relative_to(DOCS).with_suffix("")) for page in DOCS.glob("**/*.md")}
+    assert pages - listed == {"index"}
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +76,21 @@ def test_the_gallery_shows_pictures(site):
     assert len(thumbnails) >= 12
     for path in thumbnails:
         assert (site / "examples" / path).stat().st_size > 2_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_is_a_notebook_that_has_run(site, name):
+    page = (site / "tutorials" / f"{name}.html").read_text(encoding="utf-8")
+    assert f'href="{name}.ipynb"' in page
+    cells = json.loads((site / "tutorials" / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    outputs = [output for cell in code for output in cell["outputs"]]
+    assert all(cell["execution_count"] for cell in code)
+    assert "error" not in {output["output_type"] for output in outputs}
+    said = [output for output in outputs if output.get("name") == "stderr"]
+    assert ["".join(output["text"]) for output in said] == []
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 1
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
-from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, of_signs, student
+from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, student
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, distance, ordered
 from hallsym.diagnosis.record import (
@@ -63,7 +63,7 @@ from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable,
 from hallsym.diagnosis.setup import Floor, base_of
 from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.shrinkage import Judged, Nested, foreseen
-from hallsym.diagnosis.sign_flips import SignFlips, adjusted, searched, stretch
+from hallsym.diagnosis.sign_flips import SignFlips, adjusted, of_products, searched, stretch
 from hallsym.diagnosis.simulated_machine import (
     SimulatedMachine,
     decimated,
@@ -95,10 +95,10 @@ __all__ = [
     "errors_of", "examine", "exceeds", "facts_of", "faults", "firmware_cost", "flexible", "foreseen",
     "gap_text", "gap_unit", "generator", "hats", "injections", "inside_bounds", "instants", "knot_group",
     "knots", "lack_of_fit", "load_effects", "located", "machine_of", "model_on", "noise_of_rest",
-    "noise_text", "normal_equations", "of_signs", "operations", "ordered", "others", "prepare", "rails_of",
-    "range_of", "readings_of", "recorded", "recordings", "refit", "remains", "resemblances",
-    "residual_table", "run_gains", "scores", "searched", "select", "selftest", "separation", "shape",
-    "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings", "smoothed", "split",
-    "stretch", "student", "survey", "unexplained", "used_up", "validate", "watch", "waves_per_period",
-    "wiring_p", "wirings", "with_model", "with_readings",
+    "noise_text", "normal_equations", "of_products", "of_signs", "operations", "ordered", "others",
+    "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit", "remains",
+    "resemblances", "residual_table", "run_gains", "scores", "searched", "select", "selftest", "separation",
+    "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings", "smoothed",
+    "split", "stretch", "student", "survey", "unexplained", "used_up", "validate", "watch",
+    "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

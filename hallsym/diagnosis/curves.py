@@ -2,21 +2,23 @@
 
 Per sensor the residual may have an offset and a gain that follow the coordinate smoothly: linear
 interpolation between knots, bending penalised. What a curve explains is counted on runs that it was not
-fitted on, so that it cannot exceed what is there. Its p-value rests on signs: without the effect the blocks'
-products with the curve are as often positive as negative, whatever the noise within a block. Blocks count
-alike, however large their residual. Products of a block with itself and with its neighbour in the same run
-are left out, so that correlation in time does not count.
+fitted on, so that it cannot exceed what is there. Its significance rests on signs (`sign_flips`): without the
+effect the blocks' products with the curve are as often positive as negative, whatever the noise within a
+block. Blocks count alike, however large their residual. Products of a block with itself and with its
+neighbour in the same run are left out, so that correlation in time does not count; so is what residual and
+coordinate have in common because both hold the noise of the references (`measurement_error`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.regression import regression, ridge
 from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.families.play import stop_operator
 
 BEND = 0.01
@@ -41,6 +43,7 @@ class Curve:
     `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * sensed / scale [m]; `gain`
     None where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
     `explained`: whitened squares that it removes from runs it was not fitted on; `predicted`: (K, n).
+    `statistic`: (draws,) with random signs, that of the log first.
     """
 
     coordinate: Coordinate
@@ -52,19 +55,25 @@ class Curve:
     gain_spread: np.ndarray | None
     scale: float
     explained: float
-    p_value: float
+    statistic: np.ndarray
     predicted: np.ndarray
     fine: bool = False
 
+    @property
+    def p_value(self) -> float:
+        """P-value of this curve alone: the share of draws with as large a statistic."""
+        return float((self.statistic >= self.statistic[0]).mean())
 
-Fitted = tuple[float, np.ndarray, np.ndarray, float]
-"""What coefficients explain on runs left out, they of all, they without each fold, and the p-value."""
+
+Fitted = tuple[float, np.ndarray, np.ndarray, np.ndarray]
+"""What coefficients explain on runs left out, they of all, they without each fold, and the statistic."""
 
 
 class Smooth:
     """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
 
-    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+    def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
+        """Take the residual on some runs; `moved`: the same with more noise in the references."""
         self.r, self.coordinate = r, coordinate
         values = coordinate.values(r)
         self.values = values
@@ -73,25 +82,27 @@ class Smooth:
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         self.at, self.phi = self._features(values)
         K, nf, n = self.phi.shape
+        self.folds, self.blocks = _slices(r.fold), _slices(r.block)
+        other = None if moved is None else _features_at(moved, coordinate, self.at, self.scale, r)
+        change = np.zeros_like(r.residual) if moved is None else r.precision @ (moved.residual - r.residual)
+        by = (other - self.phi) * change[:, None, :] if other is not None else np.zeros((K, nf, 1))
+        self.shared = [
+            np.array([by[:, :, s].sum(axis=2) for s in group]) for group in (self.folds, self.blocks)
+        ]
         self.coupled = K * nf <= COUPLED
         if not self.coupled:
             return
         flat = self.phi.reshape(K * nf, n)
         P = np.kron(r.precision, np.ones((nf, nf)))
-        self.gram = np.array([flat[:, s] @ flat[:, s].T * P for s in _slices(r.fold)])
+        self.gram = np.array([flat[:, s] @ flat[:, s].T * P for s in self.folds])
         self.penalty = _penalty(np.diag(self.gram.sum(axis=0)), len(self.at))
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
-        if not c.ordered:
-            phi = _unordered(r, c, r)
-            return np.array(MEMORIES) if c.memory else np.arange(float(phi.shape[1])), phi
-        each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
-        at = knots(each)
-        phi = np.array([hats(row, at) for row in each])
-        if c.gain:
-            phi = np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1)
-        return at, phi
+        at = knots(x) if c.ordered else np.array(MEMORIES)
+        phi = _features_at(r, c, at, self.scale, r)
+        assert phi is not None
+        return at if c.ordered or c.memory else np.arange(float(phi.shape[1])), phi
 
     def curve(self, residual: np.ndarray) -> Curve | None:
         """Return the curve of a residual (K, n): a parabola, or a smooth curve where that explains more."""
@@ -99,7 +110,7 @@ class Smooth:
             return None
         K, nf, _ = self.phi.shape
         fits = self._together(residual) if self.coupled else self._one_by_one(residual)
-        p = min(1.0, len(fits) * min(f[-1] for f in fits))
+        z = np.max([f[-1] for f in fits], axis=0)
         explained, coefficients, left, _ = max(fits, key=lambda f: f[0])
         beta, U, m = coefficients.reshape(K, nf), len(left), len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0)).reshape(K, nf)
@@ -107,7 +118,7 @@ class Smooth:
         both = nf == 2 * m and self.coordinate.gain
         return Curve(
             self.coordinate, self.values, self.at, beta[:, :m], beta[:, m:] if both else None, error[:, :m],
-            error[:, m:] if both else None, self.scale, explained, p, predicted,
+            error[:, m:] if both else None, self.scale, explained, z, predicted,
         )  # fmt: skip
 
     def _together(self, residual: np.ndarray) -> list[Fitted]:
@@ -115,9 +126,11 @@ class Smooth:
         r = self.r
         K, nf, n = self.phi.shape
         weighted = r.precision @ residual
-        b_of = np.einsum("kfn,kn->kfn", self.phi, weighted).reshape(K * nf, n)
-        sums = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.fold)])
-        blocks = np.array([b_of[:, s].sum(axis=1) for s in _slices(r.block)])
+        b_of = (self.phi * weighted[:, None, :]).reshape(K * nf, n)
+        sums, blocks = (
+            np.array([b_of[:, s].sum(axis=1) for s in group]) - shared.reshape(-1, K * nf)
+            for group, shared in zip((self.folds, self.blocks), self.shared, strict=True)
+        )
         blocks *= level_weights(r, residual, r.block)[:, None]
         return [self._fit(V, sums, blocks) for V in self._bases(K * nf)]
 
@@ -125,7 +138,7 @@ class Smooth:
         """Fit the coefficients of each sensor to its own residual; judge them on the residual of all."""
         r = self.r
         K, nf, _ = self.phi.shape
-        folds, blocks = _slices(r.fold), _slices(r.block)
+        folds, blocks = self.folds, self.blocks
         own = 1 / np.diag(np.linalg.inv(r.precision))
         level = level_weights(r, residual, r.block)[:, None]
         bases = self._bases(nf)
@@ -136,8 +149,8 @@ class Smooth:
             gram = own[k] * np.array([phi[:, s] @ phi[:, s].T for s in folds])
             penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at))
             weighted = own[k] * phi * residual[k]
-            cross = np.array([weighted[:, s].sum(axis=1) for s in folds])
-            parts = level * np.array([weighted[:, s].sum(axis=1) for s in blocks])
+            cross = np.array([weighted[:, s].sum(axis=1) for s in folds]) - self.shared[0][:, k]
+            parts = level * (np.array([weighted[:, s].sum(axis=1) for s in blocks]) - self.shared[1][:, k])
             for j, V in enumerate(bases):
                 inner, pull = V.T @ gram @ V, V.T @ penalty @ V
                 fit, scores = regression(inner, (cross @ V)[:, :, None], pull), parts @ V
@@ -145,7 +158,7 @@ class Smooth:
                 q[j] += scores @ np.linalg.solve(inner.sum(axis=0) + pull, scores.T)
         run = r.run_of(r.block)
         return [
-            (self._explains(c, residual, folds), b.ravel(), c.reshape(len(folds), -1), of_signs(a, run))
+            (self._explains(c, residual, folds), b.ravel(), c.reshape(len(folds), -1), of_products(a, run))
             for a, b, c in zip(q, every, left, strict=True)
         ]
 
@@ -171,16 +184,16 @@ class Smooth:
         gram, penalty = V.T @ self.gram @ V, V.T @ self.penalty @ V
         fit = regression(gram, (sums @ V)[:, :, None], penalty)
         scores = blocks @ V
-        p = of_signs(
-            scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T), self.r.run_of(self.r.block)
-        )
-        return float(fit.squares.sum()), V @ fit.all[:, 0], fit.left_out[:, :, 0] @ V.T, p
+        q = scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T)
+        z = of_products(q, self.r.run_of(self.r.block))
+        return float(fit.squares.sum()), V @ fit.all[:, 0], fit.left_out[:, :, 0] @ V.T, z
 
 
 class FineMap:
     """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell."""
 
-    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+    def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
+        """Take the residual on some runs; `moved`: the same with more noise in the references."""
         self.r, self.coordinate = r, coordinate
         x = coordinate.values(r)
         if x is None:
@@ -193,7 +206,15 @@ class FineMap:
         self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, FINE))
         self.width = (high - low) / self.bins
         self.at = low + self.width * (np.arange(self.bins) + 0.5)
-        self.bin = np.clip(((each - low) / self.width).astype(int), 0, self.bins - 1)
+        self.low = low
+        self.bin = self._bin(x, r)
+        self.shared: Callable[[np.ndarray], np.ndarray | float] = lambda group: 0.0
+        there = None if moved is None else coordinate.values(moved)
+        if moved is not None and there is not None:
+            change, other = moved.residual - r.residual, self._bin(there, r)
+            self.shared = lambda group: (
+                self._sums(change, group, other)[1] - self._sums(change, group, self.bin)[1]
+            )
         self.prior = r.residual.size / max(r.excess, 1e-3 * r.residual.size)
 
     def curve(self, residual: np.ndarray) -> Curve | None:
@@ -201,13 +222,15 @@ class FineMap:
         if self.values is None:
             return None
         r, K = self.r, len(residual)
-        n, sums = self._sums(residual, r.fold)
+        n, sums = self._sums(residual, r.fold, self.bin)
+        sums = sums - self.shared(r.fold)
         N, S = n.sum(axis=0), sums.sum(axis=0)
         left = (S - sums) / (N - n + self.prior)
         weight = np.diag(r.precision)[:, None]
         explained = float((weight * (2 * sums * left - n * left**2)).sum())
         mean = S / (N + self.prior)
-        _, parts = self._sums(residual, r.block)
+        _, parts = self._sums(residual, r.block, self.bin)
+        parts = parts - self.shared(r.block)
         parts *= level_weights(r, residual, r.block)[:, None, None]
         scores = (parts * np.sqrt(weight / (N + self.prior))).reshape(len(parts), -1)
         U = len(left)
@@ -215,14 +238,20 @@ class FineMap:
         predicted = np.array([mean[k][self.bin[k]] for k in range(K)])
         return Curve(
             self.coordinate, self.values, self.at, mean, None, error, None, 1.0, explained,
-            of_signs(scores @ scores.T, r.run_of(r.block)), predicted, True,
+            of_products(scores @ scores.T, r.run_of(r.block)), predicted, True,
         )  # fmt: skip
 
-    def _sums(self, residual: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _bin(self, x: np.ndarray, r: ResidualTable) -> np.ndarray:
+        each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
+        return np.clip(((each - self.low) / self.width).astype(int), 0, self.bins - 1)
+
+    def _sums(
+        self, residual: np.ndarray, group: np.ndarray, bins: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Samples and sums of the residual by group, sensor and bin, (groups, K, bins) each."""
         _, index = np.unique(group, return_inverse=True)
         groups, K = index.max() + 1, len(residual)
-        place = (index * K + np.arange(K)[:, None]) * self.bins + self.bin
+        place = (index * K + np.arange(K)[:, None]) * self.bins + bins
         flat = place.ravel()
         shape = (groups, K, self.bins)
         size = groups * K * self.bins
@@ -230,8 +259,8 @@ class FineMap:
         return n, np.bincount(flat, residual.ravel(), size).reshape(shape)
 
 
-def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
-    """Return what a gain of its own in every run explains, and its p-value.
+def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return what a gain of its own in every run explains, and its statistic (draws,), that of the log first.
 
     Each stretch of a run is predicted by the other stretches of the same run.
     """
@@ -240,7 +269,8 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
     cross = np.array([products[:, s].sum(axis=1) for s in parts])
     gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
     run = np.array([r.run[s.start] for s in parts])
-    explained, q = 0.0, np.zeros((len(parts), len(parts)))
+    explained, sums, variance, third = 0.0, 0.0, 0.0, 0.0
+    signs = drawn(len(parts))
     even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
         at = np.flatnonzero(run == number)
@@ -248,8 +278,11 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
             continue
         penalty = ridge(gram[at])
         explained += float(regression(gram[at], cross[at][:, :, None], penalty).squares.sum())
-        q[np.ix_(at, at)] = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
-    return explained, of_signs(q, run)
+        q = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
+        q[np.abs(np.subtract.outer(at, at)) <= 1] = 0.0
+        sums = sums + ((signs[:, at] @ q) * signs[:, at]).sum(axis=1)
+        variance, third = (a + b for a, b in zip((variance, third), moments(q), strict=True))
+    return explained, of_sums(sums + np.zeros(len(signs)), variance, third, len(parts))
 
 
 def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -257,6 +290,20 @@ def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> 
     squares = np.einsum("kn,kl,ln->n", residual, r.precision, residual)
     means = np.array([squares[s].mean() for s in _slices(group)])
     return np.asarray(1.0 / np.sqrt(np.maximum(means, 1e-300)))
+
+
+def _features_at(
+    r: ResidualTable, c: Coordinate, at: np.ndarray, scale: float, like: ResidualTable
+) -> np.ndarray | None:
+    """Features of a coordinate, (K, features, n), as they are on `like`; None where it does not vary."""
+    x = c.values(r)
+    if x is None:
+        return None
+    if not c.ordered:
+        return _unordered(r, c, like)
+    each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
+    phi = np.array([hats(row, at) for row in each])
+    return np.concatenate([phi, phi * (r.sensed / scale)[:, None, :]], axis=1) if c.gain else phi
 
 
 def _unordered(r: ResidualTable, c: Coordinate, like: ResidualTable) -> np.ndarray:

@@ -8,15 +8,14 @@ take up.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.normal_equations import Accumulator, coefficients, eliminated
-from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.record import Share, Statement
-from hallsym.diagnosis.residual_table import BLOCKS, FEWEST, FOLDS, SHORTEST, ResidualTable, at_rest
+from hallsym.diagnosis.residual_table import SHORTEST, ResidualTable, at_rest
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.scores import NIL, Score, by_name
 from hallsym.diagnosis.shares import LEAST, LEVEL, Found
@@ -36,49 +35,25 @@ PARTS = 11
 """Groups of runs that are left out in turn."""
 
 
-@dataclass(eq=False)
-class Sums:
-    """Products of the columns [parameters | effects | residual] of all blocks, and of each group of runs.
+class Groups:
+    """Products of the columns [parameters | effects | residual] by group of runs, zeros eliminated.
 
-    Of a block alone only `near` is kept, the products with the parameters and the residual (own + 1, c): all
-    of each would be a hundred times as much. `run`, `readings`: group and number of readings of each block.
+    `own`: count of the parameters. `span`: columns of each effect. `readings`: whitened readings in all.
     """
 
-    own: int
-    groups: dict[int, np.ndarray] = field(default_factory=dict)
-    near: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
-    count: dict[tuple[int, int], float] = field(default_factory=dict)
-
-    def add(self, group: int, part: int, products: np.ndarray, size: float) -> None:
-        """Add products (c, c) of `size` readings to a block: part `part` of the runs of a group."""
-        fold, at = group % PARTS, (group, part)
-        self.groups[fold] = self.groups.get(fold, 0) + products
-        self.near[at] = self.near.get(at, 0) + products[[*range(self.own), -1]]
-        self.count[at] = self.count.get(at, 0.0) + size
-
-
-class Blocks:
-    """Products of the columns [parameters | effects | residual] by block of samples, zeros eliminated.
-
-    `span`: columns of each effect. `readings`: whitened readings in all.
-    """
-
-    def __init__(self, sums: Sums, span: Mapping[str, slice], bounds: tuple[np.ndarray, np.ndarray]) -> None:
-        """Take the model's own parameters out: of all for significance, of the others for the shares."""
-        keys = sorted(sums.near)
-        self.run, self.span, self.bounds = np.array([k[0] for k in keys]), span, bounds
-        readings = np.array([sums.count[k] for k in keys])
-        self.readings = float(readings.sum())
-        self.own = own = sums.own
-        self.groups = [sums.groups[k] for k in sorted(sums.groups)]
-        self.total = self.groups[0].copy()
-        for group in self.groups[1:]:
-            self.total += group
-        follow = _follow(self.total, own)
-        self.all, self.raw = eliminated(self.total, follow), np.diag(self.total)[own:]
-        last = np.array([_eliminated_residual(sums.near[k], follow) for k in keys])
-        level = np.sqrt(readings / np.maximum(last[:, -1], 1e-300))
-        self.scores = last[:, :-1] * level[:, None]
+    def __init__(
+        self,
+        products: Sequence[np.ndarray],
+        own: int,
+        readings: float,
+        span: Mapping[str, slice],
+        bounds: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        """Take the products (c, c) of each group."""
+        self.span, self.bounds, self.readings, self.own = span, bounds, readings, own
+        self.groups = products
+        self.total = np.sum(products, axis=0)
+        self.raw = np.diag(self.total)[own:]
         self.known: dict[tuple[str, ...], float] = {(): 0.0}
 
     def at(self, names: Sequence[str]) -> np.ndarray:
@@ -105,28 +80,13 @@ class Blocks:
             self.known[key] = total
         return self.known[key]
 
-    def chance(self, name: str) -> float:
-        """Return the p-value of one effect: signs of its scores, block by block."""
-        at = self.at([name])
-        scores = self.scores[:, at]
-        q = scores @ pseudo_inverse(self.all[np.ix_(at, at)]) @ scores.T
-        return of_signs(q, self.run)
-
 
 def _follow(total: np.ndarray, own: int) -> np.ndarray:
     """Return how the first `own` columns follow the others in products `total`."""
     return -pseudo_inverse(total[:own, :own]) @ total[:own, own:]
 
 
-def _eliminated_residual(near: np.ndarray, follow: np.ndarray) -> np.ndarray:
-    """Return the last column of `eliminated`, from the rows (own + 1, c) of parameters and residual."""
-    own = len(follow)
-    across, last = near[:own, own:], near[own]
-    moved = near[:own, -1] + near[:own, :own] @ follow[:, -1]
-    return np.asarray(last[own:] + across.T @ follow[:, -1] + follow.T @ moved)
-
-
-def blocks_of(base: Base, tried: Mapping[str, Score]) -> Blocks:
+def groups_of(base: Base, tried: Mapping[str, Score]) -> Groups:
     """Read the fitted runs once more, where the axes were: see `smoothed`."""
     candidates = {
         name: (s.model, [n for n in s.model.names if n not in base.model.names]) for name, s in tried.items()
@@ -134,18 +94,16 @@ def blocks_of(base: Base, tried: Mapping[str, Score]) -> Blocks:
     models = [m for m, _ in candidates.values()]
     base = replace(base, log=smoothed(base, models), keep=None)
     work = Accumulator(base, candidates)
-    runs = base.log.runs
-    # a log of many runs has a block for each group of neighbours, one of few runs several blocks in each
-    group = {run: k * min(FOLDS, len(runs)) // len(runs) for k, run in enumerate(runs)}
-    length = max(SHORTEST, -(-base.log.rows // BLOCKS)) if len(runs) < FEWEST else base.log.rows
-    sums = Sums(work.n)
-    for run in work.stretches(length):
-        follow = eliminate(np.sum([s.products for s in run], axis=0), work.z)[1] if work.z else None
-        for part, s in enumerate(run):
-            left = s.products if follow is None else eliminated(s.products, follow)
-            sums.add(group[s.run], part, left, s.size)
+    place = {run: k % PARTS for k, run in enumerate(base.log.runs)}
+    products: dict[int, np.ndarray] = {}
+    readings = 0.0
+    for run in work.stretches(base.log.rows):
+        whole, at = np.sum([s.products for s in run], axis=0), place[run[0].run]
+        left = eliminate(whole, work.z)[0] if work.z else whole
+        products[at] = products.get(at, 0.0) + left
+        readings += sum(s.size for s in run)
     span = {k: v for k, v in work.span.items() if k and k not in work.slopes.spoiled}
-    return Blocks(sums, span, _bounds(candidates))
+    return Groups([products[k] for k in sorted(products)], work.n, readings, span, _bounds(candidates))
 
 
 def smoothed(base: Base, models: Sequence[Model]) -> Log:
@@ -201,17 +159,17 @@ def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequ
     `power` as part of the excess; they have no equation.
     """
     tried = {s.effect.name: s for s in by_name(scored) if not s.absorbed}
-    blocks = blocks_of(base, tried)
-    excess = r.excess / r.residual.size * blocks.readings
-    found = {link: _link(blocks, own, excess, len(scored)) for link, own in _by_link(base, tried).items()}
+    groups = groups_of(base, tried)
+    excess = r.excess / r.residual.size * groups.readings
+    found = {link: _link(groups, own, excess) for link, own in _by_link(base, tried).items()}
     every = [name for f in found.values() if f and f.alone >= LEAST for name in f.names]
-    whole = blocks.takes(every)
+    whole = groups.takes(every)
     rows, said = [], []
     for link in (*LINKS, *(k for k in found if k not in LINKS)):
         best = found.get(link)
         if best:
             others = [name for name in every if name not in best.names]
-            beside = blocks.takes(others)
+            beside = groups.takes(others)
             best = replace(
                 best,
                 others=float(np.clip(beside / excess, 0.0, 1.0)),
@@ -278,20 +236,19 @@ def _by_link(base: Base, tried: Mapping[str, Score]) -> dict[str, list[Score]]:
     return out
 
 
-def _link(blocks: Blocks, own: Sequence[Score], excess: float, count: int) -> Link | None:
+def _link(groups: Groups, own: Sequence[Score], excess: float) -> Link | None:
     """The effects of one link: the best, and others that add to it."""
-    known = [s for s in own if s.effect.name in blocks.span]
+    known = [s for s in own if s.effect.name in groups.span]
     if not known:
         return None
-    tried = {s.effect.name: s.variant.tried for s in known}
     names: list[str] = []
     taken = 0.0
     while len(names) < min(MOST, len(known)):
         left = [s.effect.name for s in known if s.effect.name not in names]
-        more = {name: blocks.takes([*names, name]) for name in left}
+        more = {name: groups.takes([*names, name]) for name in left}
         best = max(more, key=lambda name: more[name])
         if names and more[best] - taken < LEAST * excess:
             break
         names, taken = [*names, best], more[best]
-    p = min(min(1.0, count * tried[name] * blocks.chance(name)) for name in names)
+    p = min(s.p_value for s in known if s.effect.name in names)
     return Link(tuple(names), float(np.clip(taken / excess, 0.0, 1.0)), p)

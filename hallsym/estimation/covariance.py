@@ -61,7 +61,7 @@ def uncertainty_at(point: Point, found: Determination) -> Uncertainty:
     covariance = np.zeros((len(p), len(p)))
     known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
     if len(free):
-        runs, more = point.information(1.0, free), _turning_noise(cost, p, free)
+        runs, more = point.information(1.0, free), _turning_noise_of(cost, p, free)
         scores = 0.5 * point.run_gradients[:, free]
         known = _estimate(runs, more, scores, cost.weights, fit)
         covariance[np.ix_(free, free)] = known.covariance
@@ -95,6 +95,22 @@ def _by_log(
     """Whether another recording could determine parameter k and this one does not."""
     p = model.parameters[k]
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
+
+
+def _turning_noise_of(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | None:
+    """Return `_turning_noise` of the runs of all shares of a cost, in order; None where none has any."""
+    out, runs = np.zeros((len(cost.weights), len(free), len(free))), 0
+    turning = False
+    for part, chosen in cost.shares:
+        at = slice(runs, runs + len(part.weights))
+        own = np.flatnonzero(np.isin(free, chosen))
+        place = np.searchsorted(chosen, free[own])
+        found = _turning_noise(part, p[chosen], place)
+        if found is not None:
+            out[at, own[:, None], own] = found
+            turning = True
+        runs = at.stop
+    return out if turning else None
 
 
 def _turning_noise(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | None:

@@ -186,7 +186,7 @@ class Scaled:
 
         def population(x: np.ndarray) -> np.ndarray:
             points = self.from_unit(x)
-            if cost.summary.features.n_zero == 0 and len(cost.summary.runs) == 1:
+            if cost.by_population:
                 return cost.population(points) / n
             return np.array([cost.at(p).value for p in points]) / n
 

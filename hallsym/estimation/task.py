@@ -87,6 +87,17 @@ class Begun:
 
 
 @dataclass(frozen=True, eq=False)
+class Opened:
+    """A log before its fit: costs and what was judged by them; `found`: before channels were put in order."""
+
+    task: "Task"
+    begun: Begun
+    judged: Judgement
+    found: Judgement
+    wiring: Wiring | None
+
+
+@dataclass(frozen=True, eq=False)
 class Solved:
     """How a task ended.
 
@@ -118,6 +129,8 @@ class Task:
     say: Progress
     begin_at: np.ndarray | None
     known_noise: Noise = field(default_factory=Noise)
+    centre: np.ndarray | None = None
+    """Of the features, where other logs are fitted with this one; else the log's own."""
 
     @cached_property
     def noise(self) -> Noise:
@@ -126,17 +139,11 @@ class Task:
 
     def by_statistics(self, resolve_wiring: bool) -> Solved:
         """Fit run statistics, which hold all that the cost can ask of the log."""
-        task, begun = self, self.begin(self.summary())
-        judged = self.judged(begun)
-        found, wiring = judged, wiring_of(judged.whole) if resolve_wiring else None
+        opened = self.opened(resolve_wiring)
+        task, judged, wiring = opened.task, opened.judged, opened.wiring
+        state = task.solve(opened.begun)
         if wiring is not None:
-            task = replace(self, log=rewired(self.log, self.model.channels, wiring))
-            begun = task.begin(task.summary())
-            judged = task.judged(begun).resolved(judged)
-        judged.refuse()
-        state = task.solve(begun)
-        if wiring is not None:
-            self.refuse_references(found, state)
+            self.refuse_references(opened.found, state)
         errors, keep, notes = task.errors(state, None), None, judged.notes
         if task.suspicious(state, errors) if self.loss == "auto" else self.loss != "none":
             state, keep, said = task.without_outliers(state)
@@ -150,6 +157,18 @@ class Task:
         notes += () if late is None else (late,)
         task.check(state)
         return Solved(task, state, errors, keep, wiring, notes)
+
+    def opened(self, resolve_wiring: bool) -> "Opened":
+        """Return the costs of the log, judged, with its channels put in order where that is asked for."""
+        task, begun = self, self.begin(self.summary())
+        judged = self.judged(begun)
+        found, wiring = judged, wiring_of(judged.whole) if resolve_wiring else None
+        if wiring is not None:
+            task = replace(self, log=rewired(self.log, self.model.channels, wiring))
+            begun = task.begin(task.summary())
+            judged = task.judged(begun).resolved(judged)
+        judged.refuse()
+        return Opened(task, begun, judged, found, wiring)
 
     def refuse_references(self, found: Judgement, state: Started) -> None:
         """Refuse a reference where its sign or order explains the log, and not that of the channels.
@@ -210,7 +229,7 @@ class Task:
 
     def summary(self, weigh: Weigh | None = None) -> RunStatistics:
         """Return the run statistics of the log."""
-        return summarise(self.log, self.model, weigh, self.counting("summarising runs"))
+        return summarise(self.log, self.model, weigh, self.counting("summarising runs"), self.centre)
 
     def begin(self, summary: RunStatistics) -> "Begun":
         """Return what linear least squares says of one set of run statistics."""
@@ -309,26 +328,32 @@ class Task:
 
         Differences of neighbouring samples miss noise that is correlated; what the fit leaves does not.
         """
-        columns = (*self.model.channels, *self.model.references)
-        guessed = frozenset(c for c in columns if self.noise[c].source == "estimated")
-        if not guessed:
-            return solved
         state = solved.solution
-        point = state.fitted.at(state.p)
-        left = noise_at(self.log, point, self.noise.std, solved.keep)
-        factor = 1.0 if left is None else estimated_factor(left, point, guessed)
-        if factor <= 1.0 + KNOWN:
+        noise = self.noise_left(state, solved.keep)
+        if noise is None:
             return solved
-        sigmas = {
-            c: replace(s, value=s.value * factor) if c in guessed else s for c, s in self.noise.sigmas.items()
-        }
-        task = replace(self, log=replace(self.log, noise=Noise(sigmas)), begin_at=state.p)
+        task = replace(self, log=replace(self.log, noise=noise), begin_at=state.p)
         if isinstance(state, Started):
             begun = task.begin(task.summary(solved.keep) if solved.keep else state.everything.summary)
             state = task.solve(begun, solver="direct")
         else:
             state = task.passes(state.p, solved.keep)
         return replace(solved, task=task, solution=state, errors=task.errors(state, solved.keep))
+
+    def noise_left(self, state: Solution, keep: Weigh | None) -> Noise | None:
+        """Return the noise that a fit leaves where its noise was estimated and is larger; None elsewhere."""
+        columns = (*self.model.channels, *self.model.references)
+        guessed = frozenset(c for c in columns if self.noise[c].source == "estimated")
+        if not guessed:
+            return None
+        point = state.fitted.at(state.p)
+        left = noise_at(self.log, point, self.noise.std, keep)
+        factor = 1.0 if left is None else estimated_factor(left, point, guessed)
+        if factor <= 1.0 + KNOWN:
+            return None
+        return Noise({
+            c: replace(s, value=s.value * factor) if c in guessed else s for c, s in self.noise.sigmas.items()
+        })  # fmt: skip
 
     def check(self, state: Started) -> None:
         """Refuse a reference that does not belong."""

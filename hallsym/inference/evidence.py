@@ -32,7 +32,7 @@ MOVED = 5.0
 class Evidence:
     """Likelihood `cost`, its optimum `p` (n,), what it determines (`found`), and how certainly.
 
-    `recorded`: what to call the log or the plan.
+    `recorded`: what to call the log or the plan; `log`: its samples.
     """
 
     cost: Cost
@@ -41,6 +41,7 @@ class Evidence:
     uncertainty: Uncertainty
     workspace: Workspace
     recorded: str
+    log: Log
     notes: tuple[str, ...] = ()
 
     @property
@@ -82,6 +83,7 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         uncertainty(cost, found.values, determination),
         visited(source, found.model, sigma=sigma, values=found.model.named(found.values)),
         source.name,
+        source,
         notes,
     )
 
@@ -103,7 +105,7 @@ def from_plan(
     found = determine(cost, p)
     reason = "a plan: white noise of the stated size is taken for granted"
     told = replace(uncertainty(cost, p, found), method="likelihood", reason=reason)
-    return Evidence(cost, p, found, told, visited(log, model), name)
+    return Evidence(cost, p, found, told, visited(log, model), name, log)
 
 
 def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:

@@ -17,12 +17,14 @@ from hallsym.records import structured
 class Meta:
     """Facts about a campaign; everything is optional and `raw` keeps the file's own words.
 
+    `device` says which machine was recorded.
     `holdout` holds run ids to judge on, `nominal` design values by parameter name, `probes` one entry per
     channel with `channel`, `position_m` and `senses`; `gap_length_scale_m` turns rotation into length and
     `gap_threshold_rel` is the relative improvement that is worth reporting.
     """
 
     case_id: str | None = None
+    device: str | None = None
     family: str | None = None
     base_model: str | None = None
     nominal: dict[str, Any] = field(default_factory=dict)

@@ -5,6 +5,7 @@ from typing import Any
 
 from hallsym.families.halbach import models, planar
 from hallsym.families.halbach.effects import EFFECTS, PLANAR_EFFECTS
+from hallsym.families.halbach.further import FURTHER
 from hallsym.model import Example, Family, PoseMetric
 
 SWEEPS = tuple(
@@ -57,6 +58,7 @@ FAMILY = Family(
     from_meta=models.from_meta,
     tables=("arrays",),
     decoder="wave",
+    further=FURTHER,
     effects=EFFECTS,
     words={"x_ref_m": "x along the array", "z_ref_m": "gap z"},
     tolerances={"": {"a1_percent": 2, "b1_mv": 6, "a5_mv": 0.5, "b5": "exact"}, **SENSORS},
@@ -79,6 +81,7 @@ PLANAR = Family(
     from_meta=planar.from_meta,
     tables=("arrays", "channels"),
     decoder="wave",
+    further=FURTHER,
     effects=PLANAR_EFFECTS,
     words={"z_ref_m": "gap z"},
     tolerances={

@@ -7,6 +7,7 @@ from hallsym.errors import counted
 from hallsym.estimation import MANY, Fit
 from hallsym.report.data import parameter_rows
 from hallsym.report.tables import concise, error_rows, grid
+from hallsym.report.text.several import several_text
 from hallsym.units import readable
 
 TOO_SMALL = 0.1
@@ -20,13 +21,14 @@ def fit_text(fit: Fit) -> str:
     amiss = fit.goodness and fit.goodness.sentence
     parts = [
         *([amiss, ""] if amiss else []),
-        f"{fit.model.name} on {log['path'] or 'a log in memory'}: {counted(log['rows'], 'sample')}, "
+        f"{fit.model.name} on {_logs(fit)}: {counted(log['rows'], 'sample')}, "
         + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
         + f"; {fit.status} in {fit.seconds:.2f} s",
         "",
         error_rows(fit.model.pose, _labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
         "",
+        *([*several_text(fit), ""] if fit.logs else []),
         parameter_text(fit),
     ]
     if fit.combinations:
@@ -34,6 +36,12 @@ def fit_text(fit: Fit) -> str:
     parts += ["", *circumstances(fit)]
     parts += [f"note: {note}" for note in fit.notes]
     return "\n".join(parts)
+
+
+def _logs(fit: Fit) -> str:
+    """What the log is called, or how many there are."""
+    fitted = [log["name"] for log in fit.logs if not log["held_out"]]
+    return counted(len(fitted), "log") if fitted else fit.log["path"] or "a log in memory"
 
 
 def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,8 @@ import numpy as np
 from hallsym.inference import (
     Change,
     CombinationReport,
+    FurtherReport,
+    Gained,
     Identifiability,
     NullDirection,
     NullSpace,
@@ -31,6 +33,7 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     if report.combinations:
         parts += ["", combinations_text(report.combinations)]
     parts += ["", *null_text(report.structural, report.practical)]
+    parts += ["", further_text(report.further)] if report.further else []
     parts += ["", effects_text(report)]
     parts += ["", outputs_text(report), "", *offsets_text(report.offsets, zeros)]
     parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
@@ -108,6 +111,33 @@ def _direction(direction: NullDirection) -> str:
         return f"  {named} may change together; {known} combinations of them are identifiable (table above)"
     value = f"{concise(direction.value or 0.0, direction.std)} {direction.unit}"
     return f"  {named}: only {' and '.join((f'{direction.determined} = {value}', *direction.also))}"
+
+
+def further_text(further: Sequence[FurtherReport]) -> str:
+    """Return what each further recording would determine beside this one."""
+    rows = [["with another recording", "practical rank", "then determined (1 sigma)"]]
+    rows += [[f.recording, f"{f.rank} of {f.of}", _gained(f.gained)] for f in further]
+    body = grid([row[:-1] for row in rows]).split("\n")
+    width, words = len(body[1]), [rows[0][-1], "", *(row[-1] for row in rows[1:])]
+    return "\n".join(f"{line:{width}}  {word}".rstrip() for line, word in zip(body, words, strict=True))
+
+
+LISTED = 8
+"""Gains of a further recording that are listed; all are in the JSON record."""
+
+
+def _gained(gained: Sequence[Gained]) -> str:
+    new = [g for g in gained if g.before is None]
+    better = sorted((g for g in gained if g.before is not None), key=lambda g: -(g.before or 0.0) / g.std)
+    said = [f"{g.parameter} ({_size(g)})" for g in new]
+    said += [f"{g.parameter} {(g.before or 0.0) / g.std:.2g} x as well ({_size(g)})" for g in better]
+    rest = len(said) - LISTED
+    return ", ".join(said[:LISTED]) + (f" and {rest} more" if rest > 0 else "") or "nothing more"
+
+
+def _size(gained: Gained) -> str:
+    factor, unit = parameter_unit(gained.unit)
+    return f"{gained.std * factor:.2g} {unit}".replace(" 1", "")
 
 
 def effects_text(report: Identifiability) -> str:
