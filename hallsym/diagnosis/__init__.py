@@ -95,7 +95,7 @@ __all__ = [
     "errors_of", "examine", "exceeds", "facts_of", "faults", "firmware_cost", "flexible", "foreseen",
     "gap_text", "gap_unit", "generator", "hats", "injections", "inside_bounds", "instants", "knot_group",
     "knots", "lack_of_fit", "load_effects", "located", "machine_of", "model_on", "noise_of_rest",
-    "noise_text", "normal_equations", "of_products", "of_signs", "operations", "ordered", "others",
+    "noise_text", "normal_equations", "of_products", "operations", "ordered", "others",
     "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit", "remains",
     "resemblances", "residual_table", "run_gains", "scores", "searched", "select", "selftest", "separation",
     "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings", "smoothed",
