@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bench_files import LIBRARY, WRITERS, Columns, Rates
+from bench_files import LIBRARY, WRITERS, Columns, Rates, write_tdms
 from log_samples import one_sentence, stage_arrays
 
 import hallsym
@@ -200,6 +200,25 @@ def test_an_angle_that_begins_again_is_read_the_short_way(tmp_path: Path) -> Non
     truth = np.deg2rad(np.interp(log.array("t_s"), np.arange(200) / 100, turn))
     off = np.angle(np.exp(1j * (log.array("angle_ref_rad") - truth)))
     assert np.abs(off).max() < 1e-9
+
+
+@pytest.mark.parametrize("segment", [10**9, 700, 97])
+def test_long_chunks_of_tdms_are_read_in_part(
+    tmp_path: Path, segment: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("nptdms")
+    from hallsym.log import format_tdms
+
+    monkeypatch.setattr(grouped, "IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr(format_tdms, "LONG", 1000)
+    arrays = {name: v for name, v in stage_arrays().items() if name != "t_s"}
+    write_tdms(tmp_path / "log.tdms", {HALL: (0.0, 500.0, arrays)}, segment)
+    log = read_log(tmp_path / "log.tdms")
+    for size in (64, 333):
+        blocks = list(log.blocks(["x_ref_m", "z_m"], size=size))
+        for name in ("x_ref_m", "z_m"):
+            found = np.concatenate([block.data[name] for block in blocks])
+            assert np.allclose(found, arrays[name], rtol=1e-14, atol=0)
 
 
 def test_groups_of_the_same_channels_are_runs(tmp_path: Path, suffix: str) -> None:
