@@ -13,6 +13,8 @@ from typing import Any
 
 from nbclient import NotebookClient
 
+import hallsym
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 project = "hallsym"
@@ -61,6 +63,18 @@ _ipython = Path(__file__).parents[1] / "build" / "ipython"  # not the user's own
 os.environ["IPYTHONDIR"] = str(_ipython)
 
 
+# -- file formats: the schemas that validate what is read ---------------------------------------------------
+
+_schemas = Path(__file__).parent / "reference" / "generated" / "schemas"
+_schemas.mkdir(parents=True, exist_ok=True)
+for _name, _schema in (
+    ("calibration", hallsym.calibration_schema()),
+    ("diagnosis", hallsym.diagnosis_schema()),
+    ("meta", hallsym.meta_schema()),
+):
+    (_schemas / f"{_name}.schema.json").write_text(json.dumps(_schema, indent=1) + "\n", encoding="utf-8")
+
+
 def _offer_notebooks(app: Any, failed: Exception | None) -> None:
     """Put the notebooks that have run beside their pages."""
     for notebook in Path(app.outdir).parent.glob("jupyter_execute/tutorials/*.ipynb"):
@@ -101,10 +115,11 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = "hallsym"
+html_context = {"default_mode": "auto"}
 html_static_path = ["site"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
-html_sidebars = {"tutorials/*": []}  # what a command prints is wide
+html_sidebars = {"tutorials/*": [], "formats": []}  # what a command prints is wide
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": True,

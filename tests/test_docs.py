@@ -29,12 +29,14 @@ ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = tuple(sorted((ROOT / "docs" / "tutorials").glob("*.md")))
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *TUTORIALS)
 LISTED = (
-    "README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.md", "data/encoder/README.md",
+    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "data/README.md", "data/campaign/README.md",
+    "data/encoder/README.md",
 )  # fmt: skip
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = (
     "demo",
     "fit",
+    "fleet",
     "evaluate",
     "watch",
     "diagnose",
@@ -50,6 +52,7 @@ COMMANDS = (
     "sort",
     "trajectory",
     "info",
+    "completion",
 )
 
 
@@ -135,6 +138,8 @@ def run(command: str, expected: int) -> None:
         extras = re.search(r"\[(.*)\]", command)
         wanted = extras[1].split(",") if extras else []
         assert set(wanted) <= set(PROJECT["optional-dependencies"]), command
+    elif program in ("sed", "head"):
+        subprocess.run(command, shell=True, capture_output=True, check=True)
     elif Path(program).name == "python":
         script = ROOT / arguments[0]
         assert script.is_file(), command

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK
+from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK
 from hallsym.cli.common import (
     command,
     log_options,
@@ -15,6 +15,7 @@ from hallsym.cli.common import (
     open_log,
     own_effects,
     own_option,
+    plots_options,
     progress_of,
     reading_words,
     run_numbers,
@@ -54,7 +55,7 @@ def add(sub: Any) -> None:
         "device share their parameters",
     )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="JSON", help="save the calibration")
-    parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
+    plots_options(parser)
     model_options(parser, "the log's base_model, else by its columns")
     own_option(parser)
     group = parser.add_argument_group("fit")
@@ -71,12 +72,16 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     group.add_argument(
         "--solver",
+        metavar="SOLVER",
         default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
         "or the global search: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
     )
     group.add_argument(
-        "--loss", default="auto", help="auto (take out isolated spikes if there are any), none, reject, tukey"
+        "--loss",
+        metavar="LOSS",
+        default="auto",
+        help="auto (take out isolated spikes if there are any), none, reject, tukey",
     )
     group.add_argument(
         "--resolve-wiring",
@@ -128,8 +133,8 @@ def run(options: Namespace) -> int:
     wrote = _saved(options, result)
     for name, log, part in _pictured(result, logs):
         folder = options.plots and str(Path(options.plots) / name)
-        wrote += save_fit_pictures(log, part, folder)
-    say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote)
+        wrote += save_fit_pictures(log, part, folder, options.plot_formats)
+    say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
 
 
@@ -171,6 +176,17 @@ def _diagnose(options: Namespace, result: Fit) -> str:
     return shlex.join([*words, *reading_words(options)])
 
 
+def _next(options: Namespace, result: Fit) -> list[str]:
+    """Return the words of the command that follows a fit, where its first line does not say one."""
+    if (result.goodness and result.goodness.sentence) or result.status != "converged":
+        return []
+    if not options.output:
+        return [*options.typed, "-o", "calib.json"]
+    if result.undetermined_by_log:
+        return ["hallsym", "sensitivity", options.output, options.logs[0]]
+    return ["hallsym", "report", options.output, options.logs[0], "-o", "report.html"]
+
+
 def exit_code(result: Fit, *, said: bool = True) -> int:
     """0, or 3 and 4 with one sentence on stderr that says what is missing, or wrong with the recording.
 
@@ -181,7 +197,7 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
         print(f"hallsym: {fault}", file=sys.stderr)
     if result.status != "converged":
         print(f"hallsym: the solver did not converge ({result.status}): {result.message}.", file=sys.stderr)
-        return NOT_CONVERGED
+        return INTERRUPTED if result.status == "interrupted" else NOT_CONVERGED
     if result.undetermined_by_log:
         what = ", ".join(result.undetermined_by_log)
         print(

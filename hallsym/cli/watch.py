@@ -12,6 +12,8 @@ from hallsym.cli.common import (
     open_log,
     own_effects,
     own_option,
+    plots_options,
+    plots_place,
     progress_of,
     reading_words,
     say,
@@ -42,7 +44,7 @@ def add(sub: Any) -> None:
         help=f"probability that a log which belongs is called changed (default {FALSE_ALARM:g})",
     )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="JSON", help="save the record")
-    parser.add_argument("--plots", metavar="FOLDER", help="save a picture of the control chart")
+    plots_options(parser, "save a picture of the control chart")
     own_option(parser)
     log_options(parser)
 
@@ -71,7 +73,7 @@ def run(options: Namespace) -> int:
     if options.plots:
         from hallsym.report.figures import save_watch
 
-        wrote += save_watch(found, Path(options.plots))
+        wrote += save_watch(found, plots_place(options, options.calibration, found.model))
     say(options, found.to_dict(), lambda: watch_text(found, reading_words(options)), wrote=wrote)
     for log in found.not_judged:
         print(f"hallsym: {log.reason}", file=sys.stderr)

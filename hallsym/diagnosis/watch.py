@@ -41,7 +41,7 @@ def watch(
     `calibration`: a fit, or the path of a saved one. `logs`: one log or several, each as `fit` takes it, in
     the order of time. `false_alarm`: probability, per log and over all its tests, that one which belongs is
     called changed. `drop_bad`: leave out bad samples. `read`: how a log is opened; by default with the names
-    of columns that the calibration knows. `name`: what to call the calibration; by default its path.
+    of columns and the options that the calibration knows. `name`: what to call the calibration; by default its path.
 
     The noise of the calibration holds for each log, unless the log states its own. A log that cannot be read,
     or that is not of this machine, is in the result with the reason, and the others are judged.
@@ -60,7 +60,7 @@ def watch(
     for k, log in enumerate(given):
         say(f"log {k + 1} of {len(given)}")
         try:
-            opened = read(log) if read else as_log(log, known.columns)
+            opened = read(log) if read else as_log(log, known.columns, known.read_with)
             found.append(_watched(known, opened, false_alarm, drop_bad))
         except InputError as error:
             found.append(WatchedLog(_named(log), NOT_JUDGED, reason=str(error)))

@@ -174,6 +174,7 @@ class CalibrationRecord(_Record):
     log: LogRecord
     versions: dict[str, str]
     columns: dict[str, ColumnRecord] = {}
+    read_with: dict[str, str] = {}
     effects: list[str] = []
     own_effects: list[str] = []
     goodness_of_fit: GoodnessRecord | None = None

@@ -121,13 +121,11 @@ def _turning_noise(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | 
     the inverse of the mean C, then have the covariance sum of g^T W C W g, and the estimate the sandwich of
     both (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). None where readings are linear in the pose.
     """
-    summary, s = cost.summary, cost.summary.model.symbols
+    summary, model = cost.summary, cost.summary.model
     if not summary.places or not np.any(cost.column_variance):
         return None
     K, n = len(cost.reading_variance), len(free)
-    reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
-    slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
-    run = on_arrays(ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], slopes))
+    run = model.remember("slopes of all kinds, on arrays", lambda: _slopes_of_all(model))
     at = cost.at(p)
     out = np.zeros((len(summary.runs), n, n))
     for k, (places, W) in enumerate(zip(summary.places, at.W, strict=True)):
@@ -183,7 +181,7 @@ def _estimate(
         scale, method, dof = fit.cost_per_degree_of_freedom, "likelihood, scaled", fit.degrees_of_freedom
         said = f"the cost per degree of freedom is {scale:.3g} +- {fit.scatter:.2g}; "
     if n == 1:
-        said += "one run cannot show whether its noise is white; it is taken for granted"
+        said += "one recording cannot show whether its noise is white, which is assumed"
         return _Estimate(scale * naive, method, said, dof)
     # noise that is correlated within a run leaves less than stated there, and more between runs
     size = fit.cost_per_degree_of_freedom if fit.contradicts else 1.0
@@ -305,6 +303,14 @@ def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float | np.ndarray]
     J = np.transpose(flat.reshape(len(cost.column_variance), K, -1), (2, 1, 0))  # (r, K, columns)
     C = np.diag(cost.reading_variance) + (J * cost.column_variance) @ np.swapaxes(J, 1, 2)
     return np.broadcast_to(C, (len(summary.runs), K, K))
+
+
+def _slopes_of_all(model: Model) -> Callable[..., list[np.ndarray]]:
+    """`(parameters, zeros, pose, state) -> d reading / d parameter, / d column, / d zero` on arrays."""
+    s = model.symbols
+    reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
+    slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
+    return on_arrays(ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], slopes))
 
 
 def _slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:

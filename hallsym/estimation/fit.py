@@ -42,6 +42,7 @@ def fit(
     start: np.ndarray | None = None,
     per_log: Sequence[str] = (),
     holdout_logs: Sequence[Any] = (),
+    quick: bool = False,
     on_progress: Progress | None = None,
 ) -> Fit:
     """Calibrate `model` on `log` and return values, uncertainties and errors.
@@ -80,6 +81,9 @@ def fit(
     without (`hysteresis:half_width_m=6e-05`; `hallsym.diagnosis.choose.model_on` finds them on a log). `own`:
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
+    `quick`: one pass over a log whose run statistics show nothing amiss, without error tables (`errors` is
+    None) and without a test of the colour of the noise; any other log is fitted as without it.
+
     `log` may be a list of logs of one device, each with its runs and its noise: they share all parameters but
     those named in `per_log` (`"eta_A"`, or a pattern such as `"eta_*"`), of which each log has its own.
     `holdout_logs`: logs that take no part. `fit.by_log` are then the fits log by log, `fit.joint` the
@@ -106,7 +110,7 @@ def fit(
     ready = prepared(log, model, drop_bad=drop_bad)
     log, notes, mounted = ready.log, list(ready.notes), ready.mounted
     held = held_out(log, log.meta.holdout if holdout is None else holdout)
-    task = Task(log, model, held, solver, loss, seed, say, start)
+    task = Task(log, model, held, solver, loss, seed, say, start, quick=quick)
     if exact(model):
         solved = task.by_statistics(resolve_wiring)
         solved = solved.task.with_noise_left(solved)

@@ -19,6 +19,9 @@ from hallsym.model.features import Features
 UNDETERMINED = 0.25
 """Standard uncertainty over bound width above which a direction counts as not determined (flat: 0.29)."""
 
+MOVING = 1e-6
+"""Part of a direction of unit length below which a parameter does not move along it: rounding."""
+
 SAME_DIRECTION = 1e-6
 """Sine of an angle below which two directions are one: null directions of a log are known to 1e-9."""
 ROUNDING = 1e-13
@@ -66,7 +69,7 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     null = np.hstack([always, rest @ vectors[:, values < least_information(values)]])
     inside = (lower <= model.nominal) & (model.nominal <= upper)
     held = {*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}
-    moving = np.flatnonzero(np.linalg.norm(always, axis=1) > 1e-6)
+    moving = np.flatnonzero(np.linalg.norm(always, axis=1) > MOVING)
     return Determination(
         scale, null, tuple(model.names[k] for k in moving), tuple(sorted(held)), always.shape[1]
     )

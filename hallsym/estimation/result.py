@@ -86,7 +86,7 @@ def fit_of(
             "rows": task.log.rows,
             "runs": len(state.everything.summary.runs),
             "holdout": list(task.holdout),
-            "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
+            "span": {c: list(ends) for c, ends in errors.fitted.span.items()} if errors else {},
         },
         seconds=perf_counter() - began,
         goodness=replace(
@@ -98,7 +98,7 @@ def fit_of(
         notes=(
             *notes,
             *zero_notes(model, tuple(zeros), delta),
-            *home_notes(task.log, model, zeros),
+            *(home_notes(task.log, model, zeros) if errors else ()),
         ),
         errors=errors,
         keep=solved.keep,
@@ -109,8 +109,9 @@ def fit_of(
         wiring=composed(mounted, solved.wiring, model.channels),
         turned=mounted is not None and solved.wiring is None,
         columns=dict(task.log.table.mapping),
+        read_with=dict(task.log.table.read_with),
         versions=dict(_versions()),
-        error_rows=errors.rows(),
+        error_rows=errors.rows() if errors else {},
     )
 
 

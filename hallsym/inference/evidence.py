@@ -32,7 +32,8 @@ MOVED = 5.0
 class Evidence:
     """Likelihood `cost`, its optimum `p` (n,), what it determines (`found`), and how certainly.
 
-    `recorded`: what to call the log or the plan; `log`: its samples.
+    `recorded`: what to call the log or the plan; `log`: its samples. `amiss`: the sentence that a report
+    begins with where the model does not describe the log; it is the first of the notes too.
     """
 
     cost: Cost
@@ -43,6 +44,7 @@ class Evidence:
     recorded: str
     log: Log
     notes: tuple[str, ...] = ()
+    amiss: str = ""
 
     @property
     def model(self) -> Model:
@@ -85,6 +87,7 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         source.name,
         source,
         notes,
+        amiss or "",
     )
 
 

@@ -195,11 +195,8 @@ def identify(
     Raises `InputError` when model and log do not belong together or no covariance can be formed.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
-    on = (
-        on
-        if on is None or isinstance(on, Campaign)
-        else as_log(on, known.columns if isinstance(known, Fit) else None)
-    )
+    if on is not None and not isinstance(on, Campaign):
+        on = as_log(on, known.columns, known.read_with) if isinstance(known, Fit) else as_log(on)
     evidence = _evidence(known, on, values, noise, name)
     intervals = intervals_of(evidence, profiles=profiles, bootstrap=bootstrap, seed=seed, say=say)
     say("looking for null directions")

@@ -50,10 +50,17 @@ class Format:
 
 FORMATS = (
     Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet", ParquetWriter),
-    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter, ("delimiter", "decimal")),
+    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter, ("delimiter", "decimal", "dates")),
     Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5", Hdf5Writer),
     Format("mat", (".mat",), open_mat, "MATLAB", MatWriter),
-    Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", None, ("sheet", "decimal")),
+    Format(
+        "xlsx",
+        (".xlsx", ".xlsm", ".xls", ".ods"),
+        open_workbook,
+        "workbook",
+        None,
+        ("sheet", "decimal", "dates"),
+    ),
     Format("tdms", (".tdms",), open_tdms, "TDMS", None, ("clock",)),
     Format("mdf", (".mf4", ".mdf"), open_mdf, "MDF", None, ("clock",)),
     Format("mcap", (".mcap",), open_mcap, "MCAP", None, ("clock",)),

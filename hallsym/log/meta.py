@@ -10,7 +10,7 @@ from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.reading import read_json
-from hallsym.records import structured
+from hallsym.records import schema_of, structured
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +61,13 @@ class Meta:
         if not isinstance(raw, dict):
             raise InputError(f"{quoted(path)} must hold a JSON object; it holds a {type(raw).__name__}.")
         return Meta.from_dict(raw, quoted(path))
+
+
+def meta_schema() -> dict[str, Any]:
+    """Return the JSON Schema of `meta.json`, from the types that are checked when a log is read."""
+    from hallsym.log.meta_file import MetaRecord
+
+    return schema_of(MetaRecord, "hallsym log metadata")
 
 
 _MISSPELT = 0.85

@@ -20,6 +20,7 @@ from hallsym.model.model import (
     Tie,
 )
 from hallsym.model.quantities import Quantity, combination, linear, parameter
+from hallsym.model.sketch import Part
 
 __all__ = [
     "LINKS",
@@ -33,6 +34,7 @@ __all__ = [
     "Inspection",
     "Model",
     "Parameter",
+    "Part",
     "PoseMetric",
     "Quantity",
     "Signals",

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.model.sketch import Part
+
 Model = Any
 """`hallsym.model.Model`, which holds its family."""
 Effect = Any
@@ -122,6 +124,8 @@ class Family:
     further: tuple[Further, ...] = ()
     """Recordings that its machines can make beside a log."""
     decoder: str | Callable[..., Any] = "linear"
+    sketch: tuple[Part, ...] = ()
+    """Parts of the machine as a page draws them; without any there is no sketch."""
 
     @cached_property
     def catalogue(self) -> tuple[Effect, ...]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import AFTER, BEFORE, DASHED, GREY, key, label_x, label_y, legend, panels
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def control_chart(found: Watch) -> Figure:
     return figure
 
 
-def save_watch(found: Watch, folder: Path) -> list[Path]:
+def save_watch(found: Watch, folder: str | Path | Place) -> list[Path]:
     """Save the control chart into `folder` (made if missing) and return the file written.
 
     Nothing is drawn where no log was judged.

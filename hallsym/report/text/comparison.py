@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from hallsym.diagnosis import POLICY, Comparison, EffectChange, ParameterChange, PlaceChange, gap_unit
-from hallsym.report.tables import concise, grid
+from hallsym.report.tables import grid, in_units
 from hallsym.units import readable
 
 
@@ -52,12 +52,13 @@ def parameters_text(changes: Sequence[ParameterChange]) -> str:
     def said(p: ParameterChange) -> str:
         return "unknown" if p.significant is None else "yes" if p.significant else "no"
 
-    head = ["parameter", "before", "after", "unit", "p of no change", "significant"]
-    rows = [
-        [p.name, concise(p.before, p.before_std), concise(p.after, p.after_std), p.unit,
-         "" if p.p_value is None else f"{p.p_value:.1g}", said(p)]
-        for p in changes
-    ]  # fmt: skip
+    head = ["parameter", "before (1 sigma)", "after (1 sigma)", "unit", "p of no change", "significant"]
+    rows = []
+    for p in changes:
+        before, unit = in_units(p.before, p.before_std, p.unit)
+        after, _ = in_units(p.after, p.after_std, p.unit)
+        chance = "" if p.p_value is None else f"{p.p_value:.1g}"
+        rows.append([p.name, before, after, unit, chance, said(p)])
     return grid([head, *rows], left=1)
 
 
