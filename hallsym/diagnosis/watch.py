@@ -41,7 +41,8 @@ def watch(
     `calibration`: a fit, or the path of a saved one. `logs`: one log or several, each as `fit` takes it, in
     the order of time. `false_alarm`: probability, per log and over all its tests, that one which belongs is
     called changed. `drop_bad`: leave out bad samples. `read`: how a log is opened; by default with the names
-    of columns and the options that the calibration knows. `name`: what to call the calibration; by default its path.
+    of columns and the options that the calibration knows. `name`: what to call the calibration; by default
+    its path.
 
     The noise of the calibration holds for each log, unless the log states its own. A log that cannot be read,
     or that is not of this machine, is in the result with the reason, and the others are judged.
