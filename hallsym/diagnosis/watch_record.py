@@ -95,7 +95,8 @@ class WatchedLog:
         if test.kind == TOGETHER:
             return "the parameters together have moved"
         change = next(c for c in self.changes if c.name == test.name)
-        return f"{test.name} {change.before:.6g} -> {change.after:.6g} {change.unit}"
+        unit = "" if change.unit == "1" else f" {change.unit}"
+        return f"{test.name} {change.before:.6g} -> {change.after:.6g}{unit}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -41,7 +41,7 @@ def _head(found: Watch) -> str:
     if judged == 1:
         said = "the log does not belong" if found.changed else "the log belongs"
     if not judged:
-        said = "no log could be judged"
+        return f"no log could be judged against the calibration {found.calibration} ({found.model})"
     return f"{said} to the calibration {found.calibration} ({found.model})"
 
 
