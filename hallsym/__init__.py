@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from hallsym.codegen import generate as generate
     from hallsym.diagnosis import Diagnosis as Diagnosis
     from hallsym.diagnosis import SelfTest as SelfTest
+    from hallsym.diagnosis import Watch as Watch
     from hallsym.diagnosis import diagnose as diagnose
     from hallsym.diagnosis import diagnosis_schema as diagnosis_schema
     from hallsym.diagnosis import selftest as selftest
+    from hallsym.diagnosis import watch as watch
     from hallsym.errors import InputError as InputError
     from hallsym.estimation import ErrorTable as ErrorTable
     from hallsym.estimation import Evaluation as Evaluation
@@ -83,7 +85,9 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
-    "hallsym.diagnosis": ("Diagnosis", "SelfTest", "diagnose", "diagnosis_schema", "selftest"),
+    "hallsym.diagnosis": (
+        "Diagnosis", "SelfTest", "Watch", "diagnose", "diagnosis_schema", "selftest", "watch",
+    ),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (
         "ErrorTable", "Evaluation", "Fit", "calibration_schema", "evaluate", "fit", "judge", "load_fit",

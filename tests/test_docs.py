@@ -38,6 +38,7 @@ COMMANDS = (
     "fit",
     "fleet",
     "evaluate",
+    "watch",
     "diagnose",
     "selftest",
     "report",

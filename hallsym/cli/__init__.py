@@ -5,6 +5,7 @@ COMMANDS = {
     "fit": "calibrate a model on a log",
     "fleet": "calibrate many devices: one row a device, and how they differ",
     "evaluate": "errors of a saved calibration on another log",
+    "watch": "whether new logs still belong to a saved calibration",
     "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
     "selftest": "what 'no gap' on this log is worth: effects injected, diagnosed blind",
     "report": "one HTML page of a saved calibration",
@@ -22,6 +23,7 @@ COMMANDS = {
 }
 """Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 
-OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG, INTERRUPTED = 0, 2, 3, 4, 70, 130
+OK, CHANGED, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 NOT_DESCRIBED = NOT_DETERMINED
-"""Exit codes, as `hallsym --help` explains them: 3 is done, but not to be used without a second look."""
+"""Exit codes, as `hallsym --help` explains them: 3 is done, but not to be used without a second look;
+1 is the answer of `watch` that a log does not belong to its calibration."""

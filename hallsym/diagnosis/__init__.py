@@ -75,29 +75,32 @@ from hallsym.diagnosis.simulated_machine import (
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.validation import validate
 from hallsym.diagnosis.verdict import QUIET, decide
+from hallsym.diagnosis.watch import FALSE_ALARM, watch
+from hallsym.diagnosis.watch_record import Watch, WatchedLog, WatchTest
 from hallsym.diagnosis.words import degrees_of, gap_text, gap_unit, shown
 from hallsym.families.user import load_effects
 from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
-    "NO_EFFECT", "PAST", "POLICY", "QUICK", "QUIET", "RATIOS", "REPEATS", "ROWS", "Accumulator",
-    "Alternative", "Band", "Base", "Bench", "BlockErrors", "Comparison", "Coordinate", "CurvePoint",
-    "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact", "Examined", "Facts",
-    "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key", "LackOfFit",
-    "Located", "LogRecord", "Metric", "ModelLeft", "Nested", "NoiseFloor", "NotExcluded", "ParameterChange",
-    "PlaceChange", "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable", "Score",
-    "Selected", "SelfTest", "Separation", "Shape", "Share", "Shrinkage", "SignFlips", "Significance",
-    "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial", "Unexplained",
-    "Variant", "adjusted", "alternatives", "as_many", "as_often", "base_of", "beyond", "block_errors",
-    "both", "cancelled", "candidates", "compare", "confusable", "coordinates", "cordic", "decide",
-    "decimated", "degrees_of", "diagnose", "diagnosis_schema", "distance", "errors_of", "examine",
-    "exceeds", "facts_of",
-    "faults", "firmware_cost", "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats",
-    "injections", "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects",
-    "located", "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations", "of_products",
+    "FALSE_ALARM", "NO_EFFECT", "PAST", "POLICY", "QUICK", "QUIET", "RATIOS", "REPEATS", "ROWS",
+    "Accumulator", "Alternative", "Band", "Base", "Bench", "BlockErrors", "Comparison", "Coordinate",
+    "CurvePoint", "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact", "Examined",
+    "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key",
+    "LackOfFit", "Located", "LogRecord", "Metric", "ModelLeft", "Nested", "NoiseFloor", "NotExcluded",
+    "ParameterChange", "PlaceChange", "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable",
+    "Score", "Selected", "SelfTest", "Separation", "Shape", "Share", "Shrinkage", "SignFlips",
+    "Significance", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial",
+    "Unexplained", "Variant", "Watch", "WatchTest", "WatchedLog", "adjusted", "alternatives", "as_many",
+    "as_often", "base_of", "beyond", "block_errors", "both", "cancelled", "candidates", "compare",
+    "confusable", "coordinates", "cordic", "decide", "decimated", "degrees_of", "diagnose",
+    "diagnosis_schema", "distance", "errors_of", "examine", "exceeds", "facts_of", "faults",
+    "firmware_cost", "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats", "injections",
+    "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects", "located",
+    "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations", "of_products",
     "operations", "ordered", "others", "prepare", "rails_of", "range_of", "readings_of", "recorded",
     "recordings", "refit", "remains", "resemblances", "residual_table", "run_gains", "scores", "searched",
     "select", "selftest", "separation", "shape", "shared_noise", "shown", "simulated_noise", "sized",
     "sizes", "smaller_findings", "smoothed", "split", "stretch", "student", "survey", "unexplained",
-    "used_up", "validate", "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
+    "used_up", "validate", "watch", "waves_per_period", "wiring_p", "wirings", "with_model",
+    "with_readings",
 ]  # fmt: skip

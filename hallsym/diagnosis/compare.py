@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import erfc
+from scipy.special import erfc, stdtr
 
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Diagnosis, Estimate, FoundEffect, Statement
@@ -208,19 +208,48 @@ def _reason(name: str, other: Diagnosis) -> str:
     return f"below the threshold: {100 * smaller.shrinkage:.2g} %" if smaller else ""
 
 
-def _parameters(
-    one: Mapping[str, Estimate], two: Mapping[str, Estimate], count: int
+Freedom = Mapping[str, float]
+"""Parameter -> degrees of freedom of its standard uncertainty; infinite where it is not named."""
+
+
+def changes(
+    one: Mapping[str, Estimate],
+    two: Mapping[str, Estimate],
+    limit: float,
+    freedom: tuple[Freedom, Freedom] = ({}, {}),
 ) -> tuple[ParameterChange, ...]:
-    """Compare parameters by name; `count`: how many are compared in all."""
+    """Compare parameters by name, those that both have; significant is a p-value below `limit`.
+
+    The difference over its standard uncertainty follows Student's t with the degrees of freedom after Welch
+    and Satterthwaite (Biometrics Bulletin 2 (1946) 110, doi:10.2307/3002019) where `freedom` is finite.
+    """
     out = []
     for name in (n for n in one if n in two):
         a, b = one[name], two[name]
         p = None
         if a.std is not None and b.std is not None and np.hypot(a.std, b.std) > 0:
-            p = float(erfc(abs(b.value - a.value) / np.hypot(a.std, b.std) / np.sqrt(2)))
-        significant = None if p is None else p * max(count, 1) < POLICY.changed
+            distance = abs(b.value - a.value) / np.hypot(a.std, b.std)
+            dof = welch((a.std, b.std), (freedom[0].get(name, np.inf), freedom[1].get(name, np.inf)))
+            p = float(2 * stdtr(dof, -distance) if np.isfinite(dof) else erfc(distance / np.sqrt(2)))
+        significant = None if p is None else p < limit
         out.append(ParameterChange(name, a.unit, a.value, a.std, b.value, b.std, p, significant))
     return tuple(out)
+
+
+def welch(stds: tuple[float, float], dofs: tuple[float, float]) -> float:
+    """Return the degrees of freedom of the root of two summed variances."""
+    share = sum(std**4 / dof for std, dof in zip(stds, dofs, strict=True))
+    return float(np.hypot(*stds) ** 4 / share) if share > 0 else float("inf")
+
+
+def _parameters(
+    one: Mapping[str, Estimate],
+    two: Mapping[str, Estimate],
+    count: int,
+    freedom: tuple[Freedom, Freedom] = ({}, {}),
+) -> tuple[ParameterChange, ...]:
+    """Compare parameters by name; `count`: how many are compared in all."""
+    return changes(one, two, POLICY.changed / max(count, 1), freedom)
 
 
 def _places(one: Sequence[Statement], two: Sequence[Statement]) -> tuple[PlaceChange, ...]:
@@ -279,7 +308,11 @@ def _calibrations(old: Calibration, new: Calibration) -> Comparison:
         }
         for r in (old, new)
     )
-    changed = _parameters(one, two, len(set(one) & set(two)))
+    free: list[Freedom] = [
+        {n: p["degrees_of_freedom"] for n, p in r["parameters"].items() if p.get("degrees_of_freedom")}
+        for r in (old, new)
+    ]
+    changed = _parameters(one, two, len(set(one) & set(two)), (free[0], free[1]))
     left = sorted((set(old["parameters"]) | set(new["parameters"])) - {c.name for c in changed})
     moved = [c.name for c in changed if c.significant]
     return Comparison(

@@ -15,6 +15,10 @@ METHODS = ("linear", "nearest")
 LONGEST_GAP = 4.0
 """Periods of a channel between two of its samples that are bridged: three lost samples in a row. Within a
 longer gap the channel has no value (NaN), so that a pause between runs is no straight line."""
+AT_ONCE = 4096
+"""Samples of a group that are read ahead, at least."""
+FOR_PERIOD = 1000
+"""Samples from which the period of a group is taken; a pause between them is not in the median."""
 
 Piece = Mapping[str, Array]
 Stream = Callable[[Sequence[str], int], Iterator[tuple[Array, Piece]]]
@@ -38,21 +42,22 @@ class Follower:
         self.channels = list(dict.fromkeys(w.channel for w in wanted))
 
     def start(self, size: int, where: str) -> None:
-        """Begin a pass with chunks of `size` samples; messages call the file `where`."""
+        """Begin a pass with chunks of about `size` samples; messages call the file `where`."""
         self._where = where
-        self._pieces = self.stream(self.channels, size)
+        self._pieces = self.stream(self.channels, max(size, AT_ONCE))
         self._time = np.empty(0)
         self._held: dict[str, Array] = {}
         self._longest = np.inf
         self._ended = not self._more()
         if len(self._time) > 1:
-            self._longest = LONGEST_GAP * float(np.median(np.diff(self._time)))
+            self._longest = LONGEST_GAP * float(np.median(np.diff(self._time[:FOR_PERIOD])))
 
     def at(self, time: Array, method: str) -> dict[str, Array]:
         """Return the columns at rising times, each of shape (times,); NaN where the group has no value."""
         while not self._ended and not (len(self._time) and self._time[-1] >= time[-1]):
             self._ended = not self._more()
-        keep = max(0, int(np.searchsorted(self._time, time[0], "right")) - 1)
+        keep = min(int(np.searchsorted(self._time, time[0], "right")) - 1, len(self._time) - 2)
+        keep = max(0, keep)
         self._time = self._time[keep:]
         self._held = {name: values[keep:] for name, values in self._held.items()}
         if len(self._time) < 2:
@@ -146,7 +151,7 @@ def _read(followers: Sequence[Follower], time: Array, method: str, size: int) ->
     """Return all columns of the followers at `time`, in steps that hold about `size` of their samples."""
     out: dict[str, Array] = {}
     for follower in followers:
-        need = (time[-1] - time[0]) * follower.rate / size
+        need = (time[-1] - time[0]) * follower.rate / max(size, AT_ONCE)
         parts = [p for p in np.array_split(time, max(1, min(len(time), int(np.ceil(need))))) if len(p)]
         found = [follower.at(part, method) for part in parts]
         out |= {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}

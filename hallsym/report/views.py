@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.diagnosis import Diagnosis
+from hallsym.diagnosis import Diagnosis, Watch
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Evaluation, Fit, as_read, load_fit
 from hallsym.experiment import Plan
@@ -24,6 +24,7 @@ from hallsym.report.text.evaluation import evaluation_text
 from hallsym.report.text.fit import fit_text
 from hallsym.report.text.fleet import fleet_text
 from hallsym.report.text.identifiability import report_text
+from hallsym.report.text.watch import watch_text
 from hallsym.terminal import fitted
 from hallsym.uncertainty import Budget
 
@@ -317,6 +318,33 @@ def _budget_figure(budget: Budget, log: Any) -> Figure:
     return budget_bars({budget.quantity: budget})
 
 
+# -- a watch ---------------------------------------------------------------------------------------------
+
+
+def _watch_brief(found: Watch) -> list[str]:
+    said = f"{len(found.changed)} changed, {len(found.not_judged)} not judged"
+    head = f"Watch of {found.calibration}: {counted(len(found.logs), 'log')}, {said}"
+    return [head, *(f"{log.name}: {log.sentence}" for log in found.changed)]
+
+
+def _watch_table(found: Watch) -> Table:
+    rows = [(log, test) for log in found.logs for test in log.tests]
+    return {
+        "log": [log.name for log, _ in rows],
+        "test": [test.name for _, test in rows],
+        "p_value": [test.p_value for _, test in rows],
+        "score": [test.score for _, test in rows],
+        "limit": [test.limit for _, test in rows],
+        "beyond": [test.beyond for _, test in rows],
+    }
+
+
+def _watch_figure(found: Watch, log: Any) -> Figure:
+    from hallsym.report.figures import control_chart
+
+    return control_chart(found)
+
+
 # -- a fleet ---------------------------------------------------------------------------------------------
 
 
@@ -339,6 +367,7 @@ VIEWS: Mapping[type, View] = {
         report_text, _identifiability_brief, _identifiability_table, _identifiability_figure
     ),
     Plan: View(plan_text, _plan_brief, _plan_table, _plan_figure),
+    Watch: View(watch_text, _watch_brief, _watch_table, _watch_figure),
     Fleet: View(fleet_text, _fleet_brief, Fleet.table, _fleet_figure),
     Budget: View(budget_text, _budget_brief, _budget_table, _budget_figure),
 }

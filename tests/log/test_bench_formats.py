@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bench_files import LIBRARY, WRITERS, Columns, Rates
+from bench_files import LIBRARY, WRITERS, Columns, Rates, write_tdms
 from log_samples import one_sentence, stage_arrays
 
 import hallsym
@@ -17,6 +18,7 @@ from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families.published import values
 from hallsym.log import check_log, grouped, read_log, write_log
+from hallsym.log.resample import Follower, Wanted, resampled
 
 SUFFIXES = tuple(WRITERS)
 HALL, REFERENCE = "Hall", "Reference"
@@ -79,13 +81,14 @@ def test_names_units_and_numbers_are_those_of_the_file(
 
 def test_a_fit_gives_what_the_csv_gives(tmp_path: Path, suffix: str) -> None:
     model = hallsym.build("stage31")
-    campaign = hallsym.paper_campaign(step_s=0.02)
+    campaign = hallsym.paper_campaign(step_s=0.05)
     made = hallsym.simulate(model, values("table7_estimates"), campaign, hallsym.table8_noise(model), seed=3)
     columns = {name: made[name] for name in made if name != "t_s"}
     write_log(columns | {"t_s": np.arange(len(made["run"])) / 500}, tmp_path / "log.csv")
     written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, columns)})
     ours, theirs = (
-        hallsym.fit(str(tmp_path / f"log{end}"), "stage31", solver="direct") for end in (suffix, ".csv")
+        hallsym.fit(str(tmp_path / f"log{end}"), "stage31", solver="direct", loss="none")
+        for end in (suffix, ".csv")
     )
     assert np.allclose(ours.values, theirs.values, rtol=1e-9, atol=1e-12)
 
@@ -135,6 +138,33 @@ def test_the_stated_clock_is_what_numpy_gives(
     assert any("is read as" in note and method in note for note in log.notes)
 
 
+@pytest.mark.parametrize("size", [1, 3, 50])
+@pytest.mark.parametrize("method", ["linear", "nearest"])
+@pytest.mark.parametrize("ratio", [0.1, 1.0, 7.3])
+def test_pieces_of_any_size_give_the_same(
+    size: int, method: str, ratio: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hallsym.log.resample.AT_ONCE", 2)
+    rng = np.random.default_rng(5)
+    time, other = np.arange(60) / 10, np.sort(rng.uniform(0, 6, round(60 / ratio)))
+    other = np.linspace(0, 6, len(other)) if ratio != 1.0 else time.copy()
+    found = rng.normal(size=len(other))
+
+    def stream(channels: Sequence[str], n: int) -> Iterator[tuple[np.ndarray, Columns]]:
+        for lo in range(0, len(other), n):
+            yield other[lo : lo + n], {"x": found[lo : lo + n]}
+
+    rows = ((time[lo : lo + size], {}) for lo in range(0, len(time), size))
+    follower = Follower("other", (len(other) - 1) / 6, stream, [Wanted("x", "x")])
+    pieces = resampled(rows, [follower], method, (-1.0, 9.0), ["x"], size, "log")
+    values = np.concatenate([piece["x"] for piece in pieces])
+    truth = expected(method, time, other, found)
+    inside = (time >= other[0]) & (time <= other[-1])
+    away = np.abs(np.abs(time[:, None] - other[None, :]).min(1) - (other[1] - other[0]) / 2) > 1e-6
+    assert np.allclose(values[inside & away], truth[inside & away], rtol=0, atol=1e-9)
+    assert np.isnan(values[~inside]).all()
+
+
 def test_a_long_gap_is_not_bridged(tmp_path: Path) -> None:
     pytest.importorskip("asammdf")
     import asammdf
@@ -170,6 +200,25 @@ def test_an_angle_that_begins_again_is_read_the_short_way(tmp_path: Path) -> Non
     truth = np.deg2rad(np.interp(log.array("t_s"), np.arange(200) / 100, turn))
     off = np.angle(np.exp(1j * (log.array("angle_ref_rad") - truth)))
     assert np.abs(off).max() < 1e-9
+
+
+@pytest.mark.parametrize("segment", [10**9, 700, 97])
+def test_long_chunks_of_tdms_are_read_in_part(
+    tmp_path: Path, segment: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("nptdms")
+    from hallsym.log import format_tdms
+
+    monkeypatch.setattr(grouped, "IN_MEMORY_ROWS", 100)
+    monkeypatch.setattr(format_tdms, "LONG", 1000)
+    arrays = {name: v for name, v in stage_arrays().items() if name != "t_s"}
+    write_tdms(tmp_path / "log.tdms", {HALL: (0.0, 500.0, arrays)}, segment)
+    log = read_log(tmp_path / "log.tdms")
+    for size in (64, 333):
+        blocks = list(log.blocks(["x_ref_m", "z_m"], size=size))
+        for name in ("x_ref_m", "z_m"):
+            found = np.concatenate([block.data[name] for block in blocks])
+            assert np.allclose(found, arrays[name], rtol=1e-14, atol=0)
 
 
 def test_groups_of_the_same_channels_are_runs(tmp_path: Path, suffix: str) -> None:

@@ -36,6 +36,7 @@ from hallsym.report.figures.style import DPI, STYLE, WIDTH, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
 from hallsym.report.figures.uncertainty import budget_bars, save_budget_pictures, uncertainty_picture
 from hallsym.report.figures.verdicts import LOOKS
+from hallsym.report.figures.watch import control_chart, save_watch
 
 __all__ = [
     "COVERAGE",
@@ -48,6 +49,7 @@ __all__ = [
     "blocks",
     "broken",
     "budget_bars",
+    "control_chart",
     "correlation",
     "coverage",
     "criterion_by_runs",
@@ -70,6 +72,7 @@ __all__ = [
     "save_sensitivity_pictures",
     "save_sorting",
     "save_tolerances",
+    "save_watch",
     "sorts",
     "spectrum",
     "text_width",

@@ -1,5 +1,7 @@
 """A comparison as a person reads it in a terminal."""
 
+from collections.abc import Sequence
+
 from hallsym.diagnosis import POLICY, Comparison, EffectChange, ParameterChange, PlaceChange, gap_unit
 from hallsym.report.tables import grid, in_units
 from hallsym.units import readable
@@ -12,10 +14,9 @@ def comparison_text(c: Comparison) -> str:
         parts += ["", _gaps(c)]
         if c.effects:
             parts += ["", _effects(c.effects)]
-    rows = [row for e in c.effects for row in _rows(e)]
+    rows = [p for e in c.effects for p in e.parameters]
     if rows:
-        head = ["parameter", "before (1 sigma)", "after (1 sigma)", "unit", "p of no change", "significant"]
-        parts += ["", grid([head, *rows], left=1)]
+        parts += ["", parameters_text(rows)]
         parts.append(f"significant: at {100 * POLICY.changed:g} % over all {len(rows)} parameters together")
     if c.where:
         parts += ["", "where the gap lies (share of the excess, before and after):", *map(_place, c.where)]
@@ -45,17 +46,20 @@ def _share(share: float | None) -> str:
     return "" if share is None else f"{100 * share:.0f} %"
 
 
-def _rows(effect: EffectChange) -> list[list[str]]:
+def parameters_text(changes: Sequence[ParameterChange]) -> str:
+    """Return the table of parameters before and after."""
+
     def said(p: ParameterChange) -> str:
         return "unknown" if p.significant is None else "yes" if p.significant else "no"
 
+    head = ["parameter", "before (1 sigma)", "after (1 sigma)", "unit", "p of no change", "significant"]
     rows = []
-    for p in effect.parameters:
+    for p in changes:
         before, unit = in_units(p.before, p.before_std, p.unit)
         after, _ = in_units(p.after, p.after_std, p.unit)
         chance = "" if p.p_value is None else f"{p.p_value:.1g}"
         rows.append([p.name, before, after, unit, chance, said(p)])
-    return rows
+    return grid([head, *rows], left=1)
 
 
 def _place(place: PlaceChange) -> str:
