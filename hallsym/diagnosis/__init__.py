@@ -26,7 +26,6 @@ from hallsym.diagnosis.gap import remains, used_up
 from hallsym.diagnosis.holdout_pieces import knot_group, split
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape, lack_of_fit
-from hallsym.diagnosis.links import smoothed
 from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.noise import noise_of_rest, noise_text
@@ -57,7 +56,7 @@ from hallsym.diagnosis.remainder import Band, CurveShape, ModelLeft, NotExcluded
 from hallsym.diagnosis.report import unexplained
 from hallsym.diagnosis.residual_table import ResidualTable, Spectrum, residual_table
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.scores import Score, candidates, scores
+from hallsym.diagnosis.scores import Score, Screen, candidates, scores
 from hallsym.diagnosis.selection import Selected, cancelled, select
 from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable, SelfTest, Trial, selftest
 from hallsym.diagnosis.setup import Floor, base_of
@@ -84,7 +83,7 @@ __all__ = [
     "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact", "Examined", "Facts",
     "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key", "LackOfFit",
     "Located", "LogRecord", "Metric", "ModelLeft", "Nested", "NoiseFloor", "NotExcluded", "ParameterChange",
-    "PlaceChange", "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable", "Score",
+    "PlaceChange", "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable", "Score", "Screen",
     "Selected", "SelfTest", "Separation", "Shape", "Share", "Shrinkage", "SignFlips", "Significance",
     "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial", "Unexplained",
     "Variant", "adjusted", "alternatives", "as_many", "as_often", "base_of", "beyond", "block_errors",
@@ -96,6 +95,6 @@ __all__ = [
     "operations", "ordered", "others", "prepare", "rails_of", "range_of", "readings_of", "recorded",
     "recordings", "refit", "remains", "resemblances", "residual_table", "run_gains", "scores", "searched",
     "select", "selftest", "separation", "shape", "shared_noise", "shown", "simulated_noise", "sized",
-    "sizes", "smaller_findings", "smoothed", "split", "stretch", "student", "survey", "unexplained",
+    "sizes", "smaller_findings", "split", "stretch", "student", "survey", "unexplained",
     "used_up", "validate", "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

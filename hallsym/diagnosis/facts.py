@@ -7,7 +7,7 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import Accumulator, Stretch
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey
+from hallsym.diagnosis.survey import MAINS, MAINS_BAND, SEGMENT, Survey
 from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.log import Log
 from hallsym.log.batches import batches
@@ -164,7 +164,7 @@ def facts_of(base: Base, found: Survey) -> Facts:
         extremes=_extremes(log, model),
         rails=rails_of(log, model),
         lines_hz=found.lines_hz,
-        lines_tried=max(1, round(sum(b - a for a, b in MAINS) * found.duration_s)),
+        lines_tried=max(1, round(2 * MAINS_BAND * len(MAINS) * found.duration_s)),
         instants=instants(base, log.runs, log.rows),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
         on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),

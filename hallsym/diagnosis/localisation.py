@@ -4,6 +4,7 @@ Coordinates are taken one after the other, the one that explains most of what is
 shares add up to at most the whole and nothing is said twice. Each share is counted on runs that the curve was
 not fitted on. Everything that is tried is tested with the same random signs of the runs (`sign_flips`), also
 the effects of the catalogue, and each p-value is corrected for all of it by the largest statistic of all.
+Frequencies and single runs are few numbers; they are corrected for their count (Bonferroni).
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,6 @@ from hallsym.diagnosis.shares import (
     CERTAIN,
     LEAST,
     LEVEL,
-    bands,
     means,
     of_frequencies,
     of_powers,
@@ -95,8 +95,7 @@ def located(
     if not statements and not _clear(fitted):
         return Located((), tuple(curves), fitted, held)
     told = sum(s.share for s in statements)
-    p_values = [tried.joint.p_value(z[0]) for z in tried.bands.statistics]
-    tones, frequencies = of_frequencies(tried.bands, p_values, fitted.spectrum.motion_hz, told)
+    tones, frequencies = of_frequencies(fitted, told)
     if frequencies and frequencies[0].kind == "mains" and frequencies[0].share > told:
         statements, frequencies = [frequencies[0], *statements], frequencies[1:]
     size = variance * fitted.residual.size / fitted.excess
@@ -128,8 +127,7 @@ class _Tried:
         self.every: list[Smooth | FineMap] = [Smooth(r, c, moved) for c in known]
         self.every += [FineMap(r, c, moved) for c in known if c.fine]
         self.powers = [(p, p.statistics(r.block)) for p in (outputs(r), sensors(r))]
-        self.bands = bands(r)
-        self.others = [z for _, each in self.powers for z in each] + [*self.bands.statistics]
+        self.others = [z for _, each in self.powers for z in each]
         if top is not None:
             self.others.append(top)
         self.joint = Joint(self.others)
@@ -145,7 +143,7 @@ class _Tried:
 
 def _clear(r: ResidualTable) -> bool:
     """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
-    return beyond(means(r.squares - len(r.residual), r.block)) < CERTAIN
+    return beyond(means(r.squares - len(r.residual), r.part)) < CERTAIN
 
 
 # -- coordinates -------------------------------------------------------------------------------------------

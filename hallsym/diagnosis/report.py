@@ -160,7 +160,7 @@ def _located(
     else:
         gap = Located((), (), *both(plain, runs))
     if verdict in QUIET:  # noise has a spectrum, see `noise`, and no place
-        gap = replace(gap, statements=tuple(s for s in gap.statements if s.kind not in ("band", "motion")))
+        gap = replace(gap, statements=tuple(s for s in gap.statements if s.kind != "band"))
     if verdict != "unexplained":
         return gap, None
     if found.base is start:

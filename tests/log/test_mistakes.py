@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from encoder_mistakes import ENCODERS
 from mistaken_columns import COLUMNS
-from mistakes import ENCODER, MISTAKES, STAGE, Mistake, base, made
+from mistakes import ENCODER, RECORDING, STAGE, Mistake, base, made
 
 from hallsym import build
 from hallsym.cli.main import main
@@ -18,6 +19,7 @@ from hallsym.estimation import fit
 from hallsym.families import published
 from hallsym.log import Log, check_log, clean_log, write_log
 
+MISTAKES = (*RECORDING, *ENCODERS)
 CASES = [pytest.param(m, name, id=f"{m.name}, {name}") for m in (*MISTAKES, *COLUMNS) for name in m.on]
 LONGEST = 300
 MODELS = {**dict.fromkeys(STAGE, "stage31"), **dict.fromkeys(ENCODER, "rotary")}

@@ -6,8 +6,6 @@ and tolerance scale together; a calibration without noise leaves rounding.
 """
 
 import json
-import re
-import sys
 
 import numpy as np
 import pytest
@@ -15,20 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from twins import pm
 
-from hallsym.cli.main import main
-from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.published import bounds
 from hallsym.families.stage import models as stage
 from hallsym.simulation import paper_campaign
-from hallsym.uncertainty import DIVISORS
 from hallsym.uncertainty.tolerances import (
-    Tolerance,
     Tolerances,
     Workspace,
-    default_tolerances,
     given_tolerances,
-    read_tolerances,
     sobol,
     study,
     tolerances,
@@ -346,188 +338,3 @@ def test_a_workspace_holds_the_peaks_of_the_sines(model):
     assert np.abs(where.pose).max(axis=1) == pytest.approx([300e-6, 500e-6, 300e-6], rel=1e-9)
     assert (where.pose[1] ** 2).mean() == pytest.approx(500e-6**2 / 6, rel=1e-9)
     assert np.abs(where.state).max(axis=1) == pytest.approx([250e-6, 500e-6, 500e-6])
-
-
-# -- ranges ----------------------------------------------------------------------------------------------
-
-
-def test_default_ranges_are_table_3_about_table_1(model):
-    for t in default_tolerances(model):
-        low, high = PAPER[t.name]
-        assert t.width == pytest.approx((high - low) / 2)
-        assert t.centre == t.nominal
-    assert default_tolerances(model.with_parameters({"H1x": {"lower": 0.2, "upper": 0.2}}))[0].width == 0
-
-
-def test_units_stand_in_the_key(model):
-    given = {
-        "H1x_um": 20, "H1y_mm": 0.02, "theta_A_deg": 0.1, "eta_A_percent": 2, "eta_B": 0.02,
-        "H2x_percent": 1, "theta_B_mrad": {"half_width": 3, "distribution": "triangular"},
-        "eta_C": [0.9, 1.0], "H3y": "exact",
-    }  # fmt: skip
-    found = {t.name: t for t in given_tolerances(model, given, "exact")}
-    width = {name: t.width for name, t in found.items()}
-    assert width["H1x"] == pytest.approx(20e-6)
-    assert width["H1y"] == pytest.approx(20e-6)
-    assert width["theta_A"] == pytest.approx(np.radians(0.1))
-    assert width["eta_A"] == pytest.approx(0.02)
-    assert width["eta_B"] == pytest.approx(0.02)
-    assert width["H2x"] == pytest.approx(0.001975)
-    assert found["theta_B"].std == pytest.approx(3e-3 / 6**0.5)
-    assert (found["eta_C"].centre, found["eta_C"].width) == pytest.approx((0.95, 0.05))
-    assert width["H3y"] == width["H2y"] == 0
-    coupled = given_tolerances(build("stage31"), {"a_A_per_mm": 0.2, "b_B_per_mrad": 0.1}, "exact")
-    named = {t.name: t.width for t in coupled}
-    assert (named["a_A"], named["b_B"]) == pytest.approx((200, 100))
-
-
-@pytest.mark.parametrize("distribution", [*DIVISORS, "normal"])
-def test_draws_have_the_standard_uncertainty(distribution):
-    t = Tolerance("H1x", "m", 1.0, 1.0, 0.3, distribution)
-    u = (np.arange(100_000) + 0.5) / 100_000
-    assert t.at(u).mean() == pytest.approx(1.0, abs=1e-9)
-    assert t.at(u).std() == pytest.approx(t.std, rel=1e-3)
-    assert np.all(np.diff(t.at(u)) > 0)
-    if distribution != "normal":
-        assert np.abs(t.at(np.array([0.0, 1.0])) - 1.0) == pytest.approx([0.3, 0.3])
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"H1z_um": 20}, "'H1z_um' in .* names no parameter of stage15 .did you mean 'H1"),
-        ({"H1x_deg": 20}, "must end with a unit of H1x: one of H1x_m, H1x_mm"),
-        ({"H1x": 20}, "must end with a unit of H1x"),
-        ({"theta_A_percent": 1}, "must end with a unit of theta_A"),
-        ({"H1x_um": 0}, 'must be positive, not 0; write "exact"'),
-        ({"H1x_um": -3}, "must be a positive number; instead received -3"),
-        ({"H1x_um": float("inf")}, "must be a positive number"),
-        ({"H1x_um": True}, "must be a positive number; instead received True"),
-        ({"H1x_um": "20"}, "must be a positive number; instead received '20'"),
-        ({"H1x_um": 20, "H1x_mm": 1}, "H1x has two tolerances"),
-        ({"H1x_um": {"std": 1, "half_width": 2}}, "must have half_width or std, one of them"),
-        ({"H1x_um": {"distribution": "normal"}}, "must have half_width or std, one of them"),
-        ({"H1x_um": {"std": 1, "distribution": "triangular"}}, "must be normal with std"),
-        ({"H1x_um": {"half_width": 1, "distribution": "flat"}}, "rectangular or triangular or arcsine"),
-        ({"H1x_um": {"sigma": 1}}, "Unknown key 'sigma'"),
-        ({"eta_A": [0.98, 0.78]}, r"must be \[low, high\], low < high"),
-        ({"eta_A": [0.98]}, r"two numbers \[low, high\]"),
-    ],
-)
-def test_ranges_that_cannot_be(model, given, words):
-    with pytest.raises(InputError, match=words) as caught:
-        given_tolerances(model, given)
-    assert str(caught.value).endswith(".")
-    assert "\n" not in str(caught.value)
-
-
-def test_files_that_cannot_be(model, tmp_path):
-    path = tmp_path / "drawing.toml"
-    with pytest.raises(InputError, match=r"Tolerance file .* does not exist"):
-        read_tolerances(path, model)
-    for text, words in (
-        ("[tolerance", "is not valid TOML"),
-        ("[tolerances]\nH1x_um = 1", "Unknown key 'tolerances' .*did you mean 'tolerance'"),
-        ('others = "exact"', r"must hold a table \[tolerance\]"),
-        ('others = "none"\n[tolerance]\nH1x_um = 1', '\'others\' .* must be "bounds" or "exact"'),
-    ):
-        path.write_text(text)
-        with pytest.raises(InputError, match=words):
-            read_tolerances(path, model)
-
-
-def test_studies_that_cannot_be(model, somewhere):
-    for samples in (1000, 8, 0, -4, 2**17):
-        with pytest.raises(InputError, match="'samples' must be a power of two"):
-            tolerances(model, somewhere, samples=samples)
-    with pytest.raises(InputError, match="Every parameter of stage15 is exact"):
-        tolerances(model, somewhere, ranges=given_tolerances(model, {}, "exact"))
-    with pytest.raises(InputError, match="seed must be a whole number, 0 or more"):
-        tolerances(model, somewhere, seed=-1)
-    with pytest.raises(InputError, match="one Tolerance per parameter of stage15"):
-        tolerances(model, somewhere, ranges=default_tolerances(model)[:3])
-    free = model.with_parameters({"H1x": {"upper": np.inf}})
-    with pytest.raises(InputError, match="H1x of stage15 has no finite bounds"):
-        tolerances(free, somewhere)
-    assert tolerances(free, somewhere, ranges={"H1x_um": 20}, samples=16).active == (*free.names,)
-
-
-def test_a_gain_that_crosses_zero_names_the_tolerance():
-    with pytest.raises(InputError, match=r"cross zero .* [bc]_[ABC] .*2500 1/rad, from the bounds"):
-        tolerances(build("stage31"), samples=64)
-    with pytest.raises(InputError, match=r"cross zero .* eta_B \(\+-1.2 1, as given\) moves it most"):
-        tolerances(build("stage15"), ranges={"eta_B": 1.2}, samples=64)
-
-
-def test_without_salib_one_sentence_says_what_to_install(model, somewhere, monkeypatch):
-    monkeypatch.setitem(sys.modules, "SALib.sample.sobol", None)
-    with pytest.raises(
-        InputError, match=r"need SALib, which is not installed; run: pip install 'hallsym\[sob"
-    ):
-        tolerances(model, somewhere, samples=16)
-
-
-# -- command and picture ---------------------------------------------------------------------------------
-
-
-def test_the_command_prints_the_ranking_first(capsys, tmp_path):
-    (tmp_path / "drawing.toml").write_text('others = "exact"\n[tolerance]\nH1x_um = 20\neta_A_percent = 2\n')
-    words = ["tolerances", "--ranges", str(tmp_path / "drawing.toml"), "--samples", "32"]
-    assert main([*words, "--plots", str(tmp_path / "pictures")]) == 0
-    out = capsys.readouterr().out
-    assert out.index("errors of the nominal decoder") < out.index("worth") < out.index("Sobol indices")
-    rows = [line.split()[0] for line in out.splitlines() if line.startswith(("eta_A ", "H1x "))]
-    assert rows == ["eta_A", "H1x", "eta_A", "H1x"]
-    wanted = re.search(r"too wide to rank by: about --samples (\d+) brings them below 5", out)
-    assert wanted
-    assert int(wanted[1]) > 32
-    assert len(list((tmp_path / "pictures").glob("tolerances_*.png"))) == 3
-    assert main([*words, "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert record["ranking"] == ["eta_A", "H1x"]
-    assert record["tolerances"]["H1x"]["std"] == pytest.approx(20e-6 / 3**0.5)
-    assert record["tolerances"]["theta_A"]["width"] == 0
-    assert set(record["indices"]["error"]["y_m"]["eta_A"]) == {"first", "first_half", "total", "total_half"}
-    assert main([*words, "--samples", "100"]) == 2
-    assert "power of two" in capsys.readouterr().err
-
-
-def test_a_picture_has_a_bar_per_tolerance_and_index(paper):
-    from hallsym.report.figures import tolerances as draw
-
-    for quantity in ("error", "rms", "peak"):
-        figure = draw(paper, quantity)
-        for ax, indices in zip(figure.axes, paper.indices[quantity].values(), strict=True):
-            widths = sorted(bar.get_width() for bar in ax.patches)
-            assert widths == pytest.approx(sorted(100 * np.r_[indices.first, indices.total]))
-        assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == list(paper.ranking)
-
-
-def test_usual_tolerances_of_a_family():
-    """What the family states, by the pattern of the parameter; else the bounds; a fixed one stays exact."""
-    model = build("halbach", added=("gain_mismatch", "wavelength_error"))
-    fixed = model.with_parameters({"gain_2": {"lower": 0.0, "upper": 0.0}})
-    found = {t.name: t for t in default_tolerances(fixed)}
-    assert found["a1"].width == pytest.approx(0.02 * 0.6)
-    assert found["gain_0"].width == pytest.approx(0.025)
-    assert {found[n].source for n in ("a1", "gain_0", "b5")} == {"usual"}
-    assert (found["b5"].width, found["gain_2"].width) == (0, 0)
-    other = next(t for n, t in found.items() if n not in ("a1", "b1", "a5", "b5") and "gain" not in n)
-    assert other.source == "bounds"
-
-
-@pytest.mark.parametrize("name", ["halbach", "halbach_planar"])
-def test_lines_of_usual_tolerances_name_parameters(name):
-    model = build(name)
-    for effect, lines in model.family.tolerances.items():
-        own = build(name, added=(effect,) if effect else ())
-        usual = [t.name for t in default_tolerances(own) if t.source == "usual"]
-        assert len(usual) >= len(lines)
-        assert set(own.names) - set(model.names) <= set(usual)
-
-
-def test_command_takes_usual_tolerances_and_their_effects(capsys):
-    assert main(["tolerances", "--model", "halbach", "--samples", "16"]) == 0
-    said = capsys.readouterr().out
-    assert "usual tolerances of such machines" in said
-    assert "offset_error_0" in said

@@ -1,0 +1,103 @@
+"""Mistakes that only the fit of an encoder reveals: voltages and references that turn another way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from mistakes import ENCODER, Arrays, Ends, Make, Mistake
+
+
+def turned(change: Callable[[np.ndarray], np.ndarray], *columns: str, run: int | None = None) -> Make:
+    """Change columns, in one run or in all."""
+
+    def make(arrays: Arrays) -> None:
+        at = slice(None) if run is None else arrays["run"] == run
+        for column in columns:
+            arrays[column][at] = change(arrays[column][at])
+
+    return make
+
+
+def exchanged(run: int | None = None) -> Make:
+    """Exchange both voltages, in one run or in all."""
+
+    def make(arrays: Arrays) -> None:
+        at = slice(None) if run is None else arrays["run"] == run
+        sine = arrays["v_sin_v"][at].copy()
+        arrays["v_sin_v"][at] = arrays["v_cos_v"][at]
+        arrays["v_cos_v"][at] = sine
+
+    return make
+
+
+def times(factor: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what multiplies by a factor."""
+    return lambda values: factor * values
+
+
+def of_fit(name: str, make: Make, says: str, ends: Ends = "refusal") -> Mistake:
+    return Mistake(f"encoder: {name}", make, says, ends, found="fit", on=ENCODER)
+
+
+_TURN, _PLATES = 2 * np.pi, ("v_sin_v", "v_cos_v")
+_UNIT = r"angle_ref_rad .* another unit: .* if angle_ref_rad were in {}; .*--column angle_ref_{}="
+_OTHER_WAY = r"In run 2 .* turns the other way than in the others: {} there"
+_REVERSED = r"turns against angle_ref_rad .*; v_sin_v is taken with its sign reversed"
+
+ENCODERS = (
+    of_fit("degrees for rad", turned(np.degrees, "angle_ref_rad"), _UNIT.format("degrees", "deg")),
+    of_fit("rad for degrees", turned(np.radians, "angle_ref_rad"), _UNIT.format("rad", "rad")),
+    of_fit("turns for rad", turned(times(1 / _TURN), "angle_ref_rad"), _UNIT.format("turns", "rev")),
+    of_fit("gradians for rad", turned(times(400 / _TURN), "angle_ref_rad"), _UNIT.format("gradians", "grad")),
+    of_fit("mrad for rad", turned(times(1e3), "angle_ref_rad"), _UNIT.format("mrad", "mrad")),
+    of_fit(
+        "degrees for rad in one run",
+        turned(np.degrees, "angle_ref_rad", run=1),
+        r"angle_ref_rad in run 1 .* if angle_ref_rad were in degrees",
+    ),
+    of_fit(
+        "counts of another resolution",
+        turned(lambda a: np.mod(a, _TURN) / 4, "angle_ref_rad"),
+        r"makes 4 turns while angle_ref_rad makes one; .*scale the reference by 4",
+    ),
+    of_fit("mV for V", turned(times(1e3), *_PLATES), r"v_sin_v .*--column v_sin_mv="),
+    of_fit("mV for V in one column", turned(times(1e3), "v_cos_v"), r"v_cos_v .*--column v_cos_mv="),
+    of_fit(
+        "mV for V, less swing", turned(times(300.0), *_PLATES), r"v_sin_v .* check its unit, such as .*_mv="
+    ),
+    of_fit("mV for V in one column, less swing", turned(times(300.0), "v_cos_v"), r"v_cos_v .*v_cos_mv="),
+    of_fit("an inverted plate", turned(np.negative, "v_cos_v"), _REVERSED, "remark"),
+    of_fit("exchanged plates", exchanged(), _REVERSED, "remark"),
+    of_fit("an inverted reference", turned(np.negative, "angle_ref_rad"), _REVERSED, "remark"),
+    of_fit(
+        "the sine inverted in one run",
+        turned(np.negative, "v_sin_v", run=2),
+        _OTHER_WAY.format("v_sin_v is inverted"),
+    ),
+    of_fit(
+        "the cosine inverted in one run",
+        turned(np.negative, "v_cos_v", run=2),
+        _OTHER_WAY.format("v_cos_v is inverted"),
+    ),
+    of_fit(
+        "plates exchanged in one run",
+        exchanged(run=2),
+        _OTHER_WAY.format("v_sin_v and v_cos_v are exchanged"),
+    ),
+    of_fit(
+        "the reference inverted in one run",
+        turned(np.negative, "angle_ref_rad", run=2),
+        _OTHER_WAY.format("angle_ref_rad is inverted"),
+    ),
+    of_fit(
+        "both plates inverted in one run",
+        turned(np.negative, *_PLATES, run=2),
+        r"In run 2 it is half a turn: are both voltages inverted there\? .*--effect zero_deviation",
+    ),
+    of_fit(
+        "a reference that stands in one run",
+        turned(times(0.0), "angle_ref_rad", run=1),
+        r"In run 1 .* does not follow angle_ref_rad, in the others it does: the reference stands",
+    ),
+)
