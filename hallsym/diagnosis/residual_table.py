@@ -194,6 +194,13 @@ def residual_table(base: Base, runs: Sequence[int]) -> ResidualTable | None:
     )
 
 
+def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, ResidualTable | None]:
+    """Return the residual on those of `runs` that are fitted and on those that are held out."""
+    apart = (False, True)
+    fitted, held = (residual_table(base, [r for r in runs if (r in base.holdout) == held]) for held in apart)
+    return fitted, held
+
+
 def phase(reference: str) -> str:
     """Return the column of the place of a reference within its period."""
     return f"phase_{reference}"
