@@ -49,6 +49,7 @@ from hallsym.diagnosis.record import (
     Significance,
     SmallerFinding,
     Statement,
+    diagnosis_schema,
 )
 from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inside_bounds, refit, with_model
@@ -90,13 +91,13 @@ __all__ = [
     "Spectrum", "Statement", "Trial", "Unexplained", "Variant", "adjusted", "alternatives", "as_many",
     "as_often", "base_of", "beyond", "block_errors", "both", "cancelled", "candidates", "change_points",
     "compare", "confusable", "coordinates", "cordic", "decide", "decimated", "degrees_of", "diagnose",
-    "distance", "errors_of", "examine", "exceeds", "facts_of", "faults", "firmware_cost", "flexible",
-    "foreseen", "gap_text", "gap_unit", "generator", "hats", "injections", "inside_bounds", "instants",
-    "knot_group", "knots", "lack_of_fit", "load_effects", "located", "machine_of", "model_on",
-    "noise_of_rest", "noise_text", "normal_equations", "of_products", "operations", "ordered", "others",
-    "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit", "remains",
-    "resemblances", "residual_table", "run_gains", "scores", "searched", "select", "selftest",
-    "separation", "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes",
-    "smaller_findings", "split", "stretch", "student", "survey", "unexplained", "used_up", "validate",
-    "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
+    "diagnosis_schema", "distance", "errors_of", "examine", "exceeds", "facts_of", "faults",
+    "firmware_cost", "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats", "injections",
+    "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects", "located",
+    "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations", "of_products",
+    "operations", "ordered", "others", "prepare", "rails_of", "range_of", "readings_of", "recorded",
+    "recordings", "refit", "remains", "resemblances", "residual_table", "run_gains", "scores",
+    "searched", "select", "selftest", "separation", "shape", "shared_noise", "shown", "simulated_noise",
+    "sized", "sizes", "smaller_findings", "split", "stretch", "student", "survey", "unexplained",
+    "used_up", "validate", "waves_per_period", "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

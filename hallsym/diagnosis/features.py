@@ -27,6 +27,8 @@ TOGETHER, DEGREE = 128, 4
 """Products of coordinates that an error may follow together: up to `DEGREE`, and fewer than these in all."""
 WIDER = 1.2
 """A displacement may be this much larger than the readings: the gain changes with the vertical state."""
+STILL = 1e-9
+"""Part of its values by which a column that stands still may differ once it is smoothed: rounding."""
 TIMES = (3, 12)
 """Knots over the time of the log: one for three runs, within these."""
 
@@ -166,7 +168,8 @@ def _ranges(base: Base, runs: frozenset[int]) -> dict[str, tuple[float, float]]:
         for c, values in columns.items():
             low[c] = min(low.get(c, np.inf), float(values.min(initial=np.inf)))
             high[c] = max(high.get(c, -np.inf), float(values.max(initial=-np.inf)))
-    return {c: (0.5 * (low[c] + high[c]), max(0.5 * (high[c] - low[c]), 1e-300)) for c in low}
+    still = {c: max(STILL * max(abs(low[c]), abs(high[c])), 1e-300) for c in low}
+    return {c: (0.5 * (low[c] + high[c]), max(0.5 * (high[c] - low[c]), still[c])) for c in low}
 
 
 def _degree(coordinates: int) -> int:
