@@ -7,6 +7,7 @@
 """
 
 from hallsym.diagnosis.alternatives import Alternative, alternatives
+from hallsym.diagnosis.change_points import ChangePoint, change_points
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import Comparison, EffectChange, ParameterChange, PlaceChange, compare
 from hallsym.diagnosis.confusable import confusable, recorded, separation, smaller_findings, with_readings
@@ -26,8 +27,7 @@ from hallsym.diagnosis.gap import remains, used_up
 from hallsym.diagnosis.holdout_pieces import knot_group, split
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
 from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape, lack_of_fit
-from hallsym.diagnosis.links import smoothed
-from hallsym.diagnosis.localisation import Located, both, located
+from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
@@ -56,9 +56,9 @@ from hallsym.diagnosis.refit import Refitted, inside_bounds, refit, with_model
 from hallsym.diagnosis.regression import others
 from hallsym.diagnosis.remainder import Band, CurveShape, ModelLeft, NotExcluded, Unexplained
 from hallsym.diagnosis.report import unexplained
-from hallsym.diagnosis.residual_table import ResidualTable, Spectrum, residual_table
+from hallsym.diagnosis.residual_table import ResidualTable, Spectrum, both, residual_table
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.scores import Score, candidates, scores
+from hallsym.diagnosis.scores import Score, Screen, candidates, scores
 from hallsym.diagnosis.selection import Selected, cancelled, select
 from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable, SelfTest, Trial, selftest
 from hallsym.diagnosis.setup import Floor, base_of
@@ -77,30 +77,30 @@ from hallsym.diagnosis.validation import validate
 from hallsym.diagnosis.verdict import QUIET, decide
 from hallsym.diagnosis.watch import FALSE_ALARM, watch
 from hallsym.diagnosis.watch_record import Watch, WatchedLog, WatchTest
+from hallsym.diagnosis.verdict import QUIET, WITH_REST, decide
 from hallsym.diagnosis.words import degrees_of, gap_text, gap_unit, shown
 from hallsym.families.user import load_effects
 from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
-    "FALSE_ALARM", "NO_EFFECT", "PAST", "POLICY", "QUICK", "QUIET", "RATIOS", "REPEATS", "ROWS",
-    "Accumulator", "Alternative", "Band", "Base", "Bench", "BlockErrors", "Comparison", "Coordinate",
-    "CurvePoint", "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact", "Examined",
-    "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key",
+    "FALSE_ALARM", "NO_EFFECT", "PAST", "POLICY", "QUICK", "QUIET", "RATIOS", "REPEATS", "ROWS", "WITH_REST",
+    "Accumulator", "Alternative", "Band", "Base", "Bench", "BlockErrors", "ChangePoint", "Comparison",
+    "Coordinate", "CurvePoint", "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact",
+    "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key",
     "LackOfFit", "Located", "LogRecord", "Metric", "ModelLeft", "Nested", "NoiseFloor", "NotExcluded",
     "ParameterChange", "PlaceChange", "Policy", "Range", "Rate", "Refitted", "Resemblance", "ResidualTable",
-    "Score", "Selected", "SelfTest", "Separation", "Shape", "Share", "Shrinkage", "SignFlips",
+    "Score", "Screen", "Selected", "SelfTest", "Separation", "Shape", "Share", "Shrinkage", "SignFlips",
     "Significance", "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial",
     "Unexplained", "Variant", "Watch", "WatchTest", "WatchedLog", "adjusted", "alternatives", "as_many",
-    "as_often", "base_of", "beyond", "block_errors", "both", "cancelled", "candidates", "compare",
-    "confusable", "coordinates", "cordic", "decide", "decimated", "degrees_of", "diagnose",
-    "diagnosis_schema", "distance", "errors_of", "examine", "exceeds", "facts_of", "faults",
-    "firmware_cost", "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats", "injections",
-    "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects", "located",
-    "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations", "of_products",
-    "operations", "ordered", "others", "prepare", "rails_of", "range_of", "readings_of", "recorded",
-    "recordings", "refit", "remains", "resemblances", "residual_table", "run_gains", "scores", "searched",
-    "select", "selftest", "separation", "shape", "shared_noise", "shown", "simulated_noise", "sized",
-    "sizes", "smaller_findings", "smoothed", "split", "stretch", "student", "survey", "unexplained",
-    "used_up", "validate", "watch", "waves_per_period", "wiring_p", "wirings", "with_model",
-    "with_readings",
+    "as_often", "base_of", "beyond", "block_errors", "both", "cancelled", "candidates", "change_points",
+    "compare", "confusable", "coordinates", "cordic", "decide", "decimated", "degrees_of", "diagnose",
+    "diagnosis_schema", "distance", "errors_of", "examine", "exceeds", "facts_of", "faults", "firmware_cost",
+    "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats", "injections", "inside_bounds",
+    "instants", "knot_group", "knots", "lack_of_fit", "load_effects", "located", "machine_of", "model_on",
+    "noise_of_rest", "noise_text", "normal_equations", "of_products", "operations", "ordered", "others",
+    "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit", "remains",
+    "resemblances", "residual_table", "run_gains", "scores", "searched", "select", "selftest", "separation",
+    "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings", "split",
+    "stretch", "student", "survey", "unexplained", "used_up", "validate", "watch", "waves_per_period",
+    "wiring_p", "wirings", "with_model", "with_readings",
 ]  # fmt: skip

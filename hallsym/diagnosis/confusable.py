@@ -224,8 +224,10 @@ def confusable(
         separate.append(_from_selected(setup, found, other))
     if effects and effects[0].name in EITHER and len(setup.base.model.pose) == 1:
         groups.insert(0, EITHER)  # either turns the angle round, and its zero is free
-    names = [e.name for e in effects if e.share > 0] + [name for group in groups for name in group]
-    if verdict in ("explained", "behaves like"):
+    names = [e.name for e in effects if e.share > 0 or verdict == "partly explained"] + [
+        name for group in groups for name in group
+    ]
+    if verdict in ("explained", "behaves like", "partly explained"):
         for held in found.effects:
             others = _not_excluded(setup, held.selected, found.inflation)
             names += [r.score.effect.name for r in others]

@@ -8,25 +8,18 @@ from hallsym.diagnosis.record import Statement
 from hallsym.diagnosis.remainder import Band, CurveShape
 from hallsym.diagnosis.residual_table import ResidualTable, phase
 from hallsym.diagnosis.words import percent, plain, shown
+from hallsym.estimation.calibration import coverage_factor
 from hallsym.units import readable
 
 ALIKE = 0.9
 """Part of the largest wave's power from which on a slower one is as likely, see `waves_per_period`."""
-ROUGH = 0.4
-"""Part of a fine map's power that is short against the range, from which on it counts as fine structure."""
-COARSE = 6
-"""Waves per range up to which a map is no fine structure."""
 SLOWEST = 5
-"""Waves per range from which on a line of a map is a ripple with a period."""
-ONE_LINE = 0.5
-"""Part of a map's power that a ripple and its neighbours hold."""
-CLEARLY = 4.0
-"""Times that gains must be larger than offsets (squares), or the reverse, to be named alone."""
+"""Waves per range from which on a line that holds most of a map is a ripple with a period."""
 MOST_ORDERS, FASTEST, TENTH = 3, 104, 0.1
 """Waves that are named at most, the most per period that are looked for, and the part of an error's squares
 that each holds. 104 are the waves of a stepper of 50 pole pairs and their neighbours."""
 ABOVE_ALL = 0.7
-"""Part of a curve that one sensor must see to be named."""
+"""Part of a curve that one sensor, or the gain, must have to be named."""
 
 
 def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool) -> Statement:
@@ -44,17 +37,14 @@ def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool)
 
 
 def _form(r: ResidualTable, c: Curve, period: float | None, waves: tuple[int, ...]) -> str:
-    """Waves per period, ripples or fine structure, or whether the gain follows the coordinate."""
+    """Waves per period, ripples, or whether the gain follows the coordinate."""
     unit = c.coordinate.unit
     if c.coordinate.period is not None:
         per = "turn" if unit == "rad" else "period"
         return f", {' and '.join(map(str, waves))} waves per {per}" if waves else ""
     if not c.fine:
         return _part(r, c)
-    if period:
-        return f", in ripples of {shown(period, unit)}"
-    power = _power(c)
-    return ", in fine structure" if power[COARSE:].sum() > ROUGH * power.sum() else ""
+    return f", in ripples of {shown(period, unit)}" if period else ""
 
 
 def _part(r: ResidualTable, c: Curve) -> str:
@@ -65,14 +55,21 @@ def _part(r: ResidualTable, c: Curve) -> str:
         parts = (c.offset**2).sum(axis=0).reshape(2, k).sum(axis=0)
         names = (readable(n)[2].capitalize() for n in c.coordinate.of)
         each = (f"{a} {percent(x)}" for a, x in zip(names, parts / parts.sum(), strict=True))
-        what = "the gain: " if gain > CLEARLY * offset else "the offset: " if offset > CLEARLY * gain else ""
-        return f" ({what}{', '.join(each)})"
+        what = _gain_or_offset(gain, offset)
+        return f" ({what}{': ' if what else ''}{', '.join(each)})"
     if c.gain is None:
         return ""
     along = c.gain - c.gain.mean(axis=1, keepdims=True)
     level = c.offset - c.offset.mean(axis=1, keepdims=True)
     gain, offset = float((along**2).mean()), float((level**2).mean())
-    return " (the gain)" if gain > CLEARLY * offset else " (the offset)" if offset > CLEARLY * gain else ""
+    what = _gain_or_offset(gain, offset)
+    return f" ({what})" if what else ""
+
+
+def _gain_or_offset(gain: float, offset: float) -> str:
+    """Return which of two squares is meant above all, if one is."""
+    least = ABOVE_ALL * (gain + offset)
+    return "the gain" if gain > least else "the offset" if offset > least else ""
 
 
 def waves_of(r: ResidualTable, c: Curve) -> tuple[int, ...]:
@@ -109,7 +106,7 @@ def _period(c: Curve) -> float | None:
     """Period of a fine map, where one line holds most of its power."""
     power = _power(c)
     k = int(np.argmax(power))
-    if k < SLOWEST or power[k - 1 : k + 2].sum() < ONE_LINE * power.sum():
+    if k < SLOWEST or 2 * power[k - 1 : k + 2].sum() < power.sum():
         return None
     near = power[k - 1 : k + 2]
     centre = float(np.arange(k - 1, k - 1 + len(near)) @ near / near.sum())
@@ -131,14 +128,15 @@ def _most(c: Curve) -> str:
         for a, b in ((-1, 0.25), (0.25, 0.75), (0.75, 2))
     ]
     unit = c.coordinate.unit
-    span = f"({shown(low, unit, sign=True)} to {shown(high, unit, sign=True)})"
-    if min(parts[0], parts[2]) > 1.5 * parts[1]:
+    ends = [shown(x, unit, sign=True) for x in (low, high)]
+    span, (lower, middle, upper) = f"({ends[0]} to {ends[1]})", parts
+    if min(lower, upper) > 2 * middle:
         return f"most at the ends of the range {span}"
-    if parts[2] > 2 * max(parts[0], parts[1]):
-        return f"most at the upper end, near {shown(high, unit, sign=True)}"
-    if parts[0] > 2 * max(parts[1], parts[2]):
-        return f"most at the lower end, near {shown(low, unit, sign=True)}"
-    if parts[1] > 1.5 * max(parts[0], parts[2]):
+    if upper > 2 * max(lower, middle):
+        return f"most at the upper end, near {ends[1]}"
+    if lower > 2 * max(middle, upper):
+        return f"most at the lower end, near {ends[0]}"
+    if middle > 2 * max(lower, upper):
         return f"most in the middle of the range {span}"
     return f"all over the range {span}"
 
@@ -152,8 +150,6 @@ def _mostly(r: ResidualTable, c: Curve) -> str | None:
 
 # -- a curve as data ---------------------------------------------------------------------------------------
 
-BAND = 1.96
-"""Standard errors of a band, which come from runs left out in turn: 95 %."""
 NAMES = {"sensed": "reading_m", "rate": "reading_rate_m_s"}
 """What JSON calls the columns that every sensor has for itself."""
 
@@ -165,7 +161,8 @@ def shape(c: Curve, r: ResidualTable) -> CurveShape:
         value, spread, scale, gain = c.gain, c.gain_spread, c.scale, True
     periodic = {phase(x): x for x in r.references}
     column = periodic.get(c.coordinate.column, c.coordinate.column)
-    bands = (np.stack([value, value - BAND * spread, value + BAND * spread], axis=1) / scale).tolist()
+    wide = coverage_factor(np.inf) * spread
+    bands = (np.stack([value, value - wide, value + wide], axis=1) / scale).tolist()
     return CurveShape(
         coordinate=c.coordinate.name,
         line=c.coordinate.ordered,

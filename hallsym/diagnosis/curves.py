@@ -31,9 +31,6 @@ FEWEST_PARTS = 3
 """Stretches of a run from which on they may predict one another."""
 FINE = 96
 """Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
-COUPLED = 500
-"""Coefficients of a curve, of all sensors, up to which they are solved for together: the time goes with their
-cube. Beyond, each sensor's are fitted to its own residual; what they explain is counted on all the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +62,6 @@ class Curve:
         return float((self.statistic >= self.statistic[0]).mean())
 
 
-Fitted = tuple[float, np.ndarray, np.ndarray, np.ndarray]
-"""What coefficients explain on runs left out, they of all, they without each fold, and the statistic."""
-
-
 class Smooth:
     """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
 
@@ -81,21 +74,19 @@ class Smooth:
             return
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         self.at, self.phi = self._features(values)
-        K, nf, n = self.phi.shape
-        self.folds, self.blocks = _slices(r.fold), _slices(r.block)
+        self.own = 1 / np.diag(np.linalg.inv(r.precision))
+        self.gram = np.array(
+            [[w * phi[:, s] @ phi[:, s].T for s in _slices(r.fold)]
+             for w, phi in zip(self.own, self.phi, strict=True)]
+        )  # fmt: skip
         other = None if moved is None else _features_at(moved, coordinate, self.at, self.scale, r)
-        change = np.zeros_like(r.residual) if moved is None else r.precision @ (moved.residual - r.residual)
-        by = (other - self.phi) * change[:, None, :] if other is not None else np.zeros((K, nf, 1))
+        by = np.zeros((*self.phi.shape[:2], 1))
+        if moved is not None and other is not None:
+            change = self.own[:, None] * (moved.residual - r.residual)
+            by = (other - self.phi) * change[:, None, :]
         self.shared = [
-            np.array([by[:, :, s].sum(axis=2) for s in group]) for group in (self.folds, self.blocks)
-        ]
-        self.coupled = K * nf <= COUPLED
-        if not self.coupled:
-            return
-        flat = self.phi.reshape(K * nf, n)
-        P = np.kron(r.precision, np.ones((nf, nf)))
-        self.gram = np.array([flat[:, s] @ flat[:, s].T * P for s in self.folds])
-        self.penalty = _penalty(np.diag(self.gram.sum(axis=0)), len(self.at))
+            np.stack([by[:, :, s].sum(axis=2) for s in _slices(group)], axis=1) for group in (r.fold, r.block)
+        ]  # (K, groups, features), of folds and of blocks
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
@@ -105,88 +96,48 @@ class Smooth:
         return at if c.ordered or c.memory else np.arange(float(phi.shape[1])), phi
 
     def curve(self, residual: np.ndarray) -> Curve | None:
-        """Return the curve of a residual (K, n): a parabola, or a smooth curve where that explains more."""
+        """Return the curve of a residual (K, n)."""
         if self.values is None:
             return None
-        K, nf, _ = self.phi.shape
-        fits = self._together(residual) if self.coupled else self._one_by_one(residual)
-        z = np.max([f[-1] for f in fits], axis=0)
-        explained, coefficients, left, _ = max(fits, key=lambda f: f[0])
-        beta, U, m = coefficients.reshape(K, nf), len(left), len(self.at)
-        error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0)).reshape(K, nf)
+        beta, left, statistic = self._fit(residual)
+        explained, (U, _, nf), m = self._explains(left, residual), left.shape, len(self.at)
+        error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
         predicted = np.einsum("kf,kfn->kn", beta, self.phi)
         both = nf == 2 * m and self.coordinate.gain
         return Curve(
             self.coordinate, self.values, self.at, beta[:, :m], beta[:, m:] if both else None, error[:, :m],
-            error[:, m:] if both else None, self.scale, explained, z, predicted,
+            error[:, m:] if both else None, self.scale, explained, statistic, predicted,
         )  # fmt: skip
 
-    def _together(self, residual: np.ndarray) -> list[Fitted]:
-        """Fit the coefficients of all sensors at once."""
-        r = self.r
-        K, nf, n = self.phi.shape
-        weighted = r.precision @ residual
-        b_of = (self.phi * weighted[:, None, :]).reshape(K * nf, n)
-        sums, blocks = (
-            np.array([b_of[:, s].sum(axis=1) for s in group]) - shared.reshape(-1, K * nf)
-            for group, shared in zip((self.folds, self.blocks), self.shared, strict=True)
-        )
-        blocks *= level_weights(r, residual, r.block)[:, None]
-        return [self._fit(V, sums, blocks) for V in self._bases(K * nf)]
+    def _fit(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Fit the coefficients of each sensor to its own residual.
 
-    def _one_by_one(self, residual: np.ndarray) -> list[Fitted]:
-        """Fit the coefficients of each sensor to its own residual; judge them on the residual of all."""
+        Return those of all runs, (K, features), those without each fold, and the statistic of all sensors.
+        """
         r = self.r
-        K, nf, _ = self.phi.shape
-        folds, blocks = self.folds, self.blocks
-        own = 1 / np.diag(np.linalg.inv(r.precision))
+        folds, blocks = _slices(r.fold), _slices(r.block)
         level = level_weights(r, residual, r.block)[:, None]
-        bases = self._bases(nf)
-        q = [np.zeros((len(blocks),) * 2) for _ in bases]
-        every = [np.empty((K, nf)) for _ in bases]
-        left = [np.empty((len(folds), K, nf)) for _ in bases]
-        for k, phi in enumerate(self.phi):
-            gram = own[k] * np.array([phi[:, s] @ phi[:, s].T for s in folds])
+        q = np.zeros((len(blocks),) * 2)
+        every, left = [], []
+        every_sensor = zip(self.own, self.phi, self.gram, residual, *self.shared, strict=True)
+        for w, phi, gram, own, of_folds, of_blocks in every_sensor:
             penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at))
-            weighted = own[k] * phi * residual[k]
-            cross = np.array([weighted[:, s].sum(axis=1) for s in folds]) - self.shared[0][:, k]
-            parts = level * (np.array([weighted[:, s].sum(axis=1) for s in blocks]) - self.shared[1][:, k])
-            for j, V in enumerate(bases):
-                inner, pull = V.T @ gram @ V, V.T @ penalty @ V
-                fit, scores = regression(inner, (cross @ V)[:, :, None], pull), parts @ V
-                every[j][k], left[j][:, k] = V @ fit.all[:, 0], fit.left_out[:, :, 0] @ V.T
-                q[j] += scores @ np.linalg.solve(inner.sum(axis=0) + pull, scores.T)
-        run = r.run_of(r.block)
-        return [
-            (self._explains(c, residual, folds), b.ravel(), c.reshape(len(folds), -1), of_products(a, run))
-            for a, b, c in zip(q, every, left, strict=True)
-        ]
+            weighted = w * phi * own
+            cross = np.array([weighted[:, s].sum(axis=1) for s in folds]) - of_folds
+            fit = regression(gram, cross[:, :, None], penalty)
+            every.append(fit.all[:, 0])
+            left.append(fit.left_out[:, :, 0])
+            scores = level * (np.array([weighted[:, s].sum(axis=1) for s in blocks]) - of_blocks)
+            q += scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T)
+        return np.array(every), np.stack(left, axis=1), of_products(q, r.run_of(r.block))
 
-    def _explains(self, left_out: np.ndarray, residual: np.ndarray, folds: list[slice]) -> float:
+    def _explains(self, left_out: np.ndarray, residual: np.ndarray) -> float:
         """Squares that coefficients (folds, K, features), each of the other folds, remove."""
         total = 0.0
-        for beta, s in zip(left_out, folds, strict=True):
+        for beta, s in zip(left_out, _slices(self.r.fold), strict=True):
             says = np.einsum("kf,kfn->kn", beta, self.phi[:, :, s])
             total += float((says * (self.r.precision @ (2 * residual[:, s] - says))).sum())
         return total
-
-    def _bases(self, size: int) -> list[np.ndarray]:
-        """Columns that `size` coefficients may be made of: all knots; parabolas through them."""
-        m = len(self.at)
-        every = [np.eye(size)]
-        if not self.coordinate.ordered or m <= 3:
-            return every
-        x = 2 * (self.at - self.at[0]) / (self.at[-1] - self.at[0]) - 1
-        return [np.kron(np.eye(size // m), np.vander(x, 3)), *every]
-
-    def _fit(self, V: np.ndarray, sums: np.ndarray, blocks: np.ndarray) -> Fitted:
-        """What coefficients V a explain on runs left out, they of all, they without each, and the p-value."""
-        gram, penalty = V.T @ self.gram @ V, V.T @ self.penalty @ V
-        fit = regression(gram, (sums @ V)[:, :, None], penalty)
-        scores = blocks @ V
-        q = scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T)
-        z = of_products(q, self.r.run_of(self.r.block))
-        return float(fit.squares.sum()), V @ fit.all[:, 0], fit.left_out[:, :, 0] @ V.T, z
 
 
 class FineMap:

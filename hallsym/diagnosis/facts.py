@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hallsym.diagnosis.change_points import change_points
 from hallsym.diagnosis.normal_equations import Accumulator, Stretch
 from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.survey import MAINS, SEGMENT, Survey
+from hallsym.diagnosis.survey import MAINS, MAINS_BAND, SEGMENT, Survey
 from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.log import Log
 from hallsym.log.batches import batches
@@ -154,9 +156,22 @@ SAMPLED = 50_000
 """Samples that those quantiles are taken from."""
 
 
+def _steps_at(base: Base, found: Sequence[tuple[int, float]]) -> tuple[float, ...]:
+    """Return the p-value of a step in the run of each instant and channel; 1 where another channel steps."""
+    fitted = [run for run in base.log.runs if run not in base.holdout]
+    r = residual_table(base, fitted) if found else None
+    if r is None:
+        return ()
+    steps = {(s.run, s.channel): s.p_value for s in change_points(r)}
+    times = r.columns["campaign_s"]
+    runs = [int(r.run[int(np.argmin(np.abs(times - t)))]) for _, t in found]
+    return tuple(steps.get((run, k), 1.0) for run, (k, _) in zip(runs, found, strict=True))
+
+
 def facts_of(base: Base, found: Survey) -> Facts:
     """Return what effects may know of the log; searched numbers come from the residual of `base`."""
     model, log = base.model, base.log
+    slips = instants(base, log.runs, log.rows)
     return Facts(
         duration_s=max(found.duration_s, 1e-6),
         columns=tuple(c for c in log.columns if base.timed or c != "t_s"),
@@ -164,8 +179,9 @@ def facts_of(base: Base, found: Survey) -> Facts:
         extremes=_extremes(log, model),
         rails=rails_of(log, model),
         lines_hz=found.lines_hz,
-        lines_tried=max(1, round(sum(b - a for a, b in MAINS) * found.duration_s)),
-        instants=instants(base, log.runs, log.rows),
+        lines_tried=max(1, round(2 * MAINS_BAND * len(MAINS) * found.duration_s)),
+        instants=slips,
+        instants_p=_steps_at(base, slips),
         instants_tried=len(model.layout) * min(MAX_SEGMENTS, -(-log.rows // SEGMENT) + len(log.runs)),
         on_runs=switched_runs(base) if len(model.channels) > len(model.pose) and not model.zeros else (),
         on_runs_tried=2 ** (len(log.runs) - 1),

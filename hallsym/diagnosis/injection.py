@@ -13,6 +13,7 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.scores import candidates
 from hallsym.diagnosis.simulated_machine import SimulatedMachine, goes_round, readings_of, unit_of
+from hallsym.diagnosis.survey import FINE, MAINS
 from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.families.faults import FAULTS, Draw, Injection, Noisy, Recording, RecordingFault, Size
 from hallsym.model import Effect, Facts, Model, Variant
@@ -22,8 +23,6 @@ ABSORBED = 0.02
 NEAR = 0.02
 """How near the gap of an injection must come to what is wanted."""
 SEARCH = 12
-HUM_HZ = 50.03
-"""Mains frequency of the simulated pick-up: mains are never at 50 Hz exactly."""
 SEEN = 1e-3
 """A parameter that makes less than this part of the noise floor at its bound is left at 0."""
 MANY = 10
@@ -138,7 +137,7 @@ def _facts(truth: SimulatedMachine, rng: np.random.Generator) -> Facts:
         columns=base.log.columns,
         temperature=None if warm is None else float(warm.mean()),
         extremes=np.quantile(truth.clean, [0.97, 0.03], axis=1),
-        lines_hz=(HUM_HZ,),
+        lines_hz=(MAINS[0] + FINE / 4,),  # on none of the frequencies that are tried first
         instants=(slip,),
     )
 

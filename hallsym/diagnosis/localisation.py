@@ -4,6 +4,7 @@ Coordinates are taken one after the other, the one that explains most of what is
 shares add up to at most the whole and nothing is said twice. Each share is counted on runs that the curve was
 not fitted on. Everything that is tried is tested with the same random signs of the runs (`sign_flips`), also
 the effects of the catalogue, and each p-value is corrected for all of it by the largest statistic of all.
+Frequencies and single runs are few numbers; they are corrected for their count (Bonferroni).
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hallsym.diagnosis.coordinates import coordinates
+from hallsym.diagnosis.change_points import change_points
+from hallsym.diagnosis.coordinates import coordinates, unit_of
 from hallsym.diagnosis.curve_words import described
 from hallsym.diagnosis.curves import Curve, FineMap, Smooth, predicted, run_gains
 from hallsym.diagnosis.faults import Fault
@@ -20,14 +22,13 @@ from hallsym.diagnosis.measurement_error import WHITE, with_noise
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Share, Statement
-from hallsym.diagnosis.residual_table import ResidualTable, residual_table
+from hallsym.diagnosis.residual_table import ResidualTable, both, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.shares import (
     CERTAIN,
     LEAST,
     LEVEL,
-    bands,
     means,
     of_frequencies,
     of_powers,
@@ -36,7 +37,7 @@ from hallsym.diagnosis.shares import (
     sensors,
 )
 from hallsym.diagnosis.sign_flips import Joint
-from hallsym.diagnosis.words import percent
+from hallsym.diagnosis.words import percent, plain, shown
 
 SMALL = 0.02
 """Excess over the noise [share of its power] below which nothing is said."""
@@ -62,13 +63,6 @@ class Located:
     shares: tuple[Share, ...] = ()
 
 
-def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, ResidualTable | None]:
-    """Return the residual on those of `runs` that are fitted and on those that are held out."""
-    apart = (False, True)
-    fitted, held = (residual_table(base, [r for r in runs if (r in base.holdout) == held]) for held in apart)
-    return fitted, held
-
-
 def located(
     base: Base,
     runs: Sequence[int],
@@ -86,17 +80,17 @@ def located(
     whitened residual's. `colour`: autocorrelation of the residual at lags 0, 1, ...
     """
     fitted, held = both(base, runs)
+    steps = _steps([r for r in (fitted, held) if r is not None])
     if fitted is None or fitted.excess <= SMALL * fitted.residual.size:
-        return Located((), (), fitted, held)
+        return Located(tuple(steps), (), fitted, held)
     tried = _Tried(base, fitted, top, colour)
     statements, curves, alone = _coordinates(tried)
     if held is not None and held.excess > 0:
         statements = _confirmed(statements, curves, fitted, held)
     if not statements and not _clear(fitted):
-        return Located((), tuple(curves), fitted, held)
+        return Located(tuple(steps), tuple(curves), fitted, held)
     told = sum(s.share for s in statements)
-    p_values = [tried.joint.p_value(z[0]) for z in tried.bands.statistics]
-    tones, frequencies = of_frequencies(tried.bands, p_values, fitted.spectrum.motion_hz, told)
+    tones, frequencies = of_frequencies(fitted, told)
     if frequencies and frequencies[0].kind == "mains" and frequencies[0].share > told:
         statements, frequencies = [frequencies[0], *statements], frequencies[1:]
     size = variance * fitted.residual.size / fitted.excess
@@ -106,8 +100,27 @@ def located(
     rest += [of_powers(p, [tried.joint.p_value(z[0]) for z in statistics]) for p, statistics in tried.powers]
     rest += [(tones, frequencies), of_runs(fitted, told)]
     said = [s for _, found in rest for s in found]
+    if steps and steps[0].share > told:
+        statements = [*steps, *statements]
+    else:
+        said = [*steps, *said]
     shares = [*alone, *(row for rows, _ in rest for row in rows)]
     return Located((*map(_worded, (*statements, *said)),), tuple(curves), fitted, held, tuple(shares))
+
+
+def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
+    """Return the steps within runs that are certain, and what they take of the excess of their side."""
+    side = {run: r for r in tables for run in dict.fromkeys(r.run.tolist())}
+    out = []
+    for s in change_points(*tables):
+        r = side[s.run]
+        share = float(np.clip(s.squares / r.excess, 0.0, 1.0)) if r.excess > 0 else 0.0
+        if s.p_value < POLICY.certain and share >= LEAST:
+            size = shown(abs(s.size), unit_of(r.channels[s.channel]))
+            text = f"{percent(share)} of the excess is a step of {plain(r.channels[s.channel])} by {size}"
+            at = f"run {s.run} at {s.instant_s:.6g} s"
+            out.append(Statement("run", at, share, s.p_value, f"{text} in {at}", kind="run"))
+    return sorted(out, key=lambda s: -s.share)
 
 
 def _worded(s: Statement) -> Statement:
@@ -128,8 +141,7 @@ class _Tried:
         self.every: list[Smooth | FineMap] = [Smooth(r, c, moved) for c in known]
         self.every += [FineMap(r, c, moved) for c in known if c.fine]
         self.powers = [(p, p.statistics(r.block)) for p in (outputs(r), sensors(r))]
-        self.bands = bands(r)
-        self.others = [z for _, each in self.powers for z in each] + [*self.bands.statistics]
+        self.others = [z for _, each in self.powers for z in each]
         if top is not None:
             self.others.append(top)
         self.joint = Joint(self.others)
@@ -145,7 +157,7 @@ class _Tried:
 
 def _clear(r: ResidualTable) -> bool:
     """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
-    return beyond(means(r.squares - len(r.residual), r.block)) < CERTAIN
+    return beyond(means(r.squares - len(r.residual), r.part)) < CERTAIN
 
 
 # -- coordinates -------------------------------------------------------------------------------------------

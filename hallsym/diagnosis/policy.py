@@ -140,6 +140,11 @@ class Policy:
 
     Of a gap of twice the floor, a tenth of the excess is 14 % above the floor: a gap of its own."""
 
+    partly: float = 0.5
+    """Part of the excess from which on effects that close it, and leave a shape, explain the gap partly.
+
+    Half: more is explained than not. Below, what is named is the smaller part of an unexplained gap."""
+
     # flexible alternatives: "behaves like"
 
     behaves_like: float = 0.1

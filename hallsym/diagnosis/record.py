@@ -309,12 +309,13 @@ class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
     `verdict`: "no gap", "explained", "behaves like" (what is named closes the gap, but a flexible alternative
-    beats the effect that closes most of it), "unexplained", or "noise larger than stated" where what exceeds
-    the stated noise is noise.
+    beats the effect that closes most of it), "partly explained" (what is named closes most of the gap, and
+    the rest has a shape), "unexplained", or "noise larger than stated" where what exceeds the stated noise is
+    noise.
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:
     what the gap goes with; `remaining`: what the unexplained rest goes with, only if the verdict is
-    "unexplained". `unexplained`: share and shape of that rest. `model_error`: what the budget of a position
-    takes of it. `size`: the gap per output and sensor, on
+    "unexplained" or "partly explained". `unexplained`: share and shape of that rest. `model_error`: what the
+    budget of a position takes of it. `size`: the gap per output and sensor, on
     fitted and on holdout runs. `shares`: what each coordinate, link, output, sensor, frequency and run takes
     of the excess alone; empty where noise explains it. `waves`: the harmonics of the error over each periodic
     coordinate. `next_step`: the arguments of `hallsym fit LOG` that fit the model with the effects found;

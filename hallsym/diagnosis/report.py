@@ -11,7 +11,7 @@ from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.decoded_errors import block_errors, waves
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.gap import worth_reporting
-from hallsym.diagnosis.localisation import Located, both, located
+from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.model_error import model_error
 from hallsym.diagnosis.noise import LARGER, noise_text, with_noise
 from hallsym.diagnosis.policy import POLICY
@@ -27,13 +27,14 @@ from hallsym.diagnosis.record import (
     Sizes,
 )
 from hallsym.diagnosis.remainder import Unexplained
+from hallsym.diagnosis.residual_table import both
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.validation import Validation
-from hallsym.diagnosis.verdict import QUIET, Verdict, closed
-from hallsym.diagnosis.words import gap_text, gap_unit
+from hallsym.diagnosis.verdict import QUIET, WITH_REST, Verdict, closed
+from hallsym.diagnosis.words import gap_text, gap_unit, percent
 from hallsym.estimation.calibration import Fit, added_effects
 
 
@@ -61,7 +62,7 @@ def report(
     unit = gap_unit(setup.fit.model.pose)
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise),
+        sentence=sentence(verdict, named, alike.instead_of, metric, unit, setup.held_out, noise, left),
         held_out=setup.held_out,
         noise_floor=NoiseFloor(found.floor_by_output, _source(setup.fit)),
         gap_before=Gap(**found.before.gap()),
@@ -73,7 +74,7 @@ def report(
         effects=named,
         where=where.statements,
         shares=where.shares,
-        size=_size(setup, found, where, noise is not None and noise.larger and verdict != "unexplained"),
+        size=_size(setup, found, where, noise is not None and noise.larger and verdict not in WITH_REST),
         remaining=rest.statements if rest else (),
         unexplained=left,
         model_error=model_error(setup, found, gap_after, after, left, alike),
@@ -150,7 +151,7 @@ def _located(
     the excess is what exceeds the noise: noise lies nowhere.
     """
     start, runs = found.start.base, setup.base.log.runs
-    loud = noise if noise is not None and noise.larger and verdict != "unexplained" else None
+    loud = noise if noise is not None and noise.larger and verdict not in WITH_REST else None
     if loud is not None:
         start = with_noise(start, loud)
     plain = replace(start, keep=None)
@@ -160,8 +161,8 @@ def _located(
     else:
         gap = Located((), (), *both(plain, runs))
     if verdict in QUIET:  # noise has a spectrum, see `noise`, and no place
-        gap = replace(gap, statements=tuple(s for s in gap.statements if s.kind not in ("band", "motion")))
-    if verdict != "unexplained":
+        gap = replace(gap, statements=tuple(s for s in gap.statements if s.kind != "band"))
+    if verdict not in WITH_REST:
         return gap, None
     if found.base is start:
         return gap, gap
@@ -220,11 +221,12 @@ def sentence(
     unit: tuple[float, str],
     held_out: str = "holdout run",
     noise: NoiseFinding | None = None,
+    left: Unexplained | None = None,
 ) -> str:
     """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
 
     `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges. `noise`: that is left,
-    which a verdict of noise tells of.
+    which a verdict of noise tells of; `left`: what has no cause.
     """
     judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
@@ -252,6 +254,9 @@ def sentence(
             f"{said}. The machine behaves like {first.name}, but {why}, so the cause is not known. "
             f"With {named} it falls to {after}."
         )
+    if verdict == "partly explained" and left is not None:
+        remains = f"{percent(left.share)} of the excess over the noise"
+        return f"{said}. With {named} it falls to {after}; {remains} has no known cause: {left.text}."
     rest = "" if verdict == "explained" else "; the rest has no known cause"
     return f"{said}. With {named} it falls to {after}{rest}."
 

@@ -178,6 +178,7 @@ class Screen:
         self.significance = Significance(least, least_p(units), units, unit)
         rest = iter(adjusted_p.tolist())
         found = [s if s.p_value > 0 else replace(s, p_value=next(rest)) for s in found]
+        found = [replace(s, p_value=min(s.p_value, EVENTS * s.variant.by_itself)) for s in found]
         self.scores = sorted(found, key=lambda s: s.bic)
 
     def choice(self, runs: Sequence[int], level: float, taken: str | None, policy: Policy) -> "Choice | None":
@@ -227,6 +228,10 @@ class Screen:
         return frozenset(key for table in self.tables for key in table.t.spoiled)
 
 
+EVENTS = 10.0
+"""What the p-value of a single event is multiplied by, to stand beside those by signs (weighted Bonferroni).
+
+An event such as a step lies in one run, of which signs know nothing. A tenth of the error rate is its own."""
 COLUMNS = 400
 """Parameters of candidates that are screened in one pass: 1.3 MB for the products of each run, twice."""
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from hallsym.diagnosis.decoded_errors import BlockErrors
 from hallsym.diagnosis.p_values import beyond, beyond_one
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Share, Size, Sizes, Statement
-from hallsym.diagnosis.residual_table import MOTION, Band, ResidualTable
+from hallsym.diagnosis.residual_table import Band, ResidualTable
 from hallsym.diagnosis.sign_flips import of_means
 from hallsym.diagnosis.words import percent, plain
 
@@ -126,59 +127,37 @@ def of_runs(r: ResidualTable, told: float) -> Found:
     return rows, [Statement("run", f"run {order[k]}", share, p, text, kind="run")]
 
 
-@dataclass(frozen=True, eq=False)
-class Bands:
-    """Kinds of frequency: each with its share of the excess, its part of white noise, and its statistic.
-
-    `statistics`: (draws,) each, with random signs of the runs, that of the log first.
-    """
-
-    bands: tuple[Band, ...] = ()
-    shares: tuple[float, ...] = ()
-    parts: tuple[float, ...] = ()
-    statistics: tuple[np.ndarray, ...] = ()
-
-
-def bands(r: ResidualTable) -> Bands:
-    """Return what each kind of frequency has of the power beyond the noise; none of too few runs."""
+def of_frequencies(r: ResidualTable, told: float) -> Found:
+    """Kinds of frequency that hold more than twice their part of what white noise would have."""
     s = r.spectrum
     runs = sorted({run for kind in s.white.values() for run in kind})
     if len(runs) < FEWEST_RUNS or not r.timed:
-        return Bands()
+        return [], []
     white = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.white.items()}
-    over = {k: np.array([v.get(run, 0.0) for run in runs]) - white[k] for k, v in s.power.items()}
+    power = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.power.items()}
     everything = np.sum(list(white.values()), axis=0)
-    excess = float(sum(v.sum() for v in over.values()))
+    excess = float(sum(v.sum() for v in power.values()) - everything.sum())
     if excess <= 0:
-        return Bands()
-    return Bands(
-        tuple(white),
-        tuple(float(over[k].sum()) / excess for k in white),
-        tuple(float(own.sum() / everything.sum()) for own in white.values()),
-        tuple(of_means(over[k] / everything) for k in white),
-    )
-
-
-def of_frequencies(found: Bands, p_values: Sequence[float], motion_hz: Sequence[float], told: float) -> Found:
-    """Kinds of frequency that hold more than twice their part of what white noise would have."""
+        return [], []
     rows, worth = [], []
-    for band, share, part, p in zip(found.bands, found.shares, found.parts, p_values, strict=True):
+    for band, own in white.items():
+        over, part = power[band] - own, float(own.sum() / everything.sum())
+        share = float(over.sum()) / excess
+        p = min(1.0, len(white) * beyond(over / everything))
         rows.append(Share("frequency", band.name, float(np.clip(share, 0.0, 1.0)), p))
         named = band.kind == "mains" or told <= HALF
-        if p < LEVEL and share >= max(TWICE * part, part + MORE) and named:
+        if p < POLICY.certain and share >= max(TWICE * part, part + MORE) and named:
             worth.append((share, band, p))
-    return rows, _frequencies(worth, motion_hz)
+    return rows, _frequencies(worth)
 
 
-def _frequencies(worth: Sequence[tuple[float, Band, float]], motion_hz: Sequence[float]) -> list[Statement]:
+def _frequencies(worth: Sequence[tuple[float, Band, float]]) -> list[Statement]:
     said, rest = [], 1.0
     for share, band, p in sorted(worth, key=lambda w: -w[0])[:NAMED]:
         share = min(share, rest)  # bands below the noise make the others more than the whole
         rest -= share
         if share >= LEAST:
             text = f"{percent(share)} of the excess lies at {band.name}"
-            if band == MOTION and motion_hz:
-                text += f" (strongest near {float(np.median(motion_hz)):.3g} Hz)"
             said.append(Statement("frequency", band.name, share, p, text, kind=band.kind))
     return said
 
@@ -197,13 +176,13 @@ def sizes(
     for side, r in residues.items():
         if r is None:
             continue
-        clear = beyond(means(r.squares - len(r.residual), r.block)) < CERTAIN
+        clear = beyond(means(r.squares - len(r.residual), r.part)) < CERTAIN
         rms = np.sqrt(errors[side].squares.sum(axis=0) / max(errors[side].count.sum(), 1.0))
         noise = np.array([floor.get(c, 0.0) for c in r.pose])
         seen = sensors(r)
         of = [(out.outputs, outputs(r), rms, noise), (out.sensors, seen, seen.rms, np.sqrt(seen.noise))]
         for store, powers, size, least in of:
-            for name, row in _sizes(powers, r.block, size, least, clear).items():
+            for name, row in _sizes(powers, r.part, size, least, clear).items():
                 store.setdefault(name, {})[side] = row
     return out
 

@@ -17,6 +17,7 @@ from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import coefficients, normal_equations
 from hallsym.diagnosis.residual_table import at_rest
 from hallsym.diagnosis.residuals import Base, pieces
+from hallsym.diagnosis.survey import MAINS, MAINS_BAND
 from hallsym.estimation import autoregressive
 from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log, Noise, Sigma
@@ -183,8 +184,6 @@ def simulated_noise(base: Base, runs: Sequence[int], stated: bool = True) -> Sim
 
 PER_PERIOD = 25.0
 """Samples that a period of the fastest motion must keep."""
-MAINS_HZ = 126.0
-"""Sampling rate that must be kept: a little more than twice the mains."""
 MOST = 30_000
 """Samples beyond which long runs are cut."""
 
@@ -246,4 +245,4 @@ def _coarsest(base: Base) -> int:
             )
     step = float(np.median(steps)) if steps else 1.0
     fastest = float(np.sqrt(squares[1] / max(squares[0], 1e-300))) / (2 * np.pi)
-    return int(1.0 / (step * max(fastest * PER_PERIOD, MAINS_HZ)))
+    return int(1.0 / (step * max(fastest * PER_PERIOD, 2 * (MAINS[-1] + MAINS_BAND))))

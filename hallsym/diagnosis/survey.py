@@ -13,8 +13,10 @@ from hallsym.diagnosis.p_values import as_many, as_often, exceeds, statistic_at,
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.estimation import pseudo_inverse
 
-MAINS = ((46.0, 54.0), (56.0, 64.0))
-"""Bands [Hz] in which mains lines are looked for."""
+MAINS = (50.0, 60.0)
+"""Frequencies of the mains [Hz]."""
+MAINS_BAND = 4.0
+"""Distance from these up to which a line is looked for [Hz]."""
 FINE = 0.125
 """Distance of the frequencies that are tried there [Hz]: half of what runs of 4 s resolve."""
 SEGMENT = 64
@@ -155,7 +157,7 @@ class _Work:
         x = np.arange(len(t)) / len(t) - 0.5
         basis = np.linalg.qr(np.vander(x, WAVE_DEGREE))[0]
         smooth = r - (r @ basis) @ basis.T
-        bands = [_waves(a, FINE, round((b - a) / FINE), t - middle) for a, b in MAINS]
+        bands = [_waves(hz - MAINS_BAND, FINE, round(2 * MAINS_BAND / FINE), t - middle) for hz in MAINS]
         self.spectra.append((middle, len(t), smooth @ np.vstack(bands).T))
         self.wave.append((t, smooth))
 
@@ -238,14 +240,13 @@ class _Work:
         f = self.found
         if not self.spectra:
             return
-        grid = np.concatenate([a + FINE * np.arange(round((b - a) / FINE)) for a, b in MAINS])
+        around = np.arange(-MAINS_BAND, MAINS_BAND, FINE)
         power = sum((np.abs(a) ** 2).sum(axis=0) / n for _, n, a in self.spectra)
-        lines = []
-        for low, high in MAINS:
-            band = (grid >= low) & (grid < high)
-            peak = grid[band][np.argmax(power[band])]
-            lines.append(self._refined(float(peak)))
-        f.lines_hz = tuple(x for x, _ in lines)
+        parts = np.split(power, len(MAINS))
+        f.lines_hz = tuple(
+            self._refined(float(hz + around[np.argmax(part)]))[0]
+            for hz, part in zip(MAINS, parts, strict=True)
+        )
 
     def _refined(self, peak: float) -> tuple[float, float]:
         """Frequency at which all blocks are in phase, near the peak of their mean power."""

@@ -6,16 +6,23 @@ from typing import Literal
 
 import numpy as np
 
+from hallsym.diagnosis.change_points import change_points
+from hallsym.diagnosis.decoded_errors import block_errors
 from hallsym.diagnosis.gap import remains, shaped, worth_reporting
 from hallsym.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from hallsym.diagnosis.noise import LARGER, in_outputs
 from hallsym.diagnosis.record import NoiseFinding
+from hallsym.diagnosis.residual_table import both
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
 
-Verdict = Literal["no gap", "explained", "behaves like", "unexplained", "noise larger than stated"]
+Verdict = Literal[
+    "no gap", "explained", "behaves like", "partly explained", "unexplained", "noise larger than stated"
+]
 QUIET = ("no gap", LARGER)
 """Verdicts that name no effect."""
+WITH_REST = ("partly explained", "unexplained")
+"""Verdicts that leave a gap without a cause."""
 
 
 def decide(
@@ -30,11 +37,16 @@ def decide(
     What is named must lower the gap by the threshold, and be certain by a score or hold on all judging runs.
     A residual that is a gap by itself (`gap.remains`) makes the verdict "unexplained", unless what is named
     closes nearly all of the excess above the noise floor, or the excess is `noise` (of the model with what
-    was found): then nothing is left to explain, and without a name the noise is larger than stated.
+    was found): then nothing is left to explain, and without a name the noise is larger than stated. The gap
+    is partly explained where what is named closes most of the excess and what is left has a shape, or is a
+    step within a holdout run: such a run does not judge the effects.
     """
     judged, certain = found.judged, setup.policy.certain
     held = judged is None or judged.holds or min(e.p_value for e in found.effects) < certain
-    named = found.named and held and 1 - found.metric / found.before.metric >= setup.threshold
+    before, after, stepped = found.before.metric, found.metric, False
+    if found.effects and closed(before, after, found.floor.metric) < setup.policy.closes:
+        before, after, stepped = _without_steps(setup, found)
+    named = found.named and held and 1 - after / before >= setup.threshold
     base, metric = (found.base, found.metric) if named else (found.start.base, found.before.metric)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
     gap = remains(rest, found.slow, metric, found.floor, setup.threshold, setup.policy, found.error)
@@ -42,14 +54,28 @@ def decide(
     gap = gap and not loud
     if not named:
         return "unexplained" if gap else LARGER if loud else "no gap"
-    share = closed(found.before.metric, found.metric, found.floor.metric)
-    if gap and share < setup.policy.closes:
-        return "unexplained"
+    share = closed(before, after, found.floor.metric)
     main = max(found.effects, key=lambda h: h.errors.metric, default=None)
-    if main is None:
-        return "explained"
     ended = {found.base.model.names[k] for k in found.fit.at_bound()}
-    return "behaves like" if main.selected.name in resembled or ended & set(main.added) else "explained"
+    only_like = main is not None and (main.selected.name in resembled or bool(ended & set(main.added)))
+    if gap and (stepped or share < setup.policy.closes):
+        structured = stepped or shaped(rest, setup.threshold, setup.policy)
+        most = share >= setup.policy.partly and structured and not only_like
+        return "partly explained" if most else "unexplained"
+    return "behaves like" if only_like else "explained"
+
+
+def _without_steps(setup: Setup, found: Validation) -> tuple[float, float, bool]:
+    """Return the gap before and after on the holdout runs that hold no certain step, and whether any does."""
+    holdout = set(setup.holdout)
+    tables = [t for t in both(found.end, (*setup.runs, *setup.holdout)) if t is not None]
+    steps = {s.run for s in change_points(*tables) if s.p_value < setup.policy.certain}
+    clean = sorted(holdout - steps)
+    if not clean or not holdout & steps:
+        return found.before.metric, found.metric, False
+    bases = setup.as_logged(found.start.base), replace(found.base, keep=None)
+    before, after = (block_errors(b, clean, setup.log.rows, None).metric for b in bases)
+    return before, after, True
 
 
 def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, noise: NoiseFinding) -> bool:

@@ -22,8 +22,9 @@ class Facts:
     logged. `extremes`: quantiles of each reading, (n_quantiles, n_channels), high and low in turn.
     `rails`: lowest and highest value of each channel where it repeats, else -inf and inf. `lines_hz`:
     mains frequencies seen in the residuals, of `lines_tried` independent ones. `instants`: channel and
-    moment [s] at which it may have slipped, of `instants_tried` that were compared. `on_runs`: runs in
-    which an external field may have been on.
+    moment [s] at which it may have slipped, of `instants_tried` that were compared, and `instants_p`, the
+    p-value that the reading steps there by no chance. `on_runs`: runs in which an external field may have
+    been on.
     """
 
     duration_s: float
@@ -35,6 +36,7 @@ class Facts:
     lines_tried: int = 1
     instants: tuple[tuple[int, float], ...] = ()
     instants_tried: int = 1
+    instants_p: tuple[float, ...] = ()
     on_runs: tuple[int, ...] = ()
     on_runs_tried: int = 1
 
@@ -61,6 +63,7 @@ class Try:
     label: str = ""
     shapes: int = 0
     tried: int = 1
+    by_itself: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ class Variant:
 
     `label` tells the variants of an effect apart; `text` is what `--effect` takes, `numbers` what it states.
     `shapes` counts numbers that were searched and are no parameters of the model, `tried` how many of their
-    values were compared, for the significance.
+    values were compared, for the significance. `by_itself`: p-value that its searched numbers have by
+    themselves, 1 where nothing is known of them.
     """
 
     label: str
@@ -39,6 +40,7 @@ class Variant:
     numbers: Mapping[str, Any]
     shapes: int = 0
     tried: int = 1
+    by_itself: float = 1.0
 
 
 # -- effects -----------------------------------------------------------------------------------------------
@@ -204,6 +206,7 @@ class Effect:
             numbers=numbers,
             shapes=sum(t.shapes for t in tries),
             tried=prod(t.tried for t in tries),
+            by_itself=min((t.by_itself for t in tries), default=1.0),
         )
 
 

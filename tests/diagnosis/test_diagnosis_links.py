@@ -12,15 +12,14 @@ from hallsym.diagnosis import (
     Base,
     Located,
     Score,
+    Screen,
     block_errors,
     both,
     candidates,
     diagnose,
     facts_of,
     located,
-    scores,
     sizes,
-    smoothed,
     survey,
 )
 from hallsym.families import effects
@@ -42,8 +41,9 @@ def fitted_runs(base: Base) -> list[int]:
 
 def scored(base: Base, effects: tuple[Effect, ...]) -> list[Score]:
     runs = fitted_runs(base)
-    tried, _ = candidates(base, effects, facts_of(base, survey(base, frozenset(runs))))
-    return scores(base, tried, runs, 2.0)[0]
+    seen = survey(base, frozenset(runs))
+    tried, _ = candidates(base, effects, facts_of(base, seen))
+    return Screen(base, tried, runs, 2.0, colour=seen.colour).scores
 
 
 def some() -> tuple[Effect, ...]:
@@ -103,26 +103,6 @@ def test_an_effect_of_a_user_counts_for_the_link_that_it_changes() -> None:
     assert rows["field"].share > 0.5
     assert rows["clock"].share is None
     assert rows["clock"].text == "no effect of this link could be tested"
-
-
-def test_smoothing_the_reference_moves_it_less_than_its_noise_and_leaves_the_residual() -> None:
-    """Axes at rest stand still; readings follow, so that what is left is what was left."""
-    base, _ = found("odd_nonlinearity")
-    log = smoothed(base, [s.model for s in scored(base, some()[:1])])
-    model, read = base.model, on_arrays(base.model.reading)
-    old = {b.run: b.data for b in base.log.blocks()}
-    assert set(log.runs) == set(fitted_runs(base))
-    for block in log.blocks():
-        left = []
-        for data in (block.data, old[block.run]):
-            pose, state = ([data[c] for c in names] for names in (model.references, model.state))
-            (expected,) = read(base.p, base.zeros[block.run], pose, state)
-            left.append(np.array([data[c] for c in model.channels]) - expected)
-        np.testing.assert_allclose(left[0], left[1], atol=1e-15)
-        for c in model.references:
-            moved = block.data[c] - old[block.run][c]
-            assert moved.std() < 1.5 * base.sigma[c]
-        assert sum(np.ptp(block.data[c]) == 0 for c in model.references) == 2
 
 
 @pytest.mark.parametrize(

@@ -123,20 +123,31 @@ def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
     end = object()
     return SimpleNamespace(
         named=True, metric=after, before=SimpleNamespace(metric=4e-6), base=end, end=end, rest=rest,
-        start=None, slow=0.0, floor=FLOOR, effects=(), judged=None,
+        start=None, slow=0.0, floor=FLOOR, effects=(), judged=None, error=0.0,
+        fit=SimpleNamespace(at_bound=tuple),
     )  # fmt: skip
 
 
 def test_a_shape_that_is_left_makes_no_explained_gap_unless_nearly_all_is_closed():
     setup = SimpleNamespace(threshold=LEVEL, policy=POLICY, runs=[])
     bent = shaped(0.3, 1e-6)
-    assert decide(setup, validated(2e-6, bent)) == "unexplained"
-    assert decide(setup, validated(2e-6, CLEAN)) == "unexplained"  # twice the floor, and stated
+    assert decide(setup, validated(2e-6, bent)) == "partly explained"  # four fifths of the excess
+    assert decide(setup, validated(3e-6, bent)) == "unexplained"  # less than half of it
+    assert decide(setup, validated(2e-6, CLEAN)) == "unexplained"  # twice the floor, stated, without a shape
     assert decide(setup, validated(1.1e-6, bent)) == "explained"
     setup.policy = replace(POLICY, closes=0.5)
     assert decide(setup, validated(2e-6, bent)) == "explained"
     setup.policy = replace(POLICY, closes=1.01)
-    assert decide(setup, validated(1.1e-6, bent)) == "unexplained"
+    assert decide(setup, validated(1.1e-6, bent)) == "partly explained"
+    setup.policy = replace(POLICY, partly=0.9)
+    assert decide(setup, validated(2e-6, bent)) == "unexplained"
+
+
+def test_an_excess_that_noise_with_a_long_memory_makes_by_chance_is_no_gap():
+    of = (CLEAN, 0.2, 1.15 * FLOOR.metric, FLOOR, LEVEL)
+    assert remains(*of, POLICY, 0.01)
+    assert not remains(*of, POLICY, 0.05)
+    assert remains(*of, replace(POLICY, excess_errors=0.0), 0.05)
 
 
 # -- which of two effects ----------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from textwrap import fill
 
 from hallsym.diagnosis import (
     QUIET,
+    WITH_REST,
     CurveShape,
     Diagnosis,
     Estimate,
@@ -82,7 +83,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
 
 def noise_name(d: Diagnosis) -> str:
     """Return what the noise that is left is called: where something has no cause it may be no noise."""
-    return "noise, or what follows nothing logged" if d.verdict == "unexplained" else "noise"
+    return "noise, or what follows nothing logged" if d.verdict in WITH_REST else "noise"
 
 
 def p_text(p: float | None) -> str:

@@ -89,8 +89,11 @@ def slips(model: Model, facts: Facts) -> list[Try]:
             f"probe {names[k]} at {t:.6g} s",
             shapes=1,
             tried=facts.instants_tried,
+            by_itself=p,
         )
-        for k, t in facts.instants
+        for (k, t), p in zip(
+            facts.instants, (*facts.instants_p, *(1.0 for _ in facts.instants)), strict=False
+        )
     ]
 
 
@@ -110,12 +113,13 @@ def mount_slip(
     column = Computed(f"after_{instant_s:.9g}", (), lambda s: (s.data["t_s"] - s.origin_s >= instant_s) * 1.0)
     gain = Parameter(f"slip_gain_{probe}", 0.0, -0.5, 0.5, "1", f"step of the gain of probe {probe}")
     offset = Parameter(f"slip_offset_{probe}", 0.0, -1e-3, 1e-3, "m", f"step of the offset of probe {probe}")
+    lever = Parameter(f"slip_lever_{probe}", 0.0, -0.05, 0.05, "m", f"step of the lever of probe {probe}")
     unit = ca.DM([float(k == probe) for k in labels(model)])
 
     def step(s: Signals, p: P) -> None:
         after = s[column.name]
-        moved = s["displacement"] + p[offset.name] * after * unit
+        moved = s["displacement"] + (p[offset.name] + p[lever.name] * s["rz_rad"]) * after * unit
         s["displacement"] = moved + p[gain.name] * after * moved * unit
 
     wide = model.with_columns(column)
-    return wide.with_step("field", step, effect="mount_slip", parameters=(gain, offset))
+    return wide.with_step("field", step, effect="mount_slip", parameters=(gain, offset, lever))

@@ -1,0 +1,92 @@
+"""Steps within runs: found where they are, also in a holdout run, and not in noise with a memory.
+
+Facts used: a mount that moves once makes a reading step at one instant; noise makes steps of much the same
+size in every run.
+"""
+
+import numpy as np
+import pytest
+from gap_twins import machine
+from scipy.signal import lfilter
+
+from hallsym.diagnosis import POLICY, Diagnosis, ResidualTable, Spectrum, change_points, diagnose
+from hallsym.log import Log
+
+RUNS, SAMPLES = 20, 250
+
+
+def table(residual: np.ndarray) -> ResidualTable:
+    """A table of one sensor, runs of equal length, 10 ms a sample."""
+    n = residual.shape[1]
+    run = np.arange(n) // SAMPLES
+    time = {"campaign_s": 0.01 * np.arange(n)}
+    return ResidualTable(
+        ("m_m",), ("x_m",), ("x_ref_m",), (), run, residual, residual, residual, time, np.eye(1), run, run,
+        run, np.eye(1), np.ones(1), {}, Spectrum(),
+    )  # fmt: skip
+
+
+def noise(rng: np.random.Generator, memory: float) -> np.ndarray:
+    a = np.exp(-1 / memory)
+    return lfilter([np.sqrt(1 - a * a)], [1, -a], rng.standard_normal((1, RUNS * SAMPLES)), axis=1)
+
+
+@pytest.mark.parametrize("memory", [0.1, 3.0, 10.0])
+def test_steps_of_noise_are_as_rare_as_their_p_values(memory: float) -> None:
+    """400 logs: a share of 5 % has a standard deviation of 1.1 %."""
+    rng = np.random.default_rng(7)
+    least = [min(s.p_value for s in change_points(table(noise(rng, memory)))) for _ in range(400)]
+    assert np.mean(np.array(least) < 0.05) < 0.09
+
+
+def test_a_step_is_found_at_its_instant_with_its_size() -> None:
+    rng = np.random.default_rng(8)
+    x = noise(rng, 3.0)
+    when = 7 * SAMPLES + 100
+    x[0, when : 8 * SAMPLES] += 6.0
+    found = min(change_points(table(x)), key=lambda s: s.p_value)
+    assert (found.run, found.channel) == (7, 0)
+    assert found.instant_s == pytest.approx(0.01 * when, abs=0.03)
+    assert found.size == pytest.approx(6.0, abs=1.0)
+    assert found.p_value < 1e-3
+
+
+def test_too_few_runs_have_no_steps() -> None:
+    x = noise(np.random.default_rng(9), 1.0)[:, : 5 * SAMPLES]
+    assert change_points(table(x)) == ()
+
+
+def slipped(run: int, *, gain: float) -> tuple[Log, float]:
+    """A machine whose probe B moves by 20 um in the middle of a run, and has another gain from then on."""
+    log = machine("multisine", seed=31, thin=6)
+    columns = {c: log.array(c).copy() for c in log.columns}
+    inside = np.flatnonzero(columns["run"] == run)
+    when = float(columns["t_s"][inside[len(inside) // 2]])
+    after = columns["t_s"] >= when
+    columns["hall_b_m"] = columns["hall_b_m"] * (1 + gain * after) + 20e-6 * after
+    return Log.from_arrays(columns, log.noise, log.meta), when - float(columns["t_s"][0])
+
+
+@pytest.fixture(scope="module")
+def held_out() -> tuple[Diagnosis, int, float]:
+    log = machine("multisine", seed=31, thin=6)
+    run = min(log.meta.holdout)
+    changed, when = slipped(run, gain=0.02)
+    return diagnose(changed, "stage31"), run, when
+
+
+def test_a_slip_within_a_holdout_run_is_found_there(held_out) -> None:
+    d, run, when = held_out
+    said = [s for s in (*d.where, *d.remaining) if s.at.startswith(f"run {run} at ")]
+    assert said
+    assert all(s.p_value < POLICY.certain and "hall_b" in s.text for s in said)
+    assert float(said[0].at.split(" at ")[1].split()[0]) == pytest.approx(when, abs=0.1)
+
+
+def test_it_is_no_reason_to_drop_the_effect(held_out) -> None:
+    """The other holdout runs show its gain; what is left is the step, and the sentence says so."""
+    d, run, _ = held_out
+    assert d.verdict == "partly explained"
+    assert d.ranked[0] == "mount_slip"
+    assert f"run {run}" in d.sentence
+    assert d.unexplained is not None
