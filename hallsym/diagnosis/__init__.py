@@ -74,10 +74,9 @@ from hallsym.diagnosis.simulated_machine import (
 )
 from hallsym.diagnosis.survey import survey
 from hallsym.diagnosis.validation import validate
-from hallsym.diagnosis.verdict import QUIET, decide
+from hallsym.diagnosis.verdict import QUIET, WITH_REST, decide
 from hallsym.diagnosis.watch import FALSE_ALARM, watch
 from hallsym.diagnosis.watch_record import Watch, WatchedLog, WatchTest
-from hallsym.diagnosis.verdict import QUIET, WITH_REST, decide
 from hallsym.diagnosis.words import degrees_of, gap_text, gap_unit, shown
 from hallsym.families.user import load_effects
 from hallsym.model import Effect, Facts, Variant
