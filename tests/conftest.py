@@ -1,5 +1,9 @@
-"""Hypothesis without a clock and with the same examples in every run; no progress on a busy machine."""
+"""Hypothesis without a clock and with the same examples in every run; no progress on a busy machine.
 
+Output has the width of a pipe, none, whatever the terminal that the tests are started from.
+"""
+
+import os
 from collections.abc import Iterator
 
 import pytest
@@ -17,3 +21,9 @@ def _no_progress() -> Iterator[None]:
     every, progress.EVERY_S = progress.EVERY_S, float("inf")
     yield
     progress.EVERY_S = every
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_terminal() -> None:
+    """Let nothing be folded: pytest-xdist states the width of its own terminal to its workers."""
+    os.environ.pop("COLUMNS", None)

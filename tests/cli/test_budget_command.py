@@ -303,7 +303,11 @@ def test_a_calibration_takes_a_curve(capsys, curve, tmp_path):
     said = ran(capsys, *words, "--plots", str(tmp_path))
     assert "worst part of the path [mm]" in said
     assert "where each coordinate is known worst" in said
-    assert {p.name for p in tmp_path.iterdir()} == {"budget.png", "uncertainty_along.png", "curve_worth.png"}
+    assert {p.name for p in tmp_path.iterdir()} == {
+        f"{name}.{kind}"
+        for name in ("budget", "uncertainty_along", "curve_worth")
+        for kind in ("pdf", "png", "svg")
+    }
     record = json.loads(ran(capsys, *words, "--json"))
     worst = record["along_curve"]["worst"]["x_m"]
     assert worst["expanded_uncertainty"] == pytest.approx(record["budgets"]["x_m"]["expanded_uncertainty"])

@@ -154,7 +154,7 @@ def test_where_says_waves_per_turn():
 
 
 def test_angles_of_an_encoder_are_read_in_degrees():
-    """As the documentation says; those of a stage stay in urad."""
+    """As the documentation says; an angle that is a parameter is in degrees for every family."""
     estimate = Estimate(np.radians(0.7), 1e-5, "rad")
     found = diagnose(machine(third))
     effect = replace(found.effects[0], parameters={"skewed": estimate})
@@ -166,7 +166,7 @@ def test_angles_of_an_encoder_are_read_in_degrees():
     assert "at 180 deg" in said
     gap, floor = Gap({"rz_rad": 1e-6}, {"rz_rad": 1e-6}), NoiseFloor({"rz_rad": 1e-7}, "stated")
     stage = replace(found, effects=(effect,), noise_floor=floor, gap_before=gap, gap_after=gap, waves=())
-    assert "skewed 12217(10) urad" in diagnosis_text(stage)
+    assert "skewed 0.70000(57) deg" in diagnosis_text(stage)
     assert shown(2 * np.pi, "rad/s") == "60 rpm"
 
 

@@ -43,7 +43,8 @@ from hallsym.families.mechanisms import Functions, following, port
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log
 from hallsym.model import Model
-from hallsym.report.text.diagnosis import WIDTH, diagnosis_text, p_text, separation_text
+from hallsym.report.text.diagnosis import diagnosis_text, p_text, separation_text
+from hallsym.terminal import PROSE
 
 NAMES = ("time_skew", "first_order_lag")
 STAGE = effects(STAGE_FAMILY)
@@ -241,11 +242,11 @@ def a_diagnosis(**changes) -> Diagnosis:
 
 def test_the_text_says_everything_within_its_width() -> None:
     text = diagnosis_text(a_diagnosis())
-    assert max(map(len, text.splitlines())) <= WIDTH
+    assert max(map(len, text.splitlines())) <= PROSE
     words = " ".join(text.split())
     for said in (
         "noise floor, stated 1 1", "height_quadratic transducer 40.0 % (35.0 to 45.0) 90 % < 1e-6",
-        "bend_A -123456(321) 1/m2", "tau 1.200(20) ms", "offset 2.5 um", "decoding 98 -> 680 operations",
+        "bend_A -123456(321) 1/m2", "tau 1.200(20) ms", "offset 0.0025 mm", "decoding 98 -> 680 operations",
         "50 % of the excess goes with height Z (p < 1e-6; holdout runs 48 %)",
         "This log cannot tell apart: time_skew, first_order_lag", "one such run is enough for 5 sigma",
         "not testable: a, b: no temperature logged", "time_skew 1.0 %", "with 10 parameters more",

@@ -191,11 +191,11 @@ def test_evaluate_says_another_zero_and_takes_it_out(tmp_path, capsys):
     capsys.readouterr()
     assert main(["evaluate", str(calib), str(other), *KNOTS]) == 3
     said = capsys.readouterr().out
-    assert float(re.search(r"all runs +([\d.]+)", said)[1]) == pytest.approx(94.0, abs=0.5)
+    assert float(re.search(r"all samples +([\d.]+)", said)[1]) == pytest.approx(94.0, abs=0.5)
     assert re.search(r"angle_ref_rad counts from another zero .* \+9[34]\.\d+\. .*--own-zero", said)
     assert main(["evaluate", str(calib), str(other), *KNOTS, "--own-zero"]) == 3
     said = capsys.readouterr().out
-    assert float(re.search(r"all runs +([\d.]+)", said)[1]) < 0.2
+    assert float(re.search(r"all samples +([\d.]+)", said)[1]) < 0.2
     assert "The errors are without it" in said
     assert main(["evaluate", str(calib), str(tmp_path / "a.csv"), *KNOTS]) == 3
     assert "another zero" not in capsys.readouterr().out

@@ -122,7 +122,7 @@ def significance_text(s: Significance, piece: str = "run") -> str:
 
     `piece`: what a run of the log is called.
     """
-    unit = piece if s.unit == "run" else s.unit
+    unit = s.unit if (s.unit, piece) == ("stretch", "run") else piece
     least = f", {p_text(s.least)} at least" if s.units < FEW_UNITS else ""
     return f"= {p_text(s.p_value)} ({counted(s.units, unit)}{least})"
 

@@ -123,9 +123,7 @@ def further_text(further: Sequence[FurtherReport]) -> str:
     """Return what each further recording would determine beside this one."""
     rows = [["with another recording", "practical rank", "then determined (1 sigma)"]]
     rows += [[f.recording, f"{f.rank} of {f.of}", _gained(f.gained)] for f in further]
-    body = grid([row[:-1] for row in rows]).split("\n")
-    width, words = len(body[1]), [rows[0][-1], "", *(row[-1] for row in rows[1:])]
-    return "\n".join(f"{line:{width}}  {word}".rstrip() for line, word in zip(body, words, strict=True))
+    return grid(rows, words=True)
 
 
 LISTED = 8
