@@ -14,7 +14,7 @@ from hallsym.codegen.naming import PREFIX
 from hallsym.codegen.slopes import KINDS
 from hallsym.errors import quoted
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.units import fitting
+from hallsym.units import fitting, readable
 
 EPILOG = """\
 examples:
@@ -123,9 +123,9 @@ def _made(fit: Fit, options: Namespace) -> Generated:
     )
 
 
-def _small(error: float, si: str) -> str:
-    """Return an error of `si` as nm or nrad, from 1000 on in a larger unit."""
-    factor, unit = fitting(si, error)
+def _small(error: float, si: str, turns: bool) -> str:
+    """Return an error of `si` as nm, nrad or mdeg, from 1000 on in a larger unit; `turns`: it goes round."""
+    factor, unit = fitting(si, error, turns=turns)
     return f"{error * factor:.3g} {unit}"
 
 
@@ -134,8 +134,9 @@ def _text(made: Generated, options: Namespace) -> list[str]:
     lines = [f"{record['model']} in {record['type']}, table of {record['table_bytes']} bytes"]
     for c, met in record["error_met"].items():
         unit, bound = c.rpartition("_")[2], record.get("error_bound", {}).get(c)
-        most = "" if bound is None else f"error at most {_small(bound, unit)} over the box, "
-        lines.append(f"  {c}: {most}{_small(met, unit)} met over {tried} random inputs")
+        turns = readable(c)[1] == "deg"
+        most = "" if bound is None else f"error at most {_small(bound, unit, turns)} over the box, "
+        lines.append(f"  {c}: {most}{_small(met, unit, turns)} met over {tried} random inputs")
     lines += [f"  {c}: {low:g} to {high:g}" for c, (low, high) in record["box"].items()]
     wrote = sorted(made.params) if options.params_only else sorted(made.files)
     lines += [f"wrote {Path(options.output) / name}" for name in wrote]

@@ -48,14 +48,15 @@ def split(log: Log, spikes: np.ndarray | None = None) -> tuple[Log, tuple[int, .
     how = f"{count} {'slices of time' if timed else 'groups of single knots, each round the turn'}"
     short = Log.from_arrays(columns, log.noise, replace(log.meta, holdout=held), log.name)
     what = counted(len(log.runs), "run") if timed or len(log.runs) > 1 else "A table of knots"
-    notes.append(f"{what} cannot be held out whole: taken as {how}, every second held out.")
-    return replace(short, notes=(*log.notes, *notes), path=log.path), held
+    notes.append(f"{what} cannot be held out whole: taken as {how}, every other one held out.")
+    return replace(short, notes=(*log.notes, *notes), path=log.path, counted=not timed), held
 
 
 def counted_off(log: Log) -> Log:
     """Return a log without time with a counter in its place; its runs stay."""
     columns = {TIME: np.arange(log.rows, dtype=float)} | {c: log.array(c) for c in log.columns}
-    return replace(Log.from_arrays(columns, log.noise, log.meta, log.name), notes=log.notes, path=log.path)
+    counter = Log.from_arrays(columns, log.noise, log.meta, log.name)
+    return replace(counter, notes=log.notes, path=log.path, counted=True)
 
 
 def _pieces(n: int, timed: bool) -> int:

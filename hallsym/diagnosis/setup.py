@@ -224,6 +224,11 @@ def _holdout(log: Log, holdout: Sequence[int] | None, policy: Policy) -> tuple[i
         holdout = log.meta.holdout or log.runs[every // 2 :: every]
     if not holdout or len(log.runs) - len(set(holdout)) < 2:
         short, many = log.rows < holdout_pieces.FEWEST, counted(len(log.runs), "run")
+        if short and len(log.runs) == 1 and not log.timed:
+            raise InputError(
+                f"{log.name} has {log.rows} samples, too few to hold any out and still choose an effect on "
+                f"the others; record at least {holdout_pieces.FEWEST}."
+            )
         raise InputError(
             f"{log.name} has {many}, too few to hold any out and still choose an effect on the others "
             "(2 to fit and 1 to judge on at least); record more runs or "

@@ -30,7 +30,8 @@ class Block:
 class Log:
     """Recorded samples. Make one with `read_log` or `Log.from_arrays`; arrays are read-only views.
 
-    `notes` says what was assumed while reading; `path` is the data file (None for arrays).
+    `notes` says what was assumed while reading; `path` is the data file (None for arrays). `counted`: `t_s`
+    is no clock but a counter of samples in its place.
     """
 
     table: TableLike
@@ -38,6 +39,7 @@ class Log:
     meta: Meta = field(default_factory=Meta)
     path: Path | None = None
     notes: tuple[str, ...] = ()
+    counted: bool = False
 
     @staticmethod
     def from_arrays(
@@ -66,6 +68,11 @@ class Log:
     def name(self) -> str:
         """What to call this log in a message: its path, or what `from_arrays` was told."""
         return self.table.where
+
+    @property
+    def timed(self) -> bool:
+        """Whether the log holds time."""
+        return "t_s" in self.columns and not self.counted
 
     @property
     def source(self) -> Log:

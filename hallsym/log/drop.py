@@ -90,4 +90,4 @@ class Keep:
 def without(log: Log, drop: Drop) -> Log:
     """Return the log without the samples that `drop` names; a stream stays a stream."""
     table = Filtered(log.table, drop.columns, lambda: Keep(drop))
-    return Log(table, log.noise, log.meta, log.path, log.notes)
+    return Log(table, log.noise, log.meta, log.path, log.notes, log.counted)

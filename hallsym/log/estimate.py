@@ -11,8 +11,9 @@ from hallsym.errors import InputError
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.noise import Noise, Sigma
+from hallsym.log.phase import unwrapped
 from hallsym.model.medians import median
-from hallsym.units import Array
+from hallsym.units import Array, si_unit
 
 _ORDERS = range(2, 9)
 _SAMPLES = 1024  # taken from the middle of each block of a run
@@ -27,6 +28,7 @@ _ROUNDS = 8
 _UNEVEN = 0.01  # relative deviation of a time step from the usual one
 _GAP = 5.0  # usual steps
 _SLACK = 1.03
+_TURN = 2 * np.pi  # an angle that steps by more than half of it began another turn
 
 
 def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) -> Noise:
@@ -38,6 +40,7 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
     then the lowest order within 3 % of the least: higher ones leave less motion and more scatter.
     Where samples are not evenly spaced the differences are divided ones; none spans a gap. Where the ADC
     step hides the noise, step / sqrt(12) is the least that is returned.
+    Angles are unwrapped first: where one begins another turn it has not moved by one.
     Some 16 384 samples are used, 1024 in a stretch, of runs spread over the log (at most 128); `enough`:
     another number of such stretches.
 
@@ -62,6 +65,7 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
         filters = _filters(t)
         for name in channels:
             values = part[name]
+            values = unwrapped(values, _TURN) if si_unit(name) == "rad" else values
             spreads[name].append(np.array([_spread(_apply(f, values), f[0].shape[-1] // 2) for f in filters]))
             steps[name].append(_coarse_step(values))
     return Noise({n: Sigma(_combine(n, spreads[n], steps[n], log.name), "estimated") for n in channels})

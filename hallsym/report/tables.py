@@ -98,15 +98,16 @@ class _Table:
 
     def _blocks(self, limit: int) -> list[str]:
         """Return the columns in blocks, each begun by the first ones, which name the rows."""
-        first = sum(self._narrowest(k) + GAP for k in range(self.left))
+        left = self.left if self.left < len(self.rows[0]) else 1  # all of them: the first one names the rows
+        first = sum(self._narrowest(k) + GAP for k in range(left))
         lines: list[str] = []
         chosen: list[int] = []
-        for k in range(self.left, len(self.rows[0]) + 1):
+        for k in range(left, len(self.rows[0]) + 1):
             ended = k == len(self.rows[0])
             used = first + sum(self._narrowest(j) + GAP for j in chosen)
             if chosen and (ended or used + self._narrowest(k) > limit):
-                block = [[*row[: self.left], *(row[j] for j in chosen)] for row in self.rows]
-                part = _Table(block, self.left, self.head, False)
+                block = [[*row[:left], *(row[j] for j in chosen)] for row in self.rows]
+                part = _Table(block, left if left == self.left else len(block[0]), self.head, False)
                 lines += [
                     "",
                     *part._drawn(part._widths(limit) or [part._narrowest(j) for j in range(len(block[0]))]),

@@ -21,7 +21,7 @@ from hallsym.report.tables import error_rows
 from hallsym.report.text import budget_text, plan_text
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.evaluation import evaluation_text
-from hallsym.report.text.fit import fit_text
+from hallsym.report.text.fit import fit_text, labelled
 from hallsym.report.text.fleet import fleet_text
 from hallsym.report.text.identifiability import report_text
 from hallsym.report.text.watch import watch_text
@@ -110,7 +110,7 @@ def _fit_brief(fit: Fit) -> list[str]:
     model = fit.model
     known = int(fit.determined.sum())
     where = fit.log["path"] or "arrays"
-    rows = {name: row for name, row in (fit.error_rows or {}).items() if row}
+    rows = {name: row for name, row in labelled(fit.error_rows or {}).items() if row}
     amiss = fit.goodness and fit.goodness.sentence
     lines = [
         f"Fit of {model.name} to {where}: {fit.status}, {known} of"

@@ -203,7 +203,7 @@ def test_a_knot_table_tells_encoder_from_reference():
     assert {"third_harmonic_distortion", "field_saturation", "odd_nonlinearity"} & set(by_name)
     assert found.not_testable["time_skew"] == "no time logged"
     assert found.shrinkage.value > 0.8
-    assert any("every second held out" in note for note in found.notes)
+    assert any("every other one held out" in note for note in found.notes)
 
 
 def test_split_holds_out_every_second_knot_and_both_phases_of_a_pattern():

@@ -1,10 +1,13 @@
 """Diagnoses of one turn: tables of knots and an overdriven input, made by numpy alone."""
 
+import re
+
 import numpy as np
 import pytest
 
 from hallsym.diagnosis import diagnose, knot_group, others, split, waves_per_period
-from hallsym.log import Log
+from hallsym.errors import InputError
+from hallsym.log import Log, check_log
 from hallsym.report.text.diagnosis import diagnosis_text
 
 DEG = np.pi / 180
@@ -172,3 +175,19 @@ def test_all_folds_but_one_leave_nothing_where_nothing_is():
     for k, rest in enumerate(others(folds)):
         assert np.allclose(rest, np.delete(folds, k, axis=0).sum(axis=0))
     assert others(folds)[5, 2, 2] == 0.0
+
+
+def test_a_table_without_time_speaks_of_no_time(of_a_table):
+    """Neither of seconds, runs and delays, although a counter stands for time."""
+    said = re.sub(r"computed in .* s\.", "", diagnosis_text(of_a_table))
+    said = "\n".join(line for line in said.split("\n") if "no time logged" not in line)
+    for word in (r"runs?", r"delays?", r"seconds?", r"ms", r"\d s"):
+        assert not re.search(rf"\b{word}\b", said), (word, said)
+
+
+def test_a_table_too_short_to_diagnose_is_refused_without_a_word_on_runs():
+    a = np.linspace(0.0, 6.2, 40)
+    with pytest.raises(InputError, match=r"has 40 samples, too few to hold any out .* at least 48\.$"):
+        diagnose(Log.from_arrays({"angle_ref_rad": a, "angle_rad": a}), "rotary")
+    with pytest.raises(InputError, match=r"must have at least 8 samples; it has 5"):
+        check_log(Log.from_arrays({"angle_ref_rad": a[:5], "angle_rad": a[:5]}))

@@ -263,7 +263,7 @@ def test_a_curve_counts_trials_and_nine_in_ten_are_found(monkeypatch) -> None:
     assert (large.trials, large.found, large.noticed) == (10, 0.9, 0.9)
     assert s.effect("odd_nonlinearity").ratio == 1.1
     assert s.false_alarms == 0  # larger noise is no gap
-    assert "a rate of 0 to 17 %" in selftest_text(s)
+    assert "interval of the rate: 0 to 17 %" in selftest_text(s)
     assert "90 % (55-100)" in selftest_text(s)
     assert all(t.imperfection not in ("", "odd_nonlinearity") for t in s.effect("odd_nonlinearity").trials)
 

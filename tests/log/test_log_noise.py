@@ -101,3 +101,11 @@ def test_what_is_given_wins() -> None:
     with pytest.raises(InputError, match="channel 'hall_c_m' is not known"):
         both["hall_c_m"]
     assert both.get("hall_c_m") is None
+
+
+@pytest.mark.parametrize("noise_deg", [0.0, 0.01])
+def test_a_reference_that_begins_another_turn_has_no_more_noise_for_it(noise_deg: float) -> None:
+    """200 steps of 1.8 deg from 336.6 deg on, which wrap at the 14th."""
+    at = (336.6 + 1.8 * np.arange(200) + noise_deg * np.random.default_rng(1).normal(size=200)) % 360
+    found = estimate_noise(Log.from_arrays({"angle_ref_deg": at}), ["angle_ref_rad"])["angle_ref_rad"]
+    assert np.degrees(found.value) == pytest.approx(noise_deg, rel=0.25, abs=1e-9)

@@ -103,3 +103,9 @@ def test_what_is_printed_of_results_fits(wide):
     wide(70)
     for result in (found, seen):
         assert max(map(len, result.summary().split("\n"))) <= 70
+
+
+def test_a_table_whose_columns_are_all_words_does_not_vanish_where_it_is_too_wide(wide):
+    wide(NARROWEST)
+    rows = [["effect", *(f"{k} x" for k in range(12))], ["magnet_tilt", *["refused"] * 12]]
+    assert grid(rows, left=13).count("refused") == 12

@@ -128,7 +128,7 @@ def _judge(log: Log, required: Sequence[str], *, thinned: bool = False) -> Itera
 
 
 def _clock(log: Log, seen: Scan, thinned: bool) -> Iterator[Finding]:
-    if seen.clock is not None:
+    if seen.clock is not None and not log.counted:
         yield from time(log, seen.clock)
         yield from clock_unit(log, seen)
         if not thinned:

@@ -22,6 +22,12 @@ def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
     """Runs with too few samples to say anything, or far fewer than the others."""
     samples = seen.samples
     short = [run for run, n in samples.items() if n < FEWEST_SAMPLES]
+    if short and len(samples) == 1 and not log.timed:
+        yield Finding(
+            f"{name_of(log)} must have at least {FEWEST_SAMPLES} samples; it has {samples[short[0]]}",
+            True, remedy="record more samples",
+        )  # fmt: skip
+        return
     if short:
         yield Finding(
             f"Every run of {name_of(log)} must have at least {FEWEST_SAMPLES} samples; run {short[0]} has"
@@ -38,7 +44,7 @@ def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
             f" has {usual:.0f}: it tells little more than its own zero",
             remedy="see whether its recording was cut short",
         )
-    elif usual < _FEW and "t_s" in log.columns:
+    elif usual < _FEW and log.timed:
         yield Finding(
             f"The usual run of {name_of(log)} has {usual:.0f} samples: a frozen column, noise or a delay"
             " cannot be seen in so few",
@@ -46,7 +52,7 @@ def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
         )
     elif usual < _FEW:
         yield Finding(
-            f"The usual part of {name_of(log)} has {usual:.0f} samples: a frozen column cannot be seen"
-            " in so few",
+            f"The parts of {name_of(log)} that are compared have {usual:.0f} samples: a frozen column cannot"
+            " be seen in so few",
             remedy="record more samples if you can",
         )

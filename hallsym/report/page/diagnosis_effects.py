@@ -32,7 +32,10 @@ def _ranking(d: Diagnosis) -> Figure | None:
 
 def _ranked(d: Diagnosis) -> Table:
     """Return the ranking as a table: effects with numbers, then names that carry evidence without them."""
-    head = ["effect", "link", "form", "shrinks the gap by", "share of the excess", "p", "not told apart from"]
+    head = [
+        "effect", "link", "form", "shrinks the gap by (95 %)", "share of the excess", "p",
+        "not told apart from",
+    ]  # fmt: skip
     rows: list[list[Any]] = [
         [
             e.name,

@@ -9,8 +9,9 @@ from typing import Any
 from hallsym.diagnosis import Diagnosis
 from hallsym.report.page import shared
 from hallsym.report.page.content import Heading, Section, Table, Words
-from hallsym.report.page.diagnosis_words import changed, percent, with_interval
+from hallsym.report.page.diagnosis_words import changed, percent
 from hallsym.report.page.shared import Gap
+from hallsym.report.text.diagnosis import shrinks_text
 from hallsym.report.words import amount, scale, three
 from hallsym.report.words import name as named_column
 from hallsym.units import readable
@@ -26,7 +27,7 @@ def errors_section(d: Diagnosis) -> Section:
     floor = d.noise_floor
     note = "On runs that took part in neither the fit nor the choice of effects. Dashed line: noise floor."
     content: list[Any] = [
-        Words(f"{_shrinks(d) if changed(d) else ''} {_metric(d)}".strip()),
+        Words(f"{shrinks_text(d) if changed(d) else ''} {_metric(d)}".strip()),
         Words(note, note=True),
         shared.against_floor(drawn, floor.outputs),
         shared.gap_table(rows, floor.outputs, floor.source),
@@ -47,14 +48,6 @@ def gaps(d: Diagnosis) -> dict[str, Gap]:
         when: {what: {c: part[c] for c in known} for what, part in gap.items()} for when, gap in every.items()
     }
     return found if changed(d) else {"holdout": found["before"]}
-
-
-def _shrinks(d: Diagnosis) -> str:
-    s = d.shrinkage
-    return (
-        f"The gap shrinks by {with_interval(s.value, s.interval)}; {percent(s.share_closed, 0)} of the "
-        f"excess above the noise floor is closed, with {s.parameters_added} parameters more."
-    )
 
 
 def _metric(d: Diagnosis) -> str:

@@ -129,7 +129,7 @@ def _parameters(d: Diagnosis, fit: Fit | None) -> list[Any]:
             factor, unit = angle if angle[1] == "deg" and p.unit == "rad" else (1.0, p.unit)
             std = None if p.std is None else factor * p.std
             rows.append([e.name, name, concise(factor * p.value, std).replace("-", MINUS), unit, e.cost])
-    head = ["effect", "parameter", "value (std)", "unit", "adds to the model"]
+    head = ["effect", "parameter", "value (1 sigma)", "unit", "adds to the model"]
     added = Table(head, rows, "parameters of the effects", left=2, wordy=(3, 4), sortable=changed(d))
     own = [Heading(f"Of {fit.model.name}"), *shared.parameters_of(fit)] if fit else []
     return [added, *own]

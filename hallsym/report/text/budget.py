@@ -32,13 +32,13 @@ def budget_text(budget: Budget, shown: str | None = None) -> str:
     freedom = "" if np.isinf(dof) else f"; {dof:.0f} effective degrees of freedom"
     value = ""
     if budget.value is not None:
-        size, name = fitting(budget.unit, budget.value, turns=budget.turns)
+        size, name = fitting(budget.unit, budget.value or budget.expanded, turns=budget.turns)
         value = f" = {_three(budget.value * size)} {name}"
     return "\n".join(
         [
             f"{budget.quantity}{value}",
             grid(rows, left=2),
-            f"combined standard uncertainty u = {budget.std * factor:.4g} {unit}{freedom}",
+            f"combined standard uncertainty u = {budget.std * factor:.4g} {unit} (1 sigma){freedom}",
             f"expanded uncertainty U = {budget.expanded * factor:.4g} {unit} "
             f"(k = {budget.factor:.3g}{level})",
         ]

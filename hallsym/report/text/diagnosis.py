@@ -6,6 +6,7 @@ from dataclasses import asdict
 from textwrap import fill
 
 from hallsym.diagnosis import (
+    POLICY,
     QUIET,
     WITH_REST,
     CurveShape,
@@ -57,7 +58,7 @@ def diagnosis_text(d: Diagnosis, reading: Sequence[str] = ()) -> str:
     if d.effects:
         parts += ["", effect_text(d.effects), "", *(_parameters(e, units_of(d)) for e in d.effects)]
         parts += [_wrapped(f"  {e.note}", "    ") for e in d.effects if e.note]
-        parts.append(_wrapped(_shrinks(d)))
+        parts.append(_wrapped(shrinks_text(d)))
     if d.next_step:
         parts.append(next_text(d, reading))
     for s in d.separate_by:
@@ -102,7 +103,7 @@ def _basis(d: Diagnosis) -> str:
         f"verdict: {d.verdict}. Model {d.model}; errors are on "
         f"{counted(len(d.validation_runs), d.held_out)}, which took part in neither the fit nor the "
         f"choice of effects; a decrease of {100 * d.threshold:g} % is worth reporting; the noise floor is "
-        f"{d.noise_floor.source}; {_any_effect(d)}{d.seconds:.1f} s."
+        f"{d.noise_floor.source}; {_any_effect(d)}computed in {d.seconds:.1f} s."
     )
 
 
@@ -193,7 +194,7 @@ def _parameters(effect: FoundEffect, units: Mapping[str, tuple[float, str]]) -> 
     """Return the parameters of an effect on this machine, and its firmware cost."""
     values = ", ".join(f"{n} {_estimate(p, units)}" for n, p in effect.parameters.items())
     form = f" ({effect.variant})" if effect.variant else ""
-    text = f"{effect.name}{form}: {values + '; ' if values else ''}{effect.cost}"
+    text = f"{effect.name}{form}: {values + ' (1 sigma); ' if values else ''}{effect.cost}"
     return _wrapped(text, "  ")
 
 
@@ -203,16 +204,35 @@ def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> str:
     return f"{concise(p.value * factor, std)} {unit}".strip()
 
 
-def _shrinks(d: Diagnosis) -> str:
-    s = d.shrinkage
-    judges = f"{counted(s.judges, piece_of(d))} that took no part" if s.judges else f"{d.held_out}s"
-    few = f"no interval: too few {judges} judge" if s.judges else "no interval"
-    known = few if s.interval is None else f"95 % of recordings like it: {_ends(s.interval)}; {judges}"
-    return (
-        f"The gap shrinks by {100 * s.value:.1f} % ({known}); "
-        f"{100 * d.shrinkage.share_closed:.0f} % of the excess above the noise floor is closed, with "
-        f"{counted(d.shrinkage.parameters_added, 'parameter')} more."
+def shrinks_text(d: Diagnosis) -> str:
+    """Return how far the error falls, on the holdout runs and over all runs, so that the two are told apart.
+
+    The sizes before and after are of the holdout runs. The shrinkage and its interval are of all runs that
+    judge, each by a fit that left its group out (`hallsym.diagnosis.shrinkage`).
+    """
+    s, piece, held = d.shrinkage, piece_of(d), counted(len(d.validation_runs), d.held_out)
+    fall = f"falls by {_percent(1 - d.metric.after / d.metric.before)}" if d.metric.before > 0 else "is 0"
+    more = counted(s.parameters_added, "parameter")
+    alone = (
+        f"On the {held} alone the error {fall}: {100 * s.share_closed:.0f} % of its excess above the noise "
+        f"floor is closed, with {more} more."
     )
+    if s.judges <= len(d.validation_runs):
+        known = "" if s.interval is None else f" (95 % of recordings like it: {_ends(s.interval)} %)"
+        return f"The gap shrinks by {_percent(s.value)}{known}. {alone}" if known else alone
+    known = (
+        f"no 95 % interval: it needs at least {POLICY.fewest_judges} {piece}s"
+        if s.interval is None
+        else f"95 % of recordings like it: {_ends(s.interval)} %"
+    )
+    return (
+        f"Over {counted(s.judges, piece)}, each judged by a fit that left it out (nested cross-validation), "
+        f"the gap shrinks by {_percent(s.value)} ({known}). {alone}"
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
 
 
 def _ends(interval: tuple[float, float]) -> str:
@@ -264,7 +284,7 @@ def _curve(rest: Unexplained | None) -> list[str]:
             shown = f"{factor * value:+.2g} +- {factor * half:.1g} {unit}"
         said.append(f"{name} {shown} at {_at(curve, k)}")
     what = "change of gain" if curve.kind == "gain" else "error"
-    return [_wrapped(f"  shape over {curve.coordinate}, largest {what}: {'; '.join(said)}", "    ")]
+    return [_wrapped(f"  shape over {curve.coordinate}, largest {what} (95 %): {'; '.join(said)}", "    ")]
 
 
 def _at(curve: CurveShape, k: int) -> str:

@@ -28,7 +28,7 @@ def fit_text(fit: Fit) -> str:
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
         + f"; {fit.status} in {fit.seconds:.2f} s",
         "",
-        error_rows(fit.model.pose, _labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
+        error_rows(fit.model.pose, labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
         "",
         *([] if fit.logs else periodic_lines(fit)),
         *([*several_text(fit), ""] if fit.logs else []),
@@ -53,7 +53,8 @@ def _logs(fit: Fit) -> str:
     return counted(len(fitted), "log") if fitted else fit.log["path"] or "a log in memory"
 
 
-def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
+def labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Return rows of errors of a fit under the names that people read."""
     labels = {"designed": "nominal", "fitted": "fitted", "holdout": "held out"}
     return {labels.get(k, k): v for k, v in rows.items()}
 

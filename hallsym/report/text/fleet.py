@@ -41,7 +41,8 @@ def _with_words(rows: list[list[str]]) -> str:
 
 def spread_text(fleet: Fleet) -> str:
     """Return the table of spreads: mean, spread between devices with its interval, uncertainty of one fit."""
-    rows = [["parameter", "mean", "spread (1 sigma)", "95 %", "of one fit", "unit", "devices"]]
+    of_spread = ("spread (1 sigma)", "95 % of the spread")
+    rows = [["parameter", "mean (1 sigma)", *of_spread, "1 sigma of one fit", "unit", "devices"]]
     for s in fleet.spreads:
         factor, unit = parameter_unit(s.unit)
         low, high = (f"{factor * v:.3g}" for v in s.interval)
@@ -56,4 +57,5 @@ def _trend(spread: Spread, k: int) -> str:
     trend = spread.trends[k]
     factor, unit = parameter_unit(spread.unit)
     slope = concise(factor * trend.slope, factor * trend.std)
-    return f"{spread.name} follows {trend.column}: {slope} {unit} per 1 of it (p = {trend.chance:.1e})"
+    chance = f"p = {trend.chance:.1e}"
+    return f"{spread.name} follows {trend.column}: {slope} {unit} (1 sigma) per 1 of it ({chance})"

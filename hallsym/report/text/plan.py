@@ -28,7 +28,7 @@ def plan_text(plan: Plan) -> str:
             f"worst-determined combination of the {runs(plan.recorded)} recorded: {worst_text(plan.before)}"
         )
     lines.append(f"worst-determined combination with the plan: {worst_text(plan.after)}")
-    lines.append(f"worst u of the position over the ranges: {_position(plan, plan.position)}")
+    lines.append(f"worst u (1 sigma) of the position over the ranges: {_position(plan, plan.position)}")
     if study.criterion.name == "max-u":
         lines[-1] += f" (counted in {_position(plan, study.ranges.references(study.model.pose))})"
     if plan.sines is not None:
@@ -47,7 +47,7 @@ def worst_text(worst: Worst) -> str:
     """Return the combination and how well it is known."""
     if worst.std is None:
         return f"{worst.text} (each over its bound width), not determined"
-    return f"{worst.text} (each over its bound width), +- {100 * worst.std:.2g} % of it"
+    return f"{worst.text} (each over its bound width), +- {100 * worst.std:.2g} % of it (1 sigma)"
 
 
 def curves_text(plan: Plan, sines: Comparison) -> str:
@@ -75,12 +75,11 @@ def comparison_text(plan: Plan, c: Comparison) -> str:
     rows = [["", c.name, f"plan, {runs(c.runs)}", "smaller by"]]
     for coordinate, one, two in zip(plan.study.model.pose, a.position, b.position, strict=True):
         factor, unit, short = readable(coordinate, plan.study.model.period)
-        rows.append(
-            [f"worst u of {short} [{unit}]", f"{one * factor:.3g}", f"{two * factor:.3g}", f"{one / two:.2f}"]
-        )
+        sizes = (f"{one * factor:.3g}", f"{two * factor:.3g}", f"{one / two:.2f}")
+        rows.append([f"worst u of {short}, 1 sigma [{unit}]", *sizes])
     if a.worst.std and b.worst.std:
         shares = (f"{100 * a.worst.std:.2g}", f"{100 * b.worst.std:.2g}")
-        rows.append(["worst combination [% of width]", *shares, f"{a.worst.std / b.worst.std:.2f}"])
+        rows.append(["worst combination, 1 sigma [% of width]", *shares, f"{a.worst.std / b.worst.std:.2f}"])
     times = a.std / b.std
     rows.append(["standard uncertainties, median", "", "", f"{np.median(times):.2f}"])
     lines = [f"each with the {runs(plan.recorded)} recorded already:"] if plan.recorded else []

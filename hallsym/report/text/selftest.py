@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 from hallsym.diagnosis import CurvePoint, Findable, SelfTest, Trial, gap_text, gap_unit
 from hallsym.report.tables import grid
+from hallsym.units import parameter_unit
 
 SHORT = {"found": "yes", "group": "group", "listed": "second", "other": "wrong", "refused": "refused"}
-READ = {"m": (1e6, "um"), "s": (1e3, "ms"), "rad": (1e6, "urad"), "V": (1e3, "mV")}
+READ = {"s": (1e3, "ms"), "V": (1e3, "mV")}
+"""Factor and unit of parameters that are not shown as `parameter_unit` has it."""
 
 
 def selftest_text(s: SelfTest) -> str:
@@ -58,7 +60,7 @@ def _bounds(point: CurvePoint) -> str:
     """Return the 95 % bounds of a rate in words, nothing of no trials."""
     if not point.trials:
         return ""
-    return f" (a rate of {100 * point.low:.0f} to {100 * point.high:.0f} %, at 95 %)"
+    return f" (95 % interval of the rate: {100 * point.low:.0f} to {100 * point.high:.0f} %)"
 
 
 def _from(e: Findable, unit: tuple[float, str]) -> str:
@@ -75,7 +77,7 @@ def size_text(e: Findable) -> str:
             largest[unit] = (name, value)
     said = []
     for unit, (name, value) in largest.items():
-        factor, shown = READ.get(unit, (1.0, unit))
+        factor, shown = READ.get(unit) or parameter_unit(unit)
         said.append(f"{name} {factor * value:.3g}" + (f" {shown}" if shown != "1" else ""))
     return ", ".join(said)
 
@@ -92,7 +94,7 @@ def _legend(s: SelfTest) -> str:
         lines[:2] = [
             f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; in how many of "
             f"{s.repeats} trials the effect is named first, or",
-            "in one group with the first, with 95 % bounds; -: cannot be made that large here",
+            "in one group with the first, with its 95 % interval; -: cannot be made that large here",
         ]
     bounded = [e for e in s.effects if e.trials and e.reason]
     return "\n".join([*lines, *(f"{e.name}: {e.reason}" for e in bounded)])

@@ -27,7 +27,8 @@ def _own_text(fit: Fit, parameter: Parameter) -> str:
     factor, unit = parameter_unit(parameter.unit)
     logs = [log for log in fit.logs if parameter.name in log["parameters"]]
     change = fit.joint is not None
-    rows = [[f"{parameter.name} by log", "value", "unit", *(["since the first"] if change else [])]]
+    since = ["since the first (1 sigma)"] if change else []
+    rows = [[f"{parameter.name} by log", "value (1 sigma)", "unit", *since]]
     for log in logs:
         value, std = (log["parameters"][parameter.name][key] for key in ("value", "std"))
         row = [log["name"], concise(factor * value, None if std is None else factor * std), unit]

@@ -30,14 +30,14 @@ def sorting_text(found: Sorting) -> str:
             (
                 f"gain: median {np.median(found.gain):.6g} {found.unit}, from"
                 f" {100 * (found.relative.min() - 1):+.2f} to {100 * (found.relative.max() - 1):+.2f} % of"
-                f" {found.nominal:.6g}; standard uncertainty of one"
+                f" {found.nominal:.6g}; standard uncertainty (1 sigma) of one"
                 f" {_percent(float(np.median(found.std)) / found.nominal)}"
             ),
             "",
             bin_table(found),
             "",
             (
-                f"in a wrong bin: {number:.0f} +- {spread:.0f} sensors expected"
+                f"in a wrong bin: {number:.0f} +- {spread:.0f} (1 sigma) sensors expected"
                 f" ({100 * number / len(found.sensors):.1f} %)"
             ),
             *_drift(found),
@@ -82,11 +82,11 @@ def _drift(found: Sorting) -> Iterator[str]:
     )
     if d.scatter:
         each = ", ".join(f"{way} {_percent(value)}" for way, value in d.scatter.items())
-        yield f"  repeatability with each way to take it out: {each}"
+        yield f"  repeatability (1 sigma) with each way to take it out: {each}"
     if d.per_kelvin:
         yield (
             f"  the reference follows the temperature by {100 * d.per_kelvin[0]:+.3f} +-"
-            f" {100 * d.per_kelvin[1]:.3f} %/K"
+            f" {100 * d.per_kelvin[1]:.3f} %/K (1 sigma)"
         )
 
 
@@ -95,8 +95,8 @@ def _repeats(found: Sorting) -> Iterator[str]:
     if r is None:
         return
     yield (
-        f"repeatability: {_percent(r.scatter.std)} of one measurement, from"
-        f" {counted(len(r.first), 'sensor')} measured again; drift between {100 * r.drift:+.3f} %"
+        f"repeatability (1 sigma): {_percent(r.scatter.std)} of one measurement, from"
+        f" {counted(len(r.first), 'sensor')} measured again; drift between the two {100 * r.drift:+.3f} %"
     )
     rows = [["change of bin", "sensors", "expected"]]
     rows += [
@@ -137,7 +137,7 @@ def matching_text(found: Matching) -> str:
 
 def way_table(found: Matching) -> str:
     """Return rms and peak errors of the pose by way of choosing."""
-    factor, unit = fitting(found.unit, max(w.overall for w in found.ways if len(w.sets)))
+    factor, unit = _unit(found, max(w.overall for w in found.ways if len(w.sets)))
     shown = [readable(c, found.model.period) for c in found.model.pose]
     head = ["way", "sets", f"rms [{unit}]", f"expected [{unit}]", f"worst set [{unit}]"]
     rows = [[*head, *(f"peak {name} [{u}]" for _, u, name in shown)]]
@@ -161,7 +161,7 @@ def way_table(found: Matching) -> str:
 def set_table(found: Matching) -> str:
     """Return the first sets: sensor by place, common gain and rms error."""
     way = found.matched
-    factor, unit = fitting(found.unit, way.worst)
+    factor, unit = _unit(found, way.worst)
     places = found.places[:6]
     more = ["..."] if len(found.places) > len(places) else []
     rows = [["set", *places, *more, "gain", f"rms [{unit}]"]]
@@ -207,6 +207,11 @@ def _beside_bins(found: Matching) -> str:
     return f"matched sets are {found.gain_over_bins:.3g} times better than bins alone"
 
 
+def _unit(found: Matching, largest: float) -> tuple[float, str]:
+    """Return factor and unit of rms errors up to `largest`: degrees where the pose is an angle that turns."""
+    return fitting(found.unit, largest, turns=any(c in found.model.period for c in found.model.pose))
+
+
 def _amount(found: Matching, value: float) -> str:
-    factor, unit = fitting(found.unit, value)
+    factor, unit = _unit(found, value)
     return f"{value * factor:.3g} {unit}"

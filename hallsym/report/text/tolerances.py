@@ -6,7 +6,7 @@ import numpy as np
 
 from hallsym.report.tables import grid
 from hallsym.uncertainty.tolerances import ENOUGH, MOST_SAMPLES, Tolerance, Tolerances
-from hallsym.units import parameter_unit, readable, reading_unit
+from hallsym.units import parameter_unit, readable
 
 
 def tolerances_text(found: Tolerances) -> str:
@@ -60,7 +60,7 @@ def _order(found: Tolerances) -> list[int]:
 def worth_table(found: Tolerances) -> str:
     """Return the ranking: fall of the rms of each coordinate if one tolerance is made exact or halved."""
     ranges = {t.name: t for t in found.tolerances}
-    rows = [["tolerance", "range", *_heads(found), "+-"]]
+    rows = [["tolerance", "range", *_heads(found), "+- (95 %)"]]
     for j in _order(found):
         cells = [
             f"{_percent(a)} | {_percent(b)}"
@@ -86,13 +86,13 @@ def index_table(found: Tolerances) -> str:
             [found.active[j], *(f"{_percent(i.first[j])} {_percent(i.total[j]):>5}" for i in indices)]
         )
     rows.append(["sum", *(f"{_percent(i.first.sum())} {_percent(i.total.sum()):>5}" for i in indices)])
-    rows.append(["widest +-", *(_percent(i.widest) for i in indices)])
+    rows.append(["widest +- (95 %)", *(_percent(i.widest) for i in indices)])
     return grid(rows)
 
 
 def size(t: Tolerance) -> str:
-    """Return a range for reading: `+-50000 um`, `0.1 deg (normal)`."""
-    factor, unit = reading_unit(t.unit) if t.unit == "m" else parameter_unit(t.unit, bare=True)
+    """Return a range for reading: `+-50 mm`, `0.1 deg (normal)`."""
+    factor, unit = parameter_unit(t.unit, bare=True)
     sign = "" if t.distribution == "normal" else "+-"
     about = f" about {t.centre * factor:.4g}" if abs(t.centre - t.nominal) > 1e-12 * abs(t.nominal) else ""
     kind = {"rectangular": "", "normal": " (1 sigma)"}.get(t.distribution, f" ({t.distribution})")
