@@ -156,3 +156,10 @@ def test_importing_hallsym_loads_no_library() -> None:
     code = f"import hallsym, sys; print(*{heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+def test_a_fit_names_its_rows_as_its_command_does(fit: hallsym.Fit) -> None:
+    rows = [line.split()[0] for line in fit_text(fit).split("\n") if line.startswith(("nominal ", "fitted "))]
+    assert rows == ["nominal", "fitted"]
+    assert all(f"\n{row} " in repr(fit) for row in rows)
+    assert "designed" not in repr(fit)

@@ -179,6 +179,16 @@ MOST_ESTIMATED = 256
 """Columns whose noise is estimated for a summary: some ms each, of one run."""
 
 
+ROUNDING = 1e-12
+"""Part of a column's largest value below which its noise is the rounding of the numbers: 4e3 units of it."""
+
+
+def _sigma(entry: Mapping[str, Any], factor: float) -> str:
+    """Return the noise of a column for reading; 0 where nothing but rounding scatters."""
+    largest = max(abs(entry[end] or 0.0) for end in ("min", "max"))
+    return "0" if entry["noise"] <= ROUNDING * largest else f"{entry['noise'] * factor:.3g}"
+
+
 def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
     notes = list(log.notes) if options.drop_bad else check_log(log)
     extent = spans(log)
@@ -209,7 +219,7 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
         factor, unit, _ = readable(c) if c != "t_s" else (1.0, "s", "t")
         entry = record["columns"][c]
         numbers = ["" if entry[k] is None else f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
-        sigma = "" if entry["noise"] is None else f"{entry['noise'] * factor:.3g}"
+        sigma = "" if entry["noise"] is None else _sigma(entry, factor)
         rows.append([c, *numbers, sigma, unit, entry["noise_source"] or ""])
     runs = f" in {counted(len(log.runs), 'run')}" if len(log.runs) > 1 else ""
     head = f"{log.name}: {counted(log.rows, 'sample')}{runs}"

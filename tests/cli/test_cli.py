@@ -501,3 +501,18 @@ def test_noise_of_no_column_in_a_campaign_is_refused(capsys, tmp_path):
     )
     said = refused(capsys, "simulate", campaign, "-o", tmp_path / "x.csv", "--seed", "1")
     assert "hal_m" in said
+
+
+def test_a_table_that_wraps_has_the_noise_of_its_steps(capsys, tmp_path):
+    """Full steps of 1.8 deg from 336.6 deg on, as exact as they are commanded, and an encoder of 14 bits."""
+    at = (336.6 + 1.8 * np.arange(200)) % 360
+    count = np.round((at + 2.0) / 360 * 16384 + np.random.default_rng(0).normal(0, 1, 200)) % 16384
+    table = np.column_stack([at, count])
+    np.savetxt(tmp_path / "knots.csv", table, delimiter=",", header="ref_angle_deg,raw_count", comments="")
+    names = ("angle_ref_deg=ref_angle_deg", "angle_count=raw_count")
+    words = [word for name in names for word in ("--column", name)]
+    code, out, _ = run(capsys, "info", tmp_path / "knots.csv", *words, "--counts-per-turn", 16384)
+    assert code == 0
+    reference, reading = (line.split() for line in out.splitlines() if line.startswith("angle_"))
+    assert reference[4:] == ["0", "deg", "estimated"]
+    assert 0.3 < float(reading[4]) / np.degrees(2 * np.pi / 16384) < 3

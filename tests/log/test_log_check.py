@@ -172,11 +172,11 @@ def test_only_required_columns_are_judged() -> None:
 def test_nothing_left() -> None:
     """Runs that are all too short are told so at once: leaving them out is no way."""
     short, gone = np.arange(5.0), np.where(np.arange(8) == 3, np.nan, np.arange(8.0))
-    with pytest.raises(InputError, match=r"run 0 has 5: record longer runs\.$"):
+    with pytest.raises(InputError, match=r"at least 8 samples; it has 5: record more samples\.$"):
         clean_log(Log.from_arrays({"x_ref_m": short}))
-    with pytest.raises(InputError, match=r"run 0 has 5: record longer runs\.$"):
+    with pytest.raises(InputError, match=r"at least 8 samples; it has 5: record more samples\.$"):
         check_log(Log.from_arrays({"x_ref_m": short}), ("x_ref_m",))
-    with pytest.raises(InputError, match=r"run 0 has 7: record longer runs \(.* 1 of 8 .*; left out\)\.$"):
+    with pytest.raises(InputError, match=r"it has 7: record more samples \(.* 1 of 8 .*; left out\)\.$"):
         clean_log(Log.from_arrays({"x_ref_m": gone}))
 
 

@@ -12,6 +12,7 @@ from test_page import Outline
 from hallsym.diagnosis import Diagnosis
 from hallsym.report.data import Cells, run_series
 from hallsym.report.page import diagnosis_page
+from hallsym.report.text.diagnosis import shrinks_text
 
 POSE = ("x_m", "y_m", "rz_rad")
 
@@ -275,3 +276,20 @@ def marked(text: str) -> dict[str, Any]:
     record["where"][0] |= {"by": text, "at": text, "text": text}
     record["separate_by"][0] |= {"group": [text, "lag"], "recording": text}
     return record
+
+
+def test_the_shrinkage_over_all_runs_is_told_apart_from_that_on_the_holdout_runs():
+    record = a_record()
+    record["shrinkage"] |= {"judges": 4, "interval": None, "value": 0.5}
+    record["validation_runs"] = [2, 7]
+    few = shrinks_text(Diagnosis.from_dict(record))
+    assert few.startswith(
+        "Over 4 runs, each judged by a fit that left it out (nested cross-validation), the gap"
+    )
+    assert (
+        "(no 95 % interval: it needs at least 6 runs). On the 2 holdout runs alone the error falls by" in few
+    )
+    record["shrinkage"]["judges"] = 0
+    assert shrinks_text(Diagnosis.from_dict(record)).startswith(
+        "On the 2 holdout runs alone the error falls by"
+    )
