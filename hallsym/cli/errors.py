@@ -29,7 +29,7 @@ def add(sub: Any) -> None:
         "without knowing them, and print the error by cause: each effect alone, then all together.",
         "examples:\n"
         "  hallsym errors --model halbach --effect gain_mismatch --set gain_0_percent=1\n"
-        "  hallsym errors --model rotary --effect gain_mismatch --set gain_y_percent=0.3 --plots pictures\n"
+        "  hallsym errors --model rotary --effect gain_mismatch --set mismatch_percent=0.3 --plots pictures\n"
         "  hallsym errors --over x_um=-500:500 --set theta_A_deg=0.1",
     )  # fmt: skip
     parser.add_argument(
