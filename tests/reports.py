@@ -83,10 +83,10 @@ def odd() -> Identifiability:
     return replace(whole, parameters=parameters, intervals=known)
 
 
-def inside(figure: Figure) -> None:
-    """Nothing of a figure is beyond its edge."""
+def inside(figure: Figure, wide: float = WIDTH) -> None:
+    """Nothing of a figure, `wide` inches, is beyond its edge."""
     drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
-    assert width == WIDTH
+    assert width == wide
     assert min(drawn.x0, drawn.y0) >= 0
     assert drawn.x1 <= width
     assert drawn.y1 <= height

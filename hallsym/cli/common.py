@@ -63,8 +63,12 @@ def plots_options(parser: Any, what: str = "save pictures") -> None:
     parser.add_argument("--plots", metavar="FOLDER", help=what)
     parser.add_argument(
         "--plot-formats", type=_formats, default="png,pdf,svg", metavar="LIST",
-        help="files of each picture, as wide as two columns of a journal: any of png (300 dpi), pdf, svg "
-        "(default: all)",
+        help="files of each picture: any of png (300 dpi), pdf, svg (default: all)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--plot-columns", type=_columns, default="2", metavar="LIST",
+        help="width of each picture in columns of a journal: 2 (180 mm, default), 1 (89 mm, panels stacked) "
+        "or 1,2",
     )  # fmt: skip
 
 
@@ -76,7 +80,13 @@ def _formats(text: str) -> tuple[str, ...]:
     return found
 
 
-def place_of(folder: str | Path, formats: Sequence[str], *named: object) -> "Place":
+def _columns(text: str) -> tuple[int, ...]:
+    if not set(text.split(",")) <= {"1", "2"}:
+        raise argparse.ArgumentTypeError(f"a picture takes 1 or 2 columns; instead received {text!r}")
+    return tuple(dict.fromkeys(map(int, text.split(","))))
+
+
+def place_of(folder: str | Path, formats: Sequence[str], columns: Sequence[int], *named: object) -> "Place":
     """Return where pictures go; `named` on each of them: file and model, those that are known."""
     from hallsym.report.figures import Place
 
@@ -85,12 +95,12 @@ def place_of(folder: str | Path, formats: Sequence[str], *named: object) -> "Pla
 
     words = [str(name) for name in named if name]
     brief = ["/".join(Path(word).parts[-2:]) if Path(word).exists() else word for word in words]
-    return Place(Path(folder), formats, ", ".join(brief), told)
+    return Place(Path(folder), formats, ", ".join(brief), told, columns)
 
 
 def plots_place(options: Namespace, *named: object) -> "Place":
     """Return where `--plots` puts pictures; `named` as in `place_of`."""
-    return place_of(options.plots, options.plot_formats, *named)
+    return place_of(options.plots, options.plot_formats, options.plot_columns, *named)
 
 
 def log_options(parser: ArgumentParser) -> None:
@@ -298,14 +308,18 @@ def say(
 
 
 def save_fit_pictures(
-    log: Log, result: Fit, folder: str | None, formats: Sequence[str] = ("png",)
+    log: Log,
+    result: Fit,
+    folder: str | None,
+    formats: Sequence[str] = ("png",),
+    columns: Sequence[int] = (2,),
 ) -> list[Path]:
     """Save the pictures of a fit, if a folder is given."""
     if folder is None:
         return []
     from hallsym.report.figures import save_pictures
 
-    place = place_of(folder, formats, log.path, result.model.name)
+    place = place_of(folder, formats, columns, log.path, result.model.name)
     return save_pictures(log, result, place, keep=result.keep)
 
 

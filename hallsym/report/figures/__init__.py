@@ -18,13 +18,13 @@ from hallsym.log import Log, Weigh
 from hallsym.report.data import blocks, look_over
 from hallsym.report.figures.along import save_errors
 from hallsym.report.figures.by_setting import errors_by_setting
-from hallsym.report.figures.captions import broken
 from hallsym.report.figures.correlation import correlation
 from hallsym.report.figures.detection import detection, save_detection
 from hallsym.report.figures.effects import effects
 from hallsym.report.figures.errors import errors_before_after
 from hallsym.report.figures.estimates import COVERAGE, parameters
 from hallsym.report.figures.intervals import intervals
+from hallsym.report.figures.layout import WIDTH, WIDTHS, laid_out
 from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
 from hallsym.report.figures.profiles import ends_in_words, profiles
@@ -32,7 +32,7 @@ from hallsym.report.figures.saving import SUFFIXES, Place, save_figures
 from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
 from hallsym.report.figures.sorting import save_sorting
 from hallsym.report.figures.spectrum import sorts, spectrum
-from hallsym.report.figures.style import DPI, STYLE, WIDTH, text_width
+from hallsym.report.figures.style import DPI, STYLE, broken, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
 from hallsym.report.figures.uncertainty import budget_bars, save_budget_pictures, uncertainty_picture
 from hallsym.report.figures.verdicts import LOOKS
@@ -45,6 +45,7 @@ __all__ = [
     "STYLE",
     "SUFFIXES",
     "WIDTH",
+    "WIDTHS",
     "Place",
     "blocks",
     "broken",
@@ -60,6 +61,7 @@ __all__ = [
     "errors_before_after",
     "errors_by_setting",
     "intervals",
+    "laid_out",
     "measured",
     "parameters",
     "profiles",

@@ -1,28 +1,14 @@
-"""Sentences below the axes of a picture, broken into lines."""
+"""Sentences below the axes of a picture."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hallsym.report.figures.style import LINE, WIDTH, text_width
+from hallsym.report.figures.style import EDGE, LINE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-EDGE = 0.1  # inches
-
-
-def broken(text: str, width: float = WIDTH - 2 * EDGE, indent: str = "    ") -> list[str]:
-    """Break text into lines of at most `width` inches; what follows the first is indented."""
-    lines: list[str] = []
-    for word in text.split(" "):
-        longer = f"{lines[-1]} {word}" if lines else word
-        if not lines or text_width(longer) > width:
-            lines.append(indent + word if lines else word)
-        else:
-            lines[-1] = longer
-    return lines
 
 
 def height(lines: Sequence[str]) -> float:

@@ -8,7 +8,8 @@ import numpy as np
 
 from hallsym.inference.verdict import TRADED
 from hallsym.report.data import blocks
-from hallsym.report.figures.captions import broken, caption, height
+from hallsym.report.figures.captions import caption, height
+from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -17,7 +18,7 @@ from hallsym.report.figures.style import (
     GREY,
     LINE,
     SHADE,
-    WIDTH,
+    broken,
     key,
     legend,
     panels,
@@ -47,10 +48,11 @@ def correlation(report: Identifiability) -> Figure:
     names = [report.model.names[k] for k in order]
     values = report.correlation[np.ix_(order, order)]
     n, left = len(order), 0.1 + max(map(text_width, names))
-    cell = min(LARGEST, (WIDTH - left - 0.1) / n)
+    cell = min(LARGEST, (layout().width - left - 0.1) / n)
+    layout().need(62 * cell, FONT)  # names keep their size
     lines = _caption(report, any(len(group) > 1 for group in groups))
     figure, axes = panels(
-        1, 1, cell * n, left=left, right=WIDTH - left - cell * n,
+        1, 1, cell * n, left=left, right=layout().width - left - cell * n,
         top=left + LINE + 0.14, bottom=0.1 + height(lines), gaps=(0, 0),
     )  # fmt: skip
     ax = axes[0, 0]

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BLACK,
     DASHED,
     GREY,
-    WIDTH,
     key,
     label_x,
     legend,
@@ -82,7 +82,7 @@ def _panel(ax: Axes, entries: list[ParameterReport], column: str, report: Identi
 
 def _verdicts(ax: Axes, words: list[str]) -> None:
     """Write the verdicts to the right of the rows, each behind its marker."""
-    at, inches = ax.get_yaxis_transform(), ax.get_position().width * WIDTH
+    at, inches = ax.get_yaxis_transform(), ax.get_position().width * layout().width
     for row, word in enumerate(words):
         ax.plot(1 + 0.12 / inches, row, transform=at, clip_on=False, **LOOKS[word].point())
         ax.text(1 + BESIDE / inches, row, word, transform=at, va="center_baseline")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.estimation import Fit
+from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -43,12 +44,13 @@ def parameters(fit: Fit) -> Figure:
     determine instead stand below.
     """
     model, n = fit.model, len(fit.model.parameters)
-    below = [(textwrap.wrap(typeset(c.expression), 84), c) for c in fit.combinations]
-    extra = sum(len(lines) for lines, _ in below) + 1.5 if below else 0.0
     words = [_number_words(fit, row) for row in range(n)]
     instead = [plus_minus(c.value, c.half_width, c.unit) for c in fit.combinations]
     header = "estimate ± 95 %"
     right = 0.14 + max(map(text_width, (*words, *instead, header)))
+    letters = layout().letters(84, right)
+    below = [(textwrap.wrap(typeset(c.expression), letters), c) for c in fit.combinations]
+    extra = sum(len(lines) for lines, _ in below) + 1.5 if below else 0.0
     figure, (place, sharp) = row_panels(
         model.names, 2, ROW, right=right, gap=0.34, top=0.4, bottom=0.52 + ROW * extra,
         gridspec_kw={"width_ratios": (3, 2)},

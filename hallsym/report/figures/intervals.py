@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hallsym.inference.verdict import WEAK
-from hallsym.report.figures.captions import broken, caption, height
+from hallsym.report.figures.captions import caption, height
 from hallsym.report.figures.estimates import ROW, beside, typeset
+from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     BLACK,
     DASHED,
     GREY,
     LINE,
+    broken,
     key,
     label_x,
     legend,
@@ -131,7 +133,8 @@ def _instead(report: Identifiability) -> list[str]:
         return []
     lines = ["Identifiable combinations"]
     for c in report.combinations:
-        lines += ["  " + line for line in broken(f"{typeset(c.expression)}: {in_words(c)}", 6.7)]
+        words = f"{typeset(c.expression)}: {in_words(c)}"
+        lines += ["  " + line for line in broken(words, layout().width - 0.4)]
     return lines
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.captions import broken
 from hallsym.report.figures.estimates import COVERAGE, typeset
+from hallsym.report.figures.layout import PAGE, layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -19,7 +19,7 @@ from hallsym.report.figures.style import (
     GREY,
     LIGHT,
     LINE,
-    WIDTH,
+    broken,
     key,
     label_y,
     legend,
@@ -51,9 +51,10 @@ def profiles(report: Identifiability) -> Figure:
     standard uncertainty. The bar below 0 is the interval that the report states.
     """
     found = report.intervals.profiles
-    wide = (WIDTH - BESIDE - 0.1 - (ACROSS - 1) * GAP) / ACROSS
+    across = layout().across(ACROSS)
+    wide = (layout().width - BESIDE - 0.1 - (across - 1) * GAP) / across
     titles = [_title(profile, wide) for profile in found]
-    figure, axes = _figure([len(title) for title in titles], wide)
+    figure, axes = _figure([len(title) for title in titles], wide, across)
     for ax, profile, title in zip(axes, found, titles, strict=True):
         name = profile.quantity.name
         _panel(ax, profile, report.intervals.std.get(name), report.intervals.of.get(name))
@@ -64,7 +65,7 @@ def profiles(report: Identifiability) -> Figure:
                 xycoords="axes fraction", textcoords="offset points", color=GREY if k == 0 else BLACK,
             )  # fmt: skip
     for k, ax in enumerate(axes):
-        if k % ACROSS:
+        if k % across:
             ax.tick_params("y", labelleft=False)
         else:
             label_y(ax, "rise / threshold", BESIDE)
@@ -72,18 +73,20 @@ def profiles(report: Identifiability) -> Figure:
     return figure
 
 
-def _figure(lines: Sequence[int], wide: float) -> tuple[Figure, list[Axes]]:
-    """Return one panel per entry of `lines`, `wide` inches, with room for so many lines above it."""
+def _figure(lines: Sequence[int], wide: float, across: int) -> tuple[Figure, list[Axes]]:
+    """Return panels of `wide` inches, `across` in a row, with room for so many lines above each of them."""
     from matplotlib.figure import Figure
 
-    above = [LINE * max(lines[k : k + ACROSS]) + 0.12 for k in range(0, len(lines), ACROSS)]
+    page = layout().width
+    above = [LINE * max(lines[k : k + across]) + 0.12 for k in range(0, len(lines), across)]
     total = 2 * LINE + 0.1 + sum(above) + len(above) * (HIGH + BELOW)
-    figure, axes, floor = Figure(figsize=(WIDTH, total)), [], total - 2 * LINE - 0.1
+    layout().need(PAGE, total)
+    figure, axes, floor = Figure(figsize=(page, total)), [], total - 2 * LINE - 0.1
     for row, title in enumerate(above):
         floor -= title + HIGH
-        for column in range(min(ACROSS, len(lines) - row * ACROSS)):
+        for column in range(min(across, len(lines) - row * across)):
             left = BESIDE + column * (wide + GAP)
-            place = (left / WIDTH, floor / total, wide / WIDTH, HIGH / total)
+            place = (left / page, floor / total, wide / page, HIGH / total)
             axes.append(figure.add_axes(place))
         floor -= BELOW
     return figure, axes

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from hallsym.errors import InputError
 from hallsym.files import atomic_write, reason
 from hallsym.report.figures.content import is_bare
-from hallsym.report.figures.style import DPI, FONT, GREY, LINE, STYLE
+from hallsym.report.figures.layout import WIDTHS, NoRoomError, clashes, laid_out, layout
+from hallsym.report.figures.style import DPI, FONT, GREY, LINE, STYLE, broken
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,14 +28,16 @@ def _unsaid(sentence: str) -> None:
 class Place:
     """Where pictures are written, as which kinds of file (any of png, pdf, svg), and what each of them names.
 
-    `source`: file and model, below each picture. `told(sentence)` hears of a picture that is not drawn
-    because it would be a straight line or a dot.
+    `source`: file and model, below each picture. `columns`: of a journal page that a picture takes, 1 or 2;
+    of both, the narrow ones are `NAME_1column`. `told(sentence)` hears of a picture that is not drawn because
+    it would be a straight line or a dot, and of one that has no room in one column and is drawn for two.
     """
 
     folder: Path
     suffixes: Sequence[str] = ("png",)
     source: str = ""
     told: Callable[[str], None] = _unsaid
+    columns: Sequence[int] = (2,)
 
 
 def save_figures(
@@ -54,6 +57,9 @@ def save_figures(
             raise InputError(
                 f"Input suffixes must hold only {', '.join(SUFFIXES)}; instead received {suffix!r}."
             )
+    if not set(place.columns) <= set(WIDTHS) or not place.columns:
+        known = " and ".join(map(str, WIDTHS))
+        raise InputError(f"Input columns must hold only {known}; instead received {list(place.columns)!r}.")
     from matplotlib import style
 
     try:
@@ -63,30 +69,56 @@ def save_figures(
     written = []
     with style.context(["default", STYLE]):  # whatever style the caller has set
         for name, make in draw.items():
-            figure = make()
-            if is_bare(figure):
+            figures = _drawn(make, name, place)
+            if any(map(is_bare, figures.values())):
                 place.told(f"The picture {name} would be a straight line or a dot; it is left out.")
                 continue
-            _name(figure, place.source)
-            for suffix in place.suffixes:
-                path = place.folder / f"{name}.{suffix}"
-                atomic_write(path, partial(_write, figure, suffix))
-                written.append(path)
+            for columns, figure in figures.items():
+                stem = f"{name}_1column" if columns == 1 and len(place.columns) > 1 else name
+                for suffix in place.suffixes:
+                    path = place.folder / f"{stem}.{suffix}"
+                    atomic_write(path, partial(_write, figure, suffix))
+                    written.append(path)
     return written
+
+
+def _drawn(make: Callable[[], Figure], name: str, place: Place) -> dict[int, Figure]:
+    """Draw a picture at the widths asked for, for two columns where it has no room in one."""
+    found: dict[int, Figure] = {}
+    for columns in sorted(set(place.columns), reverse=True):
+        try:
+            with laid_out(columns):
+                figure = make()
+                if layout().stacked and clashes(figure):
+                    raise NoRoomError
+                _name(figure, place.source)
+        except NoRoomError:
+            place.told(f"The picture {name} has no room in one column; it is drawn for two.")
+            if 2 in found:
+                continue
+            columns, figure = 2, make()
+            _name(figure, place.source)
+        found[columns] = figure
+    return found
 
 
 def _name(figure: Figure, source: str) -> None:
     """Write the source below the figure, in a line of its own."""
     if source:
         width, height = figure.get_size_inches()
-        figure.text(1 - 0.06 / width, -0.11 / height, source, ha="right", size=FONT - 1.5, color=GREY)
+        lines = [source]
+        if layout().stacked:
+            lines = broken(source, (width - 0.12) * FONT / (FONT - 1.5), "")
+        for k, line in enumerate(lines):
+            y = -(0.11 + k * LINE) / height
+            figure.text(1 - 0.06 / width, y, line, ha="right", size=FONT - 1.5, color=GREY)
 
 
 def _write(figure: Figure, suffix: str, path: Path) -> None:
     from matplotlib.transforms import Bbox
 
     width, height = figure.get_size_inches()
-    below = LINE if any(text.get_position()[1] < 0 for text in figure.texts) else 0.0
+    below = LINE * sum(text.get_position()[1] < 0 for text in figure.texts)
     dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(suffix)
     box = Bbox([[0.0, -below], [width, height]]) if below else None
     # the same picture gives the same file

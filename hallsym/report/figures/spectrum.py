@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.estimation.identifiable import UNDETERMINED
-from hallsym.report.figures.captions import broken, caption, height
+from hallsym.report.figures.captions import caption, height
+from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -18,7 +19,7 @@ from hallsym.report.figures.style import (
     LEFT,
     LINE,
     SHADE,
-    WIDTH,
+    broken,
     key,
     label_x,
     label_y,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from hallsym.inference import Identifiability, NullDirection
 
 BESIDE = 0.78  # inches: a label and five digits
+TICK = 0.14  # inches: a number of two digits, and a gap
 SMALLEST = 0.01
 """Singular values below this (one sigma of 100 bound widths) are drawn at the edge."""
 KINDS: dict[str, dict[str, Any]] = {
@@ -68,7 +70,7 @@ def spectrum(report: Identifiability) -> Figure:
     ax.grid(axis="y", which="major", color=SHADE, lw=0.5, zorder=0)
     _open_end(ax.yaxis, SMALLEST, "≤ ")
     ax.set_xlim(0.3, len(values) + 0.7)
-    ax.set_xticks([k + 1 for k in thinned(len(values), 40)])
+    ax.set_xticks([k + 1 for k in thinned(len(values), int((layout().width - LEFT - BESIDE) / TICK))])
     label_y(ax, "singular value")
     label_x(ax, "direction in parameter space, best determined first", 0.24)
     _uncertainty_axis(ax, low, high)
@@ -105,7 +107,7 @@ def _uncertainty_axis(ax: Axes, low: float, high: float) -> None:
     _open_end(right.yaxis, 100 / SMALLEST, "≥ ")
     right.spines["right"].set_visible(True)
     right.set_ylabel("1 sigma [% of the bounds' width]", rotation=270, va="top")
-    right.yaxis.set_label_coords(1 + (BESIDE - 0.03) / (WIDTH - LEFT - BESIDE), 0.5)
+    right.yaxis.set_label_coords(1 + (BESIDE - 0.03) / (layout().width - LEFT - BESIDE), 0.5)
 
 
 def _caption(report: Identifiability) -> list[str]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hallsym.report.figures.layout import HEAD, LOW, TIGHT, folded, grow, layout, stack
 from hallsym.report.words import short
 
 if TYPE_CHECKING:
@@ -19,9 +20,11 @@ if TYPE_CHECKING:
 
 DPI = 300
 FONT = 8.0  # points
-WIDTH = 7.1  # inches: two columns of a journal page
 LEFT = 0.64  # inches: an upright label and six digits
 LINE = 0.165  # inches: a line of text
+EDGE = 0.1  # inches: beside a caption
+TEXT = 0.117  # inches: the least from a line of text to the next
+ENTRY = 0.18  # inches: a line of a legend
 BLACK, GREY, FAINT, SHADE, STRIPE = "#000000", "#777777", "#bbbbbb", "#e6e6e6", "#f4f4f4"
 BEFORE, AFTER, LIGHT, GREEN = "#d55e00", "#0072b2", "#f0b070", "#009e73"  # Okabe and Ito's palette
 SERIES = (AFTER, BEFORE, GREEN, "#cc79a7", BLACK, "#e69f00", "#56b4e9")
@@ -63,26 +66,42 @@ def panels(
     left: float = LEFT,
     right: float = 0.08,
     gaps: tuple[float, float] = (0.12, 0.12),
+    least: float | None = LOW,
+    head: float = HEAD,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure of `rows` x `columns` axes, each `height` high; margins and gaps in inches."""
+    """Return a figure of `rows` x `columns` axes, each `height` high; margins and gaps in inches.
+
+    Where the layout stacks, the columns stand below each other and axes may be `least` high; where that is
+    None they stay side by side. `head`: for the title of each column then.
+    """
     from matplotlib.figure import Figure
 
     across, down = gaps
     total = top + bottom + rows * height + (rows - 1) * down
-    width = (WIDTH - left - right - (columns - 1) * across) / columns
+    page = layout().width
+    width = (page - left - right - (columns - 1) * across) / columns
+    stacked = layout().stacked and columns > 1 and least is not None
+    if stacked:
+        width = page - left - right
+        options = {k: v for k, v in options.items() if k != "gridspec_kw"}
+    layout().need(width, TIGHT)
     place = {
-        "left": left / WIDTH,
-        "right": 1 - right / WIDTH,
+        "left": left / page,
+        "right": 1 - right / page,
         "top": 1 - top / total,
         "bottom": bottom / total,
         "wspace": across / width,
         "hspace": down / height,
     }
-    figure = Figure(figsize=(WIDTH, total))
-    return figure, figure.subplots(
+    figure = Figure(figsize=(page, total))
+    axes = figure.subplots(
         rows, columns, squeeze=False, gridspec_kw=place | options.pop("gridspec_kw", {}), **options
     )
+    if stacked and least is not None:
+        margins = {"top": top, "bottom": bottom, "left": left, "right": right}
+        stack(figure, axes, height, **margins, gap=down, least=least, head=head)
+    return figure, axes
 
 
 def row_panels(
@@ -91,7 +110,7 @@ def row_panels(
     """Return a figure of `columns` axes side by side with one row per name, `row` high; inches."""
     figure, axes = panels(
         1, columns, row * len(names), left=0.1 + max(map(text_width, names)), right=right, gaps=(gap, 0),
-        sharey=True, **options,
+        sharey=True, least=TEXT * len(names), head=0.2, **options,
     )  # fmt: skip
     for ax in axes[0]:
         bands(ax, [(k - 0.5, k + 0.5) for k in range(0, len(names), 2)], STRIPE, upright=False)
@@ -109,8 +128,21 @@ def label_y(ax: Axes, text: str, margin: float = LEFT) -> None:
 
 def label_x(ax: Axes, text: str, below: float = 0.24) -> None:
     """Label the x axis `below` [inches] its line."""
+    if layout().stacked:
+        box = ax.get_position()
+        middle = 0.5 * (box.x0 + box.x1)
+        room = 2 * layout().width * min(middle, 1 - middle) - EDGE
+        lines = [part for line in text.split("\n") for part in broken(line, room, "")]
+        grow(_figure(ax), below=LINE * (len(lines) - len(text.split("\n"))))
+        text = "\n".join(lines)
     ax.set_xlabel(text)
     ax.xaxis.set_label_coords(0.5, -below / _inches(ax)[1])
+
+
+def _figure(ax: Axes) -> Figure:
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    return figure
 
 
 def _inches(ax: Axes) -> tuple[float, float]:
@@ -121,11 +153,32 @@ def _inches(ax: Axes) -> tuple[float, float]:
 
 
 def legend(figure: Figure, handles: Sequence[Any], where: str, **options: Any) -> None:
-    """Draw a legend at the upper or lower edge of the figure."""
+    """Draw a legend at the upper or lower edge of the figure.
+
+    Where the layout is narrower than the full width, entries that have no room in a line make more lines,
+    and the figure grows by them.
+    """
+    if layout().stacked:
+        _fold(figure, handles, where, options)
     edge = 0.03 / figure.get_size_inches()[1]
     x, y = {"left": 0.0, "center": 0.5}[where.split()[1]], 1 - edge if where.startswith("upper") else edge
     options |= {"loc": where, "bbox_to_anchor": (x, y)}
     figure.legend(handles=handles, **options)
+
+
+def _fold(figure: Figure, handles: Sequence[Any], where: str, options: dict[str, Any]) -> None:
+    """Set the columns of a legend by their room, and make the room for its lines."""
+    em = FONT / 72
+    mark = em * (options.get("handlelength", STYLE["legend.handlelength"]) + 0.8)
+    between = em * options.get("columnspacing", 2.0)
+    widths = [mark + text_width(handle.get_label()) for handle in handles]
+    asked = min(options.get("ncols", 1), len(handles))
+    options["ncols"] = folded(widths, asked, between, layout().width - 0.1)
+    lines = -(-len(handles) // options["ncols"])
+    if where.startswith("upper"):
+        grow(figure, above=ENTRY * (lines + (-len(handles) // asked)))
+    else:
+        grow(figure, below=ENTRY * (lines - 1))
 
 
 def key(label: str, **look: Any) -> Line2D:
@@ -142,6 +195,19 @@ def text_width(text: str) -> float:
 
     font = FontProperties(size=FONT)
     return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0]) / 72
+
+
+def broken(text: str, width: float | None = None, indent: str = "    ") -> list[str]:
+    """Break text into lines of at most `width` inches; what follows the first is indented."""
+    width = layout().width - 2 * EDGE if width is None else width
+    lines: list[str] = []
+    for word in text.split(" "):
+        longer = f"{lines[-1]} {word}" if lines else word
+        if not lines or text_width(longer) > width:
+            lines.append(indent + word if lines else word)
+        else:
+            lines[-1] = longer
+    return lines
 
 
 def bands(ax: Axes, spans: Sequence[tuple[float, float]], color: str, *, upright: bool) -> None:
@@ -168,6 +234,8 @@ def log_axis(ax: Axes, which: str, values: np.ndarray) -> None:
     margin = 1.5 * 10 ** (0.04 * decades)
     ax.set(**{f"{which}scale": "log", f"{which}lim": (low / margin, top * margin)})
     axis = getattr(ax, f"{which}axis")
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,)))
+    subs = (1, 2, 5) if decades < 1.4 else (1, 3) if decades < 2.6 else (1,)
+    most = layout().ticks(_inches(ax)[0]) if which == "x" else None
+    axis.set_major_locator(LogLocator(subs=subs, numticks=most))
     axis.set_major_formatter(FuncFormatter(lambda v, _: short(v)))
     axis.set_minor_formatter(NullFormatter())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hallsym.report.figures.layout import layout
 from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
@@ -15,7 +16,6 @@ from hallsym.report.figures.style import (
     DASHED,
     FAINT,
     LINE,
-    WIDTH,
     label_x,
     label_y,
     legend,
@@ -170,7 +170,7 @@ def uncertainty_picture(grid: UncertaintyMap) -> Figure:
     )
     level, coverage = grid.settings.level, grid.settings.coverage
     figure.text(
-        0.03 / WIDTH, 1 - 0.05 / figure.get_size_inches()[1],
+        0.03 / layout().width, 1 - 0.05 / figure.get_size_inches()[1],
         f"Expanded uncertainty U ({f'k = {coverage:g}' if level is None else f'{100 * level:g} %'}) of the "
         "decoded position" + (f" at {fixed}" if fixed != "level" else ""),
         va="top",
@@ -199,12 +199,12 @@ def _maps(grid: UncertaintyMap) -> Figure:
     scales = [scale(c, largest(grid.axes[c]), grid.turning) for c in (across, up)]
     x, y = (factor * grid.axes[c] for c, (factor, _) in zip((across, up), scales, strict=True))
     bar, gap = 0.75, 0.1
-    width = (WIDTH - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
+    width = (layout().width - 0.64 - bar - gap * (len(slices) - 1)) / len(slices)
     spread = [float(np.ptp(grid.axes[c])) for c in (across, up)]
     height = float(np.clip(width * spread[1] / spread[0] if spread[0] else width, 0.8, 1.8))
     figure, axes = panels(
         len(grid.pose), len(slices), height, top=2.3 * LINE, bottom=0.44, right=bar, gaps=(gap, 0.16),
-        sharex=True, sharey=True,
+        least=None, sharex=True, sharey=True,
     )  # fmt: skip
     for row, coordinate, U in zip(axes, grid.pose, values, strict=True):
         factor, unit = scale(coordinate, float(U.max()), grid.turning)
@@ -234,7 +234,7 @@ def _row(
             ax.contour(*plane, U, levels=levels, colors="white", linewidths=0.5)
         _inward(ax)
     box = axes[-1].get_position()
-    beside = figure.add_axes((box.x1 + 0.08 / WIDTH, box.y0, 0.1 / WIDTH, box.height))
+    beside = figure.add_axes((box.x1 + 0.08 / layout().width, box.y0, 0.1 / layout().width, box.height))
     colours = figure.colorbar(picture, cax=beside)
     colours.set_label(label, labelpad=2)
     colours.ax.yaxis.set_major_formatter(lambda v, _: short(v))
