@@ -237,8 +237,8 @@ class Joint:
     """Tests whose statistics were drawn with the same signs, corrected for each other."""
 
     def __init__(self, statistics: Sequence[np.ndarray]) -> None:
-        """Take everything that is tried, (draws,) each, the observed one first."""
-        self.top = np.max(statistics, axis=0)
+        """Take everything that is tried, (draws,) each, the observed one first; of nothing, p is 1."""
+        self.top = np.max(statistics, axis=0) if len(statistics) else np.array([np.inf])
 
     def p_value(self, statistic: float) -> float:
         """Return the share of draws in which the largest statistic of all is as large as one."""

@@ -63,6 +63,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     Each input of `function`, a column of length n, is given as a sequence of n entries, scalars or arrays
     that broadcast together. Each output comes back as one array of shape `(rows, *samples)` (entries that
     depend on no sample are broadcast). Matrix outputs are flattened column by column, as CasADi stores them.
+    What is not finite comes back so, without a warning, as CasADi's own evaluation returns it.
     `real`: type of the constants in the graph, for samples of another type than double.
 
     Raises `NotImplementedError` at once when the graph holds an operation without an array form.
@@ -73,6 +74,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     if not all(dense):
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
+    @np.errstate(divide="ignore", over="ignore", invalid="ignore")
     def run(*inputs: Sequence) -> list[np.ndarray]:
         work: list = [None] * function.sz_w()
         out: list[list] = [[0.0] * n for n in rows]
