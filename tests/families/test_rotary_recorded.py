@@ -4,6 +4,7 @@ Facts used: the amplitude of both voltages leaves an arctangent alone; a table o
 runs; from which side an encoder is seen is no fault of it; a reference of another zero is the same reference.
 """
 
+import contextlib
 import os
 import re
 import shlex
@@ -78,17 +79,20 @@ def rmse(fit, row: str = "fitted") -> float:
     return fit.errors.rows()[row]["rmse"]["angle_rad"]
 
 
-def followed_up(capsys, log: Path, words: tuple[str, ...], calib: Path) -> str:
-    """Fit a log and run every command that is the next one; return what was printed."""
+def followed_up(capsys, log: Path, words: tuple[str, ...], folder: Path) -> str:
+    """Fit a log in a folder of its own and run every command that is the next one; return what was printed."""
+    calib = folder / "calib.json"
+    folder.mkdir(exist_ok=True)
     said = ""
     made = [["fit", str(log), "-o", str(calib)], ["evaluate", str(calib), str(log)],
             ["sensitivity", str(calib), str(log)], ["diagnose", str(log)]]  # fmt: skip
     for command in ([*words_, *words] for words_ in made):
         assert main(command) in (0, 3, 4), command
         said += capsys.readouterr().out
-    for line in re.findall(r"^next: hallsym (.*)$", said, flags=re.M):
-        assert main(shlex.split(line)) in (0, 3, 4), line
-        said += capsys.readouterr().out
+    with contextlib.chdir(folder):
+        for line in dict.fromkeys(re.findall(r"^next: hallsym (.*)$", said, flags=re.M)):
+            assert main(shlex.split(line)) in (0, 3, 4), line
+            said += capsys.readouterr().out
     return said
 
 
@@ -98,7 +102,7 @@ def followed_up(capsys, log: Path, words: tuple[str, ...], calib: Path) -> str:
 @pytest.mark.parametrize(("zero", "sign"), [(12000.0, 1), (1000.0, -1)], ids=["along", "against"])
 def test_what_is_printed_for_a_table_of_knots_can_be_followed(tmp_path, capsys, zero, sign):
     """Counts leave their turn where they are made continuous, or inverted: that is no fault of the table."""
-    said = followed_up(capsys, knots(tmp_path / "knots.csv", zero, sign), KNOTS, tmp_path / "calib.json")
+    said = followed_up(capsys, knots(tmp_path / "knots.csv", zero, sign), KNOTS, tmp_path)
     assert "next: " in said
     assert not re.search(
         r"\d runs?\b|holdout runs|No column 'run'|stretch", said
@@ -111,7 +115,7 @@ def test_what_is_printed_for_a_recorded_encoder_can_be_followed(tmp_path, capsys
     if not (REAL / folder).is_dir():
         pytest.skip("no folder of recorded encoders beside the repository")
     for log in sorted((REAL / folder).glob("*.csv")):
-        followed_up(capsys, log, RECORDED[folder], tmp_path / "calib.json")
+        followed_up(capsys, log, RECORDED[folder], tmp_path / log.stem)
 
 
 # -- amplitudes, scales, rails -----------------------------------------------------------------------------
