@@ -54,7 +54,7 @@ def decoupler(
     half, middle = half + np.abs(level - middle), level
     arm = model.family.pose_metric.arm_m
     leaves = np.array([aim if c.endswith("_m") else aim / arm for c in model.pose])
-    found = Arrays(own, np.asarray(p, dtype=float), weight, groups, middle, half, leaves)
+    found = Arrays(own, np.asarray(p, dtype=float), weight, middle, half, leaves, groups)
     made = _Assembly(found, _waves(found, aim), given=box).make()
 
     def integers(accuracy: float = aim, plan: Sequence[int] | None = None) -> Program:
