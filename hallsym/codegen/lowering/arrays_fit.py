@@ -57,6 +57,10 @@ class Arrays(Reference):
 
     groups: tuple[Group, ...]
 
+    def wave_of(self, axis: int) -> float:
+        """Wavelength along a coordinate [m]."""
+        return 2 * pi * self.groups[self.axes[axis][0]].phasor.lc
+
     # -- places and heights ----------------------------------------------------------------------------------
 
     @cached_property

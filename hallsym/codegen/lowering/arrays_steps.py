@@ -56,8 +56,7 @@ class Pieces:
 
     def wide(self, axis: int) -> bool:
         """Whether the box spans more than the period that readings resolve."""
-        lc = self.found.groups[self.found.axes[axis][0]].phasor.lc
-        return bool(2 * self.found.half[axis] > WITHIN * 2 * pi * lc)
+        return bool(2 * self.found.half[axis] > WITHIN * self.found.wave_of(axis))
 
     def vector(self, k: int) -> Pair:
         """Add the steps from the readings of an array to its phasor."""
@@ -69,8 +68,12 @@ class Pieces:
 
     def least_inside(self) -> str:
         """The least of what the flag of the field looks at, over the arrays, each over its own least."""
+        least_inside(self.made, self.waves)
+        return self.least()
+
+    def least(self) -> str:
+        """The least of these steps of all arrays."""
         made = self.made
-        least_inside(made, self.waves)
         value = made.symbols[f"inside_{self.names[0]}"]
         for name in self.names[1:]:
             other = made.symbols[f"inside_{name}"]
@@ -201,7 +204,7 @@ class Pieces:
     # -- the pose ------------------------------------------------------------------------------------------
 
     @property
-    def _labels(self) -> list[str]:
+    def labels(self) -> list[str]:
         """Of what the pose is linear in: mean place and turns by axis, then logarithms."""
         out = []
         for members in self.found.axes.values():
@@ -209,7 +212,7 @@ class Pieces:
         return [*out, *(f"deep_{n}" for n in self.names)]
 
     @property
-    def _matrix(self) -> np.ndarray:
+    def matrix(self) -> np.ndarray:
         """Pose per label (6, labels), from the inverse per place and height."""
         groups, n = self.found.groups, len(self.found.groups)
         back = np.zeros((2 * n, 2 * n))  # places and heights per label
@@ -232,7 +235,7 @@ class Pieces:
         A displacement is the mean place of its axis less what rotations move it by: fewer entries than all
         labels.
         """
-        found, matrix, labels = self.found, self._matrix, self._labels
+        found, matrix, labels = self.found, self.matrix, self.labels
         _, _, seen = found.sample
         spread = np.abs(np.linalg.pinv(matrix) @ (found.inverse @ (seen - found.at_middle))).max(axis=1)
         deep = [k for k, label in enumerate(labels) if label.startswith("deep_")]
@@ -251,7 +254,7 @@ class Pieces:
                 raise InputError(f"No array of {found.model.name} tells {column}; it cannot be decoded.")
         return out
 
-    def _sum(self, i: int, values: Mapping[str, ca.SX]) -> ca.SX:
+    def total(self, i: int, values: Mapping[str, ca.SX]) -> ca.SX:
         """Sum of the entries of a row times labels; the entry 1 is left out."""
         column, terms = self.found.model.pose[i], []
         for label, value in self._rows[i].items():
@@ -274,7 +277,7 @@ class Pieces:
         rotations = {}
         for k in sorted(used):
             name = f"first_{short(found.model.pose[3 + k])}"
-            rotations[k] = made.step(name, self._sum(3 + k, made.symbols), "[rad] first estimate")
+            rotations[k] = made.step(name, self.total(3 + k, made.symbols), "[rad] first estimate")
         sums: list[ca.SX] = []
         n = len(found.groups)
         for row_, part in enumerate(terms):
@@ -374,14 +377,14 @@ class Pieces:
 
     def pose(self, seen: Sequence[ca.SX], off: dict[str, ca.SX]) -> list[ca.SX]:
         """Add the pose from the middle of the box, linear in places and heights without what tilt adds."""
-        made, labels = self.made, self._labels
+        made, labels = self.made, self.labels
         straight = {}
         for label, value in zip(labels, seen, strict=True):
             straight[label] = made.step(f"straight_{label}", value - off[label]) if label in off else value
         linear: dict[int, ca.SX] = {}
         for i in (3, 4, 5, 0, 1, 2):
             name = f"linear_{short(self.found.model.pose[i])}"
-            straight[name] = linear[i] = made.step(name, self._sum(i, straight), "from the middle of the box")
+            straight[name] = linear[i] = made.step(name, self.total(i, straight), "from the middle of the box")
         out = [linear[i] for i in range(6)]
         most = float(((TILT * self.found.half[3:]) ** 2).sum())
         made.entry("least_turns", -most, "rad2", "less the largest sum of the squares of the rotations")

@@ -10,7 +10,7 @@ on which of them they are.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement as combined
 from math import pi
@@ -26,8 +26,9 @@ from hallsym.codegen.lowering.wave_groups import APART, together
 from hallsym.errors import InputError
 from hallsym.model import Model
 
-FAR = 100
-"""Wavelengths away at which it is seen whether the arrays end."""
+FAR = 30
+"""Wavelengths away at which it is seen whether the arrays end: more than arrays have, and some mrad do not lift
+a mover out of sight on the way."""
 ENDED = 0.05
 """Share of its swing that a channel may have there."""
 NO_COVER = 1e-9
@@ -69,6 +70,8 @@ class Mover(Reference):
     rising: float
     margin: float = 0.0
     """Wavelengths from the ends of an array within which a sensor does not count."""
+    plainly: bool = False
+    """Whether higher harmonics are left alone."""
 
     @property
     def wavelength(self) -> float:
@@ -83,6 +86,8 @@ class Mover(Reference):
     @cached_property
     def harmonics(self) -> tuple[int, ...]:
         """Those that count, beyond the first."""
+        if self.plainly:
+            return ()
         reach = np.exp(np.arange(HARMONICS) * self.half[2] / self.lc)
         share = np.max([np.abs(r.factor).max(axis=0) / np.abs(r.factor[:, 0]).max() for r in self.rows], axis=0)
         return tuple(n for n in range(2, HARMONICS + 1) if (share * reach)[n - 1] > COUNTS * MICRON / self.lc)
@@ -165,27 +170,51 @@ class Mover(Reference):
 
     def straight(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
         """Return displacements (6, s) from the middle of the box, linear in places and heights."""
-        r = np.array(readings, dtype=float)
-        for row in self.rows:
-            r[list(row.channels)] -= row.offset[:, None]
+        r = self._without_offset(readings)
         shape = (2, r.shape[1])
         at = self.first(r, np.broadcast_to(self.middle[:2, None], shape) if near is None else near)
         with np.errstate(all="ignore"):
             seen, phasors = self.seen(r, at)
-            turns = self.inverse[3:] @ self._from_middle(seen)
+            turns = self.inverse[3:] @ (seen - self.at_middle)
             seen, _ = self.seen(r, at, (turns, phasors))
-        return np.asarray(self.inverse @ self._from_middle(seen))
+        return np.asarray(self.inverse @ (seen - self.at_middle))
 
-    def _from_middle(self, seen: np.ndarray) -> np.ndarray:
+    def _without_offset(self, readings: np.ndarray) -> np.ndarray:
+        r = np.array(readings, dtype=float)
+        for row in self.rows:
+            r[list(row.channels)] -= row.offset[:, None]
+        return r
+
+    @property
+    def at_middle(self) -> np.ndarray:
+        """Places and heights (2 rows, 1) in the middle of the box."""
         n = len(self.rows)
-        middle = np.array([self.middle[row.axis] for row in self.rows] + n * [0.0])
-        return np.asarray(seen - middle[:, None])
+        return np.array([self.middle[row.axis] for row in self.rows] + n * [0.0])[:, None]
+
+    @cached_property
+    def sample(self) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+        """Poses of the box, their phasors, places and heights."""
+        pose, readings = self.trials(1, SAMPLES)
+        r = self._without_offset(readings)
+        seen, phasors = self.seen(r, self.first(r, pose[:2]))
+        return pose, phasors, seen
+
+    def wave_of(self, axis: int) -> float:
+        """Wavelength along a coordinate [m]."""
+        return self.wavelength
+
+    def travels(self) -> bool:
+        """Whether some sensor is beyond the end of its array somewhere in the box."""
+        return any(
+            np.abs(row.place - self.middle[row.axis]).max() + self.half[row.axis] > row.length / 2
+            for row in self.rows
+        )
 
     @cached_property
     def bends(self) -> tuple[Terms, ...]:
         """Polynomial terms (numbers of coordinates) added to each coordinate, displacements from the middle."""
-        pose = self.poses(np.random.default_rng(1), SAMPLES)
-        v = self.straight(self.readings(pose), pose[:2])
+        pose, readings = self.trials(1, SAMPLES)
+        v = self.straight(readings, pose[:2])
         off = pose - self.middle[:, None] - v
         terms = [c for degree in range(MOST_DEGREE + 1) for c in combined(range(6), degree)]
         columns = np.array([np.prod(v[list(c)], axis=0) for c in terms])
@@ -227,10 +256,11 @@ def mover_of(
     `middle`, `half` (6,): of the box; `accuracy` (6,): what terms may leave of each coordinate.
     """
     sample = Sample(model, p, middle, (middle[2] - half[2], middle[2] + half[2]))
-    axes, lcs, seen = _axes(sample, half), [], []
+    axes = _axes(sample, half)
+    seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
     for _ in range(LEVELLING):
-        seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
         sample.at[3:] -= np.nan_to_num(np.nanmean([s.off_level() for s in seen], axis=0))
+    seen = [_Seen(sample, axis, own, half) for axis, own in axes.items()]
     lcs = [s.lc for s in seen]
     rows = [row for s in seen for row in s.rows()]
     along = [sum(row.axis == axis for row in rows) for axis in (0, 1)]
@@ -302,8 +332,3 @@ class _Seen:
                 levers[:, order].mean(axis=1), self.passed.length,
             ))  # fmt: skip
         return out
-
-
-def with_margin(found: Mover, margin: float) -> Mover:
-    """Return the same with another margin from the ends."""
-    return replace(found, margin=margin)

@@ -5,11 +5,13 @@ All from the readings of the model itself."""
 from collections.abc import Sequence
 from math import pi
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from hallsym.codegen.lowering.phasors import HARMONICS, HEIGHTS, Sample
 from hallsym.errors import InputError
+from hallsym.model.arrays import on_arrays
 
 STEPS = 16
 """Samples per wavelength of what is seen as the wave passes a sensor."""
@@ -63,31 +65,48 @@ class Window:
     def __init__(
         self, sample: Sample, axis: int, channels: Sequence[int], passed: Pass, wavelength: float
     ) -> None:
-        self.sample, self.axis, self.channels, self.place = sample, axis, tuple(channels), passed.place
+        self.sample, self.axis, self.place = sample, axis, passed.place
         reach = max(passed.length / 2 - FROM_END * wavelength, wavelength / 2)
+        pose = ca.SX.sym("pose", len(sample.at))
+        read = ca.vertsplit(sample.model.reading(sample.p, np.zeros(len(sample.model.zeros)), pose, []))
+        self.read = [on_arrays(ca.Function("reading", [pose], [read[k]])) for k in channels]
         self.x = np.repeat(np.linspace(-reach, reach, WINDOW), HEIGHTS)
+        self.designs: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         self.z = np.tile(sample.z[:HEIGHTS], WINDOW)
 
     def fitted(self, k: int, lc: float, move: np.ndarray | None = None) -> tuple[np.ndarray, float]:
         """Return offset and factors (1 + HARMONICS,) of sensor k, of absolute places, and the sum of squares
         left; the pose moved by `move` (n_pose,)."""
-        sample, n = self.sample, np.arange(1, HARMONICS + 1)[:, None]
-        x = self.x + self.place[k]
-        seen = readings(sample, self.axis, x, self.z, move)[self.channels[k]]
-        half = sample.half / lc
-        high = (self.z - sample.middle) * sample.rising(self.axis) / lc - half
-        powers = np.exp(n * (high + 1j * x / lc))
-        design = np.vstack([np.ones_like(x), powers.real, -powers.imag]).T
-        found, *_ = np.linalg.lstsq(design, seen, rcond=None)
+        return self._fitted(self._seen(k, move), k, lc)
+
+    def _seen(self, k: int, move: np.ndarray | None = None) -> np.ndarray:
+        pose = _poses(self.sample, self.axis, self.x + self.place[k], self.z, move)
+        return np.asarray(self.read[k](list(pose))[0])[0]
+
+    def _fitted(self, seen: np.ndarray, k: int, lc: float) -> tuple[np.ndarray, float]:
+        design, inverse = self._design(lc)
+        found, n, half = inverse @ seen, np.arange(1, HARMONICS + 1), self.sample.half / lc
         rest = seen - design @ found
-        factor = (found[1 : HARMONICS + 1] + 1j * found[HARMONICS + 1 :]) * np.exp(-n[:, 0] * half)
+        factor = (found[1 : HARMONICS + 1] + 1j * found[HARMONICS + 1 :]) * np.exp(-n * half)
+        factor = factor * np.exp(-1j * n * self.place[k] / lc)  # of absolute places
         return np.concatenate([[found[0]], factor]), float(rest @ rest)
+
+    def _design(self, lc: float) -> tuple[np.ndarray, np.ndarray]:
+        """What is read of offset and powers of u at places from a sensor's own, and the inverse."""
+        if lc not in self.designs:
+            sample, n = self.sample, np.arange(1, HARMONICS + 1)[:, None]
+            high = (self.z - sample.middle) * sample.rising(self.axis) / lc - sample.half / lc
+            powers = np.exp(n * (high + 1j * self.x / lc))
+            design = np.vstack([np.ones_like(self.x), powers.real, -powers.imag]).T
+            self.designs = {lc: (design, np.linalg.pinv(design))}
+        return self.designs[lc]
 
     def lc(self, rough: float) -> float:
         """Return the wavelength over 2 pi that leaves least of what some sensors read."""
         some = np.linspace(0, len(self.place) - 1, min(LOOKED_AT, len(self.place))).astype(int)
+        seen = {int(k): self._seen(int(k)) for k in some}
         found = minimize_scalar(
-            lambda lc: sum(self.fitted(int(k), lc)[1] for k in some),
+            lambda lc: sum(self._fitted(v, k, lc)[1] for k, v in seen.items()),
             bounds=(rough * (1 - OFF), rough * (1 + OFF)), method="bounded", options={"xatol": 1e-9 * rough},
         )  # fmt: skip
         return float(found.x)
@@ -106,12 +125,15 @@ def passes(
     return passed, window, rough
 
 
-def readings(
+def readings(sample: Sample, axis: int, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Return readings (n, s) at places (s,) along a coordinate and heights (s,), the rest as in the middle."""
+    pose = list(_poses(sample, axis, x, z))
+    return np.asarray(sample.run(sample.p, np.zeros(len(sample.model.zeros)), pose, [])[0])
+
+
+def _poses(
     sample: Sample, axis: int, x: np.ndarray, z: np.ndarray, move: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return readings (n, s) at places (s,) along a coordinate and heights (s,), the rest as in the middle,
-    moved by `move` (n_pose,) but along it and up."""
     pose = np.tile(sample.at[:, None], len(x))
     pose[axis], pose[sample.height] = x, z
-    pose = pose + (0.0 if move is None else np.asarray(move)[:, None])
-    return np.asarray(sample.run(sample.p, np.zeros(len(sample.model.zeros)), list(pose), [])[0])
+    return np.asarray(pose if move is None else pose + move[:, None])

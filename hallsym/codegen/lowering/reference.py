@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import casadi as ca
@@ -28,6 +28,8 @@ class Reference(ABC):
     half: np.ndarray
     accuracy: np.ndarray
     """What terms may leave of each coordinate (6,)."""
+    memory: dict = field(default_factory=dict, kw_only=True)
+    """Trial poses and their readings by seed and number, the same whatever is chosen for a decoder."""
 
     @abstractmethod
     def decoded(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
@@ -53,6 +55,13 @@ class Reference(ABC):
         share = rng.uniform(-1, 1, (6, count))
         share[:, : count // 20] = np.sign(share[:, : count // 20])
         return np.asarray(self.middle[:, None] + self.half[:, None] * share)
+
+    def trials(self, seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return random poses (6, s) of the box and their readings (n, s)."""
+        if (seed, count) not in self.memory:
+            pose = self.poses(np.random.default_rng(seed), count)
+            self.memory[seed, count] = pose, self.readings(pose)
+        return self.memory[seed, count]
 
     def solved(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         """Return the poses (6, s) of weighted least squares over all channels: the reference decoder.
