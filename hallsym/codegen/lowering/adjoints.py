@@ -1,9 +1,9 @@
-"""Rounding errors of steps to first order, pose by pose: what each operation's own rounding makes of the pose.
+"""Rounding errors of steps to first order, pose by pose: what each operation's rounding makes of the pose.
 
-Intervals take the errors of two numbers as independent, and bound little where both come from the same ones, as
-where weights multiply readings and what they are compared with. Here the derivative of the pose by the result of
-each operation (reverse mode) multiplies that operation's rounding, and the products are summed (Higham, Accuracy
-and Stability of Numerical Algorithms, 2.2 and 3.2).
+Intervals take the errors of two numbers as independent, and bound little where both come from the same ones,
+as where weights multiply readings and what they are compared with. Here the derivative of the pose by the
+result of each operation (reverse mode) multiplies that operation's rounding, and the products are summed
+(Higham, Accuracy and Stability of Numerical Algorithms, 2.2 and 3.2).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -52,11 +52,16 @@ _SLOPES: dict[str, Callable[..., tuple]] = {
     "inv": lambda z, x: (-z * z,),
     "sq": lambda z, x: (2 * x,),
 }
-"""Derivatives by the arguments of an operation with result z. Choices are between values equal where they turn."""
+"""Derivatives by the arguments of an operation with result z; choices are between values equal where they
+turn."""
 
 
 def rounding(
-    steps: Sequence[Step], inputs: Mapping[str, np.ndarray], entries: Mapping[str, float], digits: int, last: int
+    steps: Sequence[Step],
+    inputs: Mapping[str, np.ndarray],
+    entries: Mapping[str, float],
+    digits: int,
+    last: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return values and rounding errors (last, s) of the last steps.
 

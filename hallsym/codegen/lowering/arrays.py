@@ -98,6 +98,7 @@ class Assembly(Pieces):
     # -- the whole -----------------------------------------------------------------------------------------
 
     def make(self) -> Decoupler:
+        """Return the decoupler."""
         found, made, model = self.found, self.made, self.found.model
         near = [c for c, a in (("x", 0), ("y", 1)) if self.wide(a)]
         nears = tuple(f"{short(model.pose['xy'.index(c)])}_near_m" for c in near)
@@ -178,14 +179,11 @@ class Assembly(Pieces):
     def drawn(self, pose: np.ndarray, off: np.ndarray) -> np.ndarray:
         """Return inputs (n, s) of poses (6, s); `off` (2, s): of what says the period, in periods."""
         found = self.found
-        nears = [
-            pose[axis] + off[axis] * found.wave_of(axis)
-            for axis in (0, 1)
-            if self.wide(axis)
-        ]
+        nears = [pose[axis] + off[axis] * found.wave_of(axis) for axis in (0, 1) if self.wide(axis)]
         return np.vstack([found.readings(pose), *nears])
 
     def drawn_of_box(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return random inputs (n, s) of poses of the box."""
         pose = self.found.poses(rng, count)
         return self.drawn(pose, rng.uniform(-NEAR, NEAR, (2, count)))
 
@@ -201,6 +199,7 @@ class Assembly(Pieces):
         )
 
     def exact(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the poses (6, s) of inputs (n, s) by the reference decoder."""
         given = np.asarray(inputs, dtype=float)
         n = len(self.found.model.channels)
         return self.found.solved(given[:n], self._near(given))
@@ -213,10 +212,15 @@ class Assembly(Pieces):
         n = len(found.groups)
         native = self.made.native  # the errors of its functions are counted where they are computed
         each = np.array([(w.left if native else w.error) * w.phasor.lc for w in self.waves])
-        functions = np.abs(found.inverse) @ np.concatenate([each, each]) * SAFE
+        turned = np.zeros(n)
+        for first, *others in () if native else found.axes.values():
+            for k in others:
+                turned[k] = self.series(first, k).error * found.groups[k].phasor.lc
+        functions = np.abs(found.inverse) @ np.concatenate([each + turned, each]) * SAFE
         return dict(zip(found.model.pose, (SAFE * met + functions).tolist(), strict=True)) if n else {}
 
     def said(self, leaves: dict[str, float]) -> tuple[str, ...]:
+        """Return sentences for header and report."""
         found = self.found
         sizes = ", ".join(
             f"{n} from {counted(len(g.channels), 'reading')}"

@@ -181,9 +181,7 @@ class Arrays(Reference):
         v = near - self.middle[:, None]
         terms = [c for degree in range(4) for c in combined(range(6), degree)]
         columns = np.array([np.prod(v[list(c)], axis=0) for c in terms])
-        return tuple(
-            fewest(terms, columns, pose[k] - near[k], float(self.accuracy[k]) / 2) for k in range(6)
-        )
+        return tuple(fewest(terms, columns, pose[k] - near[k], float(self.accuracy[k]) / 2) for k in range(6))
 
     def decoded(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         """Return the poses (6, s) as the generated code computes them, functions and phasors exact."""

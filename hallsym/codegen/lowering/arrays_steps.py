@@ -37,6 +37,11 @@ ONCE = 1.01
 """Times the largest power of a phasor where no flag is set: end of what integers hold it in."""
 LOST = 1e-12
 """Displacement [m] that is rounding of the analysis."""
+LEAST_SHARE = 1e-6
+"""Share of the largest below which what a rotation does to labels is rounding of the analysis."""
+TURNED = 1e6
+"""Most [rad] that the polynomial of a turn may give of readings of no pose: products of four such numbers are
+far below the largest float."""
 ONE = 1e-9
 """Distance from 1 of an entry that is 1 but for rounding of the analysis."""
 
@@ -48,6 +53,7 @@ class Pieces:
     found: Arrays
     waves: tuple[Wave, ...]
     made: Collected = field(default_factory=Collected)
+    _unwrapped: dict[int, bool] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         """Name the arrays: x_1, x_2, y_1, y_2."""
@@ -57,6 +63,22 @@ class Pieces:
     def wide(self, axis: int) -> bool:
         """Whether the box spans more than the period that readings resolve."""
         return bool(2 * self.found.half[axis] > WITHIN * self.found.wave_of(axis))
+
+    def unwrapped(self, axis: int) -> bool:
+        """Whether no pose of the box brings the phase of the first array of an axis near half a turn.
+
+        Then the place is that phase times lc: nothing to wrap, and no mean of the arrays is needed for it.
+        """
+        if axis not in self._unwrapped:
+            self._unwrapped[axis] = not (self.made.native or self.wide(axis)) and self._far_from_half(axis)
+        return self._unwrapped[axis]
+
+    def _far_from_half(self, axis: int) -> bool:
+        found = self.found
+        pose = found.poses(np.random.default_rng(2), 2000)
+        first = found.axes[axis][0]
+        phase = np.angle(found.phasors(found.readings(pose))[first])
+        return bool(np.abs(phase).max() < WITHIN * pi and abs(found.at_middle[first, 0]) < LOST)
 
     def vector(self, k: int) -> Pair:
         """Add the steps from the readings of an array to its phasor."""
@@ -73,13 +95,18 @@ class Pieces:
 
     def least(self) -> str:
         """The least of these steps of all arrays."""
-        made = self.made
-        value = made.symbols[f"inside_{self.names[0]}"]
-        for name in self.names[1:]:
-            other = made.symbols[f"inside_{name}"]
-            least = ca.fmin(value, other) if made.native else ca.if_else(value < other, value, other)
-            value = made.step(f"least_to_{name}", least)
-        return f"least_to_{self.names[-1]}"
+        made, names = self.made, self.names
+        if made.native:
+            value = made.symbols[f"inside_{names[0]}"]
+            for name in names[1:]:
+                value = made.step(f"least_to_{name}", ca.fmin(value, made.symbols[f"inside_{name}"]))
+            return f"least_to_{names[-1]}"
+        value = made.symbols[f"tangent_square_{names[0]}"]
+        for name in names[1:]:
+            other = made.symbols[f"tangent_square_{name}"]
+            value = made.step(f"most_to_{name}", ca.if_else(value > other, value, other))
+        made.step(f"least_to_{names[-1]}", 1.0 - value)  # the least of 1 - t^2, to the last bit
+        return f"least_to_{names[-1]}"
 
     # -- places and heights --------------------------------------------------------------------------------
 
@@ -117,11 +144,14 @@ class Pieces:
             phase = arctangent_steps(made, self.waves[first], vectors[first], f"_{self.names[first]}")
             turns = [self._turn(first, k, vectors) for k in members[1:]]
             total = phase
-            if turns:
+            if turns and not self.unwrapped(axis):
                 total = phase + sum(turns[1:], start=turns[0]) * (1.0 / len(members))
             lc = self.found.groups[first].phasor.lc
             name = self.names[first]
             entry = made.entry(f"lc_{name}", lc, "m", "wavelength over 2 pi")
+            if self.unwrapped(axis):
+                out += [made.step(f"along_{name}", entry * total, "[m] from the middle"), *turns]
+                continue
             place = made.step(f"place_{name}", entry * total, "[m] mean of the axis")
             out += [self._in_period(axis, name, place, lc), *turns]
         return out
@@ -164,14 +194,42 @@ class Pieces:
         if made.native:
             made.least[f"turn_{name}"] = self.waves[first].least * self.waves[k].least
             return made.step(f"turn_{name}", ca.atan2(imaginary, real), "[rad]")
+        if floor := self._floor(first, k):
+            least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
+            held = made.step(f"held_cross_{name}", ca.if_else(real > least, real, least))
+            return self._turned(first, k, imaginary / held)
         steep, floor = self._cone(first, k)
         cone = made.entry(f"cone_{name}", steep, "1", "cotangent of the largest turn of two phasors")
         least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
         bound = made.step(f"bound_{name}", cone * ca.fabs(imaginary) + least)
         held = made.step(f"held_cross_{name}", ca.if_else(real > bound, real, bound))
-        tangent = made.step(f"cross_{name}", imaginary / held)
+        return self._turned(first, k, imaginary / held)
+
+    def _turned(self, first: int, k: int, value: ca.SX) -> ca.SX:
+        made, name = self.made, self.names[k]
+        tangent = made.step(f"cross_{name}", value)
         square = made.step(f"cross_square_{name}", tangent * tangent)
         return made.step(f"turn_{name}", odd(self.series(first, k).coefficients, tangent, square), "[rad]")
+
+    def _floor(self, first: int, k: int) -> float:
+        """Half the least of the products of the box, where that alone keeps every turn finite; else 0.
+
+        The polynomial then goes beyond its end, of readings of no pose.
+        """
+        least = 0.5 * self.waves[first].least * self.waves[k].least * float(np.cos(self._angle(first, k)))
+        most = self._longest(first) * self._longest(k) / least
+        turn = sum(abs(c) * most ** (2 * n + 1) for n, c in enumerate(self.series(first, k).coefficients))
+        return least if turn < TURNED else 0.0
+
+    def _longest(self, k: int) -> float:
+        """Bound of a phasor over all readings within their limits."""
+        wave, found = self.waves[k], self.waves[k].phasor
+        reach = (1 / wave.least) ** np.arange(1, found.factor.shape[1] + 1)
+        swing = ROOMY * (np.abs(found.factor) @ reach) + 2 * np.abs(found.offset)
+        size = start = float((np.hypot(*found.weights) * swing).sum() + np.hypot(*found.shift))
+        for _ in range(wave.rounds + (wave.last == "linear")):
+            size = start + found.largest(size)
+        return size
 
     def _cone(self, first: int, k: int) -> tuple[float, float]:
         """Cotangent of the end of the polynomial, and the least that real - cotangent |imaginary| is, halved.
@@ -192,7 +250,7 @@ class Pieces:
         """Return the polynomial of that angle."""
         end = np.ceil(20 * ROOMY * tan(min(self._angle(first, k), 1.4))) / 20
         share = POLYNOMIALS * float(self.found.accuracy[0]) / self.found.groups[k].phasor.lc
-        series = shortest("atan", float(end), share)
+        series = shortest("atan", float(end), share, fewest=1)
         if series is None:
             raise InputError(
                 "Rotations of the box turn two arrays of an axis by most of a period against each other; "
@@ -221,7 +279,8 @@ class Pieces:
             back[members, row] = 1.0
             for j, k in enumerate(members[1:], 1):
                 lc = groups[k].phasor.lc
-                back[members, row + j] = -lc / len(members)
+                if not self.unwrapped(groups[members[0]].axis):
+                    back[members, row + j] = -lc / len(members)
                 back[k, row + j] += lc
             row += len(members)
         for k, group in enumerate(groups):
@@ -238,12 +297,15 @@ class Pieces:
         found, matrix, labels = self.found, self.matrix, self.labels
         _, _, seen = found.sample
         spread = np.abs(np.linalg.pinv(matrix) @ (found.inverse @ (seen - found.at_middle))).max(axis=1)
-        deep = [k for k, label in enumerate(labels) if label.startswith("deep_")]
         out: dict[int, dict[str, float]] = {}
         for i, column in enumerate(found.model.pose):
             row, turns = matrix[i], np.zeros(3)
             if i < len(self.found.axes):
-                turns, *_ = np.linalg.lstsq(matrix[3:][:, deep].T, row[deep], rcond=None)
+                own = [self.names[k] for k in self.found.axes[i]]
+                other = [k for k, label in enumerate(labels)
+                         if label.startswith("deep_") or label.partition("_")[2] not in own]  # fmt: skip
+                seen_by = matrix[:, other] * spread[other]  # of labels that other axes, or heights, say
+                turns, *_ = np.linalg.lstsq(seen_by[3:].T, seen_by[i], rcond=LEAST_SHARE)
                 row = row - turns @ matrix[3:]
             most = NEGLIGIBLE * found.accuracy[i]
             out[i] = {n: float(v) for n, v, s in zip(labels, row, spread, strict=True) if abs(v) * s > most}
@@ -302,6 +364,8 @@ class Pieces:
             places = [made.step(f"tilted_{self.names[k]}", sums[k], "[rad] of a tilt") for k in members]
             lc = made.symbols[f"lc_{self.names[members[0]]}"]
             mean = sum(places[1:], start=places[0]) * (1.0 / len(members))
+            if self.unwrapped(found.groups[members[0]].axis):
+                mean = places[0]
             out[f"along_{self.names[members[0]]}"] = lc * mean
             for k, place in zip(members[1:], places[1:], strict=True):
                 out[f"turn_{self.names[k]}"] = place - places[0]
@@ -384,7 +448,9 @@ class Pieces:
         linear: dict[int, ca.SX] = {}
         for i in (3, 4, 5, 0, 1, 2):
             name = f"linear_{short(self.found.model.pose[i])}"
-            straight[name] = linear[i] = made.step(name, self.total(i, straight), "from the middle of the box")
+            straight[name] = linear[i] = made.step(
+                name, self.total(i, straight), "from the middle of the box"
+            )
         out = [linear[i] for i in range(6)]
         most = float(((TILT * self.found.half[3:]) ** 2).sum())
         made.entry("least_turns", -most, "rad2", "less the largest sum of the squares of the rotations")

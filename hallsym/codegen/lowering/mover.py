@@ -1,7 +1,6 @@
-"""Lowering of models of arrays of finite length on a mover, over rows of sensors that are longer than they are.
+"""Lowering of models of arrays of finite length on a mover, over rows of sensors longer than they are.
 
-Which sensors count follows from where the mover is: weights that go to zero smoothly at the ends of each array.
-See `lowering.mover_fit`; nothing is remembered from one sample to the next, and no choice makes a step.
+Which sensors count follows from where the mover is: weights go to zero smoothly at the ends of each array. See `lowering.mover_fit`; nothing is remembered from one sample to the next, and no choice makes a step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +19,7 @@ from hallsym.codegen.lowering.mover_fit import Mover, ends, mover_of
 from hallsym.codegen.lowering.mover_steps import MoverPieces
 from hallsym.codegen.lowering.travel import COVERED, MARGINS
 from hallsym.codegen.lowering.wave_bounds import Values
-from hallsym.codegen.lowering.wave_steps import Wave, wave_of
+from hallsym.codegen.lowering.wave_steps import wave_of
 from hallsym.errors import InputError, counted
 from hallsym.model import Model
 
@@ -37,7 +36,7 @@ ROOM = 1.5
 def decoupler(
     model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accuracy: float | None = None
 ) -> Decoupler | None:
-    """Return the decoupler of a mover over longer rows at parameters `p` over a box; see `lowering.wave.decoupler`.
+    """Return the decoupler of a mover over longer rows over a box; see `lowering.wave.decoupler`.
 
     None where arrays do not end, or no sensor is ever beyond the end of its array.
     """
@@ -58,7 +57,7 @@ def decoupler(
 
 def _best(found: Mover) -> Mover:
     """Return the mover with the margin that leaves least of ends and noise; harmonics where they count."""
-    tried = []
+    tried: list[tuple[float, int, Mover]] = []
     for margin in MARGINS:
         for plainly in (True, False):
             one = replace(found, margin=margin, plainly=plainly)
@@ -68,8 +67,8 @@ def _best(found: Mover) -> Mover:
     if not np.isfinite(size):
         x, y = found.model.pose[:2]
         raise InputError(
-            f"Over the box too few sensors see an array at its ends; give fewer {x} and {y} with --range, or more "
-            "sensors in the layout."
+            f"Over the box too few sensors see an array at its ends; give fewer {x} and {y} with --range, or "
+            "more sensors in the layout."
         )
     return best
 
@@ -77,7 +76,9 @@ def _best(found: Mover) -> Mover:
 def _left(found: Mover) -> float:
     """What is left, rms, of coordinates over their accuracy, with the noise of the calibration."""
     pose, readings = found.trials(7, TRIED)
-    noisy = readings + np.random.default_rng(8).standard_normal(readings.shape) / np.sqrt(found.weight)[:, None]
+    noisy = (
+        readings + np.random.default_rng(8).standard_normal(readings.shape) / np.sqrt(found.weight)[:, None]
+    )
     with np.errstate(all="ignore"):  # where no sensor counts there is no pose
         off = (found.decoded(noisy, pose[:2]) - pose) / found.accuracy[:, None]
         return float(np.sqrt((off**2).mean())) if np.isfinite(off).all() else np.inf
@@ -119,7 +120,9 @@ class _Assembly(MoverPieces, Assembly):
         pose, readings = found.trials(5, TRIALS)
         met = np.abs(found.decoded(readings, pose[:2]) - pose).max(axis=1)
         each = np.full(2 * len(found.rows), self.waves[0].error * found.lc)
-        return dict(zip(found.model.pose, (SAFE * (met + np.abs(found.inverse) @ each)).tolist(), strict=True))
+        return dict(
+            zip(found.model.pose, (SAFE * (met + np.abs(found.inverse) @ each)).tolist(), strict=True)
+        )
 
     def said(self, leaves: dict[str, float]) -> tuple[str, ...]:
         """Return sentences for header and report."""
@@ -131,11 +134,11 @@ class _Assembly(MoverPieces, Assembly):
         )
         listed = ", ".join(f"{c} {v:.2g} {unit(c)}" for c, v in leaves.items())
         return (
-            f"Rows: {rows}. A sensor counts from {1e3 * found.margin * found.wavelength:.3g} mm inside the ends of "
-            "its array on, and fully half a wavelength further: weights are smooth, so nothing steps where sensors "
-            "come and go.",
-            f"It leaves at most {listed} of the poses of the model: {SAFE:g} times what {TRIALS} poses of the box "
-            "met, and what polynomials leave (measured, not proved for every pose).",
+            f"Rows: {rows}. A sensor counts from {1e3 * found.margin * found.wavelength:.3g} mm inside the "
+            "ends of its array on, and fully half a wavelength further: weights are smooth, so nothing steps "
+            "where sensors come and go.",
+            f"It leaves at most {listed} of the poses of the model: {SAFE:g} times what {TRIALS} poses of "
+            "the box met, and what polynomials leave (measured, not proved for every pose).",
             "Only readings of a pose in the box have that error: others give a finite pose, mostly a flag.",
         )
 

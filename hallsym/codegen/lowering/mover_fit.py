@@ -1,12 +1,12 @@
-"""Arrays of finite length on a mover, over rows of sensors that are longer: where each sensor is, and the decoder
-of six coordinates on numpy arrays.
+"""Arrays of finite length on a mover, over rows of sensors that are longer: where each sensor is, and the
+decoder of six coordinates on numpy arrays.
 
 A row is the channels that one array passes along its period, side by side. Its sensors are weighted by their
 distance from the middle of the array, smoothly, so that nothing steps where they come and go; weighted least
 squares of what they read make the phasor at the middle of the array, whichever sensors see it. Tilt makes the
 field under one end of the array stronger: rotations from a first solution say by how much at each sensor, and
-the second solution has it taken out. So what is left depends on where the sensors are beside the array, and not
-on which of them they are.
+the second solution has it taken out. So what is left depends on where the sensors are beside the array, and
+not on which of them they are.
 """
 
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ from hallsym.errors import InputError
 from hallsym.model import Model
 
 FAR = 30
-"""Wavelengths away at which it is seen whether the arrays end: more than arrays have, and some mrad do not lift
-a mover out of sight on the way."""
+"""Wavelengths away at which it is seen whether the arrays end: more than arrays have, and some mrad do not
+lift a mover out of sight on the way."""
 ENDED = 0.05
 """Share of its swing that a channel may have there."""
 NO_COVER = 1e-9
@@ -89,7 +89,9 @@ class Mover(Reference):
         if self.plainly:
             return ()
         reach = np.exp(np.arange(HARMONICS) * self.half[2] / self.lc)
-        share = np.max([np.abs(r.factor).max(axis=0) / np.abs(r.factor[:, 0]).max() for r in self.rows], axis=0)
+        share = np.max(
+            [np.abs(r.factor).max(axis=0) / np.abs(r.factor[:, 0]).max() for r in self.rows], axis=0
+        )
         return tuple(n for n in range(2, HARMONICS + 1) if (share * reach)[n - 1] > COUNTS * MICRON / self.lc)
 
     @property
@@ -145,7 +147,8 @@ class Mover(Reference):
     ) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return place and height of each row (2 rows, s), and its phasor.
 
-        `at` (2, s): places that weights are taken at; `before`: rotations (3, s) and phasors, to be taken out.
+        `at` (2, s): places that weights are taken at; `before`: rotations (3, s) and phasors, to be taken
+        out.
         """
         out, heights, phasors, first = [], [], [], dict(enumerate(at))
         for k, row in enumerate(self.rows):
@@ -212,7 +215,7 @@ class Mover(Reference):
 
     @cached_property
     def bends(self) -> tuple[Terms, ...]:
-        """Polynomial terms (numbers of coordinates) added to each coordinate, displacements from the middle."""
+        """Polynomial terms (numbers of coordinates) added to each coordinate, of displacements."""
         pose, readings = self.trials(1, SAMPLES)
         v = self.straight(readings, pose[:2])
         off = pose - self.middle[:, None] - v
@@ -249,9 +252,14 @@ def ends(model: Model, p: np.ndarray, middle: np.ndarray, heights: tuple[float, 
 
 
 def mover_of(
-    model: Model, p: np.ndarray, weight: np.ndarray, middle: np.ndarray, half: np.ndarray, accuracy: np.ndarray
+    model: Model,
+    p: np.ndarray,
+    weight: np.ndarray,
+    middle: np.ndarray,
+    half: np.ndarray,
+    accuracy: np.ndarray,
 ) -> Mover:
-    """Return the rows of a model over a box, its middle made level. Raises `InputError` where there are too few.
+    """Return the rows of a model over a box, its middle made level. Raises `InputError` for too few.
 
     `middle`, `half` (6,): of the box; `accuracy` (6,): what terms may leave of each coordinate.
     """
@@ -266,8 +274,8 @@ def mover_of(
     along = [sum(row.axis == axis for row in rows) for axis in (0, 1)]
     if min(along) < 1 or len(rows) < 3:
         raise InputError(
-            f"Six coordinates are decoded from three arrays or more, along both axes; the readings of {model.name} "
-            f"show {along[0]} along {model.pose[0]} and {along[1]} along {model.pose[1]}."
+            f"Six coordinates are decoded from three arrays or more, along both axes; the readings of "
+            f"{model.name} show {along[0]} along {model.pose[0]} and {along[1]} along {model.pose[1]}."
         )
     at = sample.at.copy()
     at[:3] = middle[:3]
@@ -308,9 +316,9 @@ class _Seen:
         return np.asarray(self.lc * np.log(self._factor(move) / self._factor(-move)) / (2 * step))
 
     def off_level(self) -> np.ndarray:
-        """Rotations (3,) by which the mover is off level, as a step across the array says; NaN of the other one.
+        """Rotations (3,) by which the mover is off level, as a step across the array says; NaN of the other.
 
-        A rigid body turned about x and y by small angles: a step across lifts it, one turned about z moves it.
+        A rigid body turned about x and y by small angles: a step across lifts it, turned about z moves it.
         """
         out = np.full(3, np.nan)
         across, sign = self._slopes(1 - self.axis, pi / 2 * self.lc).mean(), 1.0 if self.axis == 0 else -1.0

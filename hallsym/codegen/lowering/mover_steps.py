@@ -60,7 +60,7 @@ class MoverPieces(Pieces):
         for row, name in zip(found.rows, self.names, strict=True):
             self._weights(row, name)
         before = self._solved("_first")
-        turns = {k: self._turn(k, before) for k in sorted({found.tilt_of(row) for row in found.rows})}
+        turns = {k: self._first_turn(k, before) for k in sorted({found.tilt_of(row) for row in found.rows})}
         return list(self._solved("", turns).values())
 
     def _first(self, axis: int, members: Sequence[int]) -> ca.SX:
@@ -71,9 +71,15 @@ class MoverPieces(Pieces):
             design = row.design()
             for j, name in enumerate(self._channels(row)):
                 offset = made.entry(f"offset_{name}", float(row.offset[j]), "V", f"offset of {name}")
-                field = made.step(f"field_{name}", made.symbols[self.found.model.channels[row.channels[j]]] - offset)
-                cos.append(field * made.entry(f"cos_{name}", design[0, j], "V", f"read by {name} of the cosine"))
-                sin.append(field * made.entry(f"sin_{name}", design[1, j], "V", f"read by {name} of the sine"))
+                field = made.step(
+                    f"field_{name}", made.symbols[self.found.model.channels[row.channels[j]]] - offset
+                )
+                cos.append(
+                    field * made.entry(f"cos_{name}", design[0, j], "V", f"read by {name} of the cosine")
+                )
+                sin.append(
+                    field * made.entry(f"sin_{name}", design[1, j], "V", f"read by {name} of the sine")
+                )
         u = self._added(f"cos_all_{column}", cos, "all alike"), self._added(f"sin_all_{column}", sin)
         made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
         near = made.symbols[f"{column}_near_m" if self.wide(axis) else f"{column}_middle"]
@@ -95,7 +101,9 @@ class MoverPieces(Pieces):
         made, found = self.made, self.found
         ramp = RAMP * found.wavelength
         half = row.length / 2 - found.margin * found.wavelength
-        start = made.entry(f"depth_{tag}", half / ramp, "1", "half of what counts of the array, over the ramp")
+        start = made.entry(
+            f"depth_{tag}", half / ramp, "1", "half of what counts of the array, over the ramp"
+        )
         if "per_ramp" not in made.symbols:
             made.entry("per_ramp", 1 / ramp, "1/m", "a weight goes from 0 to 1 over its inverse")
         rate = made.symbols["per_ramp"]
@@ -120,7 +128,7 @@ class MoverPieces(Pieces):
             logs[f"deep_{name}"] = log
         return places | logs
 
-    def _turn(self, k: int, values: dict[str, ca.SX]) -> ca.SX:
+    def _first_turn(self, k: int, values: dict[str, ca.SX]) -> ca.SX:
         """First estimate of a rotation, within its range: of readings of no pose it could be anything."""
         made, column = self.made, short(self.found.model.pose[k])
         most = made.entry(f"most_{column}", self.most_turn, "rad", f"largest {column} that is taken out")
@@ -163,7 +171,9 @@ class MoverPieces(Pieces):
         re, im = product("cos_seen", wc, field), product("sin_seen", ws, field)
         cover = made.step(f"cover_{name}{tag}", cc * ss - cs * cs, "[V4] cosine told from sine")
         if f"least_cover_{name}" not in made.symbols:
-            made.entry(f"least_cover_{name}", COVER * self._least_cover(row), "V4", "share of the least of the box")
+            made.entry(
+                f"least_cover_{name}", COVER * self._least_cover(row), "V4", "share of the least of the box"
+            )
         least = made.symbols[f"least_cover_{name}"]
         held = made.step(f"held_cover_{name}{tag}", ca.if_else(cover > least, cover, least))
         per = made.step(f"per_cover_{name}{tag}", 1.0 / held)
@@ -224,12 +234,16 @@ class MoverPieces(Pieces):
         return np.asarray(self.found.inverse * scale)
 
     def covered(self) -> None:
-        """Add the step that the flag of the cover looks at: the least over the rows, over what each must have."""
+        """Add the step that the flag of the cover looks at: what the row that has least has to spare."""
         made = self.made
         value = None
         for name in self.names:
             own = made.step(
-                f"covered_{name}", made.symbols[f"cover_{name}_first"] - made.symbols[f"least_cover_{name}"], "[V4]"
+                f"covered_{name}",
+                made.symbols[f"cover_{name}_first"] - made.symbols[f"least_cover_{name}"],
+                "[V4]",
             )
-            value = own if value is None else made.step(f"cover_to_{name}", ca.if_else(value < own, value, own))
+            value = (
+                own if value is None else made.step(f"cover_to_{name}", ca.if_else(value < own, value, own))
+            )
         made.entry("least_cover", 0.0, "V4", "what each row must have more than its least")

@@ -126,7 +126,7 @@ def passes(
 
 
 def readings(sample: Sample, axis: int, x: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return readings (n, s) at places (s,) along a coordinate and heights (s,), the rest as in the middle."""
+    """Return readings (n, s) at places along a coordinate and heights (s,), the rest as in the middle."""
     pose = list(_poses(sample, axis, x, z))
     return np.asarray(sample.run(sample.p, np.zeros(len(sample.model.zeros)), pose, [])[0])
 

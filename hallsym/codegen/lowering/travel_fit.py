@@ -176,6 +176,4 @@ def row_of(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Row:
     passed, window, lc = passes(sample, 0, every, reach, rough)
     fitted = [window.fitted(k, lc)[0] for k in every]
     offset, factor = np.array([f[0].real for f in fitted]), np.array([f[1:] for f in fitted])
-    return Row(
-        model, p, weight, low, high, lc, sample.rising(0), passed.length, passed.place, offset, factor
-    )
+    return Row(model, p, weight, low, high, lc, sample.rising(0), passed.length, passed.place, offset, factor)
