@@ -1,7 +1,7 @@
-"""C for a mover over rows of sensors longer than its arrays: six coordinates, sensors weighted as arrays see them.
+"""C for a mover over rows of sensors longer than its arrays: six coordinates, sensors weighted smoothly.
 
-Independent facts: the finite field of magnetised rectangles at a known pose, exact rotations; a pose moves by as
-much as the mover does, also where sensors come and go; what says the period changes nothing else.
+Independent facts: the finite field of magnetised rectangles at a known pose, exact rotations; a pose moves by
+as much as the mover does, also where sensors come and go; what says the period changes nothing else.
 """
 
 import re

@@ -3,22 +3,18 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import pi, tan
+from math import pi
 
 import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Whole
 from hallsym.codegen.entries import short, unit
-from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE, Arrays
-from hallsym.codegen.lowering.odd_series import Odd, shortest
-from hallsym.codegen.lowering.trigonometry import odd
+from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE
+from hallsym.codegen.lowering.arrays_turns import Turns
 from hallsym.codegen.lowering.wave_steps import (
-    POLYNOMIALS,
-    Collected,
     Pair,
     Powers,
-    Wave,
     arctangent_steps,
     least_inside,
     phasor_steps,
@@ -29,8 +25,6 @@ TILT = 1.1
 """Times the largest rotation of the box beyond which the flag of the pose is set."""
 WITHIN = 0.98
 """Share of a period that a box may span where no input says which period it is."""
-ROOMY = 1.1
-"""Times the largest tangent of the box: end of the polynomial of a turn."""
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
 ONCE = 1.01
@@ -39,26 +33,15 @@ LOST = 1e-12
 """Displacement [m] that is rounding of the analysis."""
 LEAST_SHARE = 1e-6
 """Share of the largest below which what a rotation does to labels is rounding of the analysis."""
-TURNED = 1e6
-"""Most [rad] that the polynomial of a turn may give of readings of no pose: products of four such numbers are
-far below the largest float."""
 ONE = 1e-9
 """Distance from 1 of an entry that is 1 but for rounding of the analysis."""
 
 
 @dataclass(eq=False)
-class Pieces:
+class Pieces(Turns):
     """Adds the steps of one calibration, one after the other."""
 
-    found: Arrays
-    waves: tuple[Wave, ...]
-    made: Collected = field(default_factory=Collected)
     _unwrapped: dict[int, bool] = field(default_factory=dict, init=False)
-
-    def __post_init__(self) -> None:
-        """Name the arrays: x_1, x_2, y_1, y_2."""
-        pose = self.found.model.pose
-        self.names = [f"{short(pose[a])}_{k + 1}" for a, m in self.found.axes.items() for k in range(len(m))]
 
     def wide(self, axis: int) -> bool:
         """Whether the box spans more than the period that readings resolve."""
@@ -142,7 +125,7 @@ class Pieces:
         for axis, members in self.found.axes.items():
             first = members[0]
             phase = arctangent_steps(made, self.waves[first], vectors[first], f"_{self.names[first]}")
-            turns = [self._turn(first, k, vectors) for k in members[1:]]
+            turns = [self.turn(first, k, vectors) for k in members[1:]]
             total = phase
             if turns and not self.unwrapped(axis):
                 total = phase + sum(turns[1:], start=turns[0]) * (1.0 / len(members))
@@ -185,79 +168,6 @@ class Pieces:
         made.steps.append(Whole(f"whole_{name}", count))
         number = made.symbols.setdefault(f"whole_{name}", ca.SX.sym(f"whole_{name}"))
         return made.step(f"along_{name}", from_middle + whole * (number - float(PERIODS)), "[m]")
-
-    def _turn(self, first: int, k: int, vectors: Sequence[Pair]) -> ca.SX:
-        """Angle of one phasor from the first of its axis: small, so one polynomial without quadrants."""
-        made, (a, b), (c, d), name = self.made, vectors[first], vectors[k], self.names[k]
-        real = made.step(f"cross_real_{name}", c * a + d * b)
-        imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
-        if made.native:
-            made.least[f"turn_{name}"] = self.waves[first].least * self.waves[k].least
-            return made.step(f"turn_{name}", ca.atan2(imaginary, real), "[rad]")
-        if floor := self._floor(first, k):
-            least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
-            held = made.step(f"held_cross_{name}", ca.if_else(real > least, real, least))
-            return self._turned(first, k, imaginary / held)
-        steep, floor = self._cone(first, k)
-        cone = made.entry(f"cone_{name}", steep, "1", "cotangent of the largest turn of two phasors")
-        least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
-        bound = made.step(f"bound_{name}", cone * ca.fabs(imaginary) + least)
-        held = made.step(f"held_cross_{name}", ca.if_else(real > bound, real, bound))
-        return self._turned(first, k, imaginary / held)
-
-    def _turned(self, first: int, k: int, value: ca.SX) -> ca.SX:
-        made, name = self.made, self.names[k]
-        tangent = made.step(f"cross_{name}", value)
-        square = made.step(f"cross_square_{name}", tangent * tangent)
-        return made.step(f"turn_{name}", odd(self.series(first, k).coefficients, tangent, square), "[rad]")
-
-    def _floor(self, first: int, k: int) -> float:
-        """Half the least of the products of the box, where that alone keeps every turn finite; else 0.
-
-        The polynomial then goes beyond its end, of readings of no pose.
-        """
-        least = 0.5 * self.waves[first].least * self.waves[k].least * float(np.cos(self._angle(first, k)))
-        most = self._longest(first) * self._longest(k) / least
-        turn = sum(abs(c) * most ** (2 * n + 1) for n, c in enumerate(self.series(first, k).coefficients))
-        return least if turn < TURNED else 0.0
-
-    def _longest(self, k: int) -> float:
-        """Bound of a phasor over all readings within their limits."""
-        wave, found = self.waves[k], self.waves[k].phasor
-        reach = (1 / wave.least) ** np.arange(1, found.factor.shape[1] + 1)
-        swing = ROOMY * (np.abs(found.factor) @ reach) + 2 * np.abs(found.offset)
-        size = start = float((np.hypot(*found.weights) * swing).sum() + np.hypot(*found.shift))
-        for _ in range(wave.rounds + (wave.last == "linear")):
-            size = start + found.largest(size)
-        return size
-
-    def _cone(self, first: int, k: int) -> tuple[float, float]:
-        """Cotangent of the end of the polynomial, and the least that real - cotangent |imaginary| is, halved.
-
-        So no reading whatever turns two phasors beyond that end.
-        """
-        angle, steep = self._angle(first, k), 1.0 / self.series(first, k).end
-        least = self.waves[first].least * self.waves[k].least
-        return steep, 0.5 * least * (float(np.cos(angle)) - steep * float(np.sin(angle)))
-
-    def _angle(self, first: int, k: int) -> float:
-        """Largest turn of two phasors of an axis over the box [rad]."""
-        pose = self.found.poses(np.random.default_rng(3), 2000)
-        u = self.found.phasors(self.found.readings(pose))
-        return float(np.abs(np.angle(u[k] * u[first].conj())).max()) * 1.05
-
-    def series(self, first: int, k: int) -> Odd:
-        """Return the polynomial of that angle."""
-        end = np.ceil(20 * ROOMY * tan(min(self._angle(first, k), 1.4))) / 20
-        share = POLYNOMIALS * float(self.found.accuracy[0]) / self.found.groups[k].phasor.lc
-        series = shortest("atan", float(end), share, fewest=1)
-        if series is None:
-            raise InputError(
-                "Rotations of the box turn two arrays of an axis by most of a period against each other; "
-                "give a "
-                "smaller range of rotations with --range."
-            )
-        return series
 
     # -- the pose ------------------------------------------------------------------------------------------
 

@@ -1,6 +1,7 @@
 """Lowering of models of arrays of finite length on a mover, over rows of sensors longer than they are.
 
-Which sensors count follows from where the mover is: weights go to zero smoothly at the ends of each array. See `lowering.mover_fit`; nothing is remembered from one sample to the next, and no choice makes a step.
+Which sensors count follows from where the mover is: weights go to zero smoothly at the ends of each array.
+See `lowering.mover_fit`; nothing is remembered from one sample to the next, and no choice makes a step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
