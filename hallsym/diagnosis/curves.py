@@ -15,14 +15,12 @@ import numpy as np
 
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
 from hallsym.diagnosis.p_values import of_signs
-from hallsym.diagnosis.regression import regression, ridge
+from hallsym.diagnosis.regression import RIDGE, regression, ridge
 from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.families.play import stop_operator
 
 BEND = 0.01
 """Weight of the bending penalty against the data."""
-TINY = 1e-6
-"""The same on the curves themselves, so that what no sample determines stays 0."""
 MEMORIES = (0.05, 0.15, 0.4, 1.0)
 """Half-widths of the play that is looked for, over the standard deviation of what a sensor senses."""
 FEWEST_PARTS = 3
@@ -265,4 +263,4 @@ def _penalty(size: np.ndarray, m: int) -> np.ndarray:
     """
     D = np.diff(np.eye(m), 2, axis=0)
     weight = np.maximum(size.reshape(-1, m).mean(axis=1), 1e-300)
-    return np.kron(np.diag(weight), BEND * D.T @ D + TINY * np.eye(m))
+    return np.kron(np.diag(weight), BEND * D.T @ D + RIDGE * np.eye(m))

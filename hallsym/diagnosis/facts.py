@@ -6,6 +6,7 @@ import numpy as np
 
 from hallsym.diagnosis.normal_equations import Accumulator, Stretch
 from hallsym.diagnosis.policy import POLICY
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.survey import MAINS, MAINS_BAND, SEGMENT, Survey
 from hallsym.estimation import eliminate, pseudo_inverse
@@ -15,8 +16,6 @@ from hallsym.model import Facts, Model
 
 MAX_SEGMENTS = 1200
 """Stretches that a log is cut into at most; a slip may be at the start of each."""
-SAME = 1e-9
-"""Relative difference below which two instants are the same to the fitted runs."""
 
 
 def instants(base: Base, runs: Sequence[int], rows: int) -> tuple[tuple[int, float], ...]:
@@ -50,7 +49,7 @@ def _best(
     runs = {run[0].run for run in stretches}
     gains = _gains(stretches, k, column, z, runs - holdout)
     most = max((gain for _, gain in gains), default=0.0)
-    equal = {t for t, gain in gains if gain >= most * (1 - SAME)}
+    equal = {t for t, gain in gains if gain >= most * (1 - NIL)}
     if len(equal) > 1:
         gains = [(t, gain) for t, gain in _gains(stretches, k, column, z, runs) if t in equal]
     return k, max(gains, key=lambda g: g[1])[0] if gains else 0.0
@@ -108,8 +107,8 @@ def _gain(total: np.ndarray, JJ: np.ndarray, cross: np.ndarray, own: np.ndarray)
     A = own - cross[:, :n].swapaxes(1, 2) @ through
     b = cross[:, n] - through.swapaxes(1, 2) @ total[:n, n]
     left, raw = (np.diagonal(M, axis1=1, axis2=2) for M in (A, own))
-    gain = np.einsum("ij,ijk,ik->i", b, pseudo_inverse(A, 1e-9), b)
-    return np.where((left <= 1e-9 * np.maximum(raw, 1e-300)).any(axis=1), 0.0, gain)
+    gain = np.einsum("ij,ijk,ik->i", b, pseudo_inverse(A, NIL), b)
+    return np.where((left <= NIL * np.maximum(raw, 1e-300)).any(axis=1), 0.0, gain)
 
 
 # -- two levels of offset among the runs ---------------------------------------------------------------------

@@ -7,26 +7,20 @@ from math import comb
 
 import numpy as np
 
-from hallsym.diagnosis.coordinates import hats
+from hallsym.diagnosis.coordinates import KNOTS, hats
 from hallsym.diagnosis.residual_table import at_rest
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.model.arrays import on_arrays
 from hallsym.units import readable
 
-LAGS = 24
-"""Samples of the past that the motion is remembered for."""
 WAVES = 12
 """Waves per period up to which the error of what is periodic is a series: smooth, in few samples."""
 HARMONICS = (1, 2)
 """Waves per period that a gain may follow."""
 REVERSAL = 0.05
 """Part of the greatest speed within which the direction of motion turns over."""
-PLACES = 9
-"""Knots over the stroke between which an error may depend on the direction of motion."""
 TOGETHER, DEGREE = 128, 4
 """Products of coordinates that an error may follow together: up to `DEGREE`, and fewer than these in all."""
-WIDER = 1.2
-"""A displacement may be this much larger than the readings: the gain changes with the vertical state."""
 TIMES = (3, 12)
 """Knots over the time of the log: one for three runs, within these."""
 
@@ -39,16 +33,13 @@ class Key:
     name: str = ""
 
 
-PAST = Key("the past of the motion")
-
-
 class Features:
     """Features of each stretch of some runs of a log."""
 
     def __init__(self, base: Base, runs: frozenset[int]) -> None:
         """Read the ranges that features are scaled by."""
         self.base, self.model = base, base.model
-        self.gain, self.read = on_arrays(base.model.gain), on_arrays(base.model.reading)
+        self.read = on_arrays(base.model.reading)
         self.ranges = _ranges(base, runs)
         self.periodic = [c for c in self.model.references if c in self.model.period]
         self.turning = len(self.periodic) == len(self.model.references)
@@ -97,15 +88,9 @@ class Features:
         }
         if self.turning:
             return out
-        (gain,) = self.gain(self.base.p, [piece.data[c] for c in model.state])
-        still = np.asarray(model.gain(self.base.p, np.zeros(len(model.state)))).ravel()
         for k, c in enumerate(model.channels):
             middle, half = self.ranges[c]
-            sensed = piece.readings[k] * still[k] / np.where(gain[k] == 0, 1.0, gain[k])
             out[Key("reading", c)] = ((piece.readings[k] - middle) / half + 1) / 2
-            if not model.state:  # the gain is a number: the displacement is the reading in other units
-                continue
-            out[Key("displacement", c)] = ((sensed - middle) / (WIDER * half) + 1) / 2
         return {key: np.clip(x, 0.0, 1.0) for key, x in out.items()}
 
     def families(self, piece: Piece) -> Iterator[tuple[Key, np.ndarray]]:
@@ -141,11 +126,10 @@ class Features:
             return
         fast = [*(v * x for x in q), *(np.abs(v) * x for x in q)]
         yield Key("velocity"), np.vstack([v, np.abs(v), v * np.abs(v), v**3, *fast])
-        places = [hats(self.unit(piece, c), np.linspace(-1, 1, PLACES)) for c in self.model.references]
+        places = [hats(self.unit(piece, c), np.linspace(-1, 1, KNOTS)) for c in self.model.references]
         sides = [d * x for d, x in zip(np.tanh(v / REVERSAL), places, strict=True)]
         yield Key("direction of motion"), np.vstack(sides)
         yield Key("acceleration"), np.vstack([a, np.abs(a), j, *(a * x for x in q), *(j * x for x in q)])
-        yield PAST, np.vstack([np.roll(q, k, axis=1) for k in range(LAGS)])
 
     def states(self, piece: Piece) -> list[str]:
         """Return the logged columns of the state that have no family of their own."""

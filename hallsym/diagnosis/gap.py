@@ -14,10 +14,10 @@ def worth_reporting(floor: Floor, threshold: float, policy: Policy) -> float:
 
 
 def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
-    """Return whether a residual has a shape, or lines, that are worth the threshold by themselves."""
+    """Return whether a residual has a shape that is worth the threshold by itself."""
     need = 1 - (1 - threshold) / (1 + policy.floor_known)
     best = found.best(policy.shape_certain)
-    return found.lines >= need or (best is not None and best.drop >= need)
+    return best is not None and best.drop >= need
 
 
 def remains(
@@ -36,7 +36,7 @@ def remains(
     half = policy.half * threshold
     likely = any(s.p_value < policy.shape_likely and s.drop >= half for s in found.shapes)
     large = metric > floor.metric * (1 + policy.unstructured)
-    return likely or found.lines >= half or slow >= threshold or large
+    return likely or slow >= threshold or large
 
 
 def used_up(
@@ -60,7 +60,7 @@ def slow_share(variance: float, fast: float) -> float:
 
 def _powers(found: LackOfFit, metric: float) -> dict[str, float]:
     """Squares [m^2] that each kind of shape explains; curves over several coordinates of a kind add up."""
-    best: dict[Key, float] = {Key("lines"): _power(found.lines, metric)}
+    best: dict[Key, float] = {}
     for shape in found.shapes:  # best first: the finest curve that pays
         best.setdefault(shape.key, _power(shape.drop, metric))
     kinds: dict[str, float] = {}

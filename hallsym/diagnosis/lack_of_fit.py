@@ -1,8 +1,8 @@
 """Lack of fit: does what a model leaves depend on anything? Generic features are fitted to it and tried.
 
 The residual, as error of the decoded pose, is regressed on families of smooth functions (`features`): curves
-over each coordinate, gains that follow the state, time, temperature or velocity, polynomials of the pose, the
-past of the motion, a gain of every run, spectral lines. What a family predicts on runs (or stretches) that it
+over each coordinate, gains that follow the state, time, temperature or velocity, polynomials of the pose,
+a gain of every run. What a family predicts on runs (or stretches) that it
 was not fitted on is lack of fit, whatever the noise floor is said to be; the scatter of that between folds of
 runs gives a significance that is honest for noise that is correlated in time. Memory is constant.
 """
@@ -12,40 +12,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hallsym.diagnosis.coordinates import hats
-from hallsym.diagnosis.features import LAGS, PAST, Features, Key
+from hallsym.diagnosis.features import Features, Key
 from hallsym.diagnosis.normal_equations import eliminated
 from hallsym.diagnosis.p_values import beyond
-from hallsym.diagnosis.regression import regression, ridge
+from hallsym.diagnosis.regression import FOLDS, NIL, regression, ridge
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.estimation.decoding import decoding_gain
 
-FOLDS = 13
-"""Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
 FEWEST_FOLDS = 3
 """Folds from which on a family may be judged."""
-NODES = 128
-"""Intervals of the finest curve over a coordinate."""
-LEVELS = (1, 4, 16)
-"""Curves with NODES / level intervals are tried."""
+NODES = 32
+"""Intervals of a curve over a coordinate."""
 CHUNK = 32
 """Samples of a stretch of a run; odd ones are predicted from even ones and back."""
-SEGMENT = 128
-"""Samples of a segment of the spectrum."""
-FEWEST_SEGMENTS = 8
-"""Segments from which on a spectrum has lines."""
-AROUND = 7
-"""Frequencies on either side of one whose median is what a line stands out from."""
-SLOWEST = 4
-"""Frequencies of a segment that are drift and no line."""
-CERTAIN = 8.0
-"""Standard deviations of the mean power of noise by which a line stands out."""
-STEADY = 0.5
-"""Variance of a line's power within runs, over its square and over that of noise, below which it is a tone.
-
-The power of noise, also of a resonance that noise excites, scatters in each line by as much as it is."""
-NIL = 1e-9
-"""Squares of a feature, over the largest of its family, below which it never moves."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +38,9 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class LackOfFit:
-    """Families of features, best first; `lines`: decrease of the metric without the lines of steady tones."""
+    """Families of features, best first."""
 
     shapes: tuple[Shape, ...]
-    lines: float = 0.0
 
     def best(self, level: float) -> Shape | None:
         """Return the family that explains most and is no chance (level corrected for all tried)."""
@@ -110,16 +88,10 @@ class _Work:
         self.unwhiten = np.linalg.inv(base.whiten)
         self.E = len(base.model.pose)
         self.families: dict[Key, _Products] = {}
-        self.curves: set[Key] = set()
         self.run: int | None = None
         self.seen = 0
         self.within = [np.zeros((0, 0)), np.zeros((0, 0))]
         self.gained: list[tuple[float, float]] = []
-        self.power = np.zeros(SEGMENT // 2 + 1)
-        self.segments = 0
-        self.of_run: list[np.ndarray] = []
-        self.single: list[np.ndarray] = []
-        self.scatter = np.zeros((2, SEGMENT // 2 + 1))
 
     # -- one stretch -----------------------------------------------------------------------------------------
 
@@ -130,13 +102,10 @@ class _Work:
         piece = self.features.quiet(piece)
         e = self._errors(piece)
         use = piece.used
-        self._spectrum(e, use)
         for key, rows in self.features.families(piece):
-            skip = LAGS if key == PAST else 0
-            x = np.vstack([np.ones(len(use)), rows, e])[:, skip:][:, use[skip:]]
+            x = np.vstack([np.ones(len(use)), rows, e])[:, use]
             self._of(key, len(x)).run += x @ x.T
         for key, values in self.features.lines(piece).items():
-            self.curves.add(key)
             self._curve(key, values[use], e[:, use])
         self._stretches(piece, e)
 
@@ -193,15 +162,6 @@ class _Work:
             old = self.within[k]
             self.within[k] = part @ part.T + (old if old.size else 0.0)
 
-    def _spectrum(self, e: np.ndarray, use: np.ndarray) -> None:
-        e = np.where(use, e, 0.0)
-        window = np.hanning(SEGMENT)
-        for low in range(0, e.shape[1] - SEGMENT + 1, SEGMENT):
-            part = e[:, low : low + SEGMENT]
-            part = (part - part.mean(axis=1, keepdims=True)) * window
-            self.of_run.append((np.abs(np.fft.rfft(part, axis=1)) ** 2).sum(axis=0))
-            self.segments += 1
-
     # -- runs and the end ------------------------------------------------------------------------------------
 
     def _close(self) -> None:
@@ -213,62 +173,17 @@ class _Work:
             gain = regression(gram, cross, ridge(gram)).squares.sum()
             self.gained.append((float(gain), float(np.trace(sides.sum(axis=0)[n:, n:]))))
         self.within = [np.zeros((0, 0)), np.zeros((0, 0))]
-        if self.of_run:
-            self.power += np.sum(self.of_run, axis=0)
-            if len(self.of_run) == 1:
-                self.single += self.of_run
-            else:
-                self._scattered(self.of_run)
-            self.of_run = []
         self.seen += 1
-
-    def _scattered(self, segments: Sequence[np.ndarray]) -> None:
-        """Add the squares by which the power of segments scatters, and those of its mean."""
-        mean = np.mean(segments, axis=0)
-        squares = np.sum((np.array(segments) - mean) ** 2, axis=0)
-        self.scatter += np.array([squares, (len(segments) - 1) * mean**2])
 
     def finish(self) -> LackOfFit:
         if self.run is not None:
             self._close()
-        shapes = []
-        for key, products in self.families.items():
-            used = products.folds[: min(self.seen, FOLDS)]
-            for level in LEVELS if key in self.curves else (1,):
-                shapes.append(judged(key, _coarse(used, level, self.E), self.E))
+        used = min(self.seen, FOLDS)
+        shapes = [judged(key, p.folds[:used], self.E) for key, p in self.families.items()]
         if len(self.gained) > 2:
             gain, total = np.array(self.gained).T
             shapes.append(_shape(Key("a gain or trend of each run"), gain, float(total.sum()), beyond(gain)))
-        return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), self._lines())
-
-    def _lines(self) -> float:
-        """Decrease of the metric without the narrow peaks of the spectrum."""
-        if self.segments < FEWEST_SEGMENTS:
-            return 0.0
-        P = self.power.copy()
-        wide = np.pad(P, AROUND, mode="reflect")
-        smooth = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * AROUND + 1), axis=1)
-        certain = P / smooth > 1 + CERTAIN / np.sqrt(self.E * self.segments)
-        certain[:SLOWEST] = False
-        if not self._steady(certain):
-            return 0.0
-        share = float(np.where(certain, P - smooth, 0.0).sum() / max(P.sum(), 1e-300))
-        return 1 - float(np.sqrt(max(1 - share, 0.0)))
-
-    def _steady(self, certain: np.ndarray) -> bool:
-        """Return whether lines have the same power all through a run, unlike noise of their frequency.
-
-        Runs too short for that are held against each other.
-        """
-        if len(self.single) > 1:
-            self._scattered(self.single)
-        varies, squares = self.scatter
-        noise = ~certain & (squares > 0)
-        if not noise.any() or not squares[certain].sum() > 0:
-            return True
-        # the median: a few frequencies beside a line have a part of its power
-        usual = float(np.median(varies[noise] / squares[noise]))
-        return bool(varies[certain].sum() < STEADY * usual * squares[certain].sum())
+        return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)))
 
 
 def judged(key: Key, folds: np.ndarray, E: int) -> Shape:
@@ -290,15 +205,3 @@ def _shape(key: Key, squares: np.ndarray, total: float, p_value: float) -> Shape
     """Return a shape by the squares that it takes away, of `total`."""
     share = float(np.clip(squares.sum() / max(total, 1e-300), 0.0, 1.0))
     return Shape(key, 1 - float(np.sqrt(1 - share)), p_value)
-
-
-def _coarse(folds: np.ndarray, level: int, E: int) -> np.ndarray:
-    """Products of curves with wider hats, which are sums of the finer ones."""
-    if level == 1:
-        return folds
-    m = NODES + 1
-    wide = hats(np.arange(float(m)), np.arange(0.0, m, level)).T
-    T = np.zeros((folds.shape[1], wide.shape[1] + E))
-    T[:m, : wide.shape[1]] = wide
-    T[m:, wide.shape[1] :] = np.eye(E)
-    return T.T @ folds @ T

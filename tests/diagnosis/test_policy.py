@@ -189,14 +189,6 @@ def test_a_plain_variant_holds_the_place_only_where_it_is_as_good():
     assert winner(replace(POLICY, as_good=20.0)) == "flexible"
 
 
-def test_an_effect_that_fits_alike_and_predicts_better_wins():
-    tight = effect("tight", 2, 100.0, 1.00e-6, ratio=0.60, bic=-90.0)
-    predictive = effect("predictive", 2, 109.0, 1.04e-6, ratio=0.40, bic=-80.0)
-    assert first([tight, predictive]) == "predictive"
-    assert first([tight, predictive], replace(POLICY, foreseen=0.0)) == "tight"
-    assert first([tight, predictive], replace(POLICY, fits_alike=0.01)) == "tight"
-
-
 # -- confusable effects, and what separates them -------------------------------------------------------------
 
 
