@@ -16,15 +16,13 @@ import numpy as np
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
 from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.regression import RIDGE, regression, ridge
-from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.residual_table import PARTS, ResidualTable
 from hallsym.families.play import stop_operator
 
 BEND = 0.01
 """Weight of the bending penalty against the data."""
 MEMORIES = (0.05, 0.15, 0.4, 1.0)
 """Half-widths of the play that is looked for, over the standard deviation of what a sensor senses."""
-FEWEST_PARTS = 3
-"""Stretches of a run from which on they may predict one another."""
 FINE = 96
 """Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
 
@@ -192,7 +190,7 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
     even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
         at = np.flatnonzero(run == number)
-        if len(at) < FEWEST_PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
+        if len(at) < PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
             continue
         penalty = ridge(gram[at])
         explained += float(regression(gram[at], cross[at][:, :, None], penalty).squares.sum())

@@ -7,6 +7,7 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import Accumulator, Stretch
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
+from hallsym.diagnosis.residual_table import ROOM
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.survey import MAINS, MAINS_BAND, SEGMENT, Survey
 from hallsym.estimation import eliminate, pseudo_inverse
@@ -149,8 +150,6 @@ def switched_runs(base: Base) -> tuple[int, ...]:
 
 QUANTILES = (0.998, 0.99, 0.97, 0.93)
 """Quantiles of the readings that are tried as rails, each high and low."""
-SAMPLED = 50_000
-"""Samples that those quantiles are taken from."""
 
 
 def facts_of(base: Base, found: Survey) -> Facts:
@@ -196,6 +195,6 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
 
 def _extremes(log: Log, model: Model) -> np.ndarray:
     """Return quantiles of the readings, high and low in turn: (2 n_quantiles, n_channels)."""
-    thin = max(1, log.rows // SAMPLED)
+    thin = max(1, log.rows // ROOM)
     values = np.hstack([np.array(b.columns(model.channels))[:, ::thin] for b in batches(log, model.channels)])
     return np.vstack([np.quantile(values, [a, 1 - a], axis=1) for a in QUANTILES])

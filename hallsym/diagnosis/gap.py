@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from hallsym.diagnosis.features import Key
-from hallsym.diagnosis.lack_of_fit import LackOfFit
+from hallsym.diagnosis.lack_of_fit import Key, LackOfFit
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.setup import Floor
 
