@@ -19,11 +19,13 @@ if TYPE_CHECKING:
     from hallsym.diagnosis import Diagnosis as Diagnosis
     from hallsym.diagnosis import SelfTest as SelfTest
     from hallsym.diagnosis import diagnose as diagnose
+    from hallsym.diagnosis import diagnosis_schema as diagnosis_schema
     from hallsym.diagnosis import selftest as selftest
     from hallsym.errors import InputError as InputError
     from hallsym.estimation import ErrorTable as ErrorTable
     from hallsym.estimation import Evaluation as Evaluation
     from hallsym.estimation import Fit as Fit
+    from hallsym.estimation import calibration_schema as calibration_schema
     from hallsym.estimation import evaluate as evaluate
     from hallsym.estimation import fit as fit
     from hallsym.estimation import judge as judge
@@ -36,12 +38,16 @@ if TYPE_CHECKING:
     from hallsym.experiment import read_ranges as read_ranges
     from hallsym.families import build as build
     from hallsym.families import published as published
+    from hallsym.fleets import Fleet as Fleet
+    from hallsym.fleets import fleet as fleet
+    from hallsym.fleets import load_fleet as load_fleet
     from hallsym.inference import Identifiability as Identifiability
     from hallsym.inference import identify as identify
     from hallsym.log import Log as Log
     from hallsym.log import LogWriter as LogWriter
     from hallsym.log import Meta as Meta
     from hallsym.log import Noise as Noise
+    from hallsym.log import meta_schema as meta_schema
     from hallsym.log import read_log as read_log
     from hallsym.log import write_log as write_log
     from hallsym.model import Model as Model
@@ -77,15 +83,17 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "hallsym.codegen": ("Generated", "decouple", "generate"),
-    "hallsym.diagnosis": ("Diagnosis", "SelfTest", "diagnose", "selftest"),
+    "hallsym.diagnosis": ("Diagnosis", "SelfTest", "diagnose", "diagnosis_schema", "selftest"),
     "hallsym.errors": ("InputError",),
     "hallsym.estimation": (
-        "ErrorTable", "Evaluation", "Fit", "evaluate", "fit", "judge", "load_fit", "refit",
+        "ErrorTable", "Evaluation", "Fit", "calibration_schema", "evaluate", "fit", "judge", "load_fit",
+        "refit",
     ),
     "hallsym.experiment": ("Plan", "Ranges", "paper_ranges", "plan", "read_ranges"),
     "hallsym.families": ("build", "published"),
+    "hallsym.fleets": ("Fleet", "fleet", "load_fleet"),
     "hallsym.inference": ("Identifiability", "identify"),
-    "hallsym.log": ("Log", "LogWriter", "Meta", "Noise", "read_log", "write_log"),
+    "hallsym.log": ("Log", "LogWriter", "Meta", "Noise", "meta_schema", "read_log", "write_log"),
     "hallsym.model": ("Model", "Parameter"),
     "hallsym.simulation": (
         "Campaign", "NoiseModel", "bundled_campaign", "paper_campaign", "read_campaign", "simulate",

@@ -76,4 +76,5 @@ def counted(number: int, thing: str) -> str:
     >>> counted(1, "run"), counted(22, "held-out run")
     ('1 run', '22 held-out runs')
     """
-    return f"{number} {thing}{'' if number == 1 else 's'}"
+    plural = "es" if thing.endswith("ch") else "s"
+    return f"{number} {thing}{'' if number == 1 else plural}"

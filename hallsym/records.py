@@ -35,6 +35,29 @@ def structured(raw: Any, kind: type[Kind], where: str, remedy: str) -> Kind:
     raise InputError(f"{_sentence(what, place, where, raw, kind)}; {remedy}.")
 
 
+def schema_of(kind: type, title: str, *, nullable: bool = False) -> dict[str, Any]:
+    """Return the JSON Schema of the files that hold a `kind`, from the types that validate them.
+
+    `nullable`: whether numbers that are not finite are written as null.
+    """
+    import msgspec
+
+    schema = msgspec.json.schema(kind)
+    if nullable:
+        schema = _nullable(schema)
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": dialect, "title": title, **schema}
+
+
+def _nullable(schema: Any) -> Any:
+    if isinstance(schema, list):
+        return [_nullable(entry) for entry in schema]
+    if not isinstance(schema, dict):
+        return schema
+    made = {key: value if key == "default" else _nullable(value) for key, value in schema.items()}
+    return made | {"type": ["number", "null"]} if made.get("type") == "number" else made
+
+
 _TYPES = {
     "array": "a list", "object": "a table of keys", "float": "a number", "int": "a whole number",
     "str": "text", "bool": "true or false", "null": "null",

@@ -213,14 +213,14 @@ def fitting(si: str, largest: float, *, turns: bool = False) -> tuple[float, str
     return next((step for step in ladder if abs(largest) * step[0] < 1000.0), ladder[-1])
 
 
-def parameter_unit(si: str, *, millimetres: bool = False) -> tuple[float, str]:
-    """Return factor and unit in which a parameter is shown: angles in degrees, others in their SI unit.
+def parameter_unit(si: str, *, bare: bool = False) -> tuple[float, str]:
+    """Return factor and unit in which a parameter is shown: angles in degrees, lengths in mm, others in SI.
 
-    `millimetres`: lengths in mm and nothing for a plain number, where room is short.
+    `bare`: nothing stands for the unit of a plain number, else "1".
     """
-    if si == "rad":
-        return 1 / _DEGREE, "deg"
-    return {"m": (1e3, "mm"), "1": (1.0, "")}.get(si, (1.0, si)) if millimetres else (1.0, si)
+    if bare and si == "1":
+        return 1.0, ""
+    return {"rad": (1 / _DEGREE, "deg"), "m": (1e3, "mm")}.get(si, (1.0, si))
 
 
 def typeset(unit: str) -> str:

@@ -4,6 +4,9 @@ Blocks of one page run in order in one temporary folder, in which `data` is the 
 ```sh runs line by line: `hallsym ...` through the installed entry point, `make` and `pip` are only looked up.
 A ```toml or ```json block is written to the last `file` named before it. `<!--setup ... -->` is Python that a
 reader does not need. A comment `# exit 3` states the exit code that is expected, 0 otherwise.
+
+The tutorials are notebooks: cells of Python, of shell commands (`%%sh`; `|| echo` where the exit code shall
+be 3) and files to write (`%%writefile`). They run here without a kernel, in tests/test_site.py with one.
 """
 
 import contextlib
@@ -23,14 +26,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+TUTORIALS = tuple(sorted((ROOT / "docs" / "tutorials").glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *TUTORIALS)
 LISTED = (
-    "README.md", "CHANGELOG.md", "data/README.md", "data/campaign/README.md", "data/encoder/README.md",
+    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "data/README.md", "data/campaign/README.md",
+    "data/encoder/README.md",
 )  # fmt: skip
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = (
     "demo",
     "fit",
+    "fleet",
     "evaluate",
     "diagnose",
     "selftest",
@@ -45,6 +51,7 @@ COMMANDS = (
     "sort",
     "trajectory",
     "info",
+    "completion",
 )
 
 
@@ -64,7 +71,8 @@ def text_of(page: Path) -> str:
 
 def blocks_of(page: Path) -> Iterator[Block]:
     text = text_of(page)
-    for match in re.finditer(r"^```(\w+)\n(.*?)^```$|^<!--(setup)\n(.*?)^-->$", text, re.M | re.S):
+    fence = r"^```(?:\{code-cell\} )?(\w+)\n(?:---\n.*?^---\n)?(.*?)^```$"
+    for match in re.finditer(rf"{fence}|^<!--(setup)\n(.*?)^-->$", text, re.M | re.S):
         before = re.findall(r"`([\w./-]+\.(?:toml|json))`", text[: match.start()])
         yield Block(
             match[1] or match[3],
@@ -74,15 +82,22 @@ def blocks_of(page: Path) -> Iterator[Block]:
         )
 
 
+def lines_of(text: str) -> list[str]:
+    """The commands of a block, continued lines joined."""
+    return list(filter(None, map(str.strip, text.replace("\\\n", " ").splitlines())))
+
+
 def commands_of(page: Path) -> Iterator[tuple[str, int, int]]:
-    """Each command with the exit code it shall have and its line."""
+    """Each command with the exit code it shall have and its line; of a notebook without what follows it."""
     for block in blocks_of(page):
         if block.kind in ("sh", "console"):
-            joined = block.text.replace("\\\n", " ")
-            for line in filter(None, map(str.strip, joined.splitlines())):
+            for line in lines_of(block.text):
                 command, _, remark = line.removeprefix("$ ").partition(" #")
                 stated = re.search(r"exit (\d)", remark)
                 yield command.strip(), int(stated[1]) if stated else 0, block.line
+        elif block.text.startswith("%%sh\n"):
+            for line in lines_of(block.text)[1:]:
+                yield re.split(r" (?:>|\|\|?) ", line)[0], 0, block.line
 
 
 def name_of(page: Path) -> str:
@@ -122,6 +137,8 @@ def run(command: str, expected: int) -> None:
         extras = re.search(r"\[(.*)\]", command)
         wanted = extras[1].split(",") if extras else []
         assert set(wanted) <= set(PROJECT["optional-dependencies"]), command
+    elif program in ("sed", "head"):
+        subprocess.run(command, shell=True, capture_output=True, check=True)
     elif Path(program).name == "python":
         script = ROOT / arguments[0]
         assert script.is_file(), command
@@ -129,6 +146,26 @@ def run(command: str, expected: int) -> None:
             assert f'"{option}"' in text_of(script), f"{script} has no option {option}"
     else:
         pytest.fail(f"do not know how to check {command!r}")
+
+
+def run_cell(code: str, page: Path, line: int, shared: dict) -> None:
+    """Run a cell of a notebook: Python, shell commands, or a file to write."""
+    magic, _, rest = code.partition("\n")
+    if magic.startswith("%%writefile "):
+        Path(magic.split()[1]).write_text(rest, encoding="utf-8")
+    elif magic == "%%sh":
+        for command in lines_of(rest):
+            before, fails, _ = command.partition(" || echo ")
+            if before.startswith("hallsym "):
+                run(before, 3 if fails else 0)
+            elif before.startswith("cc ") and not shutil.which("cc"):
+                pytest.skip("no C compiler: what follows on this page needs one")
+            else:
+                done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
+                assert done.returncode == 0, f"{command}\n{done.stderr}"
+    else:
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(compile("\n" * line + code, str(page), "exec"), shared)
 
 
 def compiles(code: str, folder: Path) -> None:
@@ -159,6 +196,8 @@ def test_examples_run(page, tmp_path, monkeypatch):
             (tomllib if block.kind == "toml" else json).loads(block.text)
             Path(block.name).parent.mkdir(exist_ok=True)
             Path(block.name).write_text(block.text, encoding="utf-8")
+        elif block.kind == "ipython3":
+            run_cell(block.text, page, block.line, shared)
         elif block.kind == "c":
             compiles(block.text, tmp_path)
         else:

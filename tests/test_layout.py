@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
-    "cli", "report", "diagnosis", "codegen", "experiment", "sorting", "uncertainty", "inference",
+    "cli", "report", "fleets", "diagnosis", "codegen", "experiment", "sorting", "uncertainty", "inference",
     "estimation",
     "simulation", "trajectory", "families", "log", "model",
 )  # fmt: skip

@@ -1,17 +1,21 @@
 """The documentation site: every public name has its page; it builds without a warning and works offline."""
 
+import json
 import re
+import resource
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import browser
 import pytest
 
 import hallsym
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+TUTORIALS = sorted(page.stem for page in DOCS.glob("tutorials/*.md") if page.stem != "index")
 
 
 def test_every_public_name_is_in_the_reference():
@@ -21,9 +25,14 @@ def test_every_public_name_is_in_the_reference():
 
 
 def test_every_page_is_in_the_contents():
-    contents = "".join((DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("howto", "explanation"))
-    listed = set(re.findall(r"^(\w+)$", contents, re.M))
-    assert {page.stem for page in DOCS.glob("*.md")} - {"index", "howto", "explanation"} == listed
+    contents = ("index", "howto", "explanation", "tutorials/index")
+    listed = set()
+    for name in contents:
+        text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+        inside = name.partition("/")[0] + "/" if "/" in name else ""
+        listed |= {inside + page for page in re.findall(r"^([\w/]+)$", text, re.M)}
+    pages = {str(page.relative_to(DOCS).with_suffix("")) for page in DOCS.glob("**/*.md")}
+    assert pages - listed == {"index"}
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +44,12 @@ def site(tmp_path_factory) -> Path:
     shutil.copytree(DOCS, folder / "docs", ignore=ignored)
     (folder / "data").symlink_to(ROOT / "data")
     command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-W", "--keep-going", "docs", "site"]
-    made = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    made = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=900)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert made.returncode == 0, made.stderr
     assert made.stderr == ""
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 180, "s of the processor"
     return folder / "site"
 
 
@@ -72,14 +84,53 @@ def test_the_gallery_shows_pictures(site):
 
 
 @pytest.mark.slow
-def test_a_browser_finds_no_fault(site):
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if not browser:
-        pytest.skip("Chromium is not installed")
-    for name in ("index.html", "theory.html", "examples/index.html", "reference/python.html"):
-        options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
-        command = [browser, *options, "--virtual-time-budget=8000", f"file://{site / name}"]
-        seen = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        faults = [line for line in seen.stderr.splitlines() if ":CONSOLE" in line and "Error" in line]
-        assert faults == [], name
-        assert "</html>" in seen.stdout, name
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_is_a_notebook_that_has_run(site, name):
+    page = (site / "tutorials" / f"{name}.html").read_text(encoding="utf-8")
+    assert f'href="{name}.ipynb"' in page
+    cells = json.loads((site / "tutorials" / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    outputs = [output for cell in code for output in cell["outputs"]]
+    assert all(cell["execution_count"] for cell in code)
+    assert "error" not in {output["output_type"] for output in outputs}
+    said = [output for output in outputs if output.get("name") == "stderr"]
+    assert ["".join(output["text"]) for output in said] == []
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 1
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory) -> browser.Browser:
+    return browser.start(tmp_path_factory.mktemp("chromium"))
+
+
+DARK = "--blink-settings=preferredColorScheme=0"
+SHOWN = ("index", "tutorials/stage", "tutorials/encoder", "tutorials/controller", "examples/index")
+SET = ("theory", "statistics", "encoder_model")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "look", [("--window-size=1300,900",), ("--window-size=500,900", DARK)], ids=["wide", "phone"]
+)
+@pytest.mark.parametrize("name", [*SHOWN, *SET, "howto", "reference/python"])
+def test_a_browser_finds_no_fault(site, chromium, name, look):
+    seen = chromium.look(site / f"{name}.html", *look)
+    assert seen["faults"] == []
+    assert seen["broken"] == []
+    assert seen["nameless"] == []
+    assert seen["beyond"] <= 0, "wider than the window"
+    assert seen["unset"] == 0
+    assert (seen["pictures"] > 0) == (name in SHOWN)
+    assert (seen["formulas"] > 10) == (name in SET)
+    red = int(re.findall(r"\d+", seen["background"])[0])
+    assert (red < 60) == (DARK in look)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "page"), [("whiteness", "statistics.html"), ("controller", "controller.html")]
+)
+def test_the_search_works_from_a_file(site, chromium, words, page):
+    seen = chromium.look(site / "search.html", query=f"?q={words}")
+    assert seen["faults"] == []
+    assert page in [link.partition("?")[0].partition("#")[0] for link in seen["results"]]

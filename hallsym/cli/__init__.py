@@ -3,6 +3,7 @@
 COMMANDS = {
     "demo": "the paper's calibration on the bundled campaign",
     "fit": "calibrate a model on a log",
+    "fleet": "calibrate many devices: one row a device, and how they differ",
     "evaluate": "errors of a saved calibration on another log",
     "diagnose": "where the gap lies, which effect makes it, how far it shrinks",
     "selftest": "what 'no gap' on this log is worth: effects injected, diagnosed blind",
@@ -17,9 +18,10 @@ COMMANDS = {
     "trajectory": "a curve through points or of an expression, with the error it makes",
     "simulate": "write the log a known machine would record",
     "info": "what a log, calibration or campaign file holds, or what a model is",
+    "completion": "the script with which bash, zsh or fish completes this command",
 }
 """Each command and what it does, in the order of `hallsym --help`; its file is read when it is called."""
 
-OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG = 0, 2, 3, 4, 70
+OK, BAD_INPUT, NOT_DETERMINED, NOT_CONVERGED, BUG, INTERRUPTED = 0, 2, 3, 4, 70, 130
 NOT_DESCRIBED = NOT_DETERMINED
 """Exit codes, as `hallsym --help` explains them: 3 is done, but not to be used without a second look."""

@@ -17,6 +17,8 @@ from hallsym.cli.common import (
     command,
     log_options,
     open_log,
+    plots_options,
+    plots_place,
     say,
     seed,
 )
@@ -82,9 +84,7 @@ def add(sub: Any) -> None:
         help="confirm by propagating distributions (JCGM 101): N trials, or until stable",
     )  # fmt: skip
     parser.add_argument("--seed", type=seed, default=0, help="of the Monte Carlo trials (default 0)")
-    parser.add_argument(
-        "--plots", metavar="FOLDER", help="save budget bars, map and U along the curve as PNG"
-    )
+    plots_options(parser, "save budget bars, map and U along the curve")
     log_options(parser)
 
 
@@ -338,7 +338,9 @@ def _pictures(
         return []
     from hallsym.report.figures import save_budget_pictures
 
-    return save_budget_pictures(Path(options.plots), budgets, grid, worst=worst, along=along, cost=cost)
+    return save_budget_pictures(
+        plots_place(options, options.file), budgets, grid, worst=worst, along=along, cost=cost
+    )
 
 
 def _rng(options: Namespace) -> np.random.Generator:

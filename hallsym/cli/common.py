@@ -3,14 +3,17 @@
 import argparse
 import json
 import math
+import shlex
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hallsym.cli import COMMANDS
+from hallsym.cli import COMMANDS, progress
+from hallsym.cli.parser import HelpText
+from hallsym.cli.progress import Meter
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, load_fit
 from hallsym.families import build, model_for
@@ -21,19 +24,30 @@ from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_colu
 from hallsym.model import Effect, Model
 from hallsym.records import named
 from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
+from hallsym.terminal import fitted
 from hallsym.toml import column_of
+
+if TYPE_CHECKING:
+    from hallsym.report.figures import Place
 
 
 def command(
-    sub: Any, name: str, run: Callable[[Namespace], int], description: str, epilog: str = ""
+    sub: Any,
+    name: str,
+    run: Callable[[Namespace], int],
+    description: str,
+    epilog: str = "",
+    *,
+    json: bool = True,
 ) -> ArgumentParser:
-    """Add a sub-command that `run(options)` carries out; it has `--json`."""
+    """Add a sub-command that `run(options)` carries out; it has `--json` unless it prints no record."""
     parser = sub.add_parser(
         name, help=COMMANDS[name], description=description, epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpText,
     )  # fmt: skip
     parser.set_defaults(run=run)
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    if json:
+        parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     return parser
 
 
@@ -44,12 +58,50 @@ def seed(text: str) -> int:
     return int(text)
 
 
+def plots_options(parser: Any, what: str = "save pictures") -> None:
+    """Options of every command that draws; `parser` may be a group of options."""
+    parser.add_argument("--plots", metavar="FOLDER", help=what)
+    parser.add_argument(
+        "--plot-formats", type=_formats, default="png,pdf,svg", metavar="LIST",
+        help="files of each picture, as wide as two columns of a journal: any of png (300 dpi), pdf, svg "
+        "(default: all)",
+    )  # fmt: skip
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    known = ("png", "pdf", "svg")
+    found = tuple(dict.fromkeys(text.split(",")))
+    if not set(found) <= set(known):
+        raise argparse.ArgumentTypeError(f"pictures are {', '.join(known)}; instead received {text!r}")
+    return found
+
+
+def place_of(folder: str | Path, formats: Sequence[str], *named: object) -> "Place":
+    """Return where pictures go; `named` on each of them: file and model, those that are known."""
+    from hallsym.report.figures import Place
+
+    def told(sentence: str) -> None:
+        print(f"note: {sentence}", file=sys.stderr)
+
+    return Place(Path(folder), formats, ", ".join(str(name) for name in named if name), told)
+
+
+def plots_place(options: Namespace, *named: object) -> "Place":
+    """Return where `--plots` puts pictures; `named` as in `place_of`."""
+    return place_of(options.plots, options.plot_formats, *named)
+
+
 def log_options(parser: ArgumentParser) -> None:
     """Options of every command that reads a log."""
     group = file_options(parser, "reading the log", "hall_a_um=HallA")
     group.add_argument(
         "--column-file", metavar="TOML", help='the same as a file: [columns] hall_a_um = "HallA"'
     )
+    group.add_argument(
+        "--clock", metavar="GROUP:HOW",
+        help="of a file (TDMS, MDF, MCAP) whose groups have several: whose samples become the rows, and how "
+        "others are read there: Hall:linear or Hall:nearest",
+    )  # fmt: skip
     group.add_argument(
         "--counts-per-turn", type=float, metavar="N",
         help="of an angle in counts, as in --column angle_count=raw: 16384 for 14 bits",
@@ -63,7 +115,7 @@ def log_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
-FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet")
+FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock", "dates")
 """Options that say what a file is."""
 
 
@@ -74,7 +126,11 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         "--column", action="append", default=[], metavar="OURS=THEIRS",
         help=f"our name, ending with the unit their column is in: --column {example} (repeat)",
     )  # fmt: skip
-    group.add_argument("--format", help="parquet, csv, mat, hdf5 or xlsx, when the suffix does not tell")
+    group.add_argument(
+        "--format",
+        metavar="FORMAT",
+        help="parquet, csv, mat, hdf5, xlsx, tdms, mdf or mcap, when the suffix is another",
+    )
     group.add_argument(
         "--delimiter", help="of a text file: ';', tab, blank; recognised where it is not given"
     )
@@ -82,6 +138,9 @@ def file_options(parser: ArgumentParser, title: str, example: str) -> Any:
         "--decimal", metavar="SIGN", help="of its numbers: . or , where both would be possible"
     )
     group.add_argument("--sheet", help="of a workbook that has several")
+    group.add_argument(
+        "--dates", metavar="FIRST", help="day or month: which stands first in dates such as 03/04/2026"
+    )
     return group
 
 
@@ -89,13 +148,15 @@ def model_options(parser: ArgumentParser, default: str) -> None:
     """Options of every command that builds a model."""
     group = parser.add_argument_group("model")
     group.add_argument(
-        "--model", help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})"
+        "--model",
+        metavar="MODEL",
+        help=f"such as stage31 or rotary; 'hallsym info' lists them (default: {default})",
     )
     group.add_argument(
         "--effect",
         action="append",
         default=[],
-        metavar="NAME",
+        metavar="EFFECT",
         help="add an effect, such as exact_rotation or mains_hum:frequency_hz=50.02 (repeat)",
     )
     group.add_argument(
@@ -129,10 +190,13 @@ def open_log(options: Namespace, machine: Machine | None = None, known: Fit | No
         delimiter=options.delimiter,
         decimal=options.decimal,
         sheet=options.sheet,
+        dates=options.dates,
+        clock=options.clock,
         drop_bad=options.drop_bad,
         noise=dict(assignment(text) for text in options.noise),
         counts_per_turn=options.counts_per_turn,
         remembered=None if known is None else known.columns,
+        read_with=None if known is None else known.read_with,
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
 
@@ -206,14 +270,8 @@ def run_numbers(text: str) -> list[int]:
 
 
 def progress_of(options: Namespace) -> Callable[[str], None]:
-    """Return what shows one line on a terminal's stderr, overwriting the last; silent elsewhere."""
-    if options.json or not sys.stderr.isatty():
-        return lambda _: None
-
-    def say(text: str) -> None:
-        print(f"\r\033[K{text} ...", end="", file=sys.stderr, flush=True)
-
-    return say
+    """Return what shows the progress of long work on stderr; nothing beside `--json`."""
+    return (lambda _: None) if options.json else Meter()
 
 
 def say(
@@ -223,29 +281,44 @@ def say(
     *,
     notes: Sequence[str] = (),
     wrote: Sequence[str | Path] = (),
+    then: Sequence[str] = (),
 ) -> None:
-    """Print the JSON record; or the text, then the notes and the names of the files that were written."""
+    """Print the JSON record; or the text, then the notes, the names of the files that were written, and the
+    words of the command that comes next."""
     if options.json:
         print(json.dumps(record, indent=1))
         return
-    if sys.stderr.isatty():
-        print("\r\033[K", end="", file=sys.stderr, flush=True)
+    progress.ended()
     lines = [f"note: {note}" for note in notes] + [f"wrote {path}" for path in wrote]
-    print("\n".join([text(), *lines]))
+    lines += [f"next: {shlex.join(then)}"] if then else []
+    print(fitted("\n".join([text(), *lines])))
 
 
-def save_fit_pictures(log: Log, result: Fit, folder: str | None) -> list[Path]:
+def save_fit_pictures(
+    log: Log, result: Fit, folder: str | None, formats: Sequence[str] = ("png",)
+) -> list[Path]:
     """Save the pictures of a fit, if a folder is given."""
     if folder is None:
         return []
     from hallsym.report.figures import save_pictures
 
-    return save_pictures(log, result, Path(folder), keep=result.keep)
+    place = place_of(folder, formats, log.path, result.model.name)
+    return save_pictures(log, result, place, keep=result.keep)
 
 
-def reading_words(options: Namespace) -> list[str]:
-    """Words of a command that its next step needs too: how the log is read, and the machine."""
-    words = [word for column in options.column for word in ("--column", column)]
+def reading_words(options: Namespace, known: Fit | None = None) -> list[str]:
+    """Words of a command that its next step needs too: how the log is read, and the machine.
+
+    `known`: a calibration that the next step does not read, but whose mapping of columns it needs.
+    """
+    mapped = known.columns if known else {}
+    columns = [f"{ours}={c.name}" for ours, c in mapped.items() if not options.column and c.scale == 1.0]
+    words = [word for column in (*options.column, *columns) for word in ("--column", column)]
+    counts = next((c.counts_per_turn for c in mapped.values() if c.counts_per_turn), None)
+    if counts and options.counts_per_turn is None:
+        words += ["--counts-per-turn", f"{counts:g}"]
+    for name, text in (known.read_with if known else {}).items():
+        words += [f"--{name}", text] if getattr(options, name, None) is None else []
     words += [word for noise in options.noise for word in ("--noise", noise)]
     for option in ("counts_per_turn", "column_file", *FILE_OPTIONS, "machine", "effects"):
         value = getattr(options, option, None)

@@ -104,7 +104,7 @@ def run(options: Namespace) -> int:
             atomic_write(path, _page(options, seen))
         else:
             _save(path, found.to_dict())
-    words = reading_words(options)
+    words = reading_words(options, known)
     say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=options.output)
     return OK
 
@@ -118,16 +118,25 @@ def _page(options: Namespace, seen: Examined) -> str:
     first = seen.fit
     after = None if seen.after is None else _version(seen.after)
     shown = gather(seen.before.log, first, label="before", keep=first.keep, after=after)
-    name = options.model or first.model.name
-    command = shlex.join(["hallsym", "diagnose", options.log, "--model", name])
     return diagnosis_page(
         seen.diagnosis,
         maps=shown.maps,
         after=shown.after,
         series=shown.series,
+        residuals=shown.residuals,
         fit=first,
-        command=command,
+        command=_typed(options, first),
+        reading=reading_words(options),
     )
+
+
+def _typed(options: Namespace, first: Fit) -> str:
+    """Return the command that writes the page again; the name of the page does not change the page."""
+    words = ["hallsym", "diagnose", options.log, "--model", options.model or first.model.name]
+    words += [word for effect in options.effect for word in ("--effect", effect)]
+    words += ["--holdout", options.holdout] if options.holdout else []
+    words += [] if options.threshold is None else ["--threshold", f"{options.threshold:g}"]
+    return shlex.join([*words, *reading_words(options), "-o", "report.html"])
 
 
 def _version(base: Base) -> Version:

@@ -1,11 +1,18 @@
 """`hallsym errors`: what known causes make of the decoded position along a coordinate."""
 
 from argparse import Namespace
-from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import column_numbers, column_ranges, command, model_options, say
+from hallsym.cli.common import (
+    column_numbers,
+    column_ranges,
+    command,
+    model_options,
+    plots_options,
+    plots_place,
+    say,
+)
 from hallsym.errors import InputError
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
@@ -43,7 +50,7 @@ def add(sub: Any) -> None:
         help="least-squares over all channels (default), closed-form, or a formula of the model",
     )  # fmt: skip
     parser.add_argument("--samples", type=int, default=360, metavar="N", help="places (default 360)")
-    parser.add_argument("--plots", metavar="FOLDER", help="save a picture of the errors")
+    plots_options(parser, "save a picture of the errors")
     model_options(parser, DESIGNED)
 
 
@@ -79,7 +86,7 @@ def run(options: Namespace) -> int:
     if options.plots:
         from hallsym.report.figures import save_errors
 
-        pictures = save_errors(found, Path(options.plots))
+        pictures = save_errors(found, plots_place(options, found.model.name))
     say(options, found.to_dict(), lambda: errors_text(found), wrote=pictures)
     return OK
 

@@ -10,6 +10,7 @@ from hallsym.cli import NOT_DESCRIBED, OK
 from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
 from hallsym.estimation import evaluate, load_fit
 from hallsym.log import Fault
+from hallsym.report.data.periodic import periodic_of
 from hallsym.report.text.evaluation import evaluation_text
 
 
@@ -43,9 +44,13 @@ def run(options: Namespace) -> int:
     goodness = replace(found.goodness, next_command=shlex.join(words), what="The calibration")
     found = replace(found, goodness=goodness)
     record = {**found.to_dict(), "calibration": str(options.calibration), "log": str(options.log)}
-    say(options, record, lambda: evaluation_text(found, by_run=options.by_run), notes=found.notes)
     amiss = goodness.sentence
     faults = [note for note in found.notes if isinstance(note, Fault)]
+    then = [] if amiss or faults else ["hallsym", "codegen", options.calibration, "-o", "decoupler"]
+    if options.json:
+        periodic = periodic_of(found.calibration, found.log)
+        record["periodic_error"] = periodic.to_dict() if periodic else None
+    say(options, record, lambda: evaluation_text(found, by_run=options.by_run), notes=found.notes, then=then)
     for said in (*faults, *([amiss] if amiss and options.json else [])):
         print(f"hallsym: {said}", file=sys.stderr)
     return NOT_DESCRIBED if amiss or faults else OK

@@ -4,9 +4,10 @@ import shlex
 import sys
 from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from hallsym.cli import NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK
+from hallsym.cli import INTERRUPTED, NOT_CONVERGED, NOT_DESCRIBED, NOT_DETERMINED, OK
 from hallsym.cli.common import (
     command,
     log_options,
@@ -14,6 +15,7 @@ from hallsym.cli.common import (
     open_log,
     own_effects,
     own_option,
+    plots_options,
     progress_of,
     reading_words,
     run_numbers,
@@ -22,11 +24,12 @@ from hallsym.cli.common import (
     seed,
 )
 from hallsym.diagnosis import model_on
+from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, added_effects
 from hallsym.estimation.fit import fit
 from hallsym.families import plain
-from hallsym.families.machine_file import read_machine
-from hallsym.log import Fault
+from hallsym.families.machine_file import Machine, read_machine
+from hallsym.log import Fault, Log
 from hallsym.model import Model
 from hallsym.report.text.fit import fit_text
 
@@ -43,13 +46,16 @@ def add(sub: Any) -> None:
         "  hallsym fit campaign.parquet -o calib.json --plots pictures\n"
         "  hallsym fit log.csv --column hall_a_um=HallA --column x_ref_um=IFM_X ... --holdout 2,7,12\n"
         "  hallsym fit log.mat --machine mystage.toml --json > calib.json\n"
-        "  hallsym fit campaign.parquet --effect hysteresis    what 'hallsym diagnose' found",
+        "  hallsym fit campaign.parquet --effect hysteresis    what 'hallsym diagnose' found\n"
+        "  hallsym fit before.csv after.csv --per-log 'eta_*'  one device, gains before and after a repair",
     )  # fmt: skip
     parser.add_argument(
-        "log", metavar="LOG", help="Parquet, CSV, MATLAB or HDF5 file, or a folder with log and meta.json"
-    )
+        "logs", metavar="LOG", nargs="+",
+        help="Parquet, CSV, MATLAB or HDF5 file, or a folder with log and meta.json; several logs of one "
+        "device share their parameters",
+    )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="JSON", help="save the calibration")
-    parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
+    plots_options(parser)
     model_options(parser, "the log's base_model, else by its columns")
     own_option(parser)
     group = parser.add_argument_group("fit")
@@ -57,13 +63,25 @@ def add(sub: Any) -> None:
         "--holdout", metavar="RUNS", help="runs to judge on and not to fit, such as 2,7,12 or 40-45"
     )
     group.add_argument(
+        "--holdout-log", action="append", default=[], metavar="LOG",
+        help="a log to judge on and not to fit (repeat)",
+    )  # fmt: skip
+    group.add_argument(
+        "--per-log", metavar="NAMES",
+        help="parameters of which each log has its own, such as eta_A,zero or 'eta_*'",
+    )  # fmt: skip
+    group.add_argument(
         "--solver",
+        metavar="SOLVER",
         default="hybrid",
         help="hybrid (SHTLBO + closed form + IPOPT), direct (closed form + IPOPT), "
         "or the global search: shtlbo, tlbo, gbtlbo, pso, mpso, screening",
     )
     group.add_argument(
-        "--loss", default="auto", help="auto (take out isolated spikes if there are any), none, reject, tukey"
+        "--loss",
+        metavar="LOSS",
+        default="auto",
+        help="auto (take out isolated spikes if there are any), none, reject, tukey",
     )
     group.add_argument(
         "--resolve-wiring",
@@ -77,12 +95,13 @@ def add(sub: Any) -> None:
 def run(options: Namespace) -> int:
     """Carry the command out."""
     machine = read_machine(options.machine)
-    log = open_log(options, machine)
+    several = len(options.logs) > 1 or bool(options.holdout_log or options.per_log)
+    logs, judged = _opened(options, options.logs, machine), _opened(options, options.holdout_log, machine)
     holdout = None if options.holdout is None else run_numbers(options.holdout)
     model: Model | str | None = options.model
-    if options.effect:
+    if options.effect and not several:
         model = model_on(
-            log,
+            logs[0],
             options.model,
             options.effect,
             parameters=machine.parameters,
@@ -91,35 +110,81 @@ def run(options: Namespace) -> int:
             drop_bad=options.drop_bad,
             on_progress=progress_of(options),
         )
+    whole = isinstance(model, Model)
     result = fit(
-        log,
+        logs if several else logs[0],
         model,
         solver=options.solver,
         holdout=holdout,
         loss=options.loss,
-        parameters=None if options.effect else machine.parameters,
+        parameters=None if whole else machine.parameters,
+        effects=() if whole else options.effect,
+        own=own_effects(options),
         resolve_wiring=options.resolve_wiring,
         drop_bad=options.drop_bad,
         seed=options.seed,
+        per_log=[name for name in (options.per_log or "").split(",") if name],
+        holdout_logs=judged,
         on_progress=progress_of(options),
     )
-    if result.goodness:
+    if result.goodness and not several:
         goodness = replace(result.goodness, next_command=_diagnose(options, result))
         result = replace(result, goodness=goodness)
-    if options.output:
-        result.save(options.output)
-    pictures = save_fit_pictures(log, result, options.plots)
-    wrote = [*([options.output] if options.output else []), *pictures]
-    say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote)
+    wrote = _saved(options, result)
+    for name, log, part in _pictured(result, logs):
+        folder = options.plots and str(Path(options.plots) / name)
+        wrote += save_fit_pictures(log, part, folder, options.plot_formats)
+    say(options, result.to_dict(), lambda: fit_text(result), wrote=wrote, then=_next(options, result))
     return exit_code(result, said=not options.json)
+
+
+def _opened(options: Namespace, paths: list[str], machine: Machine) -> list[Log]:
+    """Return the logs, each of which is given once."""
+    twice = [path for k, path in enumerate(paths) if path in paths[:k]]
+    if twice:
+        raise InputError(f"Log {twice[0]} is given twice; give it once.")
+    return [open_log(Namespace(**{**vars(options), "log": path}), machine) for path in paths]
+
+
+def _saved(options: Namespace, result: Fit) -> list[str | Path]:
+    """Save the calibration, and one of each log where logs have parameters of their own; return the files."""
+    if not options.output:
+        return []
+    result.save(options.output)
+    wrote: list[str | Path] = [options.output]
+    if result.joint is not None and result.joint.own:
+        path = Path(options.output)
+        for log, part in zip(result.joint.logs, result.by_log, strict=False):
+            wrote.append(path.with_name(f"{path.stem}.{log}{path.suffix}"))
+            part.save(wrote[-1])
+    return wrote
+
+
+def _pictured(result: Fit, logs: list[Log]) -> list[tuple[str, Log, Fit]]:
+    """Return what pictures are made of: a subfolder, the log and its fit."""
+    if not result.by_log:
+        return [("", logs[0], result)]
+    return [(entry["name"], log, part)
+            for entry, log, part in zip(result.logs, logs, result.by_log, strict=False)]  # fmt: skip
 
 
 def _diagnose(options: Namespace, result: Fit) -> str:
     """Return the command that finds what the model leaves, with the options that were given."""
-    words = ["hallsym", "diagnose", options.log, "--model", plain(result.model).name]
+    words = ["hallsym", "diagnose", options.logs[0], "--model", plain(result.model).name]
     words += [word for effect in added_effects(result.model) for word in ("--effect", effect)]
     words += ["--holdout", options.holdout] if options.holdout else []
     return shlex.join([*words, *reading_words(options)])
+
+
+def _next(options: Namespace, result: Fit) -> list[str]:
+    """Return the words of the command that follows a fit, where its first line does not say one."""
+    if (result.goodness and result.goodness.sentence) or result.status != "converged":
+        return []
+    if not options.output:
+        return [*options.typed, "-o", "calib.json"]
+    if result.undetermined_by_log:
+        return ["hallsym", "sensitivity", options.output, options.logs[0]]
+    return ["hallsym", "report", options.output, options.logs[0], "-o", "report.html"]
 
 
 def exit_code(result: Fit, *, said: bool = True) -> int:
@@ -132,7 +197,7 @@ def exit_code(result: Fit, *, said: bool = True) -> int:
         print(f"hallsym: {fault}", file=sys.stderr)
     if result.status != "converged":
         print(f"hallsym: the solver did not converge ({result.status}): {result.message}.", file=sys.stderr)
-        return NOT_CONVERGED
+        return INTERRUPTED if result.status == "interrupted" else NOT_CONVERGED
     if result.undetermined_by_log:
         what = ", ".join(result.undetermined_by_log)
         print(

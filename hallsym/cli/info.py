@@ -5,7 +5,6 @@ from argparse import Namespace
 from collections.abc import Callable, Mapping
 from itertools import accumulate, zip_longest
 from pathlib import Path
-from shutil import get_terminal_size
 from typing import Any
 
 from hallsym.cli import OK
@@ -24,6 +23,8 @@ from hallsym.report.text.effect import effect_record, effect_text, is_explained
 from hallsym.report.text.fit import fit_text
 from hallsym.report.text.model import model_record, model_text
 from hallsym.simulation import Campaign, read_campaign
+from hallsym.terminal import PROSE
+from hallsym.terminal import columns as columns_of_line
 from hallsym.trajectory import is_curve, read_curve
 from hallsym.units import readable
 
@@ -44,7 +45,7 @@ def add(sub: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "file",
-        metavar="FILE",
+        metavar="FILE_OR_NAME",
         nargs="?",
         help="log, calibration or curve (.json), campaign (.toml), or the name of a model or an effect",
     )
@@ -53,7 +54,9 @@ def add(sub: Any) -> None:
         help="of a log whose columns have other names: write a column file with the best guess for each, "
         f"to be checked (default {COLUMN_FILE})",
     )  # fmt: skip
-    parser.add_argument("--model", help="what --suggest is for, such as stage31 (default: by the names)")
+    parser.add_argument(
+        "--model", metavar="MODEL", help="what --suggest is for, such as stage31 (default: by the names)"
+    )
     log_options(parser)
 
 
@@ -104,8 +107,6 @@ def run(options: Namespace) -> int:
 
 
 SHOWN_ROWS, SHOWN_COLUMNS = 3, 40
-ACROSS = 110
-"""Characters of a line where no terminal says how many it has."""
 
 
 def _source(options: Namespace) -> Source:
@@ -123,7 +124,7 @@ def _head_text(source: Source) -> str:
         for k, (name, unit) in enumerate(zip(names, units, strict=True))
     ]
     ends = list(accumulate(max(map(len, column)) + 2 for column in columns))
-    fit = max(1, sum(end <= get_terminal_size((ACROSS, 0)).columns for end in ends))
+    fit = max(1, sum(end <= (columns_of_line() or PROSE) for end in ends))
     table = list(zip_longest(*columns[:fit], fillvalue=""))
     more = len(source.names) - fit
     lines = [f"read as {source.recognised}", ""] if source.recognised else []
@@ -210,7 +211,8 @@ def _about_log(log: Log, options: Namespace) -> tuple[dict[str, Any], str]:
         numbers = ["" if entry[k] is None else f"{entry[k] * factor:.5g}" for k in ("min", "max", "std")]
         sigma = "" if entry["noise"] is None else f"{entry['noise'] * factor:.3g}"
         rows.append([c, *numbers, sigma, unit, entry["noise_source"] or ""])
-    head = f"{log.name}: {log.rows} samples in {len(log.runs)} runs"
+    runs = f" in {counted(len(log.runs), 'run')}" if len(log.runs) > 1 else ""
+    head = f"{log.name}: {counted(log.rows, 'sample')}{runs}"
     if log.meta.holdout:
         head += f"; held out by its meta.json: {', '.join(map(str, log.meta.holdout))}"
     told = log.table.source.recognised  # stands above the first rows already

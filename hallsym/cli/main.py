@@ -1,16 +1,17 @@
 """The command line: `hallsym fit LOG --model stage31 -o calib.json`, and what belongs to it."""
 
-import argparse
 import os
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import TextIO
 
 import hallsym
-from hallsym.cli import BAD_INPUT, BUG, COMMANDS, NOT_CONVERGED, OK
+from hallsym.cli import BAD_INPUT, BUG, INTERRUPTED, OK
+from hallsym.cli.parser import parser_of
+from hallsym.cli.progress import ended
 from hallsym.errors import InputError, one_line, quoted, summary
 from hallsym.files import reason
 from hallsym.guard import announce, task
@@ -19,21 +20,6 @@ DEBUG = "HALLSYM_DEBUG"
 """Environment variable that shows the traceback behind each sentence."""
 OUTPUTS = ("output", "plots")
 """Options of all commands that name what is written."""
-
-EPILOG = """\
-exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done and written, but the log leaves
-parameters of the model undetermined or its recording is at fault (both are named), or the model does not
-describe the log (the report of 'fit' or 'evaluate' begins with that); 4 the solver did not converge or was
-interrupted (the best so far is written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where).
-
-examples:
-  hallsym demo                                    the paper's calibration on the bundled campaign
-  hallsym fit LOG --model stage31 -o calib.json   calibrate a stage from your own log
-  hallsym evaluate calib.json OTHER_LOG           errors of that calibration on another log
-  hallsym diagnose LOG --model stage31            where the gap lies, why, and how far it shrinks
-  hallsym report calib.json LOG -o report.html    one HTML page of a calibration
-  hallsym info LOG                                what a log holds, and what is wrong with it
-"""
 
 
 def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool] = lambda: False) -> int:
@@ -46,6 +32,7 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
             try:
                 return _run(arguments)
             finally:
+                ended()
                 sys.stdout.flush()
     except InputError as error:
         return _said(str(error), BAD_INPUT, error)
@@ -57,12 +44,12 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
         what = f"read or write {quoted(error.filename)}" if error.filename else "write to standard output"
         return _said(f"Cannot {what}: {reason(error)}.", BAD_INPUT, error)
     except KeyboardInterrupt:
-        return _said("interrupted; nothing was written.", NOT_CONVERGED)
+        return _said("interrupted; nothing was written.", INTERRUPTED)
     except MemoryError as error:
         return _said("There is not enough memory; use fewer samples or a larger machine.", BAD_INPUT, error)
     except Exception as error:
         if interrupted():
-            return _said("interrupted; nothing was written.", NOT_CONVERGED)
+            return _said("interrupted; nothing was written.", INTERRUPTED)
         if type(error).__name__ == "LinAlgError":  # by name, because a command without numbers has no numpy
             return _said(
                 f"The numbers of the inputs cannot be computed with ({summary(error)}): a value is far "
@@ -75,7 +62,8 @@ def main(arguments: Sequence[str] | None = None, interrupted: Callable[[], bool]
 
 def _run(arguments: Sequence[str] | None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
-    parser = _parser(next((word for word in words if not word.startswith("-")), None))
+    called = [word for word in words if not word.startswith("-")][:1]
+    parser = parser_of(called)
     options = parser.parse_args(arguments)
     if options.version:
         print(f"hallsym {hallsym.__version__}")
@@ -83,11 +71,12 @@ def _run(arguments: Sequence[str] | None) -> int:
     if options.command is None:
         parser.print_help()
         return OK
+    options.typed = ["hallsym", *words]
     _check(options)
     return options.run(options)
 
 
-def _check(options: argparse.Namespace) -> None:
+def _check(options: Namespace) -> None:
     """Refuse empty words, which would be taken for no option, and outputs that are inputs."""
     for name, value in vars(options).items():
         if value == "" or (isinstance(value, list) and "" in value):
@@ -126,32 +115,3 @@ def _silence(stream: TextIO) -> None:
     """Let the rest of what is printed go nowhere, so that nothing is raised when the interpreter ends."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one line, and that does not hide that a text could not be written."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print what is wrong and end with 2."""
-        self.exit(BAD_INPUT, f"{one_line(f'{self.prog}: {message}; see {self.prog} --help')}\n")
-
-    def _print_message(self, message: str, file: Any = None) -> None:
-        (file or sys.stderr).write(message or "")
-
-
-def _parser(called: str | None) -> argparse.ArgumentParser:
-    """Return the parser with the options of the command that is called; the others are only listed."""
-    parser = _Parser(
-        prog="hallsym",
-        description="From a log of Hall readings beside a reference to a calibrated position sensor.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="store_true", help="print the version and exit")
-    sub = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
-    for name, what in COMMANDS.items():
-        if name == called:
-            import_module(f"hallsym.cli.{name}").add(sub)
-        else:
-            sub.add_parser(name, help=what)
-    return parser

@@ -11,6 +11,8 @@ from hallsym.cli.common import (
     log_options,
     model_options,
     open_log,
+    plots_options,
+    plots_place,
     progress_of,
     say,
     seed,
@@ -58,7 +60,7 @@ def add(sub: Any) -> None:
         help="try closed curves too, within the ranges and no faster than the sines, and say what they gain",
     )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="TOML", help="campaign file to write")
-    parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
+    plots_options(parser)
     parser.add_argument(
         "--criterion", default="D", metavar="NAME",
         help=f"{', '.join(CRITERIA)}: volume of the uncertainty ellipsoid, mean variance, worst-determined "
@@ -106,7 +108,12 @@ def run(options: Namespace) -> int:
     if options.plots:
         from hallsym.report.figures import save_plan_pictures
 
-        written += save_plan_pictures(found, options.plots, log or against, "recorded" if log else name)
+        written += save_plan_pictures(
+            found,
+            plots_place(options, options.ranges, model.name),
+            log or against,
+            "recorded" if log else name,
+        )
     say(
         options, found.to_dict() | {"notes": notes}, lambda: f"{plan_text(found)}\n",
         notes=notes, wrote=written,

@@ -28,4 +28,4 @@ def program(arguments: Sequence[str] | None = None) -> int:
         return main(arguments, interrupted=lambda: bool(interrupted))
     except KeyboardInterrupt:  # while the command line itself was loaded
         sys.stderr.write("hallsym: interrupted; nothing was written.\n")
-        return 4
+        return 130

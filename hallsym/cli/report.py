@@ -6,7 +6,15 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import FILE_OPTIONS, command, log_options, open_log, own_effects, own_option, say
+from hallsym.cli.common import (
+    command,
+    log_options,
+    open_log,
+    own_effects,
+    own_option,
+    reading_words,
+    say,
+)
 from hallsym.estimation import as_read, load_fit, logged_columns
 from hallsym.files import atomic_write
 from hallsym.log import check_log
@@ -36,7 +44,7 @@ def run(options: Namespace) -> int:
     if not options.drop_bad:
         columns, wired = logged_columns(known.model), as_read(log, known.model, known.wiring)
         log = replace(log, notes=tuple(check_log(wired, columns)))
-    page = fit_page(log, known, command=_typed(options)).encode()
+    page = fit_page(log, known, command=_typed(options), calibration=str(options.calibration)).encode()
     atomic_write(options.output, page)
     record = {
         "report": str(options.output),
@@ -51,10 +59,4 @@ def run(options: Namespace) -> int:
 
 def _typed(options: Namespace) -> str:
     """Return the command without the name of the page, so that the name does not change the page."""
-    words = ["hallsym", "report", options.calibration, options.log]
-    words += [word for column in options.column for word in ("--column", column)]
-    words += [word for noise in options.noise for word in ("--noise", noise)]
-    for option in ("effects", "column_file", *FILE_OPTIONS):
-        if getattr(options, option) is not None:
-            words += [f"--{option.replace('_', '-')}", getattr(options, option)]
-    return shlex.join([*words, *(["--drop-bad"] if options.drop_bad else [])])
+    return shlex.join(["hallsym", "report", options.calibration, options.log, *reading_words(options)])

@@ -5,12 +5,14 @@ from argparse import ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import Any
 
-from hallsym.cli import NOT_CONVERGED, OK
+from hallsym.cli import INTERRUPTED, OK
 from hallsym.cli.common import (
     command,
     log_options,
     model_options,
     open_log,
+    plots_options,
+    plots_place,
     progress_of,
     run_numbers,
     say,
@@ -62,7 +64,7 @@ def add(sub: Any) -> None:
         "--threshold", type=float, help="relative decrease of the gap that counts (default 0.05)"
     )
     parser.add_argument("-o", "--output", metavar="JSON", help="save the result")
-    parser.add_argument("--plots", metavar="FOLDER", help="save a picture of detection against size")
+    plots_options(parser, "save a picture of detection against size")
     model_options(parser, "the log's base_model, else by its columns")
     log_options(parser)
 
@@ -109,6 +111,6 @@ def run(options: Namespace) -> int:
     if options.plots:
         from hallsym.report.figures import save_detection
 
-        wrote += save_detection(found, Path(options.plots))
+        wrote += save_detection(found, plots_place(options, options.log, found.model))
     say(options, found.to_dict(), lambda: selftest_text(found), wrote=wrote)
-    return OK if found.complete else NOT_CONVERGED
+    return OK if found.complete else INTERRUPTED

@@ -14,6 +14,8 @@ from hallsym.cli.common import (
     open_log,
     own_effects,
     own_option,
+    plots_options,
+    plots_place,
     progress_of,
     say,
     seed,
@@ -56,7 +58,7 @@ def add(sub: Any) -> None:
     )
     own_option(parser)
     parser.add_argument("-o", "--output", metavar="JSON", help="save the report")
-    parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
+    plots_options(parser)
     parser.add_argument("--zeros", action="store_true", help="list the zero deviation of every run")
     parser.add_argument(
         "--beside", action="append", default=[], metavar="MODEL",
@@ -157,7 +159,9 @@ def _written(options: Namespace, report: Identifiability, record: dict[str, Any]
     if options.plots:
         from hallsym.report.figures import save_sensitivity_pictures
 
-        written += save_sensitivity_pictures(report, options.plots)
+        written += save_sensitivity_pictures(
+            report, plots_place(options, report.evidence.recorded, report.model.name)
+        )
     return written
 
 

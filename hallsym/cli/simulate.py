@@ -8,6 +8,7 @@ from hallsym.cli.common import campaign_of, command, levels, model_options, prog
 from hallsym.families.machine_file import read_machine
 from hallsym.log import LogWriter
 from hallsym.simulation import NoiseModel, simulate_blocks
+from hallsym.terminal import Step
 
 
 def add(sub: Any) -> None:
@@ -78,7 +79,12 @@ def run(options: Namespace) -> int:
         for block in simulate_blocks(model, values, campaign, noise, seed=options.seed):
             writer.append(block)
             done += len(block["run"])
-            show(f"{100 * done / campaign.rows:.0f} % of {campaign.rows} samples")
+            show(
+                Step(
+                    f"simulating, {100 * done // campaign.rows} % of {campaign.rows} samples",
+                    done / campaign.rows,
+                )
+            )
     record = {
         "log": str(options.output), "rows": campaign.rows, "runs": len(campaign.runs), "model": model.name,
         "values": dict(values), "noise": dict(noise.sigma), "seed": options.seed,

@@ -5,7 +5,16 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, file_options, model_options, progress_of, say, seed
+from hallsym.cli.common import (
+    command,
+    file_options,
+    model_options,
+    plots_options,
+    plots_place,
+    progress_of,
+    say,
+    seed,
+)
 from hallsym.errors import InputError
 from hallsym.estimation import load_fit
 from hallsym.families import build
@@ -67,7 +76,7 @@ def add(sub: Any) -> None:
         help="fields of reading_0, reading_1, ..., such as 0mT,475mT, where the table has none",
     )
     parser.add_argument("-o", "--output", metavar="FILE", help="csv: a row a sensor; json: everything")
-    parser.add_argument("--plots", metavar="FOLDER", help="save pictures")
+    plots_options(parser)
     file_options(parser, "reading the table", "reading_mv=Hall")
     _matching_options(parser)
 
@@ -195,7 +204,7 @@ def _written(options: Namespace, found: Sorting, matching: Matching | None) -> l
     if options.plots:
         from hallsym.report.figures import save_sorting
 
-        written += [str(path) for path in save_sorting(found, matching, Path(options.plots))]
+        written += [str(path) for path in save_sorting(found, matching, plots_place(options, options.table))]
     return written
 
 

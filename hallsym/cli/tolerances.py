@@ -1,11 +1,10 @@
 """`hallsym tolerances`: which tolerance of a machine is worth money, before any data."""
 
 from argparse import Namespace
-from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import campaign_of, command, model_options, say, seed
+from hallsym.cli.common import campaign_of, command, model_options, plots_options, plots_place, say, seed
 from hallsym.families import build
 from hallsym.families.machine_file import read_machine
 from hallsym.log import Meta
@@ -48,7 +47,7 @@ def add(sub: Any) -> None:
         help="base samples, a power of two (default 1024)",
     )  # fmt: skip
     parser.add_argument("--seed", type=seed, default=0, help="of the machines drawn (default 0)")
-    parser.add_argument("--plots", metavar="FOLDER", help="save a picture of the indices")
+    plots_options(parser, "save a picture of the indices")
     parser.set_defaults(step=None, duration=None)
     model_options(parser, DESIGNED)
 
@@ -73,6 +72,6 @@ def run(options: Namespace) -> int:
     if options.plots:
         from hallsym.report.figures import save_tolerances
 
-        pictures = save_tolerances(found, Path(options.plots))
+        pictures = save_tolerances(found, plots_place(options, options.ranges, model.name))
     say(options, found.to_dict(), lambda: tolerances_text(found), wrote=pictures)
     return OK

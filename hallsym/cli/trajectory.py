@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hallsym.cli import OK
-from hallsym.cli.common import command, progress_of, say
+from hallsym.cli.common import command, plots_options, plots_place, progress_of, say
 from hallsym.errors import InputError
 from hallsym.units import read_quantity
 
@@ -83,7 +83,7 @@ def add(sub: Any) -> None:
     group.add_argument(
         "--feed", type=float, default=1.0, metavar="MM_S", help="of G-code in mm/s (default 1)"
     )
-    group.add_argument("--plots", metavar="FOLDER", help="save pictures of the curve and of its errors")
+    plots_options(group, "save pictures of the curve and of its errors")
 
 
 def run(options: Namespace) -> int:
@@ -99,7 +99,7 @@ def run(options: Namespace) -> int:
     if options.plots:
         from hallsym.report.figures.trajectory import save_trajectory
 
-        written += save_trajectory(choice, data, Path(options.plots))
+        written += save_trajectory(choice, data, plots_place(options, options.curve or options.points_file))
     record = choice.to_dict() | _shape(curve) | {"written": [str(path) for path in written]}
     say(options, record, lambda: f"{choice_text(choice)}\n{_shape_text(record)}", wrote=written)
     return OK

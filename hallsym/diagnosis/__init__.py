@@ -29,7 +29,7 @@ from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.noise import noise_of_rest, noise_text
 from hallsym.diagnosis.normal_equations import Accumulator, normal_equations
-from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, of_signs, student
+from hallsym.diagnosis.p_values import as_many, as_often, beyond, exceeds, student
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, distance, ordered
 from hallsym.diagnosis.record import (
@@ -47,6 +47,7 @@ from hallsym.diagnosis.record import (
     Significance,
     SmallerFinding,
     Statement,
+    diagnosis_schema,
 )
 from hallsym.diagnosis.recordings import Range, range_of, recordings
 from hallsym.diagnosis.refit import Refitted, inside_bounds, refit, with_model
@@ -61,7 +62,7 @@ from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable,
 from hallsym.diagnosis.setup import Floor, base_of
 from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.shrinkage import Judged, Nested, foreseen
-from hallsym.diagnosis.sign_flips import SignFlips, adjusted, searched, stretch
+from hallsym.diagnosis.sign_flips import SignFlips, adjusted, of_products, searched, stretch
 from hallsym.diagnosis.simulated_machine import (
     SimulatedMachine,
     decimated,
@@ -87,10 +88,11 @@ __all__ = [
     "SimulatedMachine", "SmallerFinding", "Smooth", "Spectrum", "Statement", "Trial", "Unexplained",
     "Variant", "adjusted", "alternatives", "as_many", "as_often", "base_of", "beyond", "block_errors",
     "both", "cancelled", "candidates", "compare", "confusable", "coordinates", "cordic", "decide",
-    "decimated", "degrees_of", "diagnose", "distance", "errors_of", "examine", "exceeds", "facts_of",
+    "decimated", "degrees_of", "diagnose", "diagnosis_schema", "distance", "errors_of", "examine",
+    "exceeds", "facts_of",
     "faults", "firmware_cost", "flexible", "foreseen", "gap_text", "gap_unit", "generator", "hats",
     "injections", "inside_bounds", "instants", "knot_group", "knots", "lack_of_fit", "load_effects",
-    "located", "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations", "of_signs",
+    "located", "machine_of", "model_on", "noise_of_rest", "noise_text", "normal_equations", "of_products",
     "operations", "ordered", "others", "prepare", "rails_of", "range_of", "readings_of", "recorded",
     "recordings", "refit", "remains", "resemblances", "residual_table", "run_gains", "scores", "searched",
     "select", "selftest", "separation", "shape", "shared_noise", "shown", "simulated_noise", "sized",

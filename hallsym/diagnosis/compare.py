@@ -128,10 +128,8 @@ def _record(source: Source, which: str) -> Diagnosis | Calibration:
     if isinstance(source, Mapping):
         if source.get("format") == FORMAT and "parameters" in source and "model" in source:
             return source
-        try:
-            return Diagnosis.from_dict(source)
-        except (KeyError, TypeError, ValueError, AttributeError):
-            pass
+        if "verdict" in source:
+            return Diagnosis.from_dict(source, where)
     raise InputError(
         f"{where} must be what 'hallsym diagnose -o' or 'hallsym fit -o' writes; it is something else."
     )

@@ -2,21 +2,23 @@
 
 Per sensor the residual may have an offset and a gain that follow the coordinate smoothly: linear
 interpolation between knots, bending penalised. What a curve explains is counted on runs that it was not
-fitted on, so that it cannot exceed what is there. Its p-value rests on signs: without the effect the blocks'
-products with the curve are as often positive as negative, whatever the noise within a block. Blocks count
-alike, however large their residual. Products of a block with itself and with its neighbour in the same run
-are left out, so that correlation in time does not count.
+fitted on, so that it cannot exceed what is there. Its significance rests on signs (`sign_flips`): without the
+effect the blocks' products with the curve are as often positive as negative, whatever the noise within a
+block. Blocks count alike, however large their residual. Products of a block with itself and with its
+neighbour in the same run are left out, so that correlation in time does not count; so is what residual and
+coordinate have in common because both hold the noise of the references (`measurement_error`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.p_values import of_signs
 from hallsym.diagnosis.regression import RIDGE, regression, ridge
 from hallsym.diagnosis.residual_table import PARTS, ResidualTable
+from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.families.play import stop_operator
 
 BEND = 0.01
@@ -34,6 +36,7 @@ class Curve:
     `at`: (m,) places. `offset`, `gain`: (K, m), the residual is offset + gain * sensed / scale [m]; `gain`
     None where it has none. `spread`, `gain_spread`: standard errors of these, from runs left out in turn.
     `explained`: whitened squares that it removes from runs it was not fitted on; `predicted`: (K, n).
+    `statistic`: (draws,) with random signs, that of the log first.
     """
 
     coordinate: Coordinate
@@ -45,15 +48,21 @@ class Curve:
     gain_spread: np.ndarray | None
     scale: float
     explained: float
-    p_value: float
+    statistic: np.ndarray
     predicted: np.ndarray
     fine: bool = False
+
+    @property
+    def p_value(self) -> float:
+        """P-value of this curve alone: the share of draws with as large a statistic."""
+        return float((self.statistic >= self.statistic[0]).mean())
 
 
 class Smooth:
     """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
 
-    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+    def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
+        """Take the residual on some runs; `moved`: the same with more noise in the references."""
         self.r, self.coordinate = r, coordinate
         values = coordinate.values(r)
         self.values = values
@@ -61,63 +70,68 @@ class Smooth:
             return
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         self.at, self.phi = self._features(values)
+        K, nf, _ = self.phi.shape
+        self.folds, self.blocks = _slices(r.fold), _slices(r.block)
+        other = None if moved is None else _features_at(moved, coordinate, self.at, self.scale, r)
+        change = np.zeros_like(r.residual) if moved is None else r.precision @ (moved.residual - r.residual)
+        by = (other - self.phi) * change[:, None, :] if other is not None else np.zeros((K, nf, 1))
+        self.shared = [
+            np.array([by[:, :, s].sum(axis=2) for s in group]) for group in (self.folds, self.blocks)
+        ]
         self.own = 1 / np.diag(np.linalg.inv(r.precision))
         self.gram = np.array(
-            [[w * phi[:, s] @ phi[:, s].T for s in _slices(r.fold)]
+            [[w * phi[:, s] @ phi[:, s].T for s in self.folds]
              for w, phi in zip(self.own, self.phi, strict=True)]
         )  # fmt: skip
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
-        if not c.ordered:
-            phi = _unordered(r, c, r)
-            return np.array(MEMORIES) if c.memory else np.arange(float(phi.shape[1])), phi
-        each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
-        at = knots(each)
-        phi = np.array([hats(row, at) for row in each])
-        if c.gain:
-            phi = np.concatenate([phi, phi * (r.sensed / self.scale)[:, None, :]], axis=1)
-        return at, phi
+        at = knots(x) if c.ordered else np.array(MEMORIES)
+        phi = _features_at(r, c, at, self.scale, r)
+        assert phi is not None
+        return at if c.ordered or c.memory else np.arange(float(phi.shape[1])), phi
 
     def curve(self, residual: np.ndarray) -> Curve | None:
         """Return the curve of a residual (K, n)."""
         if self.values is None:
             return None
-        beta, left, p = self._fit(residual)
+        beta, left, z = self._fit(residual)
         explained, (U, _, nf), m = self._explains(left, residual), left.shape, len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
         predicted = np.einsum("kf,kfn->kn", beta, self.phi)
         both = nf == 2 * m and self.coordinate.gain
         return Curve(
             self.coordinate, self.values, self.at, beta[:, :m], beta[:, m:] if both else None, error[:, :m],
-            error[:, m:] if both else None, self.scale, explained, p, predicted,
+            error[:, m:] if both else None, self.scale, explained, z, predicted,
         )  # fmt: skip
 
-    def _fit(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    def _fit(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit the coefficients of each sensor to its own residual.
 
-        Return those of all runs, (K, features), those without each fold, and the p-value over all sensors.
+        Return those of all runs, (K, features), those without each fold, and the statistic over all sensors.
         """
         r = self.r
-        folds, blocks = _slices(r.fold), _slices(r.block)
         level = level_weights(r, residual, r.block)[:, None]
-        q = np.zeros((len(blocks),) * 2)
+        q = np.zeros((len(self.blocks),) * 2)
         every, left = [], []
-        for w, phi, gram, own in zip(self.own, self.phi, self.gram, residual, strict=True):
+        for k, (phi, gram) in enumerate(zip(self.phi, self.gram, strict=True)):
             penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at))
-            weighted = w * phi * own
-            cross = np.array([weighted[:, s].sum(axis=1) for s in folds])
+            weighted = self.own[k] * phi * residual[k]
+            cross, parts = (
+                np.array([weighted[:, s].sum(axis=1) for s in group]) - shared[:, k]
+                for group, shared in zip((self.folds, self.blocks), self.shared, strict=True)
+            )
             fit = regression(gram, cross[:, :, None], penalty)
             every.append(fit.all[:, 0])
             left.append(fit.left_out[:, :, 0])
-            scores = level * np.array([weighted[:, s].sum(axis=1) for s in blocks])
+            scores = level * parts
             q += scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T)
-        return np.array(every), np.stack(left, axis=1), of_signs(q, r.run_of(r.block))
+        return np.array(every), np.stack(left, axis=1), of_products(q, r.run_of(r.block))
 
     def _explains(self, left_out: np.ndarray, residual: np.ndarray) -> float:
         """Squares that coefficients (folds, K, features), each of the other folds, remove."""
         total = 0.0
-        for beta, s in zip(left_out, _slices(self.r.fold), strict=True):
+        for beta, s in zip(left_out, self.folds, strict=True):
             says = np.einsum("kf,kfn->kn", beta, self.phi[:, :, s])
             total += float((says * (self.r.precision @ (2 * residual[:, s] - says))).sum())
         return total
@@ -126,7 +140,8 @@ class Smooth:
 class FineMap:
     """Offsets in many narrow bins of a coordinate, each drawn towards 0 by what its samples can tell."""
 
-    def __init__(self, r: ResidualTable, coordinate: Coordinate) -> None:
+    def __init__(self, r: ResidualTable, coordinate: Coordinate, moved: ResidualTable | None = None) -> None:
+        """Take the residual on some runs; `moved`: the same with more noise in the references."""
         self.r, self.coordinate = r, coordinate
         x = coordinate.values(r)
         if x is None:
@@ -139,7 +154,15 @@ class FineMap:
         self.bins = int(np.clip((high - low) / max(8 * noise, 1e-300), 12, FINE))
         self.width = (high - low) / self.bins
         self.at = low + self.width * (np.arange(self.bins) + 0.5)
-        self.bin = np.clip(((each - low) / self.width).astype(int), 0, self.bins - 1)
+        self.low = low
+        self.bin = self._bin(x, r)
+        self.shared: Callable[[np.ndarray], np.ndarray | float] = lambda group: 0.0
+        there = None if moved is None else coordinate.values(moved)
+        if moved is not None and there is not None:
+            change, other = moved.residual - r.residual, self._bin(there, r)
+            self.shared = lambda group: (
+                self._sums(change, group, other)[1] - self._sums(change, group, self.bin)[1]
+            )
         self.prior = r.residual.size / max(r.excess, 1e-3 * r.residual.size)
 
     def curve(self, residual: np.ndarray) -> Curve | None:
@@ -147,13 +170,15 @@ class FineMap:
         if self.values is None:
             return None
         r, K = self.r, len(residual)
-        n, sums = self._sums(residual, r.fold)
+        n, sums = self._sums(residual, r.fold, self.bin)
+        sums = sums - self.shared(r.fold)
         N, S = n.sum(axis=0), sums.sum(axis=0)
         left = (S - sums) / (N - n + self.prior)
         weight = np.diag(r.precision)[:, None]
         explained = float((weight * (2 * sums * left - n * left**2)).sum())
         mean = S / (N + self.prior)
-        _, parts = self._sums(residual, r.block)
+        _, parts = self._sums(residual, r.block, self.bin)
+        parts = parts - self.shared(r.block)
         parts *= level_weights(r, residual, r.block)[:, None, None]
         scores = (parts * np.sqrt(weight / (N + self.prior))).reshape(len(parts), -1)
         U = len(left)
@@ -161,14 +186,20 @@ class FineMap:
         predicted = np.array([mean[k][self.bin[k]] for k in range(K)])
         return Curve(
             self.coordinate, self.values, self.at, mean, None, error, None, 1.0, explained,
-            of_signs(scores @ scores.T, r.run_of(r.block)), predicted, True,
+            of_products(scores @ scores.T, r.run_of(r.block)), predicted, True,
         )  # fmt: skip
 
-    def _sums(self, residual: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _bin(self, x: np.ndarray, r: ResidualTable) -> np.ndarray:
+        each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
+        return np.clip(((each - self.low) / self.width).astype(int), 0, self.bins - 1)
+
+    def _sums(
+        self, residual: np.ndarray, group: np.ndarray, bins: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Samples and sums of the residual by group, sensor and bin, (groups, K, bins) each."""
         _, index = np.unique(group, return_inverse=True)
         groups, K = index.max() + 1, len(residual)
-        place = (index * K + np.arange(K)[:, None]) * self.bins + self.bin
+        place = (index * K + np.arange(K)[:, None]) * self.bins + bins
         flat = place.ravel()
         shape = (groups, K, self.bins)
         size = groups * K * self.bins
@@ -176,8 +207,8 @@ class FineMap:
         return n, np.bincount(flat, residual.ravel(), size).reshape(shape)
 
 
-def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
-    """Return what a gain of its own in every run explains, and its p-value.
+def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return what a gain of its own in every run explains, and its statistic (draws,), that of the log first.
 
     Each stretch of a run is predicted by the other stretches of the same run.
     """
@@ -186,7 +217,8 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
     cross = np.array([products[:, s].sum(axis=1) for s in parts])
     gram = np.array([r.sensed[:, s] @ r.sensed[:, s].T * r.precision for s in parts])
     run = np.array([r.run[s.start] for s in parts])
-    explained, q = 0.0, np.zeros((len(parts), len(parts)))
+    explained, sums, variance, third = 0.0, 0.0, 0.0, 0.0
+    signs = drawn(len(parts))
     even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
         at = np.flatnonzero(run == number)
@@ -194,8 +226,11 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, float]:
             continue
         penalty = ridge(gram[at])
         explained += float(regression(gram[at], cross[at][:, :, None], penalty).squares.sum())
-        q[np.ix_(at, at)] = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
-    return explained, of_signs(q, run)
+        q = even[at] @ np.linalg.solve(gram[at].sum(axis=0) + penalty, even[at].T)
+        q[np.abs(np.subtract.outer(at, at)) <= 1] = 0.0
+        sums = sums + ((signs[:, at] @ q) * signs[:, at]).sum(axis=1)
+        variance, third = (a + b for a, b in zip((variance, third), moments(q), strict=True))
+    return explained, of_sums(sums + np.zeros(len(signs)), variance, third, len(parts))
 
 
 def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -203,6 +238,20 @@ def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> 
     squares = np.einsum("kn,kl,ln->n", residual, r.precision, residual)
     means = np.array([squares[s].mean() for s in _slices(group)])
     return np.asarray(1.0 / np.sqrt(np.maximum(means, 1e-300)))
+
+
+def _features_at(
+    r: ResidualTable, c: Coordinate, at: np.ndarray, scale: float, like: ResidualTable
+) -> np.ndarray | None:
+    """Features of a coordinate, (K, features, n), as they are on `like`; None where it does not vary."""
+    x = c.values(r)
+    if x is None:
+        return None
+    if not c.ordered:
+        return _unordered(r, c, like)
+    each = x if x.ndim == 2 else np.broadcast_to(x, r.residual.shape)
+    phi = np.array([hats(row, at) for row in each])
+    return np.concatenate([phi, phi * (r.sensed / scale)[:, None, :]], axis=1) if c.gain else phi
 
 
 def _unordered(r: ResidualTable, c: Coordinate, like: ResidualTable) -> np.ndarray:

@@ -65,7 +65,7 @@ def diagnose(
 
     Raises `InputError` for a log that the model cannot have produced or with too few runs to hold any out.
     """
-    log = as_log(log, model.columns if isinstance(model, Fit) else None)
+    log = as_log(log, model.columns, model.read_with) if isinstance(model, Fit) else as_log(log)
     return examine(
         prepare(
             log, model, holdout=holdout, effects=effects, threshold=threshold, drop_bad=drop_bad,

@@ -5,6 +5,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residual_table import at_rest
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.model.arrays import on_arrays
@@ -57,7 +58,8 @@ def _ranges(base: Base, runs: frozenset[int]) -> dict[str, tuple[float, float]]:
         for c, values in columns.items():
             low[c] = min(low.get(c, np.inf), float(values.min(initial=np.inf)))
             high[c] = max(high.get(c, -np.inf), float(values.max(initial=-np.inf)))
-    return {c: (0.5 * (low[c] + high[c]), max(0.5 * (high[c] - low[c]), 1e-300)) for c in low}
+    still = {c: max(NIL * max(abs(low[c]), abs(high[c])), 1e-300) for c in low}
+    return {c: (0.5 * (low[c] + high[c]), max(0.5 * (high[c] - low[c]), still[c])) for c in low}
 
 
 def powers(x: np.ndarray, degree: int) -> np.ndarray:

@@ -20,16 +20,24 @@ def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
 
 
 def remains(
-    found: LackOfFit, slow: float, metric: float, floor: Floor, threshold: float, policy: Policy
+    found: LackOfFit,
+    slow: float,
+    metric: float,
+    floor: Floor,
+    threshold: float,
+    policy: Policy,
+    error: float = 0.0,
 ) -> bool:
     """Return whether a residual of size `metric` is a gap although no effect is named for it.
 
-    `slow`: decrease of the metric without what neighbouring samples have in common. A shape that predicts
-    other runs and is worth the threshold is a gap by itself. Noise may be correlated and may be stated
-    wrongly, so a residual without a shape is a gap only if it is far above a stated floor.
+    `slow`: decrease of the metric without what neighbouring samples have in common. `error`: standard error
+    of the metric, over itself, that noise of this memory makes. A shape that predicts other runs and is worth
+    the threshold is a gap by itself. Noise may be correlated and may be stated wrongly, so a residual without
+    a shape is a gap only if it is far above a stated floor, by more than chance.
     """
     if shaped(found, threshold, policy):
         return True
+    metric /= 1 + policy.excess_errors * error
     if not floor.stated or metric <= worth_reporting(floor, threshold, policy):
         return False
     half = policy.half * threshold

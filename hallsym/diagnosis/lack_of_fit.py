@@ -51,7 +51,8 @@ def lack_of_fit(base: Base, runs: Sequence[int]) -> LackOfFit:
     if r is None:
         return LackOfFit(())
     total = max(float(r.squares.sum()), 1e-300)
-    found = [(Key("run", "gain of its own"), *run_gains(r, r.residual))]
+    explained, z = run_gains(r, r.residual)
+    found = [(Key("run", "gain of its own"), explained, float((z >= z[0]).mean()))]
     for c in coordinates(r):
         kind = "place" if c.fine and not c.own else c.name  # those along several axes are one shape
         curves = [make(r, c).curve(r.residual) for make in ((Smooth, FineMap) if c.fine else (Smooth,))]

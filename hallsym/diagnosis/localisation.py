@@ -2,7 +2,8 @@
 
 Coordinates are taken one after the other, the one that explains most of what is still there first, so that
 shares add up to at most the whole and nothing is said twice. Each share is counted on runs that the curve was
-not fitted on; each p-value takes runs (or stretches of few runs) as blocks and counts how much was tried.
+not fitted on. Everything that is tried is tested with the same random signs of the runs (`sign_flips`), also
+the effects of the catalogue, and each p-value is corrected for all of it by the largest statistic of all.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,9 @@ from hallsym.diagnosis.curve_words import described
 from hallsym.diagnosis.curves import Curve, FineMap, Smooth, predicted, run_gains
 from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.links import of_links
+from hallsym.diagnosis.measurement_error import WHITE, with_noise
 from hallsym.diagnosis.p_values import beyond
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.residual_table import ResidualTable, residual_table
 from hallsym.diagnosis.residuals import Base
@@ -24,6 +27,7 @@ from hallsym.diagnosis.shares import (
     CERTAIN,
     LEAST,
     LEVEL,
+    bands,
     means,
     of_frequencies,
     of_powers,
@@ -31,10 +35,9 @@ from hallsym.diagnosis.shares import (
     outputs,
     sensors,
 )
+from hallsym.diagnosis.sign_flips import Joint
 from hallsym.diagnosis.words import percent
 
-LIKELY = 0.05
-"""Significance that is enough for a coordinate that predicts what certainly differs from run to run."""
 SMALL = 0.02
 """Excess over the noise [share of its power] below which nothing is said."""
 MOST = 5
@@ -72,32 +75,72 @@ def located(
     scored: Sequence[Score] = (),
     faults: Sequence[Fault] = (),
     variance: float = 1.0,
+    *,
+    top: np.ndarray | None = None,
+    colour: np.ndarray = WHITE,
 ) -> Located:
     """Return the statements with what they rest on.
 
-    `scored`: the catalogue's effects at `base`, for the links of the chain. `faults`: of samples, their power
-    as a part of `variance`, the whitened residual's.
+    `scored`: the catalogue's effects at `base`, for the links of the chain; `top`: the largest statistic of
+    all of them with each draw of signs. `faults`: of samples, their power as a part of `variance`, the
+    whitened residual's. `colour`: autocorrelation of the residual at lags 0, 1, ...
     """
     fitted, held = both(base, runs)
     if fitted is None or fitted.excess <= SMALL * fitted.residual.size:
         return Located((), (), fitted, held)
-    statements, curves, alone = _coordinates(fitted)
+    tried = _Tried(base, fitted, top, colour)
+    statements, curves, alone = _coordinates(tried)
     if held is not None and held.excess > 0:
         statements = _confirmed(statements, curves, fitted, held)
     if not statements and not _clear(fitted):
         return Located((), tuple(curves), fitted, held)
     told = sum(s.share for s in statements)
-    tones, frequencies = of_frequencies(fitted, told)
+    p_values = [tried.joint.p_value(z[0]) for z in tried.bands.statistics]
+    tones, frequencies = of_frequencies(tried.bands, p_values, told)
     if frequencies and frequencies[0].kind == "mains" and frequencies[0].share > told:
         statements, frequencies = [frequencies[0], *statements], frequencies[1:]
     size = variance * fitted.residual.size / fitted.excess
     bad = [replace(f, power=f.power * size) for f in faults]
-    rest = [of_links(base, scored, fitted, bad)] if scored else []
-    rest += [of_powers(p(fitted), fitted.block) for p in (outputs, sensors)]
+    counted = [replace(s, p_value=max(s.p_value, tried.joint.p_value(s.statistic))) for s in scored]
+    rest = [of_links(base, counted, fitted, bad)] if counted else []
+    rest += [of_powers(p, [tried.joint.p_value(z[0]) for z in statistics]) for p, statistics in tried.powers]
     rest += [(tones, frequencies), of_runs(fitted, told)]
     said = [s for _, found in rest for s in found]
     shares = [*alone, *(row for rows, _ in rest for row in rows)]
-    return Located((*statements, *said), tuple(curves), fitted, held, tuple(shares))
+    return Located((*map(_worded, (*statements, *said)),), tuple(curves), fitted, held, tuple(shares))
+
+
+def _worded(s: Statement) -> Statement:
+    """A statement that is not certain says so."""
+    return s if s.p_value < POLICY.certain else replace(s, text=f"perhaps {s.text}")
+
+
+class _Tried:
+    """Everything that is tried on a residual, and what its p-values are corrected for."""
+
+    def __init__(self, base: Base, r: ResidualTable, top: np.ndarray | None, colour: np.ndarray) -> None:
+        self.r = r
+        noisy = with_noise(base, colour)
+        moved = None if noisy is None else residual_table(noisy, list(dict.fromkeys(r.run.tolist())))
+        if moved is not None and moved.residual.shape != r.residual.shape:
+            moved = None
+        known = coordinates(r)
+        self.every: list[Smooth | FineMap] = [Smooth(r, c, moved) for c in known]
+        self.every += [FineMap(r, c, moved) for c in known if c.fine]
+        self.powers = [(p, p.statistics(r.block)) for p in (outputs(r), sensors(r))]
+        self.bands = bands(r)
+        self.others = [z for _, each in self.powers for z in each] + [*self.bands.statistics]
+        if top is not None:
+            self.others.append(top)
+        self.joint = Joint(self.others)
+
+    def curves(self, left: np.ndarray, taken: Sequence[str]) -> tuple[list[Curve], float, np.ndarray]:
+        """Curves of what is left over all coordinates but some, and what gains of the runs' own explain."""
+        free = [t for t in self.every if t.values is not None and t.coordinate.name not in taken]
+        found = [c for t in free if (c := t.curve(left)) is not None]
+        explained, own = run_gains(self.r, left)
+        self.joint = Joint([*(c.statistic for c in found), own, *self.others])
+        return found, explained, own
 
 
 def _clear(r: ResidualTable) -> bool:
@@ -108,25 +151,21 @@ def _clear(r: ResidualTable) -> bool:
 # -- coordinates -------------------------------------------------------------------------------------------
 
 
-def _coordinates(r: ResidualTable) -> tuple[list[Statement], list[Curve], list[Share]]:
+def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Share]]:
     """Coordinates one after the other, each with what it explains beyond those before; and each by itself."""
-    known = coordinates(r)
-    every: list[Smooth | FineMap] = [Smooth(r, c) for c in known]
-    every += [FineMap(r, c) for c in known if c.fine]
-    tried = [t for t in every if t.values is not None]
+    r, joint = tried.r, tried.joint
     alone: list[Share] = []
-    count, excess = len(tried) + 1, r.excess
+    excess = r.excess
     statements: list[Statement] = []
     curves: list[Curve] = []
     left = r.residual
-    for _ in range(MOST):
-        found = [c for t in tried if (c := t.curve(left)) is not None]
-        run = _own_gain(r, left, excess, count)
-        alone = alone or _alone(r, every, found, run, count)
-        good = [c for c in found if c.p_value * count < LEVEL and c.explained > LEAST * excess]
-        if run:  # a difference from run to run is certain; what predicts most of it on other runs is it
-            most = RATHER * run.share * excess
-            good += [c for c in found if LEVEL <= c.p_value * count < LIKELY and c.explained > most]
+    for k in range(MOST):
+        found, explained, own = tried.curves(left, [c.coordinate.name for c in curves])
+        run = _own_gain(explained / excess, tried.joint.p_value(own[0]))
+        if not k:
+            alone, joint = _alone(tried, found, run), tried.joint
+        chance = tried.joint.p_value
+        good = [c for c in found if chance(c.statistic[0]) < LEVEL and c.explained > LEAST * excess]
         best = max((c.explained for c in good), default=0.0)
         if run and RATHER * run.share * excess > best:
             statements.append(run)
@@ -137,23 +176,17 @@ def _coordinates(r: ResidualTable) -> tuple[list[Statement], list[Curve], list[S
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
         if share < LEAST:
             break
-        statements.append(described(r, first, share, min(1.0, first.p_value * count), bool(statements)))
+        statements.append(described(r, first, share, chance(first.statistic[0]), bool(statements)))
         curves.append(first)
-        tried = [t for t in tried if t.coordinate.name != first.coordinate.name]
         left = left - first.predicted
+    tried.joint = joint  # what is not a coordinate is tested beside all of them
     return statements, curves, alone
 
 
-def _alone(
-    r: ResidualTable,
-    every: Sequence[Smooth | FineMap],
-    found: Sequence[Curve],
-    run: Statement | None,
-    count: int,
-) -> list[Share]:
+def _alone(tried: _Tried, found: Sequence[Curve], run: Statement | None) -> list[Share]:
     """What each coordinate explains with none before it; of a smooth curve and a fine map the better one."""
-    out = []
-    for c in dict.fromkeys(t.coordinate for t in every):
+    out, r = [], tried.r
+    for c in dict.fromkeys(t.coordinate for t in tried.every):
         own = [f for f in found if f.coordinate == c]
         if not own:
             logged = c.own or not c.ordered or c.column in r.columns
@@ -162,19 +195,19 @@ def _alone(
             )
             continue
         share = max(float(np.clip(f.explained / r.excess, 0.0, 1.0)) for f in own)
-        out.append(Share("coordinate", c.name, share, min(1.0, count * min(f.p_value for f in own))))
+        p = tried.joint.p_value(max(f.statistic[0] for f in own))
+        out.append(Share("coordinate", c.name, share, p))
     if run:
         out.append(Share("run", run.at, run.share, run.p_value))
     return out
 
 
-def _own_gain(r: ResidualTable, left: np.ndarray, excess: float, count: int) -> Statement | None:
-    explained, p = run_gains(r, left)
-    if p * count >= LEVEL or explained <= LEAST * excess:
+def _own_gain(share: float, p: float) -> Statement | None:
+    if p >= LEVEL or share <= LEAST:
         return None
-    share = min(explained / excess, 1.0)
+    share = min(share, 1.0)
     text = f"{percent(share)} of the excess is a gain that differs from run to run and follows nothing logged"
-    return Statement("run", "gain of its own", share, min(1.0, p * count), text, kind="run")
+    return Statement("run", "gain of its own", share, p, text, kind="run")
 
 
 def _confirmed(

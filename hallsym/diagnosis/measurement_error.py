@@ -10,6 +10,7 @@ columns only: an acceleration goes with coloured noise otherwise than with white
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,21 @@ class _Moved:
             yield Block(block.run, data)
 
 
+def with_noise(base: Base, colour: np.ndarray = WHITE) -> Base | None:
+    """Return `base` with its references moved by noise of their size; None where they have none.
+
+    `colour`: autocorrelation of the noise at lags 0, 1, ...
+    """
+    model = base.model
+    columns = (*model.references, *model.state)
+    sizes = {c: s for c in columns if c in base.log.columns and (s := base.sigma.get(c, 0.0)) > 0}
+    if not sizes:
+        return None
+    log = _Moved(base.log, sizes, colour)
+    share_windows(base.log, log)  # type: ignore[arg-type]
+    return replace(base, log=log)  # type: ignore[arg-type]
+
+
 def shared_noise(
     base: Base,
     candidates: Mapping[str, tuple[Model, Sequence[str]]],
@@ -75,10 +91,9 @@ def shared_noise(
     `colour`: autocorrelation of the residual at lags 0, 1, ...
     """
     model = base.model
-    columns = (*model.references, *model.state)
-    sizes = {c: s for c in columns if c in base.log.columns and (s := base.sigma.get(c, 0.0)) > 0}
+    noisy = with_noise(base, colour)
     slopes = Slopes(model, base.p, candidates)
-    if not sizes or not slopes.columns:
+    if noisy is None or not slopes.columns:
         return {}
     wide = model
     for other, _ in candidates.values():
@@ -107,9 +122,7 @@ def shared_noise(
         return own, slopes.rows(batch, zeros, weights), residual
 
     sums: dict[tuple[int, int], np.ndarray] = {}
-    log = _Moved(base.log, sizes, colour)
-    share_windows(base.log, log)  # type: ignore[arg-type]
-    moved = batches_of(log)
+    moved = batches_of(noisy.log)
     seen: dict[int, int] = {}
     for down, up in zip(batches_of(base.log), moved, strict=True):
         weights = down.weights(base.keep)

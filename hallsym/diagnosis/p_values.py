@@ -3,7 +3,7 @@
 Block-wise and by signs they hold for noise that is correlated in time, whatever its size in each block."""
 
 import numpy as np
-from scipy.special import bdtrc, chdtrc, chdtri, fdtrc, fdtri, gammainc, gammaincc, stdtr
+from scipy.special import bdtrc, chdtrc, chdtri, fdtrc, fdtri, gammainc, stdtr
 
 
 def chance(statistic: float, freedom: float) -> float:
@@ -80,30 +80,3 @@ def beyond_one(value: float, others: np.ndarray) -> float:
     n = len(others)
     spread = float(np.std(others, ddof=1)) * np.sqrt(1 + 1 / n)
     return float(stdtr(n - 1, -(value - float(others.mean())) / max(spread, 1e-300)))
-
-
-FEWEST_BLOCKS = 6
-"""Blocks from which on their signs may say something: of fewer all signs alike are no evidence."""
-LEAST_SKEW = 0.05
-"""Least skewness of the gamma distribution that stands for the one over the signs; 0 would be Gaussian."""
-
-
-def of_signs(q: np.ndarray, run: np.ndarray) -> float:
-    """Return the probability that random signs of the blocks make as much of `q` as there is, one-sided.
-
-    `q`: (blocks, blocks) products of the blocks' scores; `run`: (blocks,) where each lies. Products of a
-    block with itself and with its neighbours in the same run are left out. The distribution over the signs is
-    taken as a gamma distribution with the mean, variance and skewness that quadratic forms have.
-    """
-    q = q.copy()
-    k = np.arange(len(q))
-    near = (np.abs(k[:, None] - k) <= 1) & (run[:, None] == run)
-    q[near | np.eye(len(q), dtype=bool)] = 0.0
-    variance = 2 * float((q**2).sum())
-    if variance <= 0 or len(q) < FEWEST_BLOCKS:
-        return 1.0
-    z = float(q.sum()) / np.sqrt(variance)
-    skew = max(8 * float(np.einsum("ij,ji->", q @ q, q)) / variance**1.5, LEAST_SKEW)
-    shape = 4 / skew**2  # gamma with mean 0, variance 1 and this skewness
-    x = shape + z * np.sqrt(shape)
-    return float(gammaincc(shape, x)) if x > 0 else 1.0

@@ -1,8 +1,8 @@
-"""Records as plain JSON data, and back."""
+"""Records as plain JSON data, and back: numbers that are not finite are null there."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -20,33 +20,21 @@ def plain(value: Any) -> Any:
     return value
 
 
-def typed(kind: Any, value: Any) -> Any:
-    """Return plain JSON data as the annotated type `kind`: a record, a tuple, a dictionary, or a value.
+def filled(kind: Any, value: Any) -> Any:
+    """Return plain JSON data with nan where `plain` wrote None for a number that the type `kind` has there.
 
-    A number that `plain` wrote as None is nan again.
+    What is not of that type stays as it is.
     """
     origin, args = get_origin(kind), get_args(kind)
     if value is None:
-        if origin is tuple and ... not in args:
-            return tuple(typed(arg, None) for arg in args)
         return math.nan if kind is float else None
     if origin in (Union, UnionType):
-        return typed(args[0], value)
-    if isinstance(kind, type) and is_dataclass(kind):
+        return filled(args[0], value)
+    if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, Mapping):
         hints = get_type_hints(kind)
-        return kind(**{f.name: typed(hints[f.name], value[f.name]) for f in fields(kind) if f.name in value})
-    if origin is tuple:
-        if not isinstance(value, list | tuple):
-            raise TypeError(f"{value!r} is no list")
-        return tuple(typed(args[0], v) for v in value)
-    if origin is dict:
-        return {k: typed(args[1], v) for k, v in value.items()}
-    return _value(kind, value)
-
-
-def _value(kind: Any, value: Any) -> Any:
-    """Return a plain value that is of the type `kind`; raises `TypeError` for another one."""
-    wanted: Any = {float: (int, float), int: int, str: str, bool: bool}.get(kind)
-    if wanted and (not isinstance(value, wanted) or (isinstance(value, bool) and kind is not bool)):
-        raise TypeError(f"{value!r} is no {kind.__name__}")
-    return value
+        return {k: filled(hints[k], v) if k in hints else v for k, v in value.items()}
+    if origin is tuple and isinstance(value, list | tuple):
+        return [filled(args[0], v) for v in value]
+    if origin is dict and isinstance(value, Mapping):
+        return {k: filled(args[1], v) for k, v in value.items()}
+    return value.item() if hasattr(value, "item") else value

@@ -122,6 +122,10 @@ class Policy:
     which an estimated floor must exceed what the effects leave to be lowered to that.
 
     A choice: noise is often stated from a recording at rest and is larger in motion."""
+    excess_errors: float = 2.0
+    """Standard errors by which a metric must exceed a stated floor for an excess without a shape.
+
+    Noise with a long memory makes the rms of a few short runs scatter: 2.3 % of them lie beyond 2."""
     closes: float = 0.9
     """Part of the excess that named effects must close for `explained` where something with a shape is left.
 

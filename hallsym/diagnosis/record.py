@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from hallsym.diagnosis.plain_data import plain, typed
+from hallsym.diagnosis.plain_data import filled, plain
 from hallsym.diagnosis.remainder import ModelLeft, Unexplained
 from hallsym.estimation import KNOWN
+from hallsym.records import schema_of, structured
 from hallsym.shown import Shown
 
 
@@ -370,13 +371,29 @@ class Diagnosis(Shown):
         return data
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> "Diagnosis":
-        """Return the diagnosis that `to_dict` turned into JSON data.
+    def from_dict(cls, data: Mapping[str, Any], where: str = "the diagnosis") -> "Diagnosis":
+        """Return the diagnosis that `to_dict` turned into JSON data; `where`: its name in an error.
 
-        Raises `KeyError` or `TypeError` for data that lack an entry or hold something else in its place.
+        Raises `InputError` that names the key which is missing or holds something else.
         """
-        floor = dict(data["noise_floor"])
-        source = floor.pop("source")
-        made = {"noise_floor": {"outputs": floor, "source": source}}
-        diagnosis: Diagnosis = typed(cls, {**data, **made, "unexplained": data.get("unexplained") or None})
-        return diagnosis
+        made = dict(data) | {"unexplained": data.get("unexplained") or None}
+        floor = data.get("noise_floor")
+        if isinstance(floor, Mapping):
+            outputs = {name: value for name, value in floor.items() if name != "source"}
+            made["noise_floor"] = {"outputs": outputs, "source": floor.get("source")}
+        return structured(filled(cls, made), cls, where, "diagnose the log again")
+
+
+def diagnosis_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a diagnosis as `Diagnosis.to_dict` writes it and `from_dict` reads it."""
+    schema = schema_of(Diagnosis, "hallsym diagnosis", nullable=True)
+    defined = schema["$defs"]
+    defined["NoiseFloor"] = {
+        "description": defined["NoiseFloor"]["description"],
+        "type": "object",
+        "properties": {"source": {"type": "string"}},
+        "required": ["source"],
+        "additionalProperties": {"type": ["number", "null"]},
+    }
+    defined["Diagnosis"]["properties"]["unexplained"]["anyOf"].append({"type": "object", "maxProperties": 0})
+    return schema

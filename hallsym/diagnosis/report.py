@@ -9,6 +9,7 @@ import numpy as np
 from hallsym.diagnosis.confusable import Confusable, smaller_findings
 from hallsym.diagnosis.curve_words import shape
 from hallsym.diagnosis.decoded_errors import block_errors, waves
+from hallsym.diagnosis.faults import Fault
 from hallsym.diagnosis.gap import worth_reporting
 from hallsym.diagnosis.localisation import Located, both, located
 from hallsym.diagnosis.model_error import model_error
@@ -26,6 +27,7 @@ from hallsym.diagnosis.record import (
     Sizes,
 )
 from hallsym.diagnosis.remainder import Unexplained
+from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.shares import sizes
@@ -154,14 +156,31 @@ def _located(
     plain = replace(start, keep=None)
     floor = found.floor.metric * (1.0 if loud is None else loud.ratio)
     if found.before.metric > floor * (1 + setup.policy.floor_known):
-        gap = located(plain, runs, selection.scores_at(found.start.base), found.faults, found.variance)
+        gap = _placed(selection, found.start.base, plain, runs, found.faults, found.variance)
     else:
         gap = Located((), (), *both(plain, runs))
+    if verdict in QUIET:  # noise has a spectrum, see `noise`, and no place
+        gap = replace(gap, statements=tuple(s for s in gap.statements if s.kind not in ("band", "motion")))
     if verdict != "unexplained":
         return gap, None
     if found.base is start:
         return gap, gap
-    return gap, located(found.base, runs, selection.scores_at(found.base))
+    return gap, _placed(selection, found.base, found.base, runs)
+
+
+def _placed(
+    selection: Selection,
+    screened: Base,
+    base: Base,
+    runs: Sequence[int],
+    faults: Sequence[Fault] = (),
+    variance: float = 1.0,
+) -> Located:
+    """Return where what `base` leaves lies, beside the catalogue as it was scored at `screened`."""
+    s = selection.screened_at(screened)
+    if s is None:
+        return located(base, runs, (), faults, variance)
+    return located(base, runs, s.scores, faults, variance, top=s.top, colour=s.colour)
 
 
 def _size(setup: Setup, found: Validation, where: Located, loud: bool) -> Sizes:

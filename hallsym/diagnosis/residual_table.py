@@ -3,6 +3,7 @@
 At most `ROOM` samples are held, evenly decimated, so that memory does not grow with the log.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from hallsym.diagnosis.normal_equations import UNITS
 from hallsym.diagnosis.residuals import Base, Piece, pieces
-from hallsym.diagnosis.sign_flips import FEWEST_UNITS
+from hallsym.diagnosis.sign_flips import FEWEST_UNITS, stretch
 from hallsym.diagnosis.survey import ENOUGH, MAINS
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.log.quality.runs import FEWEST_SAMPLES
@@ -135,11 +136,13 @@ def residual_table(base: Base, runs: Sequence[int]) -> ResidualTable | None:
     read, decode = on_arrays(model.reading), decoding_gain(model)
     back = np.linalg.inv(base.whiten)
     stride = max(1, -(-base.log.rows // ROOM))
+    seen = Counter[int]()
     out: dict[str, list[np.ndarray]] = {}
     spectrum = Spectrum()
     for piece in pieces(base, wanted):
         spectrum.add(piece)
         at = np.flatnonzero(piece.used)[::stride]
+        place, seen[piece.run] = seen[piece.run] + at, seen[piece.run] + len(piece.t)
         data = {c: v[at] for c, v in piece.data.items()}
         state = [data[c] for c in model.state]
         if model.period:
@@ -153,14 +156,15 @@ def residual_table(base: Base, runs: Sequence[int]) -> ResidualTable | None:
         smooth = [data[f"d0_{c}"] for c in model.references]
         (sensed,) = read(base.p, base.zeros_in(piece.run), smooth, state)
         rows = {"residual": back @ piece.residual[:, at], "rate": back @ piece.speed[:, at], "sensed": sensed}
-        for name, values in {**data, **rows, "run": np.full(len(at), piece.run)}.items():
+        for name, values in {**data, **rows, "run": np.full(len(at), piece.run), "place": place}.items():
             out.setdefault(name, []).append(values)
     if not out or sum(len(v) for v in out["run"]) == 0:
         return None
     joined = {c: np.concatenate(v, axis=-1) for c, v in out.items()}
     run = joined.pop("run")
     spread = np.asarray(model.noise_gain(base.p, [float(joined[c].mean()) for c in model.state], base.weight))
-    fold, block, part = _blocks(run)
+    known = dict.fromkeys(run.tolist())
+    fold, block, part = _blocks(run, joined.pop("place"), sum(seen[k] for k in known) / len(known))
     made = {c.name for c in model.computed}
     return ResidualTable(
         channels=model.channels,
@@ -204,15 +208,18 @@ def at_rest(x: np.ndarray, sigma: float) -> np.ndarray:
     return x if len(x) == 0 or np.std(x) > STILL * sigma else np.full(len(x), x.mean())
 
 
-def _blocks(run: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _blocks(run: np.ndarray, place: np.ndarray, samples: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Group of runs to leave out, block for significance and stretch of a run of each sample.
 
-    A run is a block, or a stretch of it where there are fewer runs than signs may be drawn of.
+    `place`: of each sample within its run; `samples`: of a run. Blocks are the units of the scores.
     """
     _, first, order, counts = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
     fold = order * min(UNITS, len(first)) // len(first)
+    within = np.arange(len(run)) - first[order]
     parts = max(PARTS, -(-2 * FEWEST_UNITS // len(first)))
-    place = np.arange(len(run)) - first[order]
     each = np.clip(counts // FEWEST_SAMPLES, 1, parts)[order]
-    part = order * parts + place * each // counts[order]
-    return fold, (fold if len(first) >= FEWEST_UNITS else part), part
+    part = order * parts + within * each // counts[order]
+    length = stretch(samples * len(first), len(first))
+    if length is None:
+        return fold, fold, part
+    return fold, order * (1 + int(place.max()) // length) + place // length, part

@@ -36,8 +36,8 @@ class Score:
     `gain`: decrease of the whitened squares on the fitted runs. `size`: parameters added, searched numbers
     included. `bic`: Bayesian information criterion with the effect. `ratio`: gap metric over that without the
     effect, cross-validated within the fitted runs. `p_value`: from random signs of the runs' scores,
-    corrected for all that was tried. `absorbed`: the model's own parameters can do the same. `place`: of the
-    effect in the catalogue, usual causes first.
+    corrected for all that was tried; `statistic`: what it rests on. `absorbed`: the model's own parameters
+    can do the same. `place`: of the effect in the catalogue, usual causes first.
     """
 
     effect: Effect
@@ -50,6 +50,7 @@ class Score:
     p_value: float
     absorbed: bool = False
     place: int = 0
+    statistic: float = -np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +124,8 @@ class Screen:
     """The catalogue scored beside one fit, from one pass over the log.
 
     One pass for all candidates, or for as many as have `COLUMNS` parameters together. `scores`: best first,
-    by BIC. `significance`: that any of them is there at all. `tables`: the products of each pass.
+    by BIC. `significance`: that any of them is there at all. `tables`: the products of each pass. `top`:
+    the largest statistic of all with each draw of signs, that of the log first.
     """
 
     def __init__(
@@ -158,8 +160,17 @@ class Screen:
                     # numbers that were searched elsewhere, and are not among the variants
                     flipped.append(searched(z, score.variant.tried / variants[name]))
                 p = 1.0 if z is None else -1.0
-                found.append(replace(score, place=places[name], p_value=p, ratio=table.ratio(key, runs)))
+                found.append(
+                    replace(
+                        score,
+                        place=places[name],
+                        p_value=p,
+                        ratio=table.ratio(key, runs),
+                        statistic=-np.inf if z is None else float(flipped[-1][0]),
+                    )
+                )
         adjusted_p, least = adjusted(np.array(flipped))
+        self.top = np.max(flipped, axis=0, initial=-np.inf) if flipped else None
         units = len(self.tables[0].t.units(runs))
         unit = "run" if length is None else "stretch"
         self.significance = Significance(least, least_p(units), units, unit)

@@ -118,12 +118,15 @@ class Selected:
 class Screened:
     """The scores of the catalogue beside the model and effects of `at`, best first.
 
-    `significance`: that any of the catalogue is there.
+    `significance`: that any of the catalogue is there; `top`: its largest statistic with each draw of signs.
+    `colour`: autocorrelation of the residual.
     """
 
     at: Refitted
     scores: list[Score]
     significance: Significance
+    top: np.ndarray | None
+    colour: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +155,9 @@ class Selection:
         others = [e.exact for e in self.effects if e is not effect]
         return refit_with(self.start, others, self.runs, self.refits)
 
-    def scores_at(self, base: Base) -> list[Score]:
-        """Return the scores of the catalogue at a fit that was screened; nothing elsewhere."""
-        return next((s.scores for s in self.screened if s.at.base is base), [])
+    def screened_at(self, base: Base) -> Screened | None:
+        """Return the screening of the catalogue at a fit; None where there was none."""
+        return next((s for s in self.screened if s.at.base is base), None)
 
 
 def refit_with(
@@ -267,7 +270,7 @@ class _Search:
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
         screen = Screen(at.base, tried, self.runs, self.policy.inflation, colour=found.colour)
         ranked = screen.scores
-        self.screened.append(Screened(at, ranked, screen.significance))
+        self.screened.append(Screened(at, ranked, screen.significance, screen.top, found.colour))
         self.not_testable |= {t.name: t.reason for t in trouble}
         not_finite = "its readings are not finite on this log"
         self.not_testable |= {tried[key].effect.name: not_finite for key in screen.spoiled}

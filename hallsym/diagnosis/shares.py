@@ -13,10 +13,12 @@ from hallsym.diagnosis.decoded_errors import BlockErrors
 from hallsym.diagnosis.p_values import beyond, beyond_one
 from hallsym.diagnosis.record import Share, Size, Sizes, Statement
 from hallsym.diagnosis.residual_table import Band, ResidualTable
+from hallsym.diagnosis.sign_flips import of_means
 from hallsym.diagnosis.words import percent, plain
 
-LEVEL = 0.01
-"""Significance that a statement must have, all that was tried counted."""
+LEVEL = 0.05
+"""Significance that a statement must have, all that was tried counted: of logs in which nothing depends on
+anything one in 20 has a statement. Where it is not below `Policy.certain` the statement says "perhaps"."""
 LEAST = 0.03
 """Share of the excess that a statement must have."""
 CERTAIN = 1e-3
@@ -61,6 +63,13 @@ class Powers:
         above = (self.squares.sum(axis=1) - self.noise * self.squares.shape[1]) * self.weight
         return above / above.sum() if above.sum() > 0 else np.full(len(above), np.nan)
 
+    def statistics(self, block: np.ndarray) -> list[np.ndarray]:
+        """Statistics with random signs of the blocks that each has more than its part, (draws,) each."""
+        over = self.squares / self.noise[:, None]
+        if len(over) < 2:
+            return []
+        return [of_means(means(row, block)) for row in over - over.mean(axis=0)]
+
     @property
     def parts(self) -> np.ndarray:
         """Share of the noise of all together, (k,)."""
@@ -80,14 +89,10 @@ def sensors(r: ResidualTable) -> Powers:
     return Powers("sensor", r.channels, r.residual**2, noise, 1 / noise)
 
 
-def of_powers(p: Powers, block: np.ndarray) -> Found:
+def of_powers(p: Powers, p_values: Sequence[float]) -> Found:
     """Which of several outputs or sensors have more than their part of the excess."""
-    if len(p.names) < 2:
-        return [], []
-    over = p.squares / p.noise[:, None]
     rows, said = [], []
-    for k, name in enumerate(p.names):
-        chance = min(1.0, len(p.names) * beyond(means(over[k] - over.mean(axis=0), block)))
+    for k, (name, chance) in enumerate(zip(p.names, p_values, strict=False)):
         share = float(np.clip(p.shares[k], 0.0, 1.0))
         rows.append(Share(p.kind, name, share, chance))
         if chance < LEVEL and share > p.parts[k] + MORE:
@@ -121,23 +126,43 @@ def of_runs(r: ResidualTable, told: float) -> Found:
     return rows, [Statement("run", f"run {order[k]}", share, p, text, kind="run")]
 
 
-def of_frequencies(r: ResidualTable, told: float) -> Found:
-    """Kinds of frequency that hold more than twice their part of what white noise would have."""
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Kinds of frequency: each with its share of the excess, its part of white noise, and its statistic.
+
+    `statistics`: (draws,) each, with random signs of the runs, that of the log first.
+    """
+
+    bands: tuple[Band, ...] = ()
+    shares: tuple[float, ...] = ()
+    parts: tuple[float, ...] = ()
+    statistics: tuple[np.ndarray, ...] = ()
+
+
+def bands(r: ResidualTable) -> Bands:
+    """Return what each kind of frequency has of the power beyond the noise; none of too few runs."""
     s = r.spectrum
     runs = sorted({run for kind in s.white.values() for run in kind})
     if len(runs) < FEWEST_RUNS or not r.timed:
-        return [], []
+        return Bands()
     white = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.white.items()}
-    power = {k: np.array([v.get(run, 0.0) for run in runs]) for k, v in s.power.items()}
+    over = {k: np.array([v.get(run, 0.0) for run in runs]) - white[k] for k, v in s.power.items()}
     everything = np.sum(list(white.values()), axis=0)
-    excess = float(sum(v.sum() for v in power.values()) - everything.sum())
+    excess = float(sum(v.sum() for v in over.values()))
     if excess <= 0:
-        return [], []
+        return Bands()
+    return Bands(
+        tuple(white),
+        tuple(float(over[k].sum()) / excess for k in white),
+        tuple(float(own.sum() / everything.sum()) for own in white.values()),
+        tuple(of_means(over[k] / everything) for k in white),
+    )
+
+
+def of_frequencies(found: Bands, p_values: Sequence[float], told: float) -> Found:
+    """Kinds of frequency that hold more than twice their part of what white noise would have."""
     rows, worth = [], []
-    for band, own in white.items():
-        over, part = power[band] - own, float(own.sum() / everything.sum())
-        share = float(over.sum()) / excess
-        p = min(1.0, len(white) * beyond(over / everything))
+    for band, share, part, p in zip(found.bands, found.shares, found.parts, p_values, strict=True):
         rows.append(Share("frequency", band.name, float(np.clip(share, 0.0, 1.0)), p))
         named = band.kind == "mains" or told <= HALF
         if p < LEVEL and share >= max(TWICE * part, part + MORE) and named:

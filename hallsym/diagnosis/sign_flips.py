@@ -15,10 +15,10 @@ few runs show is no less certain for it.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import gammaincc, ndtr, ndtri, stdtr
 
 from hallsym.diagnosis.normal_equations import NormalEquations
 from hallsym.diagnosis.regression import NIL
@@ -48,6 +48,13 @@ def _of_units(t: NormalEquations, noise: Mapping[tuple[int, int], np.ndarray]) -
     return out
 
 
+@lru_cache(maxsize=4)
+def drawn(units: int) -> np.ndarray:
+    """Return signs (1 + FLIPS, units), the observed ones first, all 1; the same for all tests of a log."""
+    signs = np.random.default_rng(units).choice([-1.0, 1.0], (FLIPS, units))
+    return np.vstack([np.ones(units), signs])
+
+
 class SignFlips:
     """The score of each unit, and its sum under random signs."""
 
@@ -74,11 +81,10 @@ class SignFlips:
         """How far the references' noise has drawn the parameters."""
         self.run = np.unique([t.runs[u][0] for u in self.units], return_inverse=True)[1]
 
-    @cached_property
+    @property
     def signs(self) -> np.ndarray:
         """(1 + FLIPS, units) signs; those of the first row are the observed ones, all 1."""
-        signs = np.random.default_rng(len(self.units)).choice([-1.0, 1.0], (FLIPS, len(self.units)))
-        return np.vstack([np.ones(len(self.units)), signs])
+        return drawn(len(self.units))
 
     def statistic(self, at: np.ndarray) -> np.ndarray | None:
         """Return the statistic (1 + FLIPS,) of the columns `at`, None where the model absorbs them all.
@@ -157,6 +163,53 @@ LEAST = 0.01
 What a fit to few units leaves nothing of would be divided by rounding."""
 
 
+FEWEST_SIGNS = 6
+"""Units from which on their signs may say something: of fewer all signs alike are no evidence."""
+LEAST_SKEW = 0.05
+"""Least skewness of the gamma distribution that stands for the one over the signs; 0 would be Gaussian."""
+
+
+def of_products(q: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Return the statistic (1 + FLIPS,) of products `q` (units, units) of the units' scores, observed first.
+
+    `run`: (units,) where each lies. Products of a unit with itself and with its neighbours in the same run
+    are left out, so that noise that goes on from one to the next does not count. The sum is given as the
+    normal score of the gamma distribution with the mean, variance and skewness that the signs give it.
+    """
+    k = np.arange(len(q))
+    near = (np.abs(k[:, None] - k) <= 1) & (run[:, None] == run)
+    q = np.where(near, 0.0, q)
+    signs = drawn(len(q))
+    return of_sums(((signs @ q) * signs).sum(axis=1), *moments(q), len(q))
+
+
+def moments(q: np.ndarray) -> tuple[float, float]:
+    """Return variance and third moment of a sum of products without diagonal over random signs."""
+    return 2 * float((q**2).sum()), 8 * float(np.einsum("ij,ji->", q @ q, q))
+
+
+def of_sums(sums: np.ndarray, variance: float, third: float, units: int) -> np.ndarray:
+    """Return sums (1 + FLIPS,) of products over signs as normal scores; -inf where there is no evidence."""
+    if variance <= 0 or units < FEWEST_SIGNS:
+        return np.full(len(sums), -np.inf)
+    shape = 4 / max(third / variance**1.5, LEAST_SKEW) ** 2  # gamma with mean 0, variance 1, this skewness
+    x = np.maximum(shape + sums / np.sqrt(variance) * np.sqrt(shape), 0.0)
+    return np.asarray(-ndtri(np.clip(gammaincc(shape, x), 1e-300, 1 - 1e-16)))
+
+
+def of_means(values: np.ndarray) -> np.ndarray:
+    """Return the statistic (1 + FLIPS,) of the mean of `values` (units,) being above 0, observed first.
+
+    It is the normal score of Student's t, so that many and few units compare.
+    """
+    n = len(values)
+    if n < 2:
+        return np.full(1 + FLIPS, -np.inf)
+    z = drawn(n) @ values / max(float(np.sqrt((values**2).sum())), 1e-300)
+    t = z * np.sqrt((n - 1) / np.maximum(n - z**2, NIL * n))
+    return np.asarray(-ndtri(np.clip(stdtr(n - 1, -t), 1e-300, 1 - 1e-16)))
+
+
 def least_p(units: int) -> float:
     """Return the least p-value that so many units can give: all signs reversed are the same statistic."""
     return max(1 / (FLIPS + 1), 2.0 ** (1 - units))
@@ -177,6 +230,18 @@ def searched(z: np.ndarray, tried: float) -> np.ndarray:
 
 MOST = 8.0
 """Standard deviations beyond which no search makes chance of a statistic (6e-16)."""
+
+
+class Joint:
+    """Tests whose statistics were drawn with the same signs, corrected for each other."""
+
+    def __init__(self, statistics: Sequence[np.ndarray]) -> None:
+        """Take everything that is tried, (draws,) each, the observed one first."""
+        self.top = np.max(statistics, axis=0)
+
+    def p_value(self, statistic: float) -> float:
+        """Return the share of draws in which the largest statistic of all is as large as one."""
+        return float((self.top >= statistic - SAME).mean())
 
 
 def adjusted(statistics: np.ndarray) -> tuple[np.ndarray, float]:

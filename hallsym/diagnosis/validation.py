@@ -50,7 +50,8 @@ class Validation:
     over what it is now, else None. `variance`: of the fitted samples' whitened residual; `slow`: decrease of
     the metric without what neighbouring samples have in common; `fast`: that of differences of neighbouring
     samples over that of the noise; `inflation`: variance of a slow average over
-    that of white noise.
+    that of white noise; `error`: standard error of the gap of the holdout runs, over itself, by noise of this
+    memory.
     """
 
     start: Refitted
@@ -73,6 +74,7 @@ class Validation:
     slow: float
     fast: float
     inflation: float
+    error: float
 
     @property
     def base(self) -> Base:
@@ -146,7 +148,13 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         slow=slow_share(kept.variance, kept.fast),
         fast=float(np.sqrt(kept.fast)),
         inflation=kept.inflation,
+        error=_error(kept.colour, float(after.count.sum()) * len(setup.fit.model.pose)),
     )
+
+
+def _error(colour: np.ndarray, values: float) -> float:
+    """Return the standard error of an rms of so many values, over itself, for noise with a memory."""
+    return float(np.sqrt((1 + 2 * (colour[1:] ** 2).sum()) / (2 * max(values, 1.0))))
 
 
 # -- effects -------------------------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ def decide(
     named = found.named and held and 1 - found.metric / found.before.metric >= setup.threshold
     base, metric = (found.base, found.metric) if named else (found.start.base, found.before.metric)
     rest = found.rest if base is found.end else lack_of_fit(base, setup.runs)
-    gap = remains(rest, found.slow, metric, found.floor, setup.threshold, setup.policy)
+    gap = remains(rest, found.slow, metric, found.floor, setup.threshold, setup.policy, found.error)
     loud = noise is not None and all_noise(setup, found, rest, metric, noise)
     gap = gap and not loud
     if not named:

@@ -25,6 +25,7 @@ from hallsym.estimation.calibration import (
     Errors,
     Fit,
     added_effects,
+    calibration_schema,
     coverage_factor,
     load_fit,
 )
@@ -97,6 +98,7 @@ __all__ = [
     "added_effects",
     "as_read",
     "autoregressive",
+    "calibration_schema",
     "closed_form",
     "column_spikes",
     "columns_of",

@@ -21,7 +21,7 @@ from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
 from hallsym.reading import read_json
-from hallsym.records import structured
+from hallsym.records import schema_of, structured
 from hallsym.shown import Shown
 
 if TYPE_CHECKING:
@@ -113,6 +113,31 @@ class Errors:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """Parameters of several logs: one that a log has of its own is named `gain[log]`.
+
+    `values`, `std`: (n,) in SI, `covariance`: (n, n), in the order of `names`. `own`: what each of the `logs`
+    has for itself.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    std: np.ndarray
+    covariance: np.ndarray
+    own: tuple[str, ...]
+    logs: tuple[str, ...]
+
+    def change(self, name: str, since: str, to: str) -> tuple[float, float]:
+        """Return how much a log's own parameter changed from log `since` to log `to`, and 1 sigma of that."""
+        gradient = np.zeros(len(self.names))
+        for log, sign in ((since, -1.0), (to, 1.0)):
+            if (own := f"{name}[{log}]") not in self.names:
+                raise InputError(f"No log {log!r} has a parameter {name} of its own; those are {self.names}.")
+            gradient[self.names.index(own)] += sign
+        return float(gradient @ self.values), float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(Shown):
     """What `fit` returns and `calib.json` holds.
@@ -162,8 +187,16 @@ class Fit(Shown):
     """Whether `wiring` is what an inspection of the log found before the fit: a side to mount; not saved."""
     columns: Mapping[str, Foreign] = field(default_factory=dict)
     """How the columns of the log were mapped, so that the next log of the machine is read alike."""
+    read_with: Mapping[str, str] = field(default_factory=dict)
+    """Options that the log was read with (`decimal`, `sheet`, ...), for what the next one leaves open."""
     versions: Mapping[str, str] = field(default_factory=dict)
     error_rows: Mapping[str, Any] = field(default_factory=dict)
+    joint: Joint | None = None
+    """Where several logs were fitted together: the parameters of all of them; not saved."""
+    by_log: tuple[Fit, ...] = ()
+    """The fit log by log, held-out logs last; not saved, `logs` is."""
+    logs: tuple[Mapping[str, Any], ...] = ()
+    """What is saved of each log: name, errors, noise, the parameters that it has of its own."""
 
     @property
     def half_width(self) -> np.ndarray:
@@ -230,6 +263,8 @@ class Fit(Shown):
             "layout": [dict(p.entry) for p in model.layout],
             "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
             **({"columns": mapped} if mapped else {}),
+            **({"read_with": dict(self.read_with)} if self.read_with else {}),
+            **({"logs": [dict(one) for one in self.logs]} if self.logs else {}),
             "versions": dict(self.versions),
         }
 
@@ -257,6 +292,13 @@ def read_record(raw: Any, path: str | Path) -> CalibrationRecord:
     from hallsym.estimation.calibration_file import CalibrationRecord
 
     return structured(raw, CalibrationRecord, f"calibration {quoted(path)}", "fit the log again")
+
+
+def calibration_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a calibration file, from the types that `load_fit` checks it against."""
+    from hallsym.estimation.calibration_file import CalibrationRecord
+
+    return schema_of(CalibrationRecord, "hallsym calibration")
 
 
 def _checked(
@@ -330,6 +372,8 @@ def _checked(
         undetermined_by_log=tuple(record.undetermined_by_log),
         wiring=None if record.wiring is None else tuple((c, s) for c, s in record.wiring),
         columns={c: Foreign(e.name, e.scale, e.counts_per_turn) for c, e in record.columns.items()},
+        read_with=record.read_with,
+        logs=tuple(_plain(one) for one in record.logs),
         versions=record.versions,
         error_rows=record.errors,
     )

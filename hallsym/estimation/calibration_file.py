@@ -127,6 +127,27 @@ class ColumnRecord(_Record):
     counts_per_turn: Annotated[float, Meta(ge=2, le=1e100)] | None = None
 
 
+class OwnRecord(_Record):
+    """A parameter that one log has of its own; `std` is null where the log does not determine it."""
+
+    value: float
+    std: NotNegative | None
+    unit: str
+
+
+class FittedLogRecord(_Record):
+    """One of several logs that were fitted together; `runs`: from its own run to that of the calibration."""
+
+    name: str
+    held_out: bool
+    log: LogRecord
+    runs: dict[int, int]
+    errors: dict[str, dict[str, dict[str, float | None]] | None]
+    noise: dict[str, NoiseRecord]
+    parameters: dict[str, OwnRecord]
+    residual_over_noise: float | None = None
+
+
 class CalibrationRecord(_Record):
     """A calibration file; everything is in SI."""
 
@@ -153,6 +174,8 @@ class CalibrationRecord(_Record):
     log: LogRecord
     versions: dict[str, str]
     columns: dict[str, ColumnRecord] = {}
+    read_with: dict[str, str] = {}
     effects: list[str] = []
     own_effects: list[str] = []
     goodness_of_fit: GoodnessRecord | None = None
+    logs: list[FittedLogRecord] = []

@@ -61,7 +61,7 @@ def uncertainty_at(point: Point, found: Determination) -> Uncertainty:
     covariance = np.zeros((len(p), len(p)))
     known = _Estimate(covariance, "likelihood", "there was nothing to estimate")
     if len(free):
-        runs, more = point.information(1.0, free), _turning_noise(cost, p, free)
+        runs, more = point.information(1.0, free), _turning_noise_of(cost, p, free)
         scores = 0.5 * point.run_gradients[:, free]
         known = _estimate(runs, more, scores, cost.weights, fit)
         covariance[np.ix_(free, free)] = known.covariance
@@ -97,6 +97,22 @@ def _by_log(
     return not determined[k] and p.name not in found.structural and p.width > 0 and k not in at_bound
 
 
+def _turning_noise_of(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | None:
+    """Return `_turning_noise` of the runs of all shares of a cost, in order; None where none has any."""
+    out, runs = np.zeros((len(cost.weights), len(free), len(free))), 0
+    turning = False
+    for part, chosen in cost.shares:
+        at = slice(runs, runs + len(part.weights))
+        own = np.flatnonzero(np.isin(free, chosen))
+        place = np.searchsorted(chosen, free[own])
+        found = _turning_noise(part, p[chosen], place)
+        if found is not None:
+            out[at, own[:, None], own] = found
+            turning = True
+        runs = at.stop
+    return out if turning else None
+
+
 def _turning_noise(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | None:
     """What the covariance of each run's scores has beyond its information, (r, n, n) for n `free` parameters.
 
@@ -105,13 +121,11 @@ def _turning_noise(cost: Cost, p: np.ndarray, free: np.ndarray) -> np.ndarray | 
     the inverse of the mean C, then have the covariance sum of g^T W C W g, and the estimate the sandwich of
     both (White, Econometrica 50 (1982) 1, doi:10.2307/1912526). None where readings are linear in the pose.
     """
-    summary, s = cost.summary, cost.summary.model.symbols
+    summary, model = cost.summary, cost.summary.model
     if not summary.places or not np.any(cost.column_variance):
         return None
     K, n = len(cost.reading_variance), len(free)
-    reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
-    slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
-    run = on_arrays(ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], slopes))
+    run = model.remember("slopes of all kinds, on arrays", lambda: _slopes_of_all(model))
     at = cost.at(p)
     out = np.zeros((len(summary.runs), n, n))
     for k, (places, W) in enumerate(zip(summary.places, at.W, strict=True)):
@@ -167,7 +181,7 @@ def _estimate(
         scale, method, dof = fit.cost_per_degree_of_freedom, "likelihood, scaled", fit.degrees_of_freedom
         said = f"the cost per degree of freedom is {scale:.3g} +- {fit.scatter:.2g}; "
     if n == 1:
-        said += "one run cannot show whether its noise is white; it is taken for granted"
+        said += "one recording cannot show whether its noise is white, which is assumed"
         return _Estimate(scale * naive, method, said, dof)
     # noise that is correlated within a run leaves less than stated there, and more between runs
     size = fit.cost_per_degree_of_freedom if fit.contradicts else 1.0
@@ -289,6 +303,14 @@ def _covariance_at(cost: Cost, p: np.ndarray, pose: Sequence[float | np.ndarray]
     J = np.transpose(flat.reshape(len(cost.column_variance), K, -1), (2, 1, 0))  # (r, K, columns)
     C = np.diag(cost.reading_variance) + (J * cost.column_variance) @ np.swapaxes(J, 1, 2)
     return np.broadcast_to(C, (len(summary.runs), K, K))
+
+
+def _slopes_of_all(model: Model) -> Callable[..., list[np.ndarray]]:
+    """`(parameters, zeros, pose, state) -> d reading / d parameter, / d column, / d zero` on arrays."""
+    s = model.symbols
+    reading, columns = s.full(s.reading), ca.vertcat(s.pose, s.state)
+    slopes = [ca.densify(ca.jacobian(reading, of)) for of in (s.parameters, columns, s.zeros)]
+    return on_arrays(ca.Function("slopes", [s.parameters, s.zeros, s.pose, s.state], slopes))
 
 
 def _slopes_by_column(model: Model) -> Callable[..., list[np.ndarray]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,15 +31,23 @@ class Evaluation(Shown):
     """What `evaluate` returns: errors of the decoded pose against the reference of a log, by run.
 
     `table.over(runs)` gives rmse and peak by pose coordinate, SI. `goodness`: what is left, in multiples of
-    the noise. `notes`: what has to be said of the log.
+    the noise. `noise_floor`: the error that noise alone would leave, by pose coordinate. `notes`: what has to
+    be said of the log. `calibration`, `log`: what was evaluated, and on what.
     """
 
     model: Model
     table: ErrorTable
     goodness: GoodnessOfFit
+    noise_floor: Mapping[str, float]
     noise: Noise
     notes: tuple[str, ...]
-    log_name: str
+    calibration: Fit
+    log: Log
+
+    @property
+    def log_name(self) -> str:
+        """What the log is called."""
+        return self.log.name
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record that `hallsym evaluate --json` prints."""
@@ -46,6 +55,7 @@ class Evaluation(Shown):
             "goodness_of_fit": self.goodness.to_dict(),
             "model": self.model.name,
             "errors": self.table.over(),
+            "noise_floor": dict(self.noise_floor),
             "by_run": {str(run): self.table.over([run]) for run in self.table.runs},
             "noise": {c: {"value": s.value, "source": s.source} for c, s in self.noise.sigmas.items()},
             "notes": list(self.notes),
@@ -66,7 +76,7 @@ def evaluate(
     """
     known = calibration if isinstance(calibration, Fit) else load_fit(calibration)
     model = known.model
-    given, rails = as_log(log, known.columns), not knows_rails(model)
+    given, rails = as_log(log, known.columns, known.read_with), not knows_rails(model)
     given, notes = usable(given, logged_columns(model), drop_bad=drop_bad, rails=rails)
     _belongs(given, known)
     seen = as_read(given, model, known.wiring)
@@ -77,7 +87,7 @@ def evaluate(
     goodness = found.goodness.judged(
         noise, (*model.channels, *model.references), given.meta.gap_threshold_rel
     )
-    return Evaluation(model, found.table, goodness, noise, tuple(notes), given.name)
+    return Evaluation(model, found.table, goodness, found.noise_floor, noise, tuple(notes), known, given)
 
 
 def _belongs(log: Log, known: Fit) -> None:

@@ -12,15 +12,16 @@ import numpy as np
 
 from hallsym.errors import InputError, nearest
 from hallsym.estimation.calibration import Fit
-from hallsym.estimation.channel_assignment import as_read
 from hallsym.estimation.decoding import knows_rails, logged_columns
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.optimum import SOLVERS
+from hallsym.estimation.prepare import held_out, model_of, prepared
 from hallsym.estimation.result import result_of, zero_notes
+from hallsym.estimation.several import Asked, fit_several
 from hallsym.estimation.task import Progress, Task
-from hallsym.families import adapted, build, default_model, plain
-from hallsym.log import Log, as_log, clean_log, usable
-from hallsym.model import Inspection, Model
+from hallsym.families import plain
+from hallsym.log import as_log, clean_log
+from hallsym.model import Model
 
 LOSSES = ("auto", "none", "reject", "tukey")
 
@@ -39,6 +40,9 @@ def fit(
     drop_bad: bool = False,
     seed: int = 0,
     start: np.ndarray | None = None,
+    per_log: Sequence[str] = (),
+    holdout_logs: Sequence[Any] = (),
+    quick: bool = False,
     on_progress: Progress | None = None,
 ) -> Fit:
     """Calibrate `model` on `log` and return values, uncertainties and errors.
@@ -77,6 +81,14 @@ def fit(
     without (`hysteresis:half_width_m=6e-05`; `hallsym.diagnosis.choose.model_on` finds them on a log). `own`:
     the user's effects by name. `start`: (n,) values to begin from instead of the closed form.
 
+    `quick`: one pass over a log whose run statistics show nothing amiss, without error tables (`errors` is
+    None) and without a test of the colour of the noise; any other log is fitted as without it.
+
+    `log` may be a list of logs of one device, each with its runs and its noise: they share all parameters but
+    those named in `per_log` (`"eta_A"`, or a pattern such as `"eta_*"`), of which each log has its own.
+    `holdout_logs`: logs that take no part. `fit.by_log` are then the fits log by log, `fit.joint` the
+    parameters of all logs with their covariance; `values` are those of the last log.
+
     A model that has no run statistics (memory, rates, a term of higher order in the zeros) is fitted from the
     optimum of the model without its effects by Gauss-Newton steps, one pass over the log each.
 
@@ -85,21 +97,20 @@ def fit(
     began, say = perf_counter(), on_progress or (lambda _: None)
     _choice(solver, SOLVERS, "solver")
     _choice(loss, LOSSES, "loss")
+    if isinstance(log, list | tuple) or len(holdout_logs) or len(per_log):
+        logs = list(log) if isinstance(log, list | tuple) else [log]
+        asked = Asked(solver, holdout, loss, resolve_wiring, drop_bad, seed, start, say)
+        return fit_several(
+            [as_log(one) for one in logs], [as_log(one) for one in holdout_logs],
+            lambda one: model_of(one, model, effects, parameters, own), per_log, asked, began,
+        )  # fmt: skip
     log = as_log(log)
-    if isinstance(model, Model):
-        model = adapted(model, tuple(effects), parameters or {}, own)
-    else:
-        name = model or default_model(log.meta)
-        model = build(name, meta=log.meta, added=tuple(effects), parameters=parameters, own=own)
+    model = model_of(log, model, effects, parameters, own)
     say("checking the log")
-    columns = logged_columns(model)
-    explains_rails = knows_rails(model)
-    log, notes = usable(log, columns, drop_bad=drop_bad, rails=not explains_rails)
-    mounted = model.inspect(model, log) if model.inspect else Inspection()
-    notes += mounted.notes
-    log = as_read(log, model, mounted.wiring)
-    held_out = _holdout(log, log.meta.holdout if holdout is None else holdout)
-    task = Task(log, model, held_out, solver, loss, seed, say, start)
+    ready = prepared(log, model, drop_bad=drop_bad)
+    log, notes, mounted = ready.log, list(ready.notes), ready.mounted
+    held = held_out(log, log.meta.holdout if holdout is None else holdout)
+    task = Task(log, model, held, solver, loss, seed, say, start, quick=quick)
     if exact(model):
         solved = task.by_statistics(resolve_wiring)
         solved = solved.task.with_noise_left(solved)
@@ -107,9 +118,10 @@ def fit(
     first = None
     if exact(base := plain(model)):
         # the model without effects has no rails: it is fitted to the samples off them
-        free = clean_log(log, columns) if explains_rails else log
+        explains_rails = knows_rails(model)
+        free = clean_log(log, logged_columns(model)) if explains_rails else log
         first = fit(
-            free, base, solver=solver, holdout=held_out, loss=loss, resolve_wiring=resolve_wiring,
+            free, base, solver=solver, holdout=held, loss=loss, resolve_wiring=resolve_wiring,
             drop_bad=explains_rails, seed=seed,
             on_progress=on_progress,
         )  # fmt: skip
@@ -127,17 +139,3 @@ def _choice(name: str, known: Sequence[str], what: str) -> None:
             f"Input {what} must be one of {', '.join(known)}; instead received {name!r}"
             f"{nearest(name, list(known))}."
         )
-
-
-def _holdout(log: Log, holdout: Sequence[int]) -> tuple[int, ...]:
-    """Held-out runs, all of them in the log and not all of the log."""
-    unknown = [run for run in holdout if run not in log.runs]
-    if unknown:
-        raise InputError(f"Held-out run {unknown[0]} is not in the log; its runs are {_runs(log.runs)}.")
-    if holdout and set(log.runs) <= set(holdout):
-        raise InputError("Every run is held out; leave at least one to fit.")
-    return tuple(holdout)
-
-
-def _runs(runs: Sequence[int]) -> str:
-    return ", ".join(map(str, runs)) if len(runs) <= 8 else f"{runs[0]}, {runs[1]}, ... {runs[-1]}"

@@ -8,6 +8,7 @@ from itertools import count
 import numpy as np
 
 import solvers
+from hallsym.estimation.covariance import noise_floor
 from hallsym.estimation.decoding import ErrorTable, error_tables, zero_shifts
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit, goodness_of
 from hallsym.estimation.identifiable import Determination, determine
@@ -63,6 +64,7 @@ class Judged:
     table: ErrorTable
     shifts: Shifts
     goodness: GoodnessOfFit
+    noise_floor: Mapping[str, float]
 
 
 def judge(
@@ -86,7 +88,7 @@ def judged(
         log = rehomed(log, shifts, model)
         cost = cost_near(log, model, p, noise)
     (table,) = error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)
-    return Judged(table, shifts, goodness_of(cost.at(p), 0))
+    return Judged(table, shifts, goodness_of(cost.at(p), 0), noise_floor(cost, p))
 
 
 @dataclass(frozen=True, eq=False)

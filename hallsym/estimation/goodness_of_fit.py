@@ -102,17 +102,36 @@ class GoodnessOfFit:
     def sentence(self) -> str | None:
         """What a report begins with; None where the model describes the log."""
         numbers = self.said(f"{self.what} does not describe this log")
-        return numbers and f"{numbers}; next: {self.next_command}"
+        return numbers and f"{numbers}; next: {self.next_command}".removesuffix("; next: ")
+
+    @property
+    def verdict(self) -> str:
+        """What a report begins with, whether the model describes the log or not."""
+        size = f"{self.residual_over_noise:#.3g} times the noise floor{self._guessed}"
+        return self.sentence or f"{self.what} describes this log: residual error is {size}{self._more}."
+
+    @property
+    def _guessed(self) -> str:
+        return ", which was estimated from the log" if self.noise_estimated else ""
+
+    @property
+    def _more(self) -> str:
+        return f"; up to {_times(self.limit)} is not worth reporting" if self.significant else ""
 
     def said(self, what: str) -> str | None:
         """Return `what` with the numbers that say so; None where all is well."""
         if not self.material:
             return None
-        guessed = ", which was estimated from the log" if self.noise_estimated else ""
         return (
-            f"{what}: residual error is {_times(self.residual_over_noise)} the noise floor{guessed}, "
-            f"worst in run {self.worst_run}, channel {self.worst_channel} ({_times(self.worst)})"
+            f"{what}: residual error is {_times(self.residual_over_noise)} the noise floor{self._guessed}, "
+            f"worst in {self.where} ({_times(self.worst)})"
         )
+
+    @property
+    def where(self) -> str:
+        """Where most is left; a run is named only beside others, since a table of knots has none."""
+        run = f"run {self.worst_run}, " if len(self.by_run) > 1 else ""
+        return f"{run}channel {self.worst_channel}"
 
     def judged(self, noise: Noise, columns: Sequence[str], threshold: float | None = None) -> "GoodnessOfFit":
         """Return the record with the limits that hold for this noise.

@@ -19,6 +19,11 @@ from hallsym.model.features import Features
 UNDETERMINED = 0.25
 """Standard uncertainty over bound width above which a direction counts as not determined (flat: 0.29)."""
 
+MOVING = 1e-6
+"""Part of a direction of unit length below which a parameter does not move along it: rounding."""
+
+SAME_DIRECTION = 1e-6
+"""Sine of an angle below which two directions are one: null directions of a log are known to 1e-9."""
 ROUNDING = 1e-13
 """Information below this part of the largest is rounding."""
 
@@ -64,7 +69,7 @@ def determine(cost: Cost, p: np.ndarray) -> Determination:
     null = np.hstack([always, rest @ vectors[:, values < least_information(values)]])
     inside = (lower <= model.nominal) & (model.nominal <= upper)
     held = {*_hold(null, inside), *(int(k) for k in np.flatnonzero(~open_))}
-    moving = np.flatnonzero(np.linalg.norm(always, axis=1) > 1e-6)
+    moving = np.flatnonzero(np.linalg.norm(always, axis=1) > MOVING)
     return Determination(
         scale, null, tuple(model.names[k] for k in moving), tuple(sorted(held)), always.shape[1]
     )
@@ -85,10 +90,27 @@ def structural_directions(cost: Cost, p: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     lower, upper = cost.summary.model.bounds
     open_ = lower < upper
-    always = structural_null(cost.coefficients, feature_scale(cost), p, open_)
+    always = _never(cost, p, open_)
     rest = np.zeros((len(p), int(open_.sum()) - always.shape[1]))
     rest[open_] = np.linalg.svd(always[open_], full_matrices=True)[0][:, always.shape[1] :]
     return always, rest
+
+
+def _never(cost: Cost, p: np.ndarray, open_: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (n, k) of what no recording determines: of a sum, what no share does."""
+    shares = cost.shares
+    if len(shares) == 1:
+        return structural_null(cost.coefficients, feature_scale(cost), p, open_)
+    rows = []
+    for part, chosen in shares:
+        null = structural_null(part.coefficients, feature_scale(part), p[chosen], open_[chosen])
+        seen = np.zeros((len(chosen), len(p)))
+        seen[:, chosen] = np.eye(len(chosen)) - null @ null.T
+        rows.append(seen[:, open_])
+    _, sizes, right = np.linalg.svd(np.vstack(rows), full_matrices=False)
+    out = np.zeros((len(p), int(np.sum(sizes < SAME_DIRECTION))))
+    out[open_] = right[sizes < SAME_DIRECTION].T
+    return out
 
 
 def _hold(null: np.ndarray, inside: np.ndarray) -> list[int]:

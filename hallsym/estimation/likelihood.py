@@ -44,6 +44,16 @@ class Cost:
     planned: bool = False
     """The logged columns hold the motion itself, without noise: a campaign that is not recorded yet."""
 
+    @property
+    def shares(self) -> "tuple[tuple[Cost, np.ndarray], ...]":
+        """The costs that this one is the sum of, and which of its parameters each has: itself, and all."""
+        return ((self, np.arange(len(self.summary.model.names))),)
+
+    @property
+    def by_population(self) -> bool:
+        """Whether `population` gives F of many points at once."""
+        return self.summary.features.n_zero == 0 and len(self.summary.runs) == 1
+
     @cached_property
     def noise_in_features(self) -> np.ndarray:
         """Q_i = sum over columns of variance * mean outer product of feature slopes, (runs, f, f)."""

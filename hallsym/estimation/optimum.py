@@ -67,12 +67,20 @@ class Solution:
 
 
 def search(
-    fitted: Cost, merged: Cost, first: np.ndarray, found: Determination, *, solver: str, seed: int
+    fitted: Cost,
+    merged: Cost,
+    first: np.ndarray,
+    found: Determination,
+    *,
+    solver: str,
+    seed: int,
+    newton_first: bool = False,
 ) -> Search:
     """Minimise `fitted` from the start `first` and, unless `solver` is "direct", from a global search.
 
     The global search and its local refinements run on `merged`, where the zeros are projected out and the
     whole population is evaluated at once; IPOPT then refines the best of them on the exact cost.
+    `newton_first`: Newton's method alone where it converges, which from a closed form it nearly always does.
     """
     free = np.array([k for k in range(len(first)) if k not in found.held], dtype=int)
     if len(free) == 0:
@@ -93,12 +101,14 @@ def search(
         )
         first = scaled.from_unit(explored.x)
     # restarted at an optimum IPOPT may look for it among rounding errors, thousands of evaluations long
-    local = solvers.newton(scaled.problem(fitted), scaled.to_unit(first), max_iterations=1)
+    steps = MORE if newton_first else 1
+    local = solvers.newton(scaled.problem(fitted), scaled.to_unit(first), max_iterations=steps)
     if local.status != "converged":
         local = solvers.ipopt(scaled.problem(fitted), scaled.to_unit(first), **WARM)
     # IPOPT stops within its tolerance; from there Newton's method needs a step or two to reach rounding
     more = POLISH if local.status == "converged" else MORE
-    polished = solvers.newton(scaled.problem(fitted), local.x, max_iterations=more)
+    alone = newton_first and local.status == "converged"
+    polished = local if alone else solvers.newton(scaled.problem(fitted), local.x, max_iterations=more)
     endings = {part.status for part in (explored, local, polished) if part is not None}
     # IPOPT's own verdict is that of a Newton step; where it found none, the steps after it decide
     ended = local if local.status == "converged" else polished
@@ -108,7 +118,9 @@ def search(
         cost=polished.cost * scaled.samples(fitted),
         status=status,
         message=_message(status, ended, solver),
-        evaluations=local.evaluations + polished.evaluations + (explored.evaluations if explored else 0),
+        evaluations=local.evaluations * (not alone)
+        + polished.evaluations
+        + (explored.evaluations if explored else 0),
         starts=1 if explored is None else len(explored.local),
         share=1.0 if explored is None else float(explored.share),
     )
@@ -186,7 +198,7 @@ class Scaled:
 
         def population(x: np.ndarray) -> np.ndarray:
             points = self.from_unit(x)
-            if cost.summary.features.n_zero == 0 and len(cost.summary.runs) == 1:
+            if cost.by_population:
                 return cost.population(points) / n
             return np.array([cost.at(p).value for p in points]) / n
 

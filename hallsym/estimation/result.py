@@ -11,10 +11,11 @@ import numpy as np
 
 from hallsym.estimation.calibration import Fit, added_effects
 from hallsym.estimation.channel_assignment import Wiring, composed
-from hallsym.estimation.covariance import noise_floor, uncertainty_at
+from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty_at
 from hallsym.estimation.goodness_of_fit import diagnose_command
+from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.linearised import exact
-from hallsym.estimation.lower_bound import lower_bound
+from hallsym.estimation.lower_bound import LowerBound, lower_bound
 from hallsym.estimation.task import Solved
 from hallsym.log.phase import home_notes
 from hallsym.model import Model
@@ -23,12 +24,26 @@ from hallsym.model import Model
 def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, began: float) -> Fit:
     """Return the fit that is handed out; `mounted`: the wiring that was found before it, by inspection;
     `began`: when, by `perf_counter`."""
-    task, state, errors = solved.task, solved.solution, solved.errors
-    model, found = task.model, state.determined
+    state, found = solved.solution, solved.solution.determined
     point = state.fitted.at(state.p)
     estimate = uncertainty_at(point, found)
     free = int(np.count_nonzero(np.diag(estimate.covariance)))
-    bound = lower_bound(point, free) if exact(model) else None
+    bound = lower_bound(point, free) if exact(solved.task.model) else None
+    return fit_of(solved, found, estimate, bound, notes, mounted, began)
+
+
+def fit_of(
+    solved: Solved,
+    found: Determination,
+    estimate: Uncertainty,
+    bound: LowerBound | None,
+    notes: tuple[str, ...],
+    mounted: Wiring | None,
+    began: float,
+) -> Fit:
+    """Return the fit of a solved log, with what is determined of its parameters, and how certainly."""
+    task, state, errors = solved.task, solved.solution, solved.errors
+    model = task.model
     path = task.log.path
     whole = path.parent if path is not None and task.log.meta.raw else path  # a folder with its meta.json
     command = diagnose_command(whole, model, added_effects(model))
@@ -71,7 +86,7 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
             "rows": task.log.rows,
             "runs": len(state.everything.summary.runs),
             "holdout": list(task.holdout),
-            "span": {column: list(ends) for column, ends in errors.fitted.span.items()},
+            "span": {c: list(ends) for c, ends in errors.fitted.span.items()} if errors else {},
         },
         seconds=perf_counter() - began,
         goodness=replace(
@@ -83,7 +98,7 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
         notes=(
             *notes,
             *zero_notes(model, tuple(zeros), delta),
-            *home_notes(task.log, model, zeros),
+            *(home_notes(task.log, model, zeros) if errors else ()),
         ),
         errors=errors,
         keep=solved.keep,
@@ -94,8 +109,9 @@ def result_of(solved: Solved, notes: tuple[str, ...], mounted: Wiring | None, be
         wiring=composed(mounted, solved.wiring, model.channels),
         turned=mounted is not None and solved.wiring is None,
         columns=dict(task.log.table.mapping),
+        read_with=dict(task.log.table.read_with),
         versions=dict(_versions()),
-        error_rows=errors.rows(),
+        error_rows=errors.rows() if errors else {},
     )
 
 

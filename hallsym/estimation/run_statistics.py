@@ -5,9 +5,10 @@ The residual of a reading is linear in the features of `hallsym.model.features`,
 deviations. QR, not Gram and Cholesky: it keeps the digits (docs/theory.md gives the measured error).
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -112,23 +113,47 @@ class RunStatistics:
         )
 
 
+def joined(parts: Sequence[RunStatistics]) -> RunStatistics:
+    """Return the runs of several logs, or parts of one, as one summary; no sample is touched again.
+
+    The parts are of one model and have one centre, and each run stands in one of them: then triangles, and
+    all else, are bitwise those of one pass over all.
+    """
+    first = parts[0]
+    if any(not np.array_equal(part.centre, first.centre) for part in parts):
+        raise ValueError("run statistics are joined where they have one centre")
+    if len(set(runs := [run for part in parts for run in part.runs])) != len(runs):
+        raise ValueError("run statistics are joined where each run stands in one of them")
+    names = ("triangles", "slopes", "counts", "first_state", "mean_state")
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    places = tuple(place for part in parts for place in part.places)
+    return replace(first, runs=tuple(runs), places=places, **arrays)
+
+
 def summarise(
-    log: Log, model: Model, weigh: Weigh | None = None, on_rows: Callable[[int], None] | None = None
+    log: Log,
+    model: Model,
+    weigh: Weigh | None = None,
+    on_rows: Callable[[int], None] | None = None,
+    centre: np.ndarray | None = None,
 ) -> RunStatistics:
     """Read a log once and return its run statistics for `model`.
+
+    `centre`: (n_variables,) of the features, that of another log or part to be `joined` with; by default the
+    mean of the first block.
 
     `weigh(block) -> (samples,)`: weights in [0, 1], 1 by default (how outliers are taken out).
     `on_rows(samples so far)` is called along the way.
     """
-    features, known = find_features(model), list[np.ndarray]()
+    features, known = find_features(model), [] if centre is None else [centre]
     log = continuous(log, model)
 
-    def centre(batch: Batch) -> np.ndarray:
+    def place(batch: Batch) -> np.ndarray:
         if not known:
             known.append(_centre(features, batch))
         return known[0]
 
-    return summarised(log, features, centre, weigh, on_rows)
+    return summarised(log, features, place, weigh, on_rows)
 
 
 def summarised(

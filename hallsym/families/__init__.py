@@ -23,6 +23,11 @@ def models(families: Sequence[Family] = ()) -> dict[str, Callable[..., Model]]:
     return named | {alias: named[name] for family in every for alias, name in family.aliases.items()}
 
 
+def family_called(model: str) -> Family | None:
+    """Return the family that has a model or an alias of this name; None where none of hallsym's own has."""
+    return next((f for f in FAMILIES if f.maker(model)), None)
+
+
 def effects(*families: Family) -> dict[str, Effect]:
     """Return every effect by name, of some families or of all; of one name, that of the first family."""
     return {e.name: e for family in reversed(families or FAMILIES) for e in family.effects}

@@ -1,14 +1,15 @@
 """What a fit is worth: what the data determine, parameter by parameter, in null directions and in the pose.
 
 `evidence` is where the numbers come from: a fit with its log, or a plan. `null_directions` names what cannot
-be told apart. `profiles` (with `profile_tangent`, `profile_walk`) and `bootstrap` give intervals where a
-normal one is not good enough, which `intervals` decides. `verdict` judges each parameter; `workspace` says
-what a change of it does to the decoded pose. `identifiability` puts this together, `comparison` sets models
-side by side.
+be told apart, `further` what other recordings would determine. `profiles` (with `profile_tangent`,
+`profile_walk`) and `bootstrap` give intervals where a normal one is not good enough, which `intervals` says.
+`verdict` judges each parameter; `workspace` says what a change of it does to the decoded pose.
+`identifiability` puts this together, `comparison` sets models side by side.
 """
 
 from hallsym.inference.bootstrap import Bootstrap, bootstrap
 from hallsym.inference.comparison import comparison
+from hallsym.inference.further import FurtherReport, Gained
 from hallsym.inference.identifiability import (
     CombinationReport,
     Identifiability,
@@ -30,6 +31,8 @@ __all__ = [
     "Bootstrap",
     "Change",
     "CombinationReport",
+    "FurtherReport",
+    "Gained",
     "Identifiability",
     "Interval",
     "NullDirection",

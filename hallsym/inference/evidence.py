@@ -32,7 +32,8 @@ MOVED = 5.0
 class Evidence:
     """Likelihood `cost`, its optimum `p` (n,), what it determines (`found`), and how certainly.
 
-    `recorded`: what to call the log or the plan.
+    `recorded`: what to call the log or the plan; `log`: its samples. `amiss`: the sentence that a report
+    begins with where the model does not describe the log; it is the first of the notes too.
     """
 
     cost: Cost
@@ -41,7 +42,9 @@ class Evidence:
     uncertainty: Uncertainty
     workspace: Workspace
     recorded: str
+    log: Log
     notes: tuple[str, ...] = ()
+    amiss: str = ""
 
     @property
     def model(self) -> Model:
@@ -82,7 +85,9 @@ def from_fit(known: Fit, log: Log | None = None) -> Evidence:
         uncertainty(cost, found.values, determination),
         visited(source, found.model, sigma=sigma, values=found.model.named(found.values)),
         source.name,
+        source,
         notes,
+        amiss or "",
     )
 
 
@@ -103,7 +108,7 @@ def from_plan(
     found = determine(cost, p)
     reason = "a plan: white noise of the stated size is taken for granted"
     told = replace(uncertainty(cost, p, found), method="likelihood", reason=reason)
-    return Evidence(cost, p, found, told, visited(log, model), name)
+    return Evidence(cost, p, found, told, visited(log, model), name, log)
 
 
 def _fitted_again(known: Fit, log: Log) -> tuple[Fit, tuple[str, ...]]:

@@ -10,6 +10,7 @@ import numpy as np
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, noise_floor
 from hallsym.inference.evidence import Evidence, from_fit, from_plan
+from hallsym.inference.further import FurtherReport, further_reports
 from hallsym.inference.intervals import Interval, Intervals, intervals_of, profile_record
 from hallsym.inference.null_directions import NullSpace, practical, structural
 from hallsym.inference.verdict import Verdict, strongest, verdicts
@@ -108,7 +109,8 @@ class Identifiability(Shown):
 
     `correlation`: (n, n) of the estimates, nan where a parameter is not estimated. `spectrum`: singular
     values of the scaled Jacobian, largest first: 1 means known to one bound width. `outputs`: by pose
-    coordinate. `partial`: what could not be computed, and why.
+    coordinate. `further`: what other recordings would determine beside this one. `partial`: what could not be
+    computed, and why.
     """
 
     evidence: Evidence
@@ -121,6 +123,7 @@ class Identifiability(Shown):
     outputs: Mapping[str, Output]
     offsets: Offsets
     intervals: Intervals
+    further: tuple[FurtherReport, ...]
     partial: tuple[str, ...]
     seconds: float
 
@@ -156,6 +159,7 @@ class Identifiability(Shown):
             ],
             "structural": _space(self.structural),
             "practical": _space(self.practical),
+            "further": [report.to_dict() for report in self.further],
             "outputs": {c: vars(entry) for c, entry in self.outputs.items()},
             "nuisance": self.offsets.to_dict(),
             "uncertainty": {"method": self.intervals.method, "reason": self.intervals.reason},
@@ -191,11 +195,8 @@ def identify(
     Raises `InputError` when model and log do not belong together or no covariance can be formed.
     """
     began, say = perf_counter(), on_progress or (lambda _: None)
-    on = (
-        on
-        if on is None or isinstance(on, Campaign)
-        else as_log(on, known.columns if isinstance(known, Fit) else None)
-    )
+    if on is not None and not isinstance(on, Campaign):
+        on = as_log(on, known.columns, known.read_with) if isinstance(known, Fit) else as_log(on)
     evidence = _evidence(known, on, values, noise, name)
     intervals = intervals_of(evidence, profiles=profiles, bootstrap=bootstrap, seed=seed, say=say)
     say("looking for null directions")
@@ -222,6 +223,7 @@ def identify(
         outputs=_outputs(evidence, slopes),
         offsets=_offsets(evidence),
         intervals=intervals,
+        further=further_reports(evidence, evidence.log),
         partial=intervals.failures,
         seconds=perf_counter() - began,
     )

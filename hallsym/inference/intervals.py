@@ -17,6 +17,7 @@ from hallsym.inference.evidence import Evidence
 from hallsym.inference.profile_tangent import skewness
 from hallsym.inference.profiles import Profile, profile
 from hallsym.model.quantities import Quantity, combination, linear, parameter
+from hallsym.terminal import Step
 
 CHOICES = ("auto", "all", "none")
 REPLICATES = 1000
@@ -169,7 +170,7 @@ def _profiled(
             check = skewness(cost, evidence.p, quantity, held=held, std=std, scale=scale)
             if check.normal:
                 continue
-        say(f"profile of {quantity.name}")
+        say(Step(f"profile likelihoods, {k + 1} of {len(quantities)} ({quantity.name})", k / len(quantities)))
         result = profile(cost, evidence.p, quantity, held=held, std=std, scale=scale, points=POINTS)
         profiles.append(result)
         ends = (result.lower.status, result.upper.status)

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.estimation import CombinationEstimate, Cost, Determination, feature_scale, structural_null
-from hallsym.estimation.identifiable import echelon
+from hallsym.estimation.identifiable import MOVING, echelon
 
 NAMED = 0.05
-"""Parameters that move less than this part of the leading one along a direction are not named with it."""
+"""Parameters that move less than this part of the leading one along a direction that a recording leaves are
+not named with it. A structural direction names all that move: none of them is determined."""
 
 
 WIDE = 4
@@ -57,7 +58,7 @@ def structural(cost: Cost, found: Determination, combinations: Sequence[Combinat
     open_ = np.array([p.width > 0 for p in model.parameters])
     null = structural_null(cost.coefficients, feature_scale(cost), None, open_)
     of = int(open_.sum())
-    return NullSpace(of - found.n_structural, of, _named(null, model.names, combinations))
+    return NullSpace(of - found.n_structural, of, _named(null, model.names, combinations, MOVING))
 
 
 def practical(cost: Cost, found: Determination, combinations: Sequence[CombinationEstimate]) -> NullSpace:
@@ -65,19 +66,22 @@ def practical(cost: Cost, found: Determination, combinations: Sequence[Combinati
     model = cost.summary.model
     of = sum(p.width > 0 for p in model.parameters)
     null = found.null[:, found.n_structural :]
-    return NullSpace(of - found.null.shape[1], of, _named(null, model.names, combinations))
+    return NullSpace(of - found.null.shape[1], of, _named(null, model.names, combinations, NAMED))
 
 
 def _named(
-    null: np.ndarray, names: Sequence[str], combinations: Sequence[CombinationEstimate]
+    null: np.ndarray, names: Sequence[str], combinations: Sequence[CombinationEstimate], least: float
 ) -> tuple[NullDirection, ...]:
-    """Sparse directions that span the columns of `null`, in the order of their first parameter."""
+    """Sparse directions that span the columns of `null`, in the order of their first parameter.
+
+    `least`: part of the leading parameter's motion from which on another one is named.
+    """
     if null.shape[1] == 0:
         return ()
     out = []
     for row in echelon(null.T):
-        involved = tuple(names[k] for k in np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()).tolist())
-        telling = [c for c in combinations if _mentions(c.expression, involved)]
+        involved = tuple(names[k] for k in np.flatnonzero(np.abs(row) > least * np.abs(row).max()).tolist())
+        telling = [c for c in combinations if mentions(c.expression, involved)]
         first = telling[0] if telling else None
         out.append(
             NullDirection(
@@ -92,5 +96,6 @@ def _named(
     return tuple(sorted(out, key=lambda d: list(names).index(d.parameters[0])))
 
 
-def _mentions(expression: str, parameters: Sequence[str]) -> bool:
+def mentions(expression: str, parameters: Sequence[str]) -> bool:
+    """Return whether an expression holds one of some parameters."""
     return bool(set(re.findall(r"[A-Za-z_]\w*", expression)) & set(parameters))

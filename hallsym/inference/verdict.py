@@ -1,13 +1,13 @@
 """A verdict in words for each parameter: what these data say of it, and why not more."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hallsym.estimation import coverage_factor
 from hallsym.inference.evidence import Evidence
-from hallsym.inference.null_directions import NullDirection, NullSpace
+from hallsym.inference.null_directions import NullDirection, NullSpace, mentions
 
 VERDICTS = ("determined", "weak", "at bound", "not determined", "no effect", "fixed")
 WEAK = 1 / 3
@@ -63,7 +63,8 @@ def _verdict(
         return Verdict("no effect", "its whole range leaves no trace in these readings")
     if not told.determined[k]:
         lost = [d for d in practical.null if parameter.name in d.parameters]
-        return Verdict("not determined", _instead(parameter.name, *lost, cause="by this recording"))
+        cause = "by this recording" if practical.null else "by any recording"
+        return Verdict("not determined", _instead(parameter.name, *lost, cause=cause))
     half = float(coverage_factor(told.degrees_of_freedom[k])) * told.std[k]
     share = 2 * half / parameter.width if np.isfinite(parameter.width) else 0.0
     alone = told.std[k] / abs(evidence.p[k]) if not share and evidence.p[k] else 0.0
@@ -90,14 +91,20 @@ def _bound(evidence: Evidence, k: int) -> str:
     return f"the data pull it to its {side} bound {getattr(p, side):g} {p.unit}"
 
 
-def _instead(name: str, *directions: NullDirection, cause: str = "whatever is recorded") -> str:
+def _instead(name: str, *directions: NullDirection, cause: str = "by any recording") -> str:
     """What is determined in the place of a parameter that is not, or what it may change together with."""
     wide = next((d for d in directions if d.is_wide), None)
     if wide is not None:
         first, second, *more = (n for n in wide.parameters if n != name)
         return f"{cause}; it may change together with {first}, {second} and {len(more)} more"
-    told = [d.determined for d in directions if d.determined]
+    every = [text for d in directions if d.determined for text in (d.determined, *d.also)]
+    told = [text for text in every if mentions(text, (name,))] or every
     if told:
-        return f"{cause}; only {' and '.join(dict.fromkeys(told))} is"
+        return f"{cause}; only {_listed(dict.fromkeys(told))} determined"
     alone = all(len(d.parameters) == 1 for d in directions)
     return cause if alone else f"{cause}, nor a combination of it"
+
+
+def _listed(expressions: Iterable[str]) -> str:
+    *first, last = expressions
+    return f"{', '.join(first)} and {last} are" if first else f"{last} is"

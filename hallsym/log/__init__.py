@@ -7,7 +7,7 @@ from hallsym.log.derived import extended
 from hallsym.log.drop import Drop, without
 from hallsym.log.estimate import estimate_noise
 from hallsym.log.guarded import MOST_ROWS
-from hallsym.log.meta import Meta
+from hallsym.log.meta import Meta, meta_schema
 from hallsym.log.noise import Noise, Sigma, check_noise_keys
 from hallsym.log.phase import continuous, near, unwrapped, wrapped
 from hallsym.log.quality.check import check_log, clean_log, on_rails, spans, usable
@@ -40,6 +40,7 @@ __all__ = [
     "continuous",
     "estimate_noise",
     "extended",
+    "meta_schema",
     "near",
     "on_rails",
     "open_source",

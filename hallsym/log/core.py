@@ -97,16 +97,30 @@ class Log:
     def blocks(self, columns: Sequence[str] | None = None, size: int = CHUNK_ROWS) -> Iterator[Block]:
         """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all).
 
+        A run is cut every `size` samples from its own beginning, wherever it stands in the log: what is
+        computed block by block does not depend on what was recorded before.
         A run must be contiguous: an id that comes back after another run is an `InputError`.
         """
         wanted = self.columns if columns is None else tuple(columns)
         asked = tuple(dict.fromkeys((RUN, *wanted)))
         runs = RunOrder(self.name)
+        waiting: list[Piece] = []
+        count, last = 0, 0
         for piece in self.table.pieces(asked, size):
             for run, start, stop in runs.segments(piece[RUN]):
-                for lo in range(start, stop, size):
-                    hi = min(lo + size, stop)
-                    yield Block(run, {name: _float(piece[name][lo:hi]) for name in wanted})
+                if waiting and run != last:
+                    yield Block(last, joined(waiting, wanted))
+                    waiting, count = [], 0
+                last, lo = run, start
+                while lo < stop:
+                    hi = min(lo + size - count, stop)
+                    waiting.append({name: _float(piece[name][lo:hi]) for name in wanted})
+                    count, lo = count + hi - lo, hi
+                    if count == size:
+                        yield Block(run, joined(waiting, wanted))
+                        waiting, count = [], 0
+        if waiting:
+            yield Block(last, joined(waiting, wanted))
 
     def run(self, run: int, columns: Sequence[str] | None = None) -> Piece:
         """Return one run's columns, each float64 of shape (samples of that run,)."""

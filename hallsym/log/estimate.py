@@ -29,7 +29,7 @@ _GAP = 5.0  # usual steps
 _SLACK = 1.03
 
 
-def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
+def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) -> Noise:
     """Estimate one standard deviation of white noise for each channel, in its SI unit.
 
     In each run, differences of order k = 2..8 remove motion that is a polynomial of degree k - 1 over k + 1
@@ -38,7 +38,8 @@ def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
     then the lowest order within 3 % of the least: higher ones leave less motion and more scatter.
     Where samples are not evenly spaced the differences are divided ones; none spans a gap. Where the ADC
     step hides the noise, step / sqrt(12) is the least that is returned.
-    Some 16 384 samples are used, 1024 in a stretch, of runs spread over the log (at most 128).
+    Some 16 384 samples are used, 1024 in a stretch, of runs spread over the log (at most 128); `enough`:
+    another number of such stretches.
 
     Valid for noise that is independent from sample to sample: drift, 1/f noise and hum below about a tenth of
     the sampling rate look like motion and are not seen. A channel that is constant within all runs gives 0.
@@ -48,9 +49,9 @@ def estimate_noise(log: Log, channels: Sequence[str]) -> Noise:
     timed = "t_s" in log.columns
     taken: dict[int, int] = {}
     typical = min(_SAMPLES, max(1, log.rows // len(log.runs)))
-    wanted = min(_RUNS, -(-_ENOUGH * _SAMPLES // typical))
+    wanted = min(_RUNS, -(-enough * _SAMPLES // typical))
     chosen = set(log.runs[:: -(-len(log.runs) // wanted)])
-    most = max(1, min(_BLOCKS, _ENOUGH // len(chosen)))
+    most = max(1, min(_BLOCKS, enough // len(chosen)))
     for block in log.blocks((RUN, *(("t_s",) if timed else ()), *channels)):
         taken[block.run] = taken.get(block.run, 0) + 1
         if block.run not in chosen or taken[block.run] > most:

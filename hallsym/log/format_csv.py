@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
@@ -10,11 +11,23 @@ from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import array_of
 from hallsym.log.extras import load
 from hallsym.log.table import Source, label
-from hallsym.log.text import MISSING, Cleaner, Dialect, Encoded, TableStream, as_float, end_of, sniffed
+from hallsym.log.text import (
+    MISSING,
+    Cleaner,
+    Dialect,
+    Encoded,
+    Seconds,
+    TableStream,
+    as_float,
+    end_of,
+    sniffed,
+)
 from hallsym.log.text.numbers import Convention
 from hallsym.log.text.stream import INSIDE, decimal_of
 from hallsym.units import Array
 
+TIME = "t"
+"""What the log calls its time."""
 IN_MEMORY_BYTES = 250_000_000
 COMPRESSED = 8
 """What text of numbers becomes larger by when it is decompressed, at most."""
@@ -36,19 +49,46 @@ class CsvSource(Source):
         decimal: str | None = None,
         file: Callable[[], IO[bytes]] | None = None,
         sheet: str = "",
+        dates: str | None = None,
     ) -> None:
         """Recognise what the file is."""
         self.path, self.where = path, quoted(path)
         self.file = Encoded.of(file or path)
         self.dialect: Dialect = sniffed(self.file, self.where, delimiter, decimal)
+        self.dates = dates
         self.names, self.units, self.aliases = self.dialect.names, self.dialect.units, self.dialect.aliases
+        self.times = {self.names.index(name): form for name, form in self.dialect.times.items()}
+        self._name_the_time()
         bytes_read = path.stat().st_size * (COMPRESSED if self.file.compressed else 1)
         self.small = file is not None or bytes_read <= IN_MEMORY_BYTES
         self.recognised = self.dialect.said(sheet)
         self.notes = self._notes()
         self._rows: int | None = None
 
+    def _name_the_time(self) -> None:
+        """Let the only column of times be the time of the log, in seconds from its first sample."""
+        if len(self.times) != 1 or any(re.fullmatch("t(_[a-z]+)?", name) for name in self.names):
+            return
+        ((at, _),) = self.times.items()
+        old = self.names[at]
+        self.names = (*self.names[:at], TIME, *self.names[at + 1 :])
+        self.units = {name: unit for name, unit in self.units.items() if name != old} | {TIME: "s"}
+        self.aliases = {long: short for long, short in self.aliases.items() if short != old}
+        self.aliases |= {old: TIME} | {
+            long: TIME for long, short in self.dialect.aliases.items() if short == old
+        }
+
     def _notes(self) -> tuple[str, ...]:
+        return (*self._about_times(), *self._about_text())
+
+    def _about_times(self) -> tuple[str, ...]:
+        return tuple(
+            f"Column '{self.dialect.names[at]}' of {self.where} holds {form.said}; it is read in seconds "
+            "from its first sample on."
+            for at, form in self.times.items()
+        )
+
+    def _about_text(self) -> tuple[str, ...]:
         said = () if self.dialect.usual else (f"{self.where} is read as {self.recognised}.",)
         whole = self.dialect.footer or end_of(self.file, 8).endswith(("\n", "\r"))
         return said if whole else (*said, _TORN.format(self.where))
@@ -107,17 +147,25 @@ class CsvSource(Source):
             "read_options": csv.ReadOptions(column_names=labels, block_size=max(BLOCK, 100 * len(labels))),
             "parse_options": csv.ParseOptions(delimiter=Cleaner(self.dialect).delimiter, quote_char=False),
             "convert_options": csv.ConvertOptions(
-                column_types=dict.fromkeys(labels, arrow.float64()),
+                column_types=dict.fromkeys(labels, arrow.float64())
+                | {str(k): arrow.string() for k in self.times},
+                strings_can_be_null=True,
                 include_columns=[str(k) for k in indices],
                 null_values=list(MISSING),
                 decimal_point=decimal_of(self.dialect),
             ),
         }
         stream = TableStream(self.file, self.dialect, self.where, BLOCK)
+        seconds = {
+            k: Seconds(self.times[k], self.dates, f"Column '{self.dialect.names[k]}' of {self.where}")
+            for k in indices
+            if k in self.times
+        }
         try:
             with csv.open_csv(stream, **options) as reader:
                 for batch in reader:
-                    yield [array_of(column) for column in batch.columns]
+                    columns = zip(indices, batch.columns, strict=True)
+                    yield [seconds[k](c) if k in seconds else array_of(c) for k, c in columns]
         except arrow.ArrowInvalid as error:
             if "Empty CSV" not in str(error):
                 raise
@@ -165,7 +213,7 @@ def first_fault(source: CsvSource, indices: Sequence[int], error: Exception) -> 
                 f"Line {number} of {source.where} must have {len(dialect.names)} cells as the header has;"
                 f" it has {len(cells)}, so {why}."
             )
-        for index in indices:
+        for index in (k for k in indices if k not in source.times):
             cell = cells[index].strip()
             if as_float(cell, _clean_numbers(dialect)) is None:
                 return _bad_cell(source, number, dialect.names[index], cell)

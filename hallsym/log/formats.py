@@ -11,7 +11,10 @@ from hallsym.errors import InputError, nearest
 from hallsym.log.format_csv import CsvSource, CsvWriter
 from hallsym.log.format_hdf5 import Hdf5Source, Hdf5Writer
 from hallsym.log.format_mat import MatWriter, open_mat
+from hallsym.log.format_mcap import open_mcap
+from hallsym.log.format_mdf import open_mdf
 from hallsym.log.format_parquet import ParquetSource, ParquetWriter
+from hallsym.log.format_tdms import open_tdms
 from hallsym.log.format_xlsx import open_workbook
 from hallsym.log.table import Source
 from hallsym.units import Array
@@ -47,10 +50,20 @@ class Format:
 
 FORMATS = (
     Format("parquet", (".parquet", ".pq"), ParquetSource, "Parquet", ParquetWriter),
-    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter, ("delimiter", "decimal")),
+    Format("csv", (".csv", ".txt", ".tsv"), CsvSource, "CSV", CsvWriter, ("delimiter", "decimal", "dates")),
     Format("hdf5", (".h5", ".hdf5"), Hdf5Source, "HDF5", Hdf5Writer),
     Format("mat", (".mat",), open_mat, "MATLAB", MatWriter),
-    Format("xlsx", (".xlsx", ".xlsm", ".xls", ".ods"), open_workbook, "workbook", None, ("sheet", "decimal")),
+    Format(
+        "xlsx",
+        (".xlsx", ".xlsm", ".xls", ".ods"),
+        open_workbook,
+        "workbook",
+        None,
+        ("sheet", "decimal", "dates"),
+    ),
+    Format("tdms", (".tdms",), open_tdms, "TDMS", None, ("clock",)),
+    Format("mdf", (".mf4", ".mdf"), open_mdf, "MDF", None, ("clock",)),
+    Format("mcap", (".mcap",), open_mcap, "MCAP", None, ("clock",)),
 )
 
 

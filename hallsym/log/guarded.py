@@ -34,11 +34,8 @@ class Guarded(Source):
             self.inner = open(path)
             self.names, self.small = tuple(self.inner.names), self.inner.small
         self.left_out, self.aliases = dict(self.inner.left_out), dict(self.inner.aliases)
-        self.notes, self.units, self.recognised = (
-            self.inner.notes,
-            dict(self.inner.units),
-            self.inner.recognised,
-        )
+        self.notes, self.units = self.inner.notes, dict(self.inner.units)
+        self.recognised, self.unstated = self.inner.recognised, self.inner.unstated
         self._check_names()
 
     def count(self) -> int:

@@ -10,19 +10,21 @@ from typing import Any
 
 from hallsym.errors import InputError, quoted
 from hallsym.reading import read_json
-from hallsym.records import structured
+from hallsym.records import schema_of, structured
 
 
 @dataclass(frozen=True, eq=False)
 class Meta:
     """Facts about a campaign; everything is optional and `raw` keeps the file's own words.
 
+    `device` says which machine was recorded.
     `holdout` holds run ids to judge on, `nominal` design values by parameter name, `probes` one entry per
     channel with `channel`, `position_m` and `senses`; `gap_length_scale_m` turns rotation into length and
     `gap_threshold_rel` is the relative improvement that is worth reporting.
     """
 
     case_id: str | None = None
+    device: str | None = None
     family: str | None = None
     base_model: str | None = None
     nominal: dict[str, Any] = field(default_factory=dict)
@@ -59,6 +61,13 @@ class Meta:
         if not isinstance(raw, dict):
             raise InputError(f"{quoted(path)} must hold a JSON object; it holds a {type(raw).__name__}.")
         return Meta.from_dict(raw, quoted(path))
+
+
+def meta_schema() -> dict[str, Any]:
+    """Return the JSON Schema of `meta.json`, from the types that are checked when a log is read."""
+    from hallsym.log.meta_file import MetaRecord
+
+    return schema_of(MetaRecord, "hallsym log metadata")
 
 
 _MISSPELT = 0.85

@@ -14,6 +14,7 @@ class MetaRecord(Struct):
     """Facts about a campaign; everything is optional, null is absent."""
 
     case_id: str | None = None
+    device: str | None = None
     family: str | None = None
     base_model: str | None = None
     nominal: dict[str, Any] = {}

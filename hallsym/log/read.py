@@ -27,14 +27,18 @@ from hallsym.log.meta import Meta
 from hallsym.log.noise import Noise, check_misspelt_noise, check_noise_keys
 from hallsym.log.quality.check import clean_log
 from hallsym.log.table import Source, Table
-from hallsym.log.text import stated_delimiter
+from hallsym.log.text import ORDERS, stated_delimiter
 from hallsym.reading import regular
 from hallsym.units import split_unit
 
 
-def as_log(data: Any, remembered: Mapping[str, Foreign] | None = None) -> Log:
+def as_log(
+    data: Any,
+    remembered: Mapping[str, Foreign] | None = None,
+    read_with: Mapping[str, str] | None = None,
+) -> Log:
     """Return a log: itself, or what `read_log` makes of a path or of a table in memory."""
-    return data if isinstance(data, Log) else read_log(data, remembered=remembered)
+    return data if isinstance(data, Log) else read_log(data, remembered=remembered, read_with=read_with)
 
 
 def read_log(
@@ -46,10 +50,13 @@ def read_log(
     delimiter: str | None = None,
     decimal: str | None = None,
     sheet: str | None = None,
+    clock: str | None = None,
+    dates: str | None = None,
     drop_bad: bool = False,
     noise: Mapping[str, float] | None = None,
     counts_per_turn: float | None = None,
     remembered: Mapping[str, Foreign] | None = None,
+    read_with: Mapping[str, str] | None = None,
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
@@ -61,12 +68,19 @@ def read_log(
     noise. `noise` holds 1-sigma values, `{"hall_m": 5e-7}`, and wins over the column file and `meta.json`.
     `counts_per_turn`: of angles in counts (`{"angle_count": "raw"}`); it wins in the same way.
     Of a text file delimiter and decimal sign are recognised; `delimiter` ("tab" and "blank" are words for
-    them) and `decimal` state them. `sheet`: of a workbook that has several.
+    them) and `decimal` state them. `sheet`: of a workbook that has several. `clock`: of a file whose channel
+    groups (TDMS, MDF, MCAP) have several, "Hall:linear": whose samples become the rows, and how channels of
+    other groups are read there, linear or nearest. `dates`: "day" or "month", which of them stands first in
+    dates such as 03/04/2026.
     `remembered`: columns as an earlier log was mapped (`Fit.columns`); those that this file has, and that
     nothing else gives, are read under the same names, and a note says so.
+    `read_with`: options (`decimal`, `sheet`, ...) that an earlier log was read with (`Fit.read_with`), which
+    answer what this file leaves open.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
     """
-    file, folder, source = open_source(path, format=format, delimiter=delimiter, decimal=decimal, sheet=sheet)
+    given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet}
+    given |= {"clock": clock, "dates": dates}
+    (file, folder, source), said = _answered(path, given, read_with or {})
     where = "The table" if file is None else quoted(file)
     meta = Meta.read(folder / "meta.json") if folder and (folder / "meta.json").exists() else Meta()
     stated = read_column_file(column_file) if column_file else ColumnFile()
@@ -91,9 +105,47 @@ def read_log(
     meta = replace(meta, columns=table.columns)
     check_misspelt_noise(meta.noise_1sigma, table.columns, "meta.json")
     log = Log(
-        table, known, meta, file, (*run_notes(table.bindings), *_notes(source), *changed, *_again(again))
+        table,
+        known,
+        meta,
+        file,
+        (*run_notes(table.bindings), *said, *_notes(source), *changed, *_again(again)),
     )
     return clean_log(log) if drop_bad else log
+
+
+Opened = tuple[Path | None, Path | None, Source]
+
+
+def _answered(
+    path: Any, given: Mapping[str, str | None], read_with: Mapping[str, str]
+) -> tuple[Opened, tuple[str, ...]]:
+    """Open a file as `open_source` does; where it leaves something open, as an earlier one was read."""
+    known = {name: text for name, text in read_with.items() if name in given and given[name] is None}
+    plain, helped = dict(given), {**given, **known}
+    # a delimiter was stated because another one was recognised; the rest because it was asked for
+    for options in (helped, plain) if "delimiter" in known else (plain, helped):
+        try:
+            opened = open_source(path, **options)
+            if opened[2].unstated:
+                raise InputError(opened[2].unstated)
+        except InputError as error:
+            refused = error
+            continue
+        if options is plain or not known:
+            return opened, ()
+        words = ", ".join(f"{name} {text!r}" for name, text in known.items())
+        return opened, (f"The file is read as the calibration's log was: {words}.",)
+    raise refused if not known else _first_refusal(path, plain)
+
+
+def _first_refusal(path: Any, given: Mapping[str, str | None]) -> InputError:
+    """Return why a file is refused without the help of an earlier one."""
+    try:
+        source = open_source(path, **given)[2]
+    except InputError as error:
+        return error
+    return InputError(source.unstated)
 
 
 def _locate(path: Path) -> tuple[Path, Path | None]:
@@ -121,10 +173,14 @@ def _open(file: Path, format: str | None, stated: Mapping[str, str | None]) -> S
             )
     if options.get("decimal", ".") not in (".", ","):
         raise InputError(f"Decimal sign must be '.' or ','; instead received {options['decimal']!r}.")
+    if options.get("dates", ORDERS[0]) not in ORDERS:
+        raise InputError(f"Option dates must be 'day' or 'month'; instead received {options['dates']!r}.")
     if "delimiter" in options:
         options["delimiter"] = stated_delimiter(options["delimiter"])
     fault = f"must be a complete {entry.kind} file; it is cut short or damaged"
-    return Guarded(file, partial(entry.open, **options), fault, "copy it again")
+    source = Guarded(file, partial(entry.open, **options), fault, "copy it again")
+    source.read_with = {**({"format": format} if format else {}), **options}
+    return source
 
 
 def _notes(source: Source) -> tuple[str, ...]:

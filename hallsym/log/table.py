@@ -26,7 +26,8 @@ class Source(ABC):
     `small`: whether whole columns may be kept in memory. `left_out`: why a vector cannot be a column, by its
     name. `aliases`: short names by long name, a path in a struct or a group. `units`: what the file states
     beside a name, by name (`hallsym.units`). `notes`: what has to be said about the file; `recognised`: what
-    it is, where that had to be found out.
+    it is, where that had to be found out. `unstated`: what has to be stated before samples are read together.
+    `read_with`: the options that it was read with, by name.
     """
 
     names: tuple[str, ...]
@@ -37,6 +38,8 @@ class Source(ABC):
     units: Mapping[str, str] = {}
     recognised: str = ""
     notes: tuple[str, ...] = ()
+    unstated: str = ""
+    read_with: Mapping[str, str] = {}
 
     def count(self) -> int:
         """Return the number of rows."""
@@ -160,6 +163,11 @@ class Table:
         return {
             b.asked: Foreign(b.source, b.scale, b.counts_per_turn) for b in self.bindings.values() if b.asked
         }
+
+    @property
+    def read_with(self) -> Mapping[str, str]:
+        """The options that the file was read with."""
+        return self.source.read_with
 
     def counts_per_turn(self, column: str) -> float | None:
         """Return how many counts of the file make a turn, for an angle in counts."""

@@ -4,7 +4,7 @@ from hallsym.model.arguments import Facts, example_facts, found, from_log, one_o
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import Computed, rate
 from hallsym.model.effect import Effect, Variant, Way, as_effect, effect, ways_text
-from hallsym.model.family import Example, Family, PoseMetric
+from hallsym.model.family import Example, Family, Further, PoseMetric
 from hallsym.model.features import find_features
 from hallsym.model.influence import influence
 from hallsym.model.medians import median, medians
@@ -20,6 +20,7 @@ from hallsym.model.model import (
     Tie,
 )
 from hallsym.model.quantities import Quantity, combination, linear, parameter
+from hallsym.model.sketch import Part
 
 __all__ = [
     "LINKS",
@@ -29,9 +30,11 @@ __all__ = [
     "Example",
     "Facts",
     "Family",
+    "Further",
     "Inspection",
     "Model",
     "Parameter",
+    "Part",
     "PoseMetric",
     "Quantity",
     "Signals",

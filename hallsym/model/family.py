@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.model.sketch import Part
+
 Model = Any
 """`hallsym.model.Model`, which holds its family."""
 Effect = Any
@@ -56,6 +58,21 @@ class Example:
 
 def _itself(model: Model) -> Model:
     return model
+
+
+@dataclass(frozen=True, eq=False)
+class Further:
+    """A recording that a machine can make beside a log, for what the log leaves open.
+
+    `text`: what is recorded, in words. `moved(columns)`: those references of it that differ from the log's,
+    from the columns of the log, (samples,) each. `read(model)`: the model as it reads in that recording,
+    None where the machine cannot make it; parameters beyond the log's own, which come last, belong to this
+    recording alone (a zero that is set anew).
+    """
+
+    text: str
+    moved: Callable[[Mapping[str, np.ndarray]], Mapping[str, np.ndarray]] = lambda columns: {}
+    read: Callable[[Model], Model | None] = _itself
 
 
 def _plain_from_meta(make: Maker, meta: Any) -> Model:
@@ -104,7 +121,11 @@ class Family:
     """Whether a diagnosis holds a flexible effect against pairs of plain ones."""
     most_effects: int = 3
     """Effects that a diagnosis adds at most."""
+    further: tuple[Further, ...] = ()
+    """Recordings that its machines can make beside a log."""
     decoder: str | Callable[..., Any] = "linear"
+    sketch: tuple[Part, ...] = ()
+    """Parts of the machine as a page draws them; without any there is no sketch."""
 
     @cached_property
     def catalogue(self) -> tuple[Effect, ...]:

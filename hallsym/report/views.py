@@ -12,16 +12,19 @@ from hallsym.diagnosis import Diagnosis
 from hallsym.errors import InputError, counted
 from hallsym.estimation import Evaluation, Fit, as_read, load_fit
 from hallsym.experiment import Plan
+from hallsym.fleets import Fleet
 from hallsym.inference import Identifiability
 from hallsym.log import Log, as_log
-from hallsym.report.page import Markup, escape, tag
-from hallsym.report.page import table as html_table
+from hallsym.report.page import Table as PageTable
+from hallsym.report.page import render
 from hallsym.report.tables import error_rows
 from hallsym.report.text import budget_text, plan_text
 from hallsym.report.text.diagnosis import diagnosis_text
 from hallsym.report.text.evaluation import evaluation_text
 from hallsym.report.text.fit import fit_text
+from hallsym.report.text.fleet import fleet_text
 from hallsym.report.text.identifiability import report_text
+from hallsym.terminal import fitted
 from hallsym.uncertainty import Budget
 
 if TYPE_CHECKING:
@@ -42,7 +45,7 @@ class View:
 
 def summary(result: Any) -> str:
     """Return what the command of a result prints."""
-    return _view(result).summary(result)
+    return fitted(_view(result).summary(result))
 
 
 def brief(result: Any) -> str:
@@ -80,14 +83,8 @@ def page(result: Any) -> str:
     view, columns = _view(result), _view(result).table(result)
     first, *others = view.brief(result)
     rows = [[_cell(v) for v in row] for row in zip(*columns.values(), strict=True)]
-    return str(
-        tag(
-            "div",
-            tag("p", tag("b", first), *(Markup(f"<br>{escape(line)}") for line in others)),
-            html_table(list(columns), rows),
-            tag("details", tag("summary", "all of it"), tag("pre", view.summary(result))),
-        )
-    )
+    table = PageTable(list(columns), rows, type(result).__name__)
+    return render("notebook.html.j2", first=first, others=others, columns=table, summary=view.summary(result))
 
 
 def _cell(value: Any) -> str:
@@ -156,7 +153,7 @@ def _log_of(fit: Fit, log: Any, call: str) -> Log:
     """Return the log of a fit, or another one of the same machine, under the names that the fit knows."""
     if log is None and fit.source is None:
         raise InputError(f"A calibration that was read from a file does not hold its log; give it: {call}.")
-    return fit.source if log is None and fit.source else as_log(log, fit.columns)
+    return fit.source if log is None and fit.source else as_log(log, fit.columns, fit.read_with)
 
 
 # -- a calibration on another log ------------------------------------------------------------------------
@@ -320,6 +317,20 @@ def _budget_figure(budget: Budget, log: Any) -> Figure:
     return budget_bars({budget.quantity: budget})
 
 
+# -- a fleet ---------------------------------------------------------------------------------------------
+
+
+def _fleet_brief(fleet: Fleet) -> list[str]:
+    verdicts = ", ".join(f"{len(devices)} {verdict}" for verdict, devices in fleet.verdicts.items())
+    return [f"Fleet of {counted(len(fleet.rows), 'device')}: {verdicts}", "all: print(fleet.summary())"]
+
+
+def _fleet_figure(fleet: Fleet, log: Any) -> Figure:
+    from hallsym.fleets.page import distributions
+
+    return distributions(fleet)
+
+
 VIEWS: Mapping[type, View] = {
     Fit: View(fit_text, _fit_brief, _fit_table, _fit_figure),
     Evaluation: View(evaluation_text, _evaluation_brief, _evaluation_table, _evaluation_figure),
@@ -328,5 +339,6 @@ VIEWS: Mapping[type, View] = {
         report_text, _identifiability_brief, _identifiability_table, _identifiability_figure
     ),
     Plan: View(plan_text, _plan_brief, _plan_table, _plan_figure),
+    Fleet: View(fleet_text, _fleet_brief, Fleet.table, _fleet_figure),
     Budget: View(budget_text, _budget_brief, _budget_table, _budget_figure),
 }

@@ -75,7 +75,7 @@ def three(value: float) -> str:
 
 def plus_minus(value: float, half: float, unit: str) -> str:
     """Return `value ± half` of a parameter with two digits of `half`; lengths in mm, angles in degrees."""
-    factor, shown = parameter_unit(unit, millimetres=True)
+    factor, shown = parameter_unit(unit, bare=True)
     ending = f" {shown}" if shown else ""
     if not (np.isfinite(half) and half > 0):
         return f"{factor * value:.6g}{ending}"

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.terminal import Step
 from hallsym.trajectory.bounds import Bound, bound
 from hallsym.trajectory.candidate import Candidate, Choice, best_of
 from hallsym.trajectory.curve import Curve
@@ -55,8 +56,9 @@ def of_nominal(
             f"{4e6 * held:.3g} um."
         )
     rows = []
-    for method, spacing in _spacings(methods, nodes):
-        progress(f"{method.words}, {spacing}")
+    spacings = list(_spacings(methods, nodes))
+    for k, (method, spacing) in enumerate(spacings):
+        progress(Step(f"methods, {k + 1} of {len(spacings)}: {method.words}, {spacing}", k / len(spacings)))
         rows.append(_candidate(target, method, spacing, tolerance, points, control))
     if control is not None and not any(method.fitted for method in methods):
         raise InputError("--control belongs to least squares; choose bernstein-ls or trigonometric-ls.")

@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 
 from hallsym.errors import InputError
+from hallsym.terminal import Step
 from hallsym.trajectory.basis import basis_named
 from hallsym.trajectory.candidate import Candidate, Choice, best_of
 from hallsym.trajectory.choose import MOST_FITTED, check_counts
@@ -55,8 +56,8 @@ def of_points(
                 f"coordinates, {4e6 * resolution(points.points):.3g} um."
             )
     rows = []
-    for method in methods:
-        progress(method.words)
+    for k, method in enumerate(methods):
+        progress(Step(f"methods, {k + 1} of {len(methods)}: {method.words}", k / len(methods)))
         rows.append(_candidate(points, method, tolerance, control))
     notes = [
         "errors are estimated by leaving out one point at a time; the points themselves are taken as right."

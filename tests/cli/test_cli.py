@@ -453,7 +453,7 @@ def test_ctrl_c_in_the_global_stage_keeps_the_best_so_far(capsys, written, tmp_p
     monkeypatch.setattr(Cost, "population", interrupted)
     path = tmp_path / "calib.json"
     code, _, err = run(capsys, "fit", written(), "-o", path)
-    assert code == 4
+    assert code == 130
     assert "interrupted" in err
     assert load_fit(path).status == "interrupted"
 

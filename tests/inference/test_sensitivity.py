@@ -7,12 +7,21 @@ import numpy as np
 import pytest
 from twins import SIGMAS, TRUTH, record, true_model, with_noise
 
-from hallsym import InputError, bundled_campaign, fit
+from hallsym import InputError, bundled_campaign, families, fit
 from hallsym.families import build, published
 from hallsym.inference import identify
 from hallsym.log import Log, Noise, Sigma
 from hallsym.model import Combination, Family, Model, Parameter
-from hallsym.simulation import Campaign, NoiseModel, Run, multi_sine, paper_campaign, simulate, sine
+from hallsym.simulation import (
+    Campaign,
+    NoiseModel,
+    Run,
+    campaign_from,
+    multi_sine,
+    paper_campaign,
+    simulate,
+    sine,
+)
 
 PAIRS = [("H1x", "H1y"), ("H2x", "H2y"), ("H3x", "H3y")]
 
@@ -333,3 +342,49 @@ def test_truth_of_the_twin_is_inside_nearly_all_intervals(report):
     ]
     assert len(inside) == 15
     assert sum(inside) >= 12  # 95 % each; fewer has a probability below 1e-3
+
+
+# -- verdicts and null directions say the same ------------------------------------------------------------
+
+
+def contradictions(found) -> list[str]:
+    """Return the parameters of which the table says one thing and the null directions another."""
+    always = {name for d in found.structural.null for name in d.parameters}
+    here = {name for d in found.practical.null for name in d.parameters}
+    wrong = []
+    for entry in found.parameters:
+        word, because = entry.verdict.word, entry.verdict.because
+        if word in ("determined", "weak") and entry.name in always:
+            wrong.append(f"{entry.name}: {word}, and in a structural direction")
+        if word == "not determined" and entry.name not in always | here:
+            wrong.append(f"{entry.name}: {word}, and in no direction")
+        if "by this recording" in because and entry.name not in here:
+            wrong.append(f"{entry.name}: {because}, and this recording loses nothing of it")
+        if "by any recording" in because and entry.name not in always:
+            wrong.append(f"{entry.name}: {because}, and structurally determined")
+    return wrong
+
+
+@pytest.mark.parametrize("name", ["stage30", "stage31", "stage31_tied"])
+def test_no_verdict_contradicts_the_null_directions_of_a_simulated_log(name):
+    """Angles near zero: an arm belongs to its direction although it hardly moves along it."""
+    truth = {**TRUTH, "theta_A": np.radians(0.4), "theta_B": np.radians(0.02), "theta_C": np.radians(0.04)}
+    model = build(name)
+    values = {n: truth[n] for n in model.names if n in truth}
+    log = simulate(model, values, paper_campaign(0.02), NoiseModel(SIGMAS), seed=3)
+    found = identify(fit(log, name, solver="direct"), profiles="none", bootstrap=0)
+    assert contradictions(found) == []
+    if name != "stage31_tied":
+        assert [d.parameters for d in found.structural.null] == PAIRS
+        assert all(found[n].verdict.word == "not determined" for pair in PAIRS for n in pair)
+        assert found.practical.null == ()
+
+
+@pytest.mark.parametrize("name", sorted(families.models()))
+def test_no_verdict_contradicts_the_null_directions_of_an_example(name):
+    model = build(name)
+    example = model.family.example
+    campaign = campaign_from(example.campaign, name) if example else paper_campaign(0.05)
+    noise = Noise.given(example.noise, (*model.channels, *model.references)).std if example else SIGMAS
+    values = {n: v for n, v in (example.values if example else TRUTH).items() if n in model.names}
+    assert contradictions(identify(model, campaign, values=values, noise=noise)) == []

@@ -2,9 +2,11 @@
 
 import math
 import re
+import shlex
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,26 +17,27 @@ from twins import Chopped, record, with_noise
 from hallsym import load_fit, write_log
 from hallsym.cli.main import main
 from hallsym.errors import InputError
-from hallsym.estimation import Fit, fit
+from hallsym.estimation import ErrorTable, Fit, fit
+from hallsym.families import FAMILIES
 from hallsym.log import Log, read_log
-from hallsym.report.data import Decoder, Tally, gather, run_series
+from hallsym.model import LINKS
+from hallsym.report.data import Decoder, ResidualTally, Tally, gather, run_series, worst_first
 from hallsym.report.page import (
     ACROSS,
     UP,
-    VOID,
-    Markup,
     Scale,
+    Table,
     decades,
-    escape,
-    figure,
     fit_page,
     label,
-    table,
-    tag,
+    render,
+    runs,
+    sketch,
     ticks,
 )
 
 HOLDOUT = (2, 7, 12)
+VOID = {"meta", "br"}
 
 
 class Outline(HTMLParser):
@@ -91,12 +94,14 @@ def page(log: Log, fitted: Fit) -> str:
 def test_page_is_well_formed_and_has_its_sections(page: str):
     outline = Outline(page)
     sections = [a["id"] for a in outline.all("section")]
-    assert sections == ["input", "errors", "maps", "series", "parameters", "notes", "origin"]
+    assert sections == [
+        "input", "errors", "maps", "series", "residuals", "parameters", "notes", "origin",
+    ]  # fmt: skip
     idents = [a["id"] for _, a in outline.found if "id" in a]
     assert len(idents) == len(set(idents))
     assert {a["href"] for a in outline.all("a")} == {f"#{s}" for s in sections}
     assert all(a.get("aria-label") for a in outline.all("svg") if a.get("role") == "img")
-    assert len([a for a in outline.all("figure") if a.get("class") == "series"]) == 3
+    assert len([a for a in outline.all("figure") if a.get("class") == "series"]) == 1
 
 
 def test_page_says_what_the_fit_says(page: str, fitted: Fit, log: Log):
@@ -166,6 +171,9 @@ def test_saved_calibration_gives_the_same_page(tmp_path, monkeypatch, capsys):
     assert main(["report", "calib.json", "log.csv", "-o", "page.html"]) == 0
     assert "wrote page.html" in capsys.readouterr().out
     first = Path("page.html").read_bytes()
+    (typed,) = re.findall(r"<dt>command</dt><dd><code>(.*?)</code>", first.decode())
+    assert main(shlex.split(typed)[1:]) == 0
+    assert Path("report.html").read_bytes() == first  # the printed command writes it again
     assert (
         fit_page(read, load_fit("calib.json"), command="hallsym report calib.json log.csv").encode() == first
     )
@@ -180,7 +188,7 @@ def test_names_are_escaped_everywhere(tmp_path, capsys):
     assert main(["report", str(folder / "calib.json"), str(path), "-o", str(folder / "p.html")]) == 0
     text = (folder / "p.html").read_text(encoding="utf-8")
     outline = Outline(text)
-    assert len(outline.all("script")) == 1
+    assert [a.get("type") for a in outline.all("script")] == ["application/json", "application/json", None]
     assert outline.all("img") == outline.all("b") == []
     assert path.name in outline.text
 
@@ -193,15 +201,17 @@ def test_spikes_that_the_fit_left_out_stay_out_of_maps_and_series(tmp_path):
     (left_out,) = re.findall(r"(\d+) of \d+ samples .* are isolated spikes", " ".join(result.notes))
     assert int(count) == int(left_out)
     assert "show samples that the fit gave little" not in text
-    for size in re.findall(r"decoded up to ([\d.e+]+) µ", text):
-        assert float(size) < 20
+    rows = result.errors.rows()
+    worst = max(max(rows[part]["peak"].values()) for part in ("fitted", "holdout"))
+    for size in re.findall(r"fitted up to ([\d.e+]+) µ", text):
+        assert float(size) < 1.01e6 * worst < 50
 
 
 def test_a_fit_that_kept_its_spikes_shows_them():
     spiky = with_noise(record(seed=4, samples=100, outlier_share=0.005, outlier_size=1e-3))
     text = fit_page(spiky, fit(spiky, "stage31", solver="direct", loss="none"))
     assert "isolated spikes" not in text
-    assert any(float(v) > 100 for v in re.findall(r"decoded up to ([\d.e+]+) µ", text))
+    assert any(float(v) > 100 for v in re.findall(r"fitted up to ([\d.e+]+) µ", text))
 
 
 def test_a_rewired_fit_is_decoded_with_its_wiring():
@@ -209,8 +219,8 @@ def test_a_rewired_fit_is_decoded_with_its_wiring():
     columns["hall_a_m"], columns["hall_b_m"] = columns["hall_b_m"], -columns["hall_a_m"]
     swapped = with_noise(columns)
     result = fit(swapped, "stage31", solver="direct", loss="none", resolve_wiring=True)
-    sizes = [float(v) for v in re.findall(r"decoded up to ([\d.e+]+) µ", fit_page(swapped, result))]
-    assert len(sizes) == 9
+    sizes = [float(v) for v in re.findall(r"fitted up to ([\d.e+]+) µ", fit_page(swapped, result))]
+    assert len(sizes) == 3
     assert max(sizes) < 20
 
 
@@ -231,7 +241,7 @@ def test_a_log_without_time_counts_samples(log: Log):
     bare = replace(Log.from_arrays(columns), noise=log.noise)
     text = fit_page(bare, fit(bare, "stage31", solver="direct", loss="none"))
     assert "sample of the run" in text
-    assert 'data-unit="samples"' in text
+    assert '"unit": "samples"' in text
 
 
 def test_what_lacks_a_column_is_refused(tmp_path, fitted: Fit, capsys):
@@ -260,15 +270,19 @@ def test_unwritable_page_is_one_sentence(tmp_path, log: Log, fitted: Fit, capsys
 
 def test_maps_count_every_sample_and_agree_with_the_error_table(log: Log, fitted: Fit):
     found = gather(log, fitted)
-    titles = [m.by for m in found.maps]
-    assert titles[:4] == ["x [µm]", "x [µm]", "y [µm]", "Rz [µrad]"]
-    assert titles[4].startswith("vertical setting")
-    assert titles[5] == "run"
+    planes = [m for m in found.maps if m.up]
+    assert (planes[0].by, planes[0].up) == ("x [µm]", "y [µm]")
+    coordinates = {side for m in planes for side in (m.by, m.up)}
+    assert len(planes) == len(coordinates) * (len(coordinates) - 1) // 2
+    titles = [m.by for m in found.maps if not m.up]
+    assert titles[:3] == ["x [µm]", "y [µm]", "Rz [µrad]"]
+    assert titles[3].startswith("vertical setting")
+    assert titles[4] == "run"
     for m in found.maps:
         assert m.count.sum() == log.rows
         squares = np.nansum(m.rms**2 * m.count, axis=1)
         np.testing.assert_allclose(squares, found.survey.fitted.squares.sum(axis=0), rtol=1e-9)
-    run = found.maps[5]
+    run = found.maps[-1]
     assert [int(run.labels[k]) for k in run.marked] == list(HOLDOUT)
     (block,) = (b for b in log.blocks() if b.run == 2)
     decode = Decoder(fitted)
@@ -296,7 +310,7 @@ def test_gathering_does_not_depend_on_blocks(log: Log, fitted: Fit):
 
 def test_an_axis_at_rest_shows_no_bias_at_the_middle(log: Log, fitted: Fit):
     """Runs that move y rest at x = 0 with noise of both signs, which must not decide the cell."""
-    over_x = gather(log, fitted).maps[1]
+    over_x = next(m for m in gather(log, fitted).maps if not m.up)
     middle = np.argmax(over_x.count)
     assert over_x.edges[middle] < 0 < over_x.edges[middle + 1]
     error = 1.2533 * over_x.rms[:, middle] / math.sqrt(over_x.count[middle])
@@ -342,6 +356,10 @@ def _points(path: str) -> list[list[tuple[int, int]]]:
     return pieces
 
 
+def _first_run(series):
+    return runs([series]).script["runs"][0]
+
+
 def test_a_series_keeps_its_peaks_and_gaps():
     time = np.linspace(5.0, 25.0, 50_000)
     error = 1e-6 * np.sin(time)[None] * np.ones((2, 1))
@@ -349,29 +367,44 @@ def test_a_series_keeps_its_peaks_and_gaps():
     error[1, 30_000:31_000] = np.nan
     series = run_series("run 4", ("x_m", "rz_rad"), time, {"decoded": error})
     assert series.per_column == 32
-    text = figure(series)
-    paths = re.findall(r'<path d="([^"]*)" class="line line0">', text)
-    first, second = map(_points, paths)
+    run = _first_run(series)
+    first, second = map(_points, run["lines"][0])
     assert len(first) == 1
     assert len(second) == 2
     height = {y: x for x, y in first[0]}
     assert min(height) == -UP
     assert height[-UP] == pytest.approx(ACROSS * 12_345 / 50_000, abs=ACROSS / 1500)
-    assert 'data-reach="9"' in text
-    assert 'data-to="20"' in text or 'data-to="19.99' in text
-    assert len(text) < 120_000
+    assert run["reach"][0] == 9
+    assert run["to"] == pytest.approx(20, abs=0.02)
+    assert sum(map(len, run["lines"][0])) < 60_000
+
+
+def test_runs_beside_the_first_are_coarser_and_keep_their_peaks():
+    time = np.linspace(0.0, 20.0, 50_000)
+    error = 1e-6 * np.sin(time)[None]
+    peaked = error.copy()
+    peaked[0, 12_345] = -9e-6
+    several = [run_series(f"run {k}", ("x_m",), time, {"decoded": e}) for k, e in enumerate((error, peaked))]
+    fine, coarse = runs([*several, *[several[1]] * 58]).script["runs"][:2]
+    assert len(coarse["lines"][0][0]) < 0.6 * len(fine["lines"][0][0])
+    assert max(y for _, y in _points(coarse["lines"][0][0])[0]) == UP
+    assert coarse["reach"] == [9]
+    total = sum(len(run["lines"][0][0]) for run in runs([several[0]] * 60).script["runs"])
+    assert total < 700_000
 
 
 def test_a_short_series_is_drawn_sample_by_sample():
     error = np.array([[1e-6, -2e-6, 0.5e-6]])
     series = run_series("run 0", ("x_m",), np.array([0.0, 0.1, 0.2]), {"a": error})
-    (points,) = _points(re.search(r'<path d="([^"]*)" class="line line0">', figure(series))[1])
+    (points,) = _points(_first_run(series)["lines"][0][0])
     assert points == [(0, -UP // 2), (ACROSS // 2, UP), (ACROSS, -UP // 4)]
 
 
 def test_a_series_of_one_sample_or_none_kept_is_drawn():
-    assert "<path" in figure(run_series("r", ("x_m",), np.array([3.0]), {"a": np.array([[1e-6]])}))
-    figure(run_series("r", ("x_m",), None, {"a": np.full((1, 9), np.nan)}))
+    one = run_series("r", ("x_m",), np.array([3.0]), {"a": np.array([[1e-6]])})
+    assert _first_run(one)["lines"][0][0]
+    assert not _first_run(run_series("r", ("x_m",), None, {"a": np.full((1, 9), np.nan)}))["lines"][0][0]
+    assert runs([]) is None
 
 
 # -- pieces ----------------------------------------------------------------------------------------------
@@ -409,17 +442,14 @@ def test_labels_have_a_true_minus_and_no_exponent_where_short():
 
 @given(st.text())
 def test_escaped_text_has_no_markup_and_is_utf8(text):
-    found = escape(text + "\udcff\x00‮")
+    words = text + "\udcff\x00‮"
+    found = render(
+        "notebook.html.j2", first=words, others=[], columns=Table(["a"], [[words]], words), summary=""
+    )
     found.encode("utf-8")
-    assert not set("<>\"'\x00") & set(found)
-    parsed = Outline(tag("p", text, title=text))
-    assert len(parsed.found) == 1
-
-
-def test_markup_is_not_escaped_twice():
-    assert escape(Markup("<b>")) == "<b>"
-    assert tag("p", tag("b", "&"), None, hidden=True, lang=None) == "<p hidden><b>&amp;</b></p>"
-    assert table(["a"], []) == ""
+    assert "\x00" not in found
+    names = [name for name, _ in Outline(found).found]
+    assert names.count("p") == names.count("b") == names.count("table") == names.count("td") + 1 == 1
 
 
 def test_unknown_columns_raise_input_error(log: Log, fitted: Fit):
@@ -431,9 +461,79 @@ def test_unknown_columns_raise_input_error(log: Log, fitted: Fit):
 def test_a_zoom_stops_where_columns_would_pass_for_samples():
     time = np.linspace(0, 20, 40_000)
     long, short = (
-        figure(run_series("r", ("x_m",), t, {"a": 1e-6 * np.sin(t)[None]})) for t in (time, time[:200])
+        _first_run(run_series("r", ("x_m",), t, {"a": 1e-6 * np.sin(t)[None]})) for t in (time, time[:200])
     )
-    columns = len(_points(re.search(r'<path d="([^"]*)" class="line line0">', long)[1])[0]) / 2
-    least = [int(re.search(r'data-least="(\d+)"', text)[1]) for text in (long, short)]
-    assert least[0] * columns / ACROSS == pytest.approx(200, abs=1)
-    assert least[1] * 200 / ACROSS == pytest.approx(4, abs=0.1)
+    columns = len(_points(long["lines"][0][0])[0]) / 2
+    assert long["least"] * columns / ACROSS == pytest.approx(200, abs=1)
+    assert short["least"] * 200 / ACROSS == pytest.approx(4, abs=0.1)
+
+
+# -- headline, sketch, residuals ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES, ids=str)
+def test_every_family_has_a_sketch_with_a_part_for_each_link(family):
+    assert {part.link for part in family.sketch} == set(LINKS)
+    plain = sketch(family.sketch, {})
+    lit = sketch(family.sketch, {"field": "lit", "clock": "maybe"})
+    words = [m.words for m in lit.marks if m.name == "text"]
+    assert sum(w.startswith("● ") for w in words) == sum(p.link == "field" for p in family.sketch)
+    assert sum(w.startswith("○ ") for w in words) == 1
+    assert "lit: " in lit.says
+    assert "lit" not in plain.says
+    numbers = [float(n) for m in lit.marks for n in re.findall(r"M(\S+) ", str(m.attributes.get("d", "")))]
+    assert 0 <= min(numbers) <= max(numbers) <= lit.width
+
+
+def test_a_family_without_a_sketch_has_none():
+    assert sketch((), {"field": "lit"}) is None
+
+
+def test_headline_has_sizes_before_and_after_and_the_next_command(page: str, fitted: Fit):
+    card = page.partition('<div class="card good">')[2].partition("</header>")[0]
+    text = Outline(f"<div>{card}").text
+    rows = fitted.errors.rows()
+    for c, name in zip(fitted.model.pose, ("x [µm]", "y [µm]", "Rz [µrad]"), strict=True):
+        sizes = (rows["designed"]["rmse"][c], rows["holdout"]["rmse"][c], fitted.noise_floor[c])
+        assert f"{name} {' '.join(f'{1e6 * v:#.3g}'.rstrip('.') for v in sizes)}" in text
+    assert "hallsym codegen calib.json -o firmware" in text
+    assert "At the noise floor." in text
+
+
+def test_headline_of_a_model_that_leaves_more_asks_for_a_diagnosis(log: Log):
+    text = fit_page(log, fit(log, "stage30", solver="direct", loss="none", holdout=HOLDOUT))
+    assert 'class="card bad"' in text
+    assert re.search(r"<code>.*diagnose.*stage30.*</code>", text)
+
+
+def test_runs_are_offered_worst_first(log: Log, fitted: Fit):
+    survey = gather(log, fitted).survey
+    order = worst_first(survey, fitted.noise_floor, 60)
+    assert sorted(order) == sorted(survey.runs)
+    floor = np.array(list(fitted.noise_floor.values()))
+    rms = np.sqrt(survey.fitted.squares / survey.fitted.count[:, None])
+    size = dict(zip(survey.runs, (rms / floor).max(axis=1), strict=True))
+    assert [size[run] for run in order] == sorted(size.values(), reverse=True)
+    assert worst_first(survey, {}, 2) == worst_first(survey, {}, 60)[:2]
+
+
+def test_residuals_count_all_samples_and_have_the_power_of_the_errors():
+    """White noise: a flat spectrum whose integral is the variance (Parseval); a wave: a line where it is."""
+    rng, n, step, pose = np.random.default_rng(1), 8192, 1e-3, ("x_m", "y_m")
+    time, white = step * np.arange(n), 1e-6 * rng.standard_normal(n)
+    wave = 2e-6 * np.sin(2 * np.pi * 80.0 * time)
+    errors = np.array([white, wave])
+    rms = np.sqrt((errors**2).mean(axis=1))
+    table = ErrorTable(pose, (0,), np.array([float(n)]), (errors**2).sum(axis=1)[None], rms[None])
+    survey = SimpleNamespace(fitted=table, edges=np.array([0, n]), time=True)
+    tally = ResidualTally(pose, survey, np.array([1e-6, 0.0]))
+    for part in np.array_split(np.arange(n), 4):
+        tally.add(time[part], errors[:, part])
+    found = tally.found()
+    assert found.counts.sum(axis=1).tolist() == [n, n]
+    assert np.median(found.density[0]) == pytest.approx(1e-6 * math.sqrt(2 * step), rel=0.1)
+    assert found.white[0] == pytest.approx(1e-6 * math.sqrt(2 * step))
+    assert found.frequency[np.argmax(found.density[1])] == pytest.approx(80.0, rel=0.05)
+    late = ResidualTally(pose, survey, np.array([1e-6, 0.0]))
+    late.add(np.sort(rng.uniform(0.0, 8.0, n)), errors)
+    assert late.found().frequency.size == 0

@@ -16,8 +16,10 @@ from hallsym.estimation import fit
 from hallsym.report.data import gather, run_series
 from hallsym.report.page import fit_page
 
-OVERLAPS = """
-JSON.stringify({ across: document.documentElement.scrollWidth - document.documentElement.clientWidth,
+OVERLAPS = """JSON.stringify({
+  across: document.documentElement.scrollWidth - document.documentElement.clientWidth,
+  cut: [...document.querySelectorAll('.wide, .scroll')].filter((e) => e.scrollWidth > e.clientWidth + 1)
+    .map((e) => e.getAttribute('aria-label')),
   labels: document.querySelectorAll('svg text').length,
   overlaps: [...document.querySelectorAll('svg')].flatMap((svg) => {
   const boxes = [...svg.querySelectorAll('text')].map((t) => [t.textContent, t.getBoundingClientRect()]);
@@ -49,6 +51,40 @@ ZOOM = """
   point('pointerdown', 0.3); point('pointermove', 0.4); point('pointerup', 0.5); seen.push(state());
   press('0'); seen.push(state());
   return JSON.stringify(seen);
+})()
+"""
+DO = """
+(() => {
+  const out = {}, figure = document.querySelector('figure.series'), pick = figure.querySelector('select');
+  const path = () => figure.querySelector('.view path').getAttribute('d');
+  const title = figure.querySelector('.run');
+  const change = (select, k) => { select.selectedIndex = k; select.dispatchEvent(new Event('change')); };
+  out.runs = pick.options.length; out.worst = title.textContent; out.first = pick.options[0].textContent;
+  const before = path();
+  change(pick, 1); out.picked = title.textContent; out.moved = path() !== before;
+  const svg = figure.querySelector('svg.panel'), box = svg.getBoundingClientRect();
+  const point = (type) => svg.dispatchEvent(new PointerEvent(type, { pointerType: 'mouse', bubbles: true,
+    clientX: box.left + box.width * 0.5, clientY: box.top + 60 }));
+  const cursors = () => [...figure.querySelectorAll('.cursor')].map((c) => c.getAttribute('d'));
+  point('pointermove'); out.hover = figure.querySelector('.readout').textContent;
+  out.cursors = cursors().filter(Boolean).length;
+  point('pointerleave'); out.left = cursors();
+  const planes = document.querySelector('.planes'), [across, up] = planes.querySelectorAll('select');
+  out.coordinates = [...across.options].map((o) => o.textContent);
+  const plane = planes.querySelector('svg.plane');
+  change(across, 1); change(up, 2); out.map = plane.querySelector('.soft').textContent;
+  out.cells = plane.querySelectorAll('rect').length;
+  change(across, 2); out.same = [across, up].map((s) => s.options[s.selectedIndex].textContent);
+  const table = document.querySelector('table.sortable'), head = table.tHead.rows[0].cells[0];
+  const names = () => [...table.tBodies[0].rows].map((r) => r.cells[0].textContent);
+  out.sorted = []; out.aria = [];
+  for (let k = 0; k < 2; k++) {
+    head.querySelector('button').click(); out.sorted.push(names());
+    out.aria.push(head.getAttribute('aria-sort'));
+  }
+  out.command = document.querySelector('.next pre').textContent;
+  out.button = document.querySelector('.next button').textContent;
+  return JSON.stringify(out);
 })()
 """
 
@@ -84,9 +120,12 @@ def pages(tmp_path_factory) -> dict[str, Path]:
 def test_the_script_runs_under_its_own_policy(chromium, pages, name):
     shown = chromium.dom(pages[name])
     figures = shown.count('<figure class="series"')
-    assert figures == (3 if name == "fit" else 1)
-    assert shown.count('<div class="zoom">') == figures
-    assert shown.count('<button type="button"') == 5 * figures
+    assert figures == 1
+    assert shown.count('<div class="zoom">') == 2  # runs, and maps over two coordinates
+    assert shown.count('<span class="readout">') == 1
+    assert "(worst)" in shown or name == "diagnosis"
+    for button in ("+", "all", "parameter", *(["copy"] if name == "fit" else [])):
+        assert f">{button}</button>" in shown, button
     assert '<p class="verdict"' in shown
     if name == "diagnosis":
         for part in ("asked", "errors", "effects", "where", "rest", "maps", "series", "parameters", "origin"):
@@ -102,16 +141,18 @@ def test_a_script_that_is_not_its_own_is_refused_and_the_charts_stay_without_it(
     shown = chromium.dom(changed)
     assert "<title>changed" not in shown
     assert "<button" not in shown
-    assert len(re.findall(r'<path d="m[^"]{300,}" class="line line0">', shown)) == 9
+    assert len(re.findall(r'<path d="m[^"]{300,}" class="line line0">', shown)) == 3
+    assert shown.count('class="plane"') == 6
 
 
 @pytest.mark.parametrize("name", ["fit", "diagnosis"])
-@pytest.mark.parametrize("width", [500, 1100])
+@pytest.mark.parametrize("width", [390, 1100])
 def test_no_label_overlaps_or_is_cut_off_and_the_page_does_not_scroll_sideways(chromium, pages, name, width):
-    answer = json.loads(chromium.ask(pages[name], OVERLAPS, f"--window-size={width},900"))
+    answer = json.loads(chromium.framed(pages[name], width, f"tell({OVERLAPS})"))
     assert answer["labels"] > 100
     assert answer["overlaps"] == []
     assert answer["across"] <= 0
+    assert width > 390 or answer["cut"] == []  # a wide window may leave a wide table to scroll
 
 
 def test_buttons_keys_and_mouse_zoom(chromium, pages):
@@ -131,6 +172,66 @@ def test_buttons_keys_and_mouse_zoom(chromium, pages):
     assert (all_[0][0], all_[0][2]) == (0, 20000)
     assert all_[0] == start[0]
     assert all_[2] == start[2]
+
+
+def test_picker_hover_maps_sorting_and_copying(chromium, pages):
+    """What can be done on a page besides zooming, in one go: a browser takes long to start."""
+    found = json.loads(chromium.ask(pages["fit"], DO, "--window-size=1100,900").replace("&gt;", ">"))
+    assert found["runs"] == 57
+    assert found["first"].startswith(found["worst"])
+    assert found["picked"] != found["first"]
+    assert found["moved"]
+    assert re.fullmatch(r"at 0\.\S+ s: x \S+ µm; y \S+ µm; Rz \S+ µrad", found["hover"])
+    assert found["cursors"] == 3
+    assert found["left"] == ["", "", ""]
+    assert found["coordinates"][:3] == ["x [µm]", "y [µm]", "Rz [µrad]"]
+    assert found["map"] == "y [µm], upwards Rz [µrad]"
+    assert found["same"] == ["Rz [µrad]", "Z [µm]"]  # no coordinate over itself
+    assert found["cells"] > 5
+    ordered = found["sorted"]
+    assert ordered[0] == sorted(ordered[0], key=str.lower)
+    assert ordered[1] == ordered[0][::-1]
+    assert found["aria"] == ["ascending", "descending"]
+    assert found["command"].startswith("hallsym ")
+    assert found["button"] == "copy"
+
+
+AUDIT = """axe.run(document, { resultTypes: ['violations'] }).then((found) => tell(JSON.stringify(
+  found.violations.map((v) => [v.id, v.help, v.nodes.slice(0, 3).map((n) => n.html.slice(0, 200))]))),
+  (error) => tell(String(error)))"""
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    package = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed")
+    script = Path(package.__file__).with_name("axe.min.js").read_text(encoding="utf-8")
+    return script.replace("</script>", "<\\/script>")
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "dark"),
+    [
+        ("fit", 1100, True),
+        ("diagnosis", 390, False),
+        pytest.param("fit", 1100, False, marks=pytest.mark.slow),
+        pytest.param("fit", 390, False, marks=pytest.mark.slow),
+        pytest.param("diagnosis", 1100, False, marks=pytest.mark.slow),
+        pytest.param("diagnosis", 1100, True, marks=pytest.mark.slow),
+    ],
+)
+def test_axe_finds_nothing(chromium, pages, axe, name, width, dark):
+    scheme = f"--blink-settings=preferredColorScheme={0 if dark else 1}"
+    answer = chromium.framed(pages[name], width, axe + ";" + AUDIT, scheme)
+    assert json.loads(answer) == []
+
+
+def test_dark_mode_has_light_words_on_dark_paper(chromium, pages, tmp_path):
+    shot = tmp_path / "dark.png"
+    options = ("--blink-settings=preferredColorScheme=0", "--window-size=1000,1400", f"--screenshot={shot}")
+    chromium.run(pages["fit"], *options)
+    pixels = imread(shot)[..., :3]
+    assert (pixels.max(axis=2) < 0.25).mean() > 0.7
+    assert (pixels.min(axis=2) > 0.7).mean() > 0.005
 
 
 @pytest.mark.parametrize("name", ["fit", pytest.param("diagnosis", marks=pytest.mark.slow)])

@@ -3,7 +3,8 @@
 Signals of the chain, beside the columns: `moved`: for each channel a dict of what is added to each logged
 coordinate (clock, reference); `placed`: what is added to the position (x, y, z) [m] of its sensors; `tilted`:
 the slopes (x, y) of their axes [rad]; `mounted`: shift [m] and rotation of arrays that are not at their
-place; `stretch`: share by which wavelengths are long; `field`: what each channel sees [V]; `reading`.
+place; `stretch`: share by which wavelengths are long; `turn`: -1 where the mover is turned half round
+about z, else 1; `field`: what each channel sees [V]; `reading`.
 Functions: `seen(channel)`: what each of its elements sees (`Seen`), `harmonic(channel, h, a, b)`: its reading
 of a cos + b sin of harmonic h. `crest`: place [m] along an array where the first harmonic points to the
 sensors, `amplitude`: of it at the level [V].
@@ -31,6 +32,7 @@ def begin(s: Signals, model: Model) -> None:
     s["filters"] = []
     s["mounted"] = {}
     s["stretch"] = ca.SX(0)
+    s["turn"] = 1
 
 
 def labels(model: Model) -> Sequence[str]:

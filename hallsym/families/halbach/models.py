@@ -134,6 +134,7 @@ def harmonic(s: Signals, k: int, h: int, a: ca.SX, b: ca.SX) -> ca.SX:
     Bz = a cos + b sin of h k (x - x_j); outside the magnets curl B = 0 = div B, so Bx = a sin - b cos.
     """
     cos, sin = s["wave"](k, h)
+    b = s["turn"] * b
     slope = s["tilted"][k][0]
     vertical, along = a * cos + b * sin, a * sin - b * cos
     return vertical if slope.is_zero() else ca.cos(slope) * vertical + ca.sin(slope) * along
@@ -166,10 +167,11 @@ def wave(s: Signals, layout: Layout, k: int, h: int) -> tuple[ca.SX, ca.SX]:
 
 def seen_by(s: Signals, layout: Layout, k: int) -> list[links.Seen]:
     """Return what each element of channel k sees of the array."""
+    turn = s["turn"]
     moved, (dx, _, dz), slope = s["moved"][k], s["placed"][k], s["tilted"][k][0]
-    gap = s["z_m"] + moved["z_m"] - dz
+    away, gap = dx - s["x_m"] - moved["x_m"], s["z_m"] + moved["z_m"] - dz
     return [
-        links.Seen(array_of(layout), x + dx - s["x_m"] - moved["x_m"], gap, ca.cos(slope), ca.sin(slope))
+        links.Seen(array_of(layout), turn * (x + away), gap, ca.cos(slope), turn * ca.sin(slope))
         for x, _ in sensors(layout)[k].positions
     ]
 

@@ -99,16 +99,34 @@ def seen_by(s: Signals, p: Mapping[str, ca.SX], layout: Layout, k: int) -> list[
     sensor, known = sensors(layout)[k], arrays(layout)
     moved, placed, tilted = s["moved"][k], s["placed"][k], s["tilted"][k]
     turn, at = s["rigid"](tuple(moved.values()))
-    array = known[sensor.array]
+    array = known[sensor.array] if s["turn"] > 0 else opposite(layout, known[sensor.array])
     i, out = array.axis, []
     for x, y in sensor.positions:
         m, axis = _in_mover()(turn, at, ca.vertcat(x, y, 0) + ca.vertcat(*placed), ca.vertcat(*tilted))
+        if s["turn"] < 0:
+            m, axis = HALF_TURN * m, HALF_TURN * axis
         m = m - ca.vertcat(*array.centre, 0)
-        if sensor.array in s["mounted"]:
-            shift, own = s["mounted"][sensor.array]
+        if array.name in s["mounted"]:
+            shift, own = s["mounted"][array.name]
             m, axis = own.T @ (m - shift), own.T @ axis
         out.append(links.Seen(array, m[i], -m[2], axis[2], axis[i]))
     return out
+
+
+HALF_TURN = ca.DM([-1, -1, 1])
+"""What half a turn about z makes of a vector's components."""
+
+
+def opposite(layout: Layout, array: Array) -> Array:
+    """Return the array that stands where `array` stood when the mover has turned half round about z.
+
+    Raises `LookupError` where there is none.
+    """
+    for other in arrays(layout).values():
+        away = np.abs(np.add(other.centre, array.centre)).max()
+        if other.axis == array.axis and away < array.wavelength_m / 4:
+            return other
+    raise LookupError(array.name)
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from hallsym.families.rotary import models
 from hallsym.families.rotary.effects import EFFECTS, direct, short
+from hallsym.families.rotary.sketch import SKETCH
 from hallsym.model import Example, Family, PoseMetric
 
 FAMILY = Family(
@@ -36,5 +37,6 @@ FAMILY = Family(
     pairs=True,
     most_effects=6,
     decoder="angle",
+    sketch=SKETCH,
 )  # fmt: skip
 models.FAMILY = FAMILY

@@ -50,7 +50,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
             f"Rows of {log.name} are in no order ({column} moves by anything from one to the next), so the "
             f"noise cannot be estimated: sort them by {column}, or state the noise with --noise."
         )
-    notes = _notes(seen, column)
+    notes = _notes(seen, column, timed="t_s" in log.columns)
     slope = _scale(seen, sign, LEAST_DRIFT)
     if slope and "reference_scale_error" not in model.effects:
         notes.append(
@@ -243,17 +243,20 @@ def _scale(seen: Seen, sign: float, least: float) -> float:
     return sign * line.slope if clear and drift > np.radians(least) and sign * line.slope > -0.9 else 0.0
 
 
-def _notes(seen: Seen, column: str) -> list[str]:
+def _notes(seen: Seen, column: str, *, timed: bool) -> list[str]:
     notes, gap = [], _gap(seen.reference)
     if gap > GAP_NOTE:
         notes.append(
             f"No sample lies in {gap:.0f} deg of the turn: what is said of that part is extrapolated."
         )
     if min(seen.up, seen.down) < 0.05 * (seen.up + seen.down):
-        notes.append(
-            f"{column} turns in one direction only: latency and hysteresis look like another zero and are "
-            "not observable (latency is, as far as the speed changes); record both directions to tell them."
-        )
+        lost = "hysteresis looks like another zero and is not observable; record both directions to tell it."
+        if timed:
+            lost = (
+                "latency and hysteresis look like another zero and are not observable (latency is, as far as "
+                "the speed changes); record both directions to tell them."
+            )
+        notes.append(f"{column} turns in one direction only: {lost}")
     return notes
 
 

@@ -2,6 +2,7 @@
 
 from hallsym.families.stage import models
 from hallsym.families.stage.effects import EFFECTS
+from hallsym.families.stage.sketch import SKETCH
 from hallsym.model import Family, PoseMetric
 
 FAMILY = Family(
@@ -16,6 +17,7 @@ FAMILY = Family(
     from_meta=models.from_meta,
     effects=EFFECTS,
     words={"z_m": "height Z", "rx_rad": "tilt Rx", "ry_rad": "tilt Ry", "rz_ref_rad": "rotation Rz"},
+    sketch=SKETCH,
     together="height Z and tilts Rx, Ry",
 )
 models.FAMILY = FAMILY

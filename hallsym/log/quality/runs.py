@@ -38,9 +38,15 @@ def short_runs(log: Log, seen: Scan) -> Iterator[Finding]:
             f" has {usual:.0f}: it tells little more than its own zero",
             remedy="see whether its recording was cut short",
         )
-    elif usual < _FEW:
+    elif usual < _FEW and "t_s" in log.columns:
         yield Finding(
             f"The usual run of {name_of(log)} has {usual:.0f} samples: a frozen column, noise or a delay"
             " cannot be seen in so few",
             remedy="record longer runs if you can",
+        )
+    elif usual < _FEW:
+        yield Finding(
+            f"The usual part of {name_of(log)} has {usual:.0f} samples: a frozen column cannot be seen"
+            " in so few",
+            remedy="record more samples if you can",
         )

@@ -5,6 +5,7 @@
 - `numbers`: decimal point or comma, separators of thousands, missing values.
 - `rows`: lines split into cells; where the table begins.
 - `sniff`: all of it together: what a file is, in one record and one line (`dialect`).
+- `times`: dates and times of day as seconds.
 - `stream`: the lines of the table alone, as pyarrow reads them.
 """
 
@@ -14,12 +15,15 @@ from hallsym.log.text.numbers import MISSING, as_float
 from hallsym.log.text.rows import stated_delimiter
 from hallsym.log.text.sniff import sniffed
 from hallsym.log.text.stream import Cleaner, TableStream
+from hallsym.log.text.times import ORDERS, Seconds
 
 __all__ = [
     "MISSING",
+    "ORDERS",
     "Cleaner",
     "Dialect",
     "Encoded",
+    "Seconds",
     "TableStream",
     "as_float",
     "end_of",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from hallsym.log.text.numbers import POINT, Convention
+from hallsym.log.text.times import TimeForm
 
 SAID = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 TYPED = {"\t": "tab", " ": "blank"}
@@ -36,6 +37,8 @@ class Dialect:
     padded: bool = False
     footer: int = 0
     footer_text: str = ""
+    times: dict[str, TimeForm] = field(default_factory=dict)
+    """Columns of times as text, by name, and how they are written."""
     above: int = 0
     """Lines before the names that are neither empty nor comments."""
 

@@ -10,8 +10,9 @@ from dataclasses import replace
 from hallsym.errors import InputError
 from hallsym.log.text.dialect import SAID, TYPED, Dialect
 from hallsym.log.text.encoding import Encoded, end_of
-from hallsym.log.text.numbers import Convention, conventions_of, is_number
+from hallsym.log.text.numbers import Convention, conventions_of, is_missing, is_number
 from hallsym.log.text.rows import BLANKS, DELIMITERS, Line, Table, split, table_under
+from hallsym.log.text.times import TimeForm, time_form
 from hallsym.log.text.units import is_unit_row, split_header, unit_of
 
 SAMPLE = 1 << 18
@@ -55,7 +56,7 @@ def sniffed(file: Encoded, where: str, delimiter: str | None = None, decimal: st
         {stem: unit for stem, (_, unit) in stems.items() if unit},
         {text: stem for stem, (text, _) in stems.items() if text != stem},
         units_line, marks, above=sum(line.number < header for line in lines),
-        quoted=quotes, padded=_padded(below, table.delimiter),
+        quoted=quotes, padded=_padded(below, table.delimiter), times=_times(tuple(stems), body),
     )  # fmt: skip
     return _with_footer(found, end_of(file), body)
 
@@ -209,6 +210,16 @@ def _padded(lines: list[Line], delimiter: str) -> bool:
     blank = " " if delimiter == "\t" else r"[ \t]"
     blanks = re.compile(rf"{blank}{mark}|{mark}{blank}|^{blank}|{blank}$")
     return delimiter != BLANKS and any(blanks.search(line.text) for line in lines)
+
+
+def _times(names: tuple[str, ...], body: list[list[str]]) -> dict[str, TimeForm]:
+    """Return the columns of times as text, and how they are written."""
+    found = {}
+    for k, name in enumerate(names):
+        cells = [cell for row in body if not is_missing(cell := row[k].strip(' "'))]
+        if cells and ":" in cells[0] and (form := time_form(cells)):
+            found[name] = form
+    return found
 
 
 # -- the end ---------------------------------------------------------------------------------------------

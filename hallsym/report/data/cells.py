@@ -44,7 +44,7 @@ class Tally:
         self.fine = np.maximum(np.asarray(fine, dtype=float), 1e-300)
         self.count = np.zeros(cells, dtype=np.int64)
         self.squares = np.zeros((len(self.fine), cells))
-        self.bins = np.zeros((len(self.fine), cells, 2 * HALF), dtype=np.int64)
+        self.bins = np.zeros((len(self.fine), cells, 2 * HALF), dtype=np.int32)
 
     def bin_of(self, errors: np.ndarray) -> np.ndarray:
         """Return the bin of each error, (series, samples); it is the same for tallies of equal `fine`."""

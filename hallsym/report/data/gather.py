@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -13,31 +14,38 @@ from hallsym.log import Block, Log
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.cells import Cells, Tally
 from hallsym.report.data.decoded import decoded
+from hallsym.report.data.residuals import Residuals, ResidualTally
 from hallsym.report.data.series import RunSeries, series_of
-from hallsym.report.data.survey import Group, Survey, held_out, look_over, representative, settings
+from hallsym.report.data.survey import Group, Survey, held_out, look_over, settings, worst_first
 from hallsym.report.data.trace import Trace
-from hallsym.report.words import LEVEL, largest, name, scale
+from hallsym.report.words import LEVEL, name, scale
 from hallsym.units import si_unit
 
 ALONG, PLANE, MOST = 15, 11, 60
-"""Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together).
+"""Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together). As many
+runs have a series, those with the largest errors.
 
 Odd, so that an axis at rest in the middle of its travel lies inside a cell: on an edge, the noise of its own
 reference would decide the cell, and each side would show a median that is not there.
 """
+
+MOST_AXES = 6
+"""Coordinates that are mapped over each other, two at a time: a rigid body has six."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
     """What a page shows of a log: `survey`, maps and series of the errors of decoded poses.
 
-    `after`: the same maps of another version of the model, cell by cell; empty without one.
+    `series`: worst run first. `residuals`: by version of the model. `after`: the same maps of another version
+    of the model, cell by cell; empty without one.
     """
 
     survey: Survey
     maps: tuple[Cells, ...]
     series: tuple[RunSeries, ...]
     after: tuple[Cells, ...] = ()
+    residuals: Mapping[str, Residuals] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +84,7 @@ def gather(
     *,
     label: str = "decoded",
     keep: Weigh | None = None,
-    most_runs: int = 3,
+    most_runs: int = MOST,
     after: Version | None = None,
 ) -> Gathered:
     """Read `log` twice, in blocks, for maps and series of the errors of a fit, which is called `label`.
@@ -87,7 +95,7 @@ def gather(
     take no part and interrupt the series.
     """
     survey = look_over(log, fit, keep)
-    chosen, timed = representative(survey, most_runs), survey.time is not None
+    chosen, timed = worst_first(survey, fit.noise_floor, most_runs), survey.time is not None
     own = ((p.block, np.where(p.kept, p.fitted - p.reference, np.nan)) for p in decoded(log, fit, keep))
     passes = {label: own} | ({} if after is None else {after.name: after.read(timed=timed)})
     places = _maps(fit, survey)
@@ -96,13 +104,28 @@ def gather(
         series_of(
             f"run {run}{', held out' if run in held_out(fit) else ''}",
             fit.model.pose,
-            {key: traces[run] for key, (_, traces) in found.items()},
+            {key: version.traces[run] for key, version in found.items()},
             timed=timed,
             turning=fit.model.period,
         )
         for run in chosen
     )
-    return Gathered(survey, found[label][0], series, found[after.name][0] if after else ())
+    return Gathered(
+        survey,
+        found[label].maps,
+        series,
+        found[after.name].maps if after else (),
+        {key: version.residuals for key, version in found.items()},
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """What one pass finds: maps, the traces of the chosen runs, and residuals of all runs."""
+
+    maps: tuple[Cells, ...]
+    traces: dict[int, Trace]
+    residuals: Residuals
 
 
 def _read(
@@ -111,40 +134,43 @@ def _read(
     survey: Survey,
     places: Sequence[_Map],
     chosen: Sequence[int],
-) -> tuple[tuple[Cells, ...], dict[int, Trace]]:
-    """Return the maps of errors (n_pose, samples) by block, and the traces of the chosen runs."""
+) -> _Read:
+    """Read the errors (n_pose, samples) of every block."""
     floor = np.array([fit.noise_floor.get(c) or 0.0 for c in fit.model.pose])
     fine = np.maximum(floor / 20, survey.fitted.peak.max(axis=0) / 1e4)
     tallies = [Tally(m.cells, fine) for m in places]
     traces = {run: Trace(1 + len(fine)) for run in chosen}
+    residuals = ResidualTally(fit.model.pose, survey, floor, fit.model.period)
     for block, errors in blocks:
         at = tallies[0].bin_of(errors) if tallies else None
         for m, tally in zip(places, tallies, strict=True):
             tally.add(m.place(block), errors, at)
+        time = block.data["t_s"] if survey.time is not None else np.zeros(errors.shape[1])
+        residuals.add(time, errors)
         if block.run in traces:
-            time = block.data["t_s"] if survey.time is not None else np.zeros(errors.shape[1])
             traces[block.run].add(np.vstack([time, errors]))
     filled = (
         replace(m.frame, count=t.count, median=t.median, rms=t.rms)
         for m, t in zip(places, tallies, strict=True)
     )
-    return tuple(filled), traces
+    return _Read(tuple(filled), traces, residuals.found())
 
 
 def _maps(fit: Fit, survey: Survey) -> list[_Map]:
-    """Return maps over two outputs together, each output, the vertical settings or states, and runs."""
+    """Return maps over every two coordinates, each output, the vertical settings or states, and runs."""
     model = fit.model
     reach = dict(zip((*model.references, *model.state), survey.reach, strict=True))
     made = {c.name for c in model.computed}
     moved = [c for c, (low, high) in reach.items() if high - low > LEVEL and c not in made]
     poses = [c for c in model.references if c in moved]
-    maps = [_along(c, reach[c], fit) for c in poses]
-    lengths = [c for c in poses if si_unit(c) == "m"][:2]
-    if len(lengths) == 2:
-        maps.insert(0, _plane(lengths, reach, fit))
+    axes = {c: _Axis.of(c, reach[c], fit) for c in moved}
+    lengths = [c for c in poses if si_unit(c) == "m"]
+    ordered = [*lengths, *(c for c in moved if c not in lengths)][:MOST_AXES]
+    maps = [_plane(axes[a], axes[b], fit) for a, b in combinations(ordered, 2)]
+    maps += [_along(axes[c], fit) for c in poses]
     groups, title = settings(fit, survey)
     if title == "run":
-        maps += [_along(c, reach[c], fit) for c in model.state if c in moved]
+        maps += [_along(axes[c], fit) for c in model.state if c in moved]
     else:
         maps.append(_grouped(title, groups, fit))
     if len(survey.runs) > 1:
@@ -157,30 +183,46 @@ def _frame(by: str, fit: Fit, **more: Any) -> Cells:
     return Cells(by, fit.model.pose, nothing, nothing, nothing, turning=fit.model.period, **more)
 
 
-def _along(column: str, reach: np.ndarray, fit: Fit) -> _Map:
-    turn = fit.model.period.get(column, np.inf)
-    goes_round = reach[1] - reach[0] > turn  # one map of all turns
-    low, high = (0.0, turn) if goes_round else (float(v) for v in reach)
-    edges = np.linspace(low, high, ALONG + 1)
-    factor, unit = scale(column, largest(edges), fit.model.period)
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """A coordinate that moves: label with unit, factor to it, reach [SI], and turn if it goes round."""
 
-    def place(block: Block) -> np.ndarray:
-        return _cell(np.mod(block.data[column], turn) if goes_round else block.data[column], edges)
+    column: str
+    label: str
+    factor: float
+    low: float
+    high: float
+    turn: float | None
 
-    return _Map(_frame(f"{_name(column)} [{unit}]", fit, edges=factor * edges), ALONG, place)
+    @staticmethod
+    def of(column: str, reach: np.ndarray, fit: Fit) -> _Axis:
+        turn = fit.model.period.get(column, np.inf)
+        goes_round = bool(reach[1] - reach[0] > turn)  # one map of all turns
+        low, high = (0.0, float(turn)) if goes_round else (float(v) for v in reach)
+        factor, unit = scale(column, max(abs(low), abs(high)), fit.model.period)
+        label = f"{name(column.replace('_ref_', '_'))} [{unit}]"
+        return _Axis(column, label, factor, low, high, turn if goes_round else None)
+
+    def edges(self, cells: int) -> np.ndarray:
+        """Return the edges of equally wide cells, (cells + 1,)."""
+        return np.linspace(self.low, self.high, cells + 1)
+
+    def place(self, block: Block, cells: int) -> np.ndarray:
+        """Return the cell of each sample."""
+        values = block.data[self.column]
+        values = values if self.turn is None else np.mod(values, self.turn)
+        return np.clip(np.searchsorted(self.edges(cells), values, side="right") - 1, 0, cells - 1)
 
 
-def _plane(columns: Sequence[str], reach: Mapping[str, np.ndarray], fit: Fit) -> _Map:
-    edges = [np.linspace(float(reach[c][0]), float(reach[c][1]), PLANE + 1) for c in columns]
-    scales = [scale(c, largest(e), fit.model.period) for c, e in zip(columns, edges, strict=True)]
-    by, up = (f"{_name(c)} [{unit}]" for c, (_, unit) in zip(columns, scales, strict=True))
-    x, y = (factor * e for (factor, _), e in zip(scales, edges, strict=True))
+def _along(axis: _Axis, fit: Fit) -> _Map:
+    frame = _frame(axis.label, fit, edges=axis.factor * axis.edges(ALONG))
+    return _Map(frame, ALONG, lambda block: axis.place(block, ALONG))
 
-    def place(block: Block) -> np.ndarray:
-        i, j = (_cell(block.data[c], e) for c, e in zip(columns, edges, strict=True))
-        return i + PLANE * j
 
-    return _Map(_frame(by, fit, edges=x, up=up, across=y), PLANE**2, place)
+def _plane(x: _Axis, y: _Axis, fit: Fit) -> _Map:
+    sides = {"edges": x.factor * x.edges(PLANE), "up": y.label, "across": y.factor * y.edges(PLANE)}
+    frame = _frame(x.label, fit, **sides)
+    return _Map(frame, PLANE**2, lambda block: x.place(block, PLANE) + PLANE * y.place(block, PLANE))
 
 
 def _grouped(by: str, groups: Sequence[Group], fit: Fit, holdout: Sequence[int] = ()) -> _Map:
@@ -199,11 +241,3 @@ def _few_runs(runs: Sequence[int]) -> list[Group]:
     per = -(-len(runs) // MOST)
     parts = [list(runs[k : k + per]) for k in range(0, len(runs), per)]
     return [(f"{p[0]}" if len(p) == 1 else f"{p[0]}\N{EN DASH}{p[-1]}", p) for p in parts]
-
-
-def _cell(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-
-
-def _name(column: str) -> str:
-    return name(column.replace("_ref_", "_"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,19 @@ class RunSeries:
     timed: bool = True
     per_column: int = 1
     turning: Collection[str] | None = None
+
+    def reduced(self, columns: int) -> RunSeries:
+        """Return the series with at most so many columns: neighbours are taken together."""
+        per = -(-len(self.time) // columns)
+        if per == 1:
+            return self
+        starts = np.arange(0, len(self.time), per)
+        lines = {
+            line: (np.fmin.reduceat(low, starts, axis=1), np.fmax.reduceat(high, starts, axis=1))
+            for line, (low, high) in self.lines.items()
+        }
+        time = np.array([self.time[a : a + per].mean() for a in starts])
+        return replace(self, time=time, lines=lines, per_column=per * self.per_column)
 
 
 def run_series(

@@ -143,6 +143,21 @@ def representative(survey: Survey, most: int = 3) -> list[int]:
     return sorted(chosen[:most], key=survey.runs.index)
 
 
+def worst_first(survey: Survey, floor: Mapping[str, float], most: int) -> list[int]:
+    """Return up to `most` runs, that with the largest error first: rms of an output over its noise floor.
+
+    An output without a noise floor counts against its own rms over all runs.
+    """
+    table = survey.fitted
+    over = table.over()
+    if over is None:
+        return list(survey.runs[:most])
+    usual = np.array([floor.get(c) or over["rmse"][c] or 1.0 for c in table.pose])
+    size = np.sqrt(table.squares / np.maximum(table.count, 1.0)[:, None]) / usual
+    order = np.argsort(-size.max(axis=1), kind="stable")
+    return [survey.runs[k] for k in order[:most]]
+
+
 def settings(fit: Fit, survey: Survey) -> tuple[list[Group], str]:
     """Return `[(label, runs)]` by vertical setting and the axis title; one entry per run without settings.
 

@@ -15,11 +15,11 @@ from pathlib import Path
 
 from hallsym.estimation import ErrorTable, Fit, as_read
 from hallsym.log import Log, Weigh
-from hallsym.report.data import look_over
+from hallsym.report.data import blocks, look_over
 from hallsym.report.figures.along import save_errors
 from hallsym.report.figures.by_setting import errors_by_setting
 from hallsym.report.figures.captions import broken
-from hallsym.report.figures.correlation import blocks, correlation
+from hallsym.report.figures.correlation import correlation
 from hallsym.report.figures.detection import detection, save_detection
 from hallsym.report.figures.effects import effects
 from hallsym.report.figures.errors import errors_before_after
@@ -28,7 +28,7 @@ from hallsym.report.figures.intervals import intervals
 from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
 from hallsym.report.figures.profiles import ends_in_words, profiles
-from hallsym.report.figures.saving import SUFFIXES, save_figures
+from hallsym.report.figures.saving import SUFFIXES, Place, save_figures
 from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
 from hallsym.report.figures.sorting import save_sorting
 from hallsym.report.figures.spectrum import sorts, spectrum
@@ -44,6 +44,7 @@ __all__ = [
     "STYLE",
     "SUFFIXES",
     "WIDTH",
+    "Place",
     "blocks",
     "broken",
     "budget_bars",
@@ -80,7 +81,7 @@ __all__ = [
 def save_pictures(
     log: Log,
     fit: Fit,
-    folder: str | Path,
+    folder: str | Path | Place,
     *,
     keep: Weigh | None = None,
     steps: Mapping[str, ErrorTable] | None = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     BLACK,
     DASHES,
@@ -60,6 +60,6 @@ def errors(found: ErrorModel) -> Figure:
     return figure
 
 
-def save_errors(found: ErrorModel, folder: Path) -> list[Path]:
+def save_errors(found: ErrorModel, folder: str | Path | Place) -> list[Path]:
     """Save the picture into `folder` (made if missing) and return the files written."""
     return save_figures({"errors": partial(errors, found)}, folder)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from hallsym.inference.verdict import TRADED
+from hallsym.report.data import blocks
 from hallsym.report.figures.captions import broken, caption, height
 from hallsym.report.figures.style import (
     AFTER,
@@ -62,17 +62,6 @@ def correlation(report: Identifiability) -> Figure:
     caption(figure, lines)
     _legend(figure)
     return figure
-
-
-def blocks(correlation: np.ndarray, least: float = TRADED) -> list[list[int]]:
-    """Return the estimated parameters, (n, n) correlation not nan, in groups that hang together.
-
-    Two are in one group when a chain of correlations of at least `least` joins them.
-    """
-    known = np.flatnonzero(np.isfinite(np.diag(correlation)))
-    joined = np.abs(correlation[np.ix_(known, known)]) >= least
-    _, label = connected_components(joined, directed=False)
-    return [[int(k) for k in known[label == group]] for group in dict.fromkeys(label.tolist())]
 
 
 def _squares(ax: Axes, values: np.ndarray, *, both: bool) -> None:

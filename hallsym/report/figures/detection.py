@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -70,6 +70,6 @@ def detection(found: SelfTest) -> Figure:
     return figure
 
 
-def save_detection(found: SelfTest, folder: Path) -> list[Path]:
+def save_detection(found: SelfTest, folder: str | Path | Place) -> list[Path]:
     """Save the picture into `folder` (made if missing) and return the files written."""
     return save_figures({"detection": partial(detection, found)}, folder)

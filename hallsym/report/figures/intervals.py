@@ -70,7 +70,7 @@ def in_words(entry: ParameterReport | CombinationReport) -> str:
     """Return the interval in the unit people read, or the verdict where there is none."""
     if entry.interval is None:
         return entry.verdict.word if hasattr(entry, "verdict") else ""
-    factor, unit = parameter_unit(entry.unit, millimetres=True)
+    factor, unit = parameter_unit(entry.unit, bare=True)
     low, high = factor * entry.interval.low, factor * entry.interval.high
     half, unit = 0.5 * (high - low), f" {unit}" if unit else ""
     if half == 0:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.log import Log
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -42,7 +42,7 @@ CIRCLES = 60
 
 
 def save_plan_pictures(
-    plan: Plan, folder: str | Path, other: Campaign | Log | None = None, other_name: str = "recorded"
+    plan: Plan, folder: str | Path | Place, other: Campaign | Log | None = None, other_name: str = "recorded"
 ) -> list[Path]:
     """Draw `coverage` and `criterion_by_runs` as PNG into `folder` (made if missing); returns the files.
 

@@ -97,7 +97,7 @@ def ends_in_words(profile: Profile) -> str:
 
 def _title(profile: Profile, width: float) -> list[str]:
     """Name and unit of a quantity, at most `TITLE` lines, then how its ends came."""
-    _, unit = parameter_unit(profile.quantity.unit, millimetres=True)
+    _, unit = parameter_unit(profile.quantity.unit, bare=True)
     lines = broken(typeset(profile.quantity.name) + (f" [{unit}]" if unit else ""), width, "  ")
     if len(lines) > TITLE:
         lines = [*lines[: TITLE - 1], "  … " + lines[-1].strip()]
@@ -107,7 +107,7 @@ def _title(profile: Profile, width: float) -> list[str]:
 
 
 def _panel(ax: Axes, profile: Profile, std: float | None, interval: Interval | None) -> None:
-    factor, _ = parameter_unit(profile.quantity.unit, millimetres=True)
+    factor, _ = parameter_unit(profile.quantity.unit, bare=True)
     distinct, first = np.unique(profile.values, return_index=True)  # a bound may be met more than once
     low, high = _range(profile, std, interval)
     values, rises = replace(profile, values=distinct, rises=profile.rises[first]).curve()

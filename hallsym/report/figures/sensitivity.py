@@ -13,7 +13,7 @@ from hallsym.report.figures.correlation import correlation
 from hallsym.report.figures.effects import effects
 from hallsym.report.figures.intervals import intervals
 from hallsym.report.figures.profiles import profiles
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.spectrum import spectrum
 from hallsym.report.figures.verdicts import shown
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def save_sensitivity_pictures(
-    report: Identifiability, folder: str | Path, *, suffixes: Sequence[str] = ("png",)
+    report: Identifiability, folder: str | Path | Place, *, suffixes: Sequence[str] = ("png",)
 ) -> list[Path]:
     """Draw the pictures of `report` into `folder` (made if missing) and return the files written.
 

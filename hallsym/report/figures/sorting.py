@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -100,7 +100,7 @@ def sets(found: Matching) -> Figure:
     return figure
 
 
-def save_sorting(found: Sorting, matching: Matching | None, folder: Path) -> list[Path]:
+def save_sorting(found: Sorting, matching: Matching | None, folder: str | Path | Place) -> list[Path]:
     """Save the pictures into `folder` (made if missing) and return the files written."""
     draw = {"sorting_gains": partial(gains, found), "sorting_drift": partial(drift, found)}
     if matching is not None:

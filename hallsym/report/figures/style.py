@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-DPI = 150
+DPI = 300
 FONT = 8.0  # points
 WIDTH = 7.1  # inches: two columns of a journal page
 LEFT = 0.64  # inches: an upright label and six digits

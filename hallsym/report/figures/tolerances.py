@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import AFTER, BLACK, LIGHT, key, label_x, legend, row_panels
 from hallsym.report.words import name
 
@@ -58,6 +58,6 @@ def tolerances(found: Tolerances, quantity: str = "error") -> Figure:
     return figure
 
 
-def save_tolerances(found: Tolerances, folder: Path) -> list[Path]:
+def save_tolerances(found: Tolerances, folder: str | Path | Place) -> list[Path]:
     """Save one picture per quantity into `folder` (made if missing) and return the files written."""
     return save_figures({f"tolerances_{q}": partial(tolerances, found, q) for q in QUANTITIES}, folder)

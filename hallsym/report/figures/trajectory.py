@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -162,7 +162,7 @@ def _error_with(target: Target, c: Candidate, count: int) -> float | None:
     return found if np.isfinite(found) else None
 
 
-def save_trajectory(choice: Choice, data: Nominal | Points, folder: Path) -> list[Path]:
+def save_trajectory(choice: Choice, data: Nominal | Points, folder: str | Path | Place) -> list[Path]:
     """Save the pictures into `folder` (made if missing) and return the files written.
 
     Of points only the curve: nothing else is known between them.

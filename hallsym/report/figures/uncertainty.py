@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.report.figures.saving import save_figures
+from hallsym.report.figures.saving import Place, save_figures
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -40,7 +40,7 @@ BAR = 0.17  # inches
 
 
 def save_budget_pictures(
-    folder: str | Path,
+    folder: str | Path | Place,
     budgets: Mapping[str, Budget],
     grid: UncertaintyMap | None = None,
     *,

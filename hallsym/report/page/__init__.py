@@ -1,30 +1,29 @@
 """One self-contained HTML page for a fit or a diagnosis: opens from disk, prints, needs no network.
 
-`html` escapes, `page` is the skeleton, `svg` and `figures` draw, `series` draws what can be zoomed; what is
-drawn comes from `hallsym.report.data`. `fit_page` and `diagnosis_page` put the sections together, those of a
-diagnosis from `diagnosis_errors`, `diagnosis_effects` and `diagnosis_places`. The same input gives the same
-bytes.
+`fit_page` and `diagnosis_page` put together what a page holds (`content`, `shared`), the charts among it
+(`marks` and what draws with them) from `hallsym.report.data`. HTML, style and script are in `templates`. The
+same input gives the same bytes.
 """
 
+from hallsym.report.page.content import Table
 from hallsym.report.page.diagnosis_page import diagnosis_page
 from hallsym.report.page.fit_page import fit_page
-from hallsym.report.page.html import VOID, Markup, escape, table, tag
-from hallsym.report.page.series import ACROSS, UP, figure
-from hallsym.report.page.svg import Scale, decades, label, ticks
+from hallsym.report.page.marks import Scale, decades, label, ticks
+from hallsym.report.page.rendering import render
+from hallsym.report.page.series import ACROSS, UP, runs
+from hallsym.report.page.sketch import sketch
 
 __all__ = [
     "ACROSS",
     "UP",
-    "VOID",
-    "Markup",
     "Scale",
+    "Table",
     "decades",
     "diagnosis_page",
-    "escape",
-    "figure",
     "fit_page",
     "label",
-    "table",
-    "tag",
+    "render",
+    "runs",
+    "sketch",
     "ticks",
 ]

@@ -5,16 +5,28 @@ from __future__ import annotations
 import math
 
 from hallsym.diagnosis import Band, CurveShape, degrees_of
-from hallsym.report.page.html import Markup, join, tag
-from hallsym.report.page.svg import NARROW, RIM, Scale, below, beside, chart, dot, line, polyline, px, text
+from hallsym.report.page.marks import (
+    NARROW,
+    RIM,
+    Chart,
+    Scale,
+    below,
+    beside,
+    dot,
+    line,
+    path,
+    polyline,
+    px,
+    text,
+)
 from hallsym.report.words import name, scale, three
 from hallsym.units import reading_unit, typeset
 
 LEFT, TOP, BOTTOM = 46.0, 22.0, 122.0
 
 
-def curve(shape: CurveShape) -> Markup:
-    """Return the pictures of `unexplained.curve`: value and 95 % band over the coordinate, by sensor."""
+def curve(shape: CurveShape) -> tuple[str, list[Chart]]:
+    """Return caption and pictures of `unexplained.curve`: value and 95 % band by sensor."""
     readings = shape.readings
     reach = _reach(list(readings.values()))
     gain = shape.kind == "gain"
@@ -27,10 +39,10 @@ def curve(shape: CurveShape) -> Markup:
     how = f"{what} against {shape.coordinate}: line with its 95 % band, from runs left out in turn"
     if not shape.line:
         how = f"{what} per standard deviation of {shape.coordinate}, with 95 % intervals"
-    return tag("figure", tag("figcaption", how), tag("div", *pictures, class_="panels"), class_="shape")
+    return how, pictures
 
 
-def _line(shape: CurveShape, channel: str, r: Band, factor: float, unit: str, high: float) -> Markup:
+def _line(shape: CurveShape, channel: str, r: Band, factor: float, unit: str, high: float) -> Chart:
     grid = shape.grid
     turn = degrees_of(shape.unit, shape.column)
     across, shown = turn or _scale(shape.unit, max(map(abs, grid)))
@@ -40,12 +52,12 @@ def _line(shape: CurveShape, channel: str, r: Band, factor: float, unit: str, hi
     known = [k for k in range(len(grid)) if r.high[k] > r.low[k]]  # no band: no samples there
     low, top = ([(places[k], y(factor * getattr(r, end)[k])) for k in known] for end in ("low", "high"))
     outline = "L".join(f"{px(a)} {px(b)}" for a, b in [*top, *reversed(low)])
-    band = tag("path", d=f"M{outline}Z", class_="band") if known else None
+    band = [path(f"M{outline}Z", "band")] if known else []
     value = [y(factor * r.value[k]) if k in known else math.nan for k in range(len(grid))]
     title = f"{_short(shape.coordinate)} [{shown}]" if shown else _short(shape.coordinate)
     parts = [
         text(0, 12, f"{name(channel)} [{unit}]", look="title"),
-        band,
+        *band,
         *beside(y, LEFT, NARROW - RIM, 4),
         *below(x, BOTTOM, title),
         polyline(list(zip(places, value, strict=True)), "median"),
@@ -53,10 +65,10 @@ def _line(shape: CurveShape, channel: str, r: Band, factor: float, unit: str, hi
     k = max(range(len(grid)), key=lambda j: abs(r.value[j]))
     largest, place = three(factor * r.value[k]), three(across * grid[k])
     says = f"{name(channel)}: largest {largest} {unit} at {place} {shown}"
-    return chart(NARROW, BOTTOM + 34, says, *parts)
+    return Chart(NARROW, BOTTOM + 34, says, parts)
 
 
-def _dots(shape: CurveShape, channel: str, r: Band, factor: float, unit: str, high: float) -> Markup:
+def _dots(shape: CurveShape, channel: str, r: Band, factor: float, unit: str, high: float) -> Chart:
     labels = shape.labels or [str(k + 1) for k in range(len(shape.grid))]
     left, step = 20.0 + 6.6 * max(map(len, labels)), 19.0
     bottom = TOP + step * len(labels)
@@ -69,7 +81,7 @@ def _dots(shape: CurveShape, channel: str, r: Band, factor: float, unit: str, hi
         parts.append(line(x(factor * r.low[k]), at, x(factor * r.high[k]), at, "whisker"))
         parts.append(dot(x(factor * r.value[k]), at, 3.5, "after"))
     said = ", ".join(f"{w} {three(factor * v)} {unit}" for w, v in zip(labels, r.value, strict=True))
-    return chart(NARROW, bottom + 20, f"{name(channel)}: {said}", join(parts))
+    return Chart(NARROW, bottom + 20, f"{name(channel)}: {said}", parts)
 
 
 def _reach(readings: list[Band]) -> float:

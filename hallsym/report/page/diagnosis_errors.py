@@ -4,49 +4,49 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import Any
 
 from hallsym.diagnosis import Diagnosis
-from hallsym.report.page import figures, parts
+from hallsym.report.page import shared
+from hallsym.report.page.content import Heading, Section, Table, Words
 from hallsym.report.page.diagnosis_words import changed, percent, with_interval
-from hallsym.report.page.html import Markup, join, table, tag
+from hallsym.report.page.shared import Gap
+from hallsym.report.words import amount, scale, three
 from hallsym.report.words import name as named_column
-from hallsym.report.words import scale, three
 from hallsym.units import readable
 
 
-def errors_title(d: Diagnosis) -> str:
-    """Return its title."""
-    return f"{'Before and after' if changed(d) else 'Errors'}, against the noise floor"
-
-
-def errors_section(d: Diagnosis) -> Markup:
+def errors_section(d: Diagnosis) -> Section:
     """Return errors on the holdout runs beside the noise floor, as picture and tables."""
-    gaps = _finite({"before": asdict(d.gap_before), "after": asdict(d.gap_after)})
-    drawn = {when: (when, gap) for when, gap in gaps.items()}
-    if not changed(d):
-        gaps = {"holdout": gaps["before"]}
-        drawn = {"holdout": ("after", gaps["holdout"])}
+    rows = gaps(d)
+    if changed(d):
+        drawn = {when: (when, gap) for when, gap in rows.items()}
+    else:
+        drawn = {"holdout": ("after", rows["holdout"])}
     floor = d.noise_floor
     note = "On runs that took part in neither the fit nor the choice of effects. Dashed line: noise floor."
-    return join(
-        [
-            tag("p", _shrinks(d) if changed(d) else None, _metric(d)),
-            tag("p", note, class_="note"),
-            tag("figure", figures.against_floor(drawn, floor.outputs)),
-            parts.gap_table(gaps, floor.outputs, floor.source),
-            _sizes(d),
-            _waves(d),
-        ]
-    )
+    content: list[Any] = [
+        Words(f"{_shrinks(d) if changed(d) else ''} {_metric(d)}".strip()),
+        Words(note, note=True),
+        shared.against_floor(drawn, floor.outputs),
+        shared.gap_table(rows, floor.outputs, floor.source),
+        *_sizes(d),
+    ]
+    for coordinate in dict.fromkeys(w.coordinate for w in d.waves):
+        content += _waves(d, coordinate)
+    title = f"{'Before and after' if changed(d) else 'Errors'}, against the noise floor"
+    return Section("errors", title, content)
 
 
-def _finite(gaps: dict[str, dict[str, dict[str, float]]]) -> dict[str, dict[str, dict[str, float]]]:
-    """Return gaps without the outputs of which a number does not exist."""
-    parts = [part for gap in gaps.values() for part in gap.values()]
+def gaps(d: Diagnosis) -> dict[str, Gap]:
+    """Return the errors before and after, or on the holdout runs, without outputs that have no number."""
+    every = {"before": asdict(d.gap_before), "after": asdict(d.gap_after)}
+    parts = [part for gap in every.values() for part in gap.values()]
     known = [c for c in parts[0] if all(math.isfinite(part.get(c, math.nan)) for part in parts)]
-    return {
-        when: {what: {c: part[c] for c in known} for what, part in gap.items()} for when, gap in gaps.items()
+    found: dict[str, Gap] = {
+        when: {what: {c: part[c] for c in known} for what, part in gap.items()} for when, gap in every.items()
     }
+    return found if changed(d) else {"holdout": found["before"]}
 
 
 def _shrinks(d: Diagnosis) -> str:
@@ -64,16 +64,11 @@ def _metric(d: Diagnosis) -> str:
     sizes = asdict(d.metric)
     if not changed(d):
         sizes = {"on the holdout runs": d.metric.before, "floor": d.metric.floor}
-    said = ", ".join(f"{parts.amount(column, v)} {when}" for when, v in sizes.items())
-    return f" One number over all outputs: {said}."
+    return f"One number over all outputs: {', '.join(f'{amount(column, v)} {k}' for k, v in sizes.items())}."
 
 
-def _waves(d: Diagnosis) -> Markup:
-    """Return the harmonics of the error over each periodic coordinate."""
-    return join([_waves_of(d, coordinate) for coordinate in dict.fromkeys(w.coordinate for w in d.waves)])
-
-
-def _waves_of(d: Diagnosis, coordinate: str) -> Markup:
+def _waves(d: Diagnosis, coordinate: str) -> list[Any]:
+    """Return the harmonics of the error over a periodic coordinate."""
     factor, unit, name = readable(coordinate or next(iter(d.noise_floor.outputs)))
     per = f"period of {name}" if coordinate else "turn"
     rows: list[list[object]] = []
@@ -81,15 +76,18 @@ def _waves_of(d: Diagnosis, coordinate: str) -> Markup:
         sizes = ["" if a is None else three(factor * a) for a in (w.designed, w.model, w.after)]
         found = [e.name for e in d.effects if e.name in w.causes]
         rows.append([w.per_turn, *sizes, ", ".join(found), ", ".join(w.causes)])
-    head = [f"waves per {per}", f"nominal [{unit}]", "model", "with the effects", "effects found", "causes"]
+    head = [
+        f"waves per {per}", f"nominal [{unit}]", f"model [{unit}]", f"with the effects [{unit}]",
+        "effects found", "causes",
+    ]  # fmt: skip
     caption = (
         "amplitude of the error over all runs: of the nominal sensor with only its zeros fitted, of the "
         "model, and with the effects found"
     )
-    return join([tag("h3", f"By waves per {per}"), table(head, rows, left=1, wordy=(4, 5), caption=caption)])
+    return [Heading(f"By waves per {per}"), Table(head, rows, caption, wordy=(4, 5))]
 
 
-def _sizes(d: Diagnosis) -> Markup:
+def _sizes(d: Diagnosis) -> list[Any]:
     """Return how large the gap is per output and sensor, on fitted and on holdout runs."""
     rows: list[list[object]] = []
     for column, sides in d.size.rows.items():
@@ -101,13 +99,13 @@ def _sizes(d: Diagnosis) -> Markup:
             row.append(percent(side.share, 0) if side and side.share is not None else "")
         rows.append(row)
     if not rows:
-        return Markup("")
+        return []
     head = ["of the model", "unit"]
     for when in ("fitted", "holdout"):
-        head += [f"rms, {when}", "noise", "above", "share"]
+        head += [f"{what}, {when}" for what in ("rms", "noise", "above", "share")]
     caption = (
         f"residual error on fitted and holdout runs: rms, noise floor ({d.noise_floor.source}), the excess "
         "above it, and its share of the excess of all outputs, or of all sensors, where the whole excess is "
         "more than chance"
     )
-    return join([tag("h3", "Per output and per sensor"), table(head, rows, left=2, caption=caption)])
+    return [Heading("Per output and per sensor"), Table(head, rows, caption, left=2)]

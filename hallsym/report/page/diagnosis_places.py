@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from hallsym.diagnosis import Diagnosis, Share, Statement
-from hallsym.report.page import curves, figures
+from hallsym.report.page import bars, curves
+from hallsym.report.page.content import Figure, Fold, Section, Table, Words
 from hallsym.report.page.diagnosis_words import p_cell, percent, typeset
-from hallsym.report.page.html import Markup, join, table, tag
 from hallsym.report.words import name as named_column
 
 MOST = 12
 """Statements on where the gap lies that are drawn; all of them are in the table."""
 
 
-def where_section(d: Diagnosis) -> Markup:
+def where_section(d: Diagnosis) -> Section:
     """Return the statements on where the gap lies, then the share of each place alone."""
     said = _statements(d.where, "share of the excess above the noise floor [%]")
     if not said and d.size.rows:
-        said = tag("p", "The excess above the noise goes with nothing that the log holds.")
-    return join([said, _alone(d.shares)])
+        said = [Words("The excess above the noise goes with nothing that the log holds.")]
+    return Section("where", "Where the gap lies", [*said, _alone(d.shares)])
 
 
-def _alone(shares: Sequence[Share]) -> Markup:
+def _alone(shares: Sequence[Share]) -> Fold:
     """Return the share of the excess that goes with each place alone, significant or not, folded away."""
     rows = [
         [
@@ -35,37 +36,32 @@ def _alone(shares: Sequence[Share]) -> Markup:
         ]
         for s in shares
     ]
-    if not rows:
-        return Markup("")
-    head = ["kind", "place", "share of the excess", "p", ""]
+    head = ["kind", "place", "share of the excess", "p", "remark"]
     note = "Each place alone, so shares overlap; p above 0.01 is no evidence."
-    summary = tag("summary", "every place alone: coordinates, links, outputs, sensors, frequencies, runs")
-    return tag("details", summary, table(head, rows, left=2, wordy=(4,), caption=note))
+    summary = "every place alone: coordinates, links, outputs, sensors, frequencies, runs"
+    return Fold(summary, Table(head, rows, note, left=2, wordy=(4,)))
 
 
-def rest_section(d: Diagnosis) -> Markup:
+def rest_section(d: Diagnosis) -> Section:
     """Return the unexplained rest: how much it is, what it goes with, and its shape."""
     rest = d.unexplained
-    if not rest and not d.remaining:
-        return Markup("")
-    said = []
+    said: list[Any] = []
     if rest:
         share = percent(rest.share, 0)
-        said.append(tag("p", f"{share} of the excess above the noise floor has no known cause."))
+        said.append(Words(f"{share} of the excess above the noise floor has no known cause."))
     if d.remaining and d.remaining != d.where:
-        said.append(_statements(d.remaining, "share of the unexplained excess [%]"))
+        said += _statements(d.remaining, "share of the unexplained excess [%]")
     elif d.remaining:
-        said.append(tag("p", "It goes with what the gap goes with, see above."))
+        said.append(Words("It goes with what the gap goes with, see above."))
     elif rest:
-        said.append(tag("p", f"{typeset(rest.text).capitalize()}."))
+        said.append(Words(f"{typeset(rest.text).capitalize()}."))
     if rest and rest.curve:
-        said.append(curves.curve(rest.curve))
-    return join(said)
+        how, charts = curves.curve(rest.curve)
+        said.append(Figure(charts, how, look="shape"))
+    return Section("rest", "What no effect explains", said)
 
 
-def _statements(statements: Sequence[Statement], title: str) -> Markup:
-    if not statements:
-        return Markup("")
+def _statements(statements: Sequence[Statement], title: str) -> list[Any]:
     drawn = [s for s in statements if math.isfinite(s.share)]
     rows = [
         [
@@ -75,10 +71,10 @@ def _statements(statements: Sequence[Statement], title: str) -> Markup:
         ]
         for s in statements
     ]
-    picture = None
-    if drawn:
-        picture = tag("figure", figures.shares([(_place(s), s.share) for s in drawn[:MOST]], title))
-    return join([picture, table(["statement (fitted runs)", "on holdout runs", "p"], rows)])
+    chart = [bars.shares([(_place(s), s.share) for s in drawn[:MOST]], title)] if drawn else []
+    head = ["statement (fitted runs)", "on holdout runs", "p"]
+    found = [Figure(chart, look="two"), Table(head, rows, "statements on the places")]
+    return found if statements else []
 
 
 def _place(s: Statement) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -23,10 +25,10 @@ from hallsym.estimation import (
 from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.log import Log, Weigh
 from hallsym.report.data import Decoder, Gathered, gather
-from hallsym.report.page import figures, parts
-from hallsym.report.page.html import Markup, facts, items, join, tag
-from hallsym.report.page.page import Section, document
-from hallsym.report.page.series import all_series
+from hallsym.report.page import shared
+from hallsym.report.page.content import Facts, Headline, Item, Items, Section, Words, document
+from hallsym.report.page.shared import Gap
+from hallsym.report.page.sketch import sketch
 from hallsym.report.text.fit import circumstances
 from hallsym.report.words import name
 
@@ -34,42 +36,72 @@ NEAR = 1.1
 """An rmse up to this many noise floors is called at the floor."""
 LOOKS = {"nominal": "before", "fitted": "after", "held out": "apart", "this log": "after"}
 
-Gap = Mapping[str, Mapping[str, float]]
 
-
-def fit_page(log: Log, fit: Fit, *, command: str = "") -> str:
-    """Return the page of a fit as HTML: verdict, errors against the noise floor, maps, series, parameters.
+def fit_page(log: Log, fit: Fit, *, command: str = "", calibration: str = "calib.json") -> str:
+    """Return the page of a fit as HTML: verdict, errors against the noise floor, maps, runs, parameters.
 
     `log`: the one that was fitted, or another one of the same machine: then each run's zero deviations are
-    estimated from that run and the page says so. It is read in blocks. `command`: what was typed.
+    estimated from that run and the page says so. It is read in blocks. `command`: what was typed,
+    `calibration`: the file in which the fit is saved, for the next command.
     Raises `InputError` for a log that lacks the model's columns.
     """
     same = log.sha256 == fit.to_dict()["log"]["sha256"]
     log = as_read(log, fit.model, fit.wiring)
     fit = fit if same else _elsewhere(log, fit)
-    found = gather(log, fit)
+    found = gather(log, fit, label="fitted")
     if same and _above_recorded(found, fit):
-        found = gather(log, fit, keep=_spikes(log, fit))
+        found = gather(log, fit, label="fitted", keep=_spikes(log, fit))
     rows = _rows(fit, found) if same else {"this log": found.survey.fitted.over()}
     shown = {k: v for k, v in rows.items() if v is not None}
-    notes = _notes(log, fit, found, same)
+    notes = [*circumstances(fit), *_notes(log, fit, found, same)]
+    origin = {"path": log.path and str(log.path), "sha256": log.sha256}
     sections = [
-        Section("input", "Input", _input(log, fit, found, same)),
+        Section("input", "Input", [_input(log, fit, found, same)]),
         Section("errors", "Errors against the noise floor", _errors(shown, fit, same)),
-        Section("maps", "Where the error is", parts.maps_section(found.maps, fit.noise_floor)),
-        Section("series", "Decoded minus reference over time", all_series(found.series)),
-        Section("parameters", "Parameters", join([parts.parameter_table(fit), parts.combinations(fit)])),
-        Section("notes", "Evidence and notes", items([*circumstances(fit), *notes])),
-        Section(
-            "origin",
-            "Origin",
-            parts.provenance(
-                {"path": log.path and str(log.path), "sha256": log.sha256}, fit.versions, command
-            ),
-        ),
+        shared.maps_section({"fitted": found.maps}, fit.noise_floor),
+        shared.runs_section(found.series),
+        shared.residuals_section(found.residuals),
+        Section("parameters", "Parameters", shared.parameters_of(fit)),
+        Section("notes", "Evidence and notes", [Items([Item(note) for note in notes])]),
+        shared.origin_section(origin, fit.versions, command),
     ]
-    title = f"Calibration of {fit.model.name}: {parts.called(log.path)}"
-    return document(title, [verdict(fit, shown)], sections, f"hallsym {fit.versions.get('hallsym', '')}")
+    title = f"Calibration of {fit.model.name}: {shared.called(log.path)}"
+    headline = _headline(fit, shown, calibration)
+    return document(title, headline, sections, f"hallsym {fit.versions.get('hallsym', '')}")
+
+
+def _headline(fit: Fit, rows: Mapping[str, Gap], calibration: str) -> Headline:
+    where, gap = _judged(rows)
+    ratio = _ratios(fit, gap)
+    above = max(ratio.values(), default=0.0) > NEAR or bool(_amiss(fit))
+    state = "bad" if above or _unfinished(fit) else "good" if ratio else "open"
+    word = {
+        "bad": "Not at the noise floor.",
+        "good": "At the noise floor.",
+        "open": "No noise floor is known.",
+    }
+    sizes = {"before": rows["nominal"]} if "nominal" in rows and where != "nominal" else {}
+    table = shared.sizes_table({**sizes, "after" if sizes else where: gap}, fit.noise_floor, fit.model.period)
+    why, command = _next(fit, above, calibration)
+    chart = sketch(fit.model.family.sketch, {})
+    drawn = f"The {fit.model.family.noun} and the links of its chain. A diagnosis lights those at fault."
+    return Headline(state, word[state], verdict(fit, rows), table, why, command, chart, drawn)
+
+
+def _next(fit: Fit, above: bool, calibration: str) -> tuple[str, str]:
+    """Return what to do next and the command that does it."""
+    if above:
+        found = fit.goodness.next_command if fit.goodness else ""
+        own = diagnose_command(fit.log["path"], fit.model, added_effects(fit.model))
+        return "Next, find out what the model leaves:", found or own
+    if fit.undetermined_by_log:
+        log = fit.log["path"] or "LOG"
+        return "Next, see which recording determines the rest:", shlex.join(
+            ["hallsym", "sensitivity", calibration, str(log)]
+        )
+    return "Next, write the decoder for the controller:", shlex.join(
+        ["hallsym", "codegen", calibration, "-o", "firmware"]
+    )
 
 
 def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
@@ -77,8 +109,8 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
     where, gap = _judged(rows)
     on = {"held out": "on runs that were held out", "fitted": "on the runs that were fitted"}
     floor = {c: v for c, v in fit.noise_floor.items() if v}
-    each = partial(parts.each, turning=fit.model.period)
-    ratio = {c: gap["rmse"][c] / floor[c] for c in gap["rmse"] if floor.get(c)}
+    each = partial(shared.each, turning=fit.model.period)
+    ratio = _ratios(fit, gap)
     worst = max(ratio, key=lambda c: ratio[c], default=None)
     text = f"{fit.model.name} leaves an rmse of {each(gap['rmse'])} {on.get(where, 'on this log')}"
     if worst is None:
@@ -93,6 +125,12 @@ def verdict(fit: Fit, rows: Mapping[str, Gap]) -> str:
     return " ".join(filter(None, (_amiss(fit), _unfinished(fit), text, _identifiable(fit))))
 
 
+def _ratios(fit: Fit, gap: Gap) -> dict[str, float]:
+    """Return the rmse of each output over its noise floor, where there is one."""
+    floor = {c: v for c, v in fit.noise_floor.items() if v}
+    return {c: gap["rmse"][c] / floor[c] for c in gap["rmse"] if floor.get(c)}
+
+
 def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
     """Return the rows to judge by: held-out runs where there are any."""
     key = next(k for k in ("held out", "this log", "fitted", "nominal") if k in rows)
@@ -100,7 +138,7 @@ def _judged(rows: Mapping[str, Gap]) -> tuple[str, Gap]:
 
 
 def _amiss(fit: Fit) -> str:
-    said = fit.goodness.sentence if fit.goodness else None
+    said = fit.goodness.said(f"{fit.goodness.what} does not describe this log") if fit.goodness else None
     return f"{said}." if said else ""
 
 
@@ -130,44 +168,42 @@ def _rows(fit: Fit, found: Gathered) -> dict[str, Gap | None]:
     return {"nominal": rows["designed"], "fitted": rows["fitted"], "held out": rows.get("holdout")}
 
 
-def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Markup:
+def _input(log: Log, fit: Fit, found: Gathered, same: bool) -> Facts:
     runs, holdout = found.survey.runs, [r for r in fit.log["holdout"] if same]
     fitted = [r for r in runs if r not in holdout]
     count = int(np.diff(found.survey.edges).sum())
     used = (
-        f"{len(fitted)} ({parts.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
+        f"{len(fitted)} ({shared.numbers(fitted)})" if same else f"none: all {len(runs)} runs are only judged"
     )
     added = list(added_effects(fit.model))
-    floor = parts.each(fit.noise_floor, fit.model.period)
-    return facts(
-        [
-            ("log", tag("code", str(log.path) if log.path else "a log in memory")),
-            ("samples", f"{count} in {counted(len(runs), 'run')}"),
-            ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
-            ("runs fitted", used),
-            (
-                "runs held out",
-                (f"{len(holdout)} ({parts.numbers(holdout)})" if holdout else "none") if same else None,
-            ),
-            ("calibrated on", None if same else tag("code", fit.log["path"] or "a log in memory")),
-            ("noise floor", f"{floor}: what the noise of readings and reference alone leaves"),
-        ]
-    )
+    floor = shared.each(fit.noise_floor, fit.model.period)
+    pairs = [
+        ("log", log.path or "a log in memory"),
+        ("samples", f"{count} in {counted(len(runs), 'run')}"),
+        ("model", f"{fit.model.name}{' with ' + ', '.join(added) if added else ''}"),
+        ("runs fitted", used),
+        (
+            "runs held out",
+            (f"{len(holdout)} ({shared.numbers(holdout)})" if holdout else "none") if same else None,
+        ),
+        ("calibrated on", None if same else fit.log["path"] or "a log in memory"),
+        ("noise floor", f"{floor}: what the noise of readings and reference alone leaves"),
+    ]
+    return Facts(pairs, frozenset({"log", "calibrated on"}))
 
 
-def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> Markup:
+def _errors(rows: Mapping[str, Gap], fit: Fit, same: bool) -> list[Any]:
     drawn = {label: (LOOKS[label], gap) for label, gap in rows.items()}
     note = "Dashed line: noise floor. "
     none = ", no zero deviations" if fit.model.zeros else ""
     note += f"Nominal: every parameter at its nominal value{none}. " if same else ""
     note += "Where values lie far apart the scale is logarithmic and dots stand for bars."
-    return join(
-        [
-            tag("p", note, class_="note"),
-            tag("figure", figures.against_floor(drawn, fit.noise_floor, fit.model.period)),
-            parts.gap_table(rows, fit.noise_floor, turning=fit.model.period),
-        ]
-    )
+    floor, turning = fit.noise_floor, fit.model.period
+    return [
+        Words(note, note=True),
+        shared.against_floor(drawn, floor, turning),
+        shared.gap_table(rows, floor, turning=turning),
+    ]
 
 
 def _notes(log: Log, fit: Fit, found: Gathered, same: bool) -> list[str]:

@@ -1,82 +1,111 @@
-"""Errors over time that can be zoomed: a static chart that a script rescales; it stays without one."""
+"""Errors of a run over time: a static chart that a script zooms, and in which it shows other runs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from hallsym.report.data import RunSeries
-from hallsym.report.page.html import Markup, join, tag
-from hallsym.report.page.svg import Scale, below, beside, chart, px, text
+from hallsym.report.page.marks import Chart, Mark, Scale, below, beside, px, text
 from hallsym.report.words import largest, name, scale
 
-HOW = (
-    "Drag over a stretch to zoom in. With the keyboard: + and - zoom, arrows move, 0 shows all. Without "
-    "JavaScript the whole run is shown."
-)
-ACROSS, UP = 20_000, 10_000
+ACROSS, UP = 20_000, 5_000
 """A path's own units: time runs from 0 to `ACROSS`, values from -`UP` to `UP`."""
 FEWEST = 200
 """Columns that are shown at least: fewer would pass for samples."""
 WIDTH, LEFT, TOP, HIGH = 740.0, 46.0, 20.0, 92.0
+ROOM, POINT = 500_000, 13
+"""Bytes that all runs beside the first may take, and those of one column of a line."""
+COARSEST, FINEST = 60, 1000
+"""Columns of a run beside the first."""
 
 
-def figure(series: RunSeries) -> Markup:
-    """Return the chart of one run: one panel per output over a common time."""
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """The runs of a page: the picture of the first, and what a script draws of all.
+
+    `runs`: title, unit and span of time, least width of a zoom, reach of each output [in its unit] and paths
+    `lines[line][output]`. `units`: of the outputs.
+    """
+
+    title: str
+    notes: str
+    charts: list[Chart]
+    script: dict[str, Any]
+
+
+def runs(series: Sequence[RunSeries]) -> Runs | None:
+    """Return the charts of the first of several runs; None without any."""
+    if not series:
+        return None
+    first, outputs = series[0], range(len(series[0].pose))
+    reach = [[_reach(s, k) for k in outputs] for s in series]
+    scales = [scale(first.pose[k], max(r[k] for r in reach), first.turning) for k in outputs]
+    each = ROOM / (POINT * max(len(series) - 1, 1) * len(outputs) * len(first.lines))
+    columns = int(np.clip(each, COARSEST, FINEST))
+    shown = [first, *(s.reduced(columns) for s in series[1:])]
+    data = [_run(s, r, scales) for s, r in zip(shown, reach, strict=True)]
+    charts = [_panel(first, data[0], k, scales[k][1]) for k in outputs]
+    script = {"unit": "s" if first.timed else "samples", "names": list(first.lines), "runs": data}
+    return Runs(data[0]["title"], data[0]["note"], charts, script)
+
+
+def _reach(series: RunSeries, k: int) -> float:
+    return largest(np.array([bounds[k] for pair in series.lines.values() for bounds in pair])) or 1e-12
+
+
+def _run(series: RunSeries, reach: Sequence[float], scales: Sequence[tuple[float, str]]) -> dict[str, Any]:
     span = 0.0, float(series.time[-1])
     if not span[1] > 0.0:
         span = -0.5, 0.5
-    pictures = [_panel(series, k, span) for k in range(len(series.pose))]
-    caption = [series.title]
-    if series.per_column > 1:
-        caption.append(f"; each column of the line holds {series.per_column} samples, least to greatest")
-    if len(series.lines) > 1:
-        caption.append("; light: " + "; dark, drawn over it: ".join(series.lines))
-    return tag(
-        "figure",
-        tag("figcaption", *caption),
-        tag("div", *pictures, class_="scroll two" if len(series.lines) > 1 else "scroll"),
-        class_="series",
-        tabindex="0",
-        role="group",
-        aria_label=f"errors over time, {series.title}",
-        data_unit="s" if series.timed else "samples",
-        data_least=round(min(ACROSS, ACROSS * (FEWEST if series.per_column > 1 else 4) / len(series.time))),
+    fewest = FEWEST if series.per_column > 1 else 4
+    return {
+        "title": series.title,
+        "note": f"a column of a line holds {series.per_column} samples, least to greatest"
+        if series.per_column > 1
+        else "",
+        "from": float(f"{span[0]:.9g}"),
+        "to": float(f"{span[1]:.9g}"),
+        "least": round(min(ACROSS, ACROSS * fewest / len(series.time))),
+        "reach": [float(f"{f * r:.6g}") for r, (f, _) in zip(reach, scales, strict=True)],
+        "lines": [
+            [_path(series.time, low[k], high[k], span, reach[k]) for k in range(len(reach))]
+            for low, high in series.lines.values()
+        ],
+    }
+
+
+def _panel(series: RunSeries, run: dict[str, Any], k: int, unit: str) -> Chart:
+    right, bottom, last = WIDTH - 8, TOP + HIGH, k == len(series.pose) - 1
+    reach = run["reach"][k]
+    x = Scale(run["from"], run["to"], LEFT, right)
+    y = Scale(-1.05 * reach, 1.05 * reach, bottom, TOP)
+    lines = tuple(
+        Mark("path", {"d": paths[k], "class": f"line line{j}"}) for j, paths in enumerate(run["lines"])
     )
-
-
-def _panel(series: RunSeries, k: int, span: tuple[float, float]) -> Markup:
-    reach = largest(np.array([bounds[k] for pair in series.lines.values() for bounds in pair])) or 1e-12
-    factor, unit = scale(series.pose[k], reach, series.turning)
-    last = k == len(series.pose) - 1
-    right, bottom = WIDTH - 8, TOP + HIGH
-    x = Scale(*span, LEFT, right)
-    y = Scale(-1.05 * factor * reach, 1.05 * factor * reach, bottom, TOP)
+    view = {
+        "class": "view", "x": px(LEFT), "y": px(TOP), "width": px(right - LEFT), "height": px(HIGH),
+        "viewBox": f"0 {px(-1.05 * UP)} {ACROSS} {px(2.1 * UP)}", "preserveAspectRatio": "none",
+    }  # fmt: skip
     what = "time in the run [s]" if series.timed else "sample of the run"
-    lines = [
-        tag("path", d=_path(series.time, low[k], high[k], span, reach), class_=f"line line{j}")
-        for j, (low, high) in enumerate(series.lines.values())
+    quantity = name(series.pose[k])
+    parts = [
+        text(0, 12, f"error in {quantity} [{unit}]", look="title"),
+        Mark("g", {"class": "ticksy"}, parts=tuple(beside(y, LEFT, right))),
+        Mark("g", {"class": "ticksx"}, parts=tuple(below(x, bottom, most=7))),
+        Mark("svg", view, parts=lines),
     ]
-    view = tag(
-        "svg", *lines, class_="view", x=px(LEFT), y=px(TOP), width=px(right - LEFT), height=px(HIGH),
-        viewBox=f"0 {px(-1.05 * UP)} {ACROSS} {px(2.1 * UP)}", preserveAspectRatio="none",
-    )  # fmt: skip
-    parts = (
-        text(0, 12, f"error in {name(series.pose[k])} [{unit}]", look="title"),
-        tag("g", *beside(y, LEFT, right), class_="ticksy"),
-        tag("g", *below(x, bottom, most=7), class_="ticksx"),
-        view,
-        text((LEFT + right) / 2, bottom + 29, what, "middle", "soft") if last else None,
-    )
+    if last:
+        parts.append(text((LEFT + right) / 2, bottom + 29, what, "middle", "soft middle"))
+    factor = reach / _reach(series, k)
     worst = {n: factor * largest(np.array([low[k], high[k]])) for n, (low, high) in series.lines.items()}
-    says = f"error in {name(series.pose[k])} over time, {series.title}: " + ", ".join(
+    says = f"error in {quantity} over time, {series.title}: " + ", ".join(
         f"{n} up to {v:.3g} {unit}" for n, v in worst.items()
     )
-    return chart(
-        WIDTH, bottom + (34 if last else 20), says, *parts, class_="panel",
-        data_from=f"{span[0]:.9g}", data_to=f"{span[1]:.9g}", data_reach=f"{factor * reach:.6g}",
-    )  # fmt: skip
+    return Chart(WIDTH, bottom + (34 if last else 20), says, parts, {"class": "panel", "data-unit": unit})
 
 
 def _path(
@@ -99,11 +128,3 @@ def _path(
         command = "m" if starts[k] else "l" if k and starts[k - 1] else " "
         words.append(f"{command}{dx}{'' if dy < 0 else ' '}{dy}")
     return "".join(words)
-
-
-def all_series(series: Sequence[RunSeries]) -> Markup:
-    """Return the charts of several runs with what can be done with them."""
-    if not series:
-        return Markup("")
-    how = tag("p", HOW, class_="note zoomhelp")
-    return join([how, *(figure(s) for s in series)])

@@ -1,7 +1,7 @@
 """A comparison as a person reads it in a terminal."""
 
 from hallsym.diagnosis import POLICY, Comparison, EffectChange, ParameterChange, PlaceChange, gap_unit
-from hallsym.report.tables import concise, grid
+from hallsym.report.tables import grid, in_units
 from hallsym.units import readable
 
 
@@ -14,7 +14,7 @@ def comparison_text(c: Comparison) -> str:
             parts += ["", _effects(c.effects)]
     rows = [row for e in c.effects for row in _rows(e)]
     if rows:
-        head = ["parameter", "before", "after", "unit", "p of no change", "significant"]
+        head = ["parameter", "before (1 sigma)", "after (1 sigma)", "unit", "p of no change", "significant"]
         parts += ["", grid([head, *rows], left=1)]
         parts.append(f"significant: at {100 * POLICY.changed:g} % over all {len(rows)} parameters together")
     if c.where:
@@ -49,11 +49,13 @@ def _rows(effect: EffectChange) -> list[list[str]]:
     def said(p: ParameterChange) -> str:
         return "unknown" if p.significant is None else "yes" if p.significant else "no"
 
-    return [
-        [p.name, concise(p.before, p.before_std), concise(p.after, p.after_std), p.unit,
-         "" if p.p_value is None else f"{p.p_value:.1g}", said(p)]
-        for p in effect.parameters
-    ]  # fmt: skip
+    rows = []
+    for p in effect.parameters:
+        before, unit = in_units(p.before, p.before_std, p.unit)
+        after, _ = in_units(p.after, p.after_std, p.unit)
+        chance = "" if p.p_value is None else f"{p.p_value:.1g}"
+        rows.append([p.name, before, after, unit, chance, said(p)])
+    return rows
 
 
 def _place(place: PlaceChange) -> str:

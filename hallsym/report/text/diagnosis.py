@@ -1,4 +1,4 @@
-"""The diagnosis as a person reads it in a terminal: at most 110 characters wide."""
+"""The diagnosis as a person reads it in a terminal, in lines of prose that fit it."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -20,11 +20,11 @@ from hallsym.diagnosis import (
 )
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
-from hallsym.units import readable
+from hallsym.terminal import prose_width
+from hallsym.units import parameter_unit, readable
 
 MUCH = 1e3
 """Factor by which a difference must grow above which the number says nothing: this log shows none."""
-WIDTH = 110
 MOST = 10
 """Statements on where a gap lies that are printed at most."""
 FEW_UNITS = 8
@@ -93,7 +93,7 @@ def p_text(p: float | None) -> str:
 
 
 def _wrapped(text: str, indent: str = "") -> str:
-    return fill(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return fill(text, prose_width(), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _basis(d: Diagnosis) -> str:
@@ -108,13 +108,22 @@ def _basis(d: Diagnosis) -> str:
 def _any_effect(d: Diagnosis) -> str:
     """Return the p-value that any effect is there, and the least possible one where units are few."""
     s = d.significance
-    return f"any effect of the catalogue: p {significance_text(s)}; " if s else ""
+    return f"any effect of the catalogue: p {significance_text(s, piece_of(d))}; " if s else ""
 
 
-def significance_text(s: Significance) -> str:
-    """Return a p-value with what it rests on: `= 0.3 (46 runs)`, with the least possible one of few units."""
+def piece_of(d: Diagnosis) -> str:
+    """Return what a recording was taken to pieces of: "run", "time slice", "knot group"."""
+    return d.held_out.removeprefix("held-out ").removeprefix("holdout ")
+
+
+def significance_text(s: Significance, piece: str = "run") -> str:
+    """Return a p-value with what it rests on: `= 0.3 (46 runs)`, with the least possible one of few units.
+
+    `piece`: what a run of the log is called.
+    """
+    unit = piece if s.unit == "run" else s.unit
     least = f", {p_text(s.least)} at least" if s.units < FEW_UNITS else ""
-    return f"= {p_text(s.p_value)} ({counted(s.units, s.unit)}{least})"
+    return f"= {p_text(s.p_value)} ({counted(s.units, unit)}{least})"
 
 
 def _errors(d: Diagnosis) -> str:
@@ -188,14 +197,14 @@ def _parameters(effect: FoundEffect, units: Mapping[str, tuple[float, str]]) -> 
 
 
 def _estimate(p: Estimate, units: Mapping[str, tuple[float, str]]) -> str:
-    factor, unit = units.get(p.unit, (1.0, p.unit))
+    factor, unit = parameter_unit(p.unit) if p.unit in ("m", "rad") else units.get(p.unit, (1.0, p.unit))
     std = None if p.std is None else p.std * factor
     return f"{concise(p.value * factor, std)} {unit}".strip()
 
 
 def _shrinks(d: Diagnosis) -> str:
     s = d.shrinkage
-    judges = f"{counted(s.judges, 'run')} that took no part" if s.judges else f"{d.held_out}s"
+    judges = f"{counted(s.judges, piece_of(d))} that took no part" if s.judges else f"{d.held_out}s"
     few = f"no interval: too few {judges} judge" if s.judges else "no interval"
     known = few if s.interval is None else f"95 % of recordings like it: {_ends(s.interval)}; {judges}"
     return (

@@ -9,6 +9,7 @@ from hallsym.families.faults import FAULTS
 from hallsym.model import Effect, Family, Model, Parameter, Variant, ways_text
 from hallsym.model.arguments import REQUIRED, example_facts
 from hallsym.report.tables import grid
+from hallsym.units import parameter_unit
 
 UNITS = {"m": "m", "s": "s", "rad": "rad", "deg": "deg", "hz": "Hz", "v": "V", "degc": "degC"}
 """Last part of the name of a number -> its unit."""
@@ -92,13 +93,14 @@ def _section(name: str, family: str, r: Mapping[str, Any]) -> str:
     parts = [f"{name} of the {family} family, link {r['link']}: {r['meaning']}"]
     if r["numbers"]:
         rows = [[n, e["unit"] or "", _default(e), _meaning(e)] for n, e in r["numbers"].items()]
-        parts += ["", grid([["number", "unit", "default", "meaning"], *rows], left=4)]
-    rows = [
-        [n, p["unit"], f"{p['nominal']:g}", f"{p['lower']:g}", f"{p['upper']:g}", p["meaning"]]
-        for n, p in r["parameters"].items()
-    ]
+        parts += ["", grid([["number", "unit", "default", "meaning"], *rows], left=3, words=True)]
+    rows = []
+    for n, p in r["parameters"].items():
+        factor, unit = parameter_unit(p["unit"])
+        ends = (f"{p[end] * factor:g}" for end in ("nominal", "lower", "upper"))
+        rows.append([n, unit, *ends, p["meaning"]])
     head = [f"adds to {r['parameters_of']}", "unit", "nominal", "lower", "upper", "meaning"]
-    parts += ["", grid([head, *rows], left=6), ""] if rows else [""]
+    parts += ["", grid([head, *rows], left=2, words=True), ""] if rows else [""]
     if r["needs"]:
         parts.append(f"needs the columns: {', '.join(r['needs'])}")
     if r["separate"]:

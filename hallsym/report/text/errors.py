@@ -75,7 +75,7 @@ def _values(found: ErrorModel) -> Iterator[str]:
     yield "values of the machine, where the decoder has the nominal ones"
     for name in {n: None for _, values, _ in found.causes for n in values}:
         p, value = parameters[name], next(v[name] for _, v, _ in found.causes if name in v)
-        factor, unit = parameter_unit(p.unit, millimetres=True)
+        factor, unit = parameter_unit(p.unit, bare=True)
         nominal = f" (nominal {p.nominal * factor:.6g})" if p.nominal else ""
         yield f"  {name} = {value * factor:.6g} {'' if unit == '1' else unit}".rstrip() + nominal
 

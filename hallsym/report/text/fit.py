@@ -5,8 +5,12 @@ from typing import Any
 
 from hallsym.errors import counted
 from hallsym.estimation import MANY, Fit
+from hallsym.log import Log
 from hallsym.report.data import parameter_rows
-from hallsym.report.tables import concise, error_rows, grid
+from hallsym.report.data.periodic import periodic_of
+from hallsym.report.tables import concise, error_rows, grid, in_units
+from hallsym.report.text.periodic import periodic_text
+from hallsym.report.text.several import several_text
 from hallsym.units import readable
 
 TOO_SMALL = 0.1
@@ -17,16 +21,17 @@ def fit_text(fit: Fit) -> str:
     """Return what `hallsym fit` prints: errors, parameters, identifiable combinations, notes."""
     log = fit.log
     used = log["runs"] - len(log["holdout"])
-    amiss = fit.goodness and fit.goodness.sentence
     parts = [
-        *([amiss, ""] if amiss else []),
-        f"{fit.model.name} on {log['path'] or 'a log in memory'}: {counted(log['rows'], 'sample')}, "
+        *([fit.goodness.verdict, ""] if fit.goodness else []),
+        f"{fit.model.name} on {_logs(fit)}: {counted(log['rows'], 'sample')}, "
         + (f"{counted(used, 'run')} fitted" if log["runs"] > 1 else "fitted")
         + (f", {len(log['holdout'])} held out" if log["holdout"] else "")
         + f"; {fit.status} in {fit.seconds:.2f} s",
         "",
         error_rows(fit.model.pose, _labelled(fit.error_rows), fit.noise_floor, turning=fit.model.period),
         "",
+        *([] if fit.logs else periodic_lines(fit)),
+        *([*several_text(fit), ""] if fit.logs else []),
         parameter_text(fit),
     ]
     if fit.combinations:
@@ -36,6 +41,18 @@ def fit_text(fit: Fit) -> str:
     return "\n".join(parts)
 
 
+def periodic_lines(fit: Fit, log: Log | None = None) -> list[str]:
+    """Return what is said of errors that repeat, then an empty line; nothing without a log or such errors."""
+    found = periodic_of(fit, log)
+    return [periodic_text(found, fit.model.family), ""] if found else []
+
+
+def _logs(fit: Fit) -> str:
+    """What the log is called, or how many there are."""
+    fitted = [log["name"] for log in fit.logs if not log["held_out"]]
+    return counted(len(fitted), "log") if fitted else fit.log["path"] or "a log in memory"
+
+
 def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
     labels = {"designed": "nominal", "fitted": "fitted", "holdout": "held out"}
     return {labels.get(k, k): v for k, v in rows.items()}
@@ -43,21 +60,19 @@ def _labelled(rows: Mapping[str, Any]) -> dict[str, Any]:
 
 def parameter_text(fit: Fit) -> str:
     """Return the parameter table: value(std), bounds, and what is to be said of each, else what it means."""
-    head = ["parameter", "value", "unit", "nominal", "bounds"]
-    rows, last = [head], ["", ""]
+    head = ["parameter", "value (1 sigma)", "unit", "nominal", "bounds"]
+    rows = [[*head, ""]]
     for p in parameter_rows(fit):
         value = concise(p.value, p.std) if p.determined else f"({p.value:.4g})"
         bounds = "fixed" if p.fixed else f"{p.lower:.4g} .. {p.upper:.4g}"
-        rows.append([p.name, value, p.unit, f"{p.nominal:.4g}", bounds])
-        last.append(p.remark or p.meaning)
-    lines = grid(rows).split("\n")
-    return "\n".join(f"{line}  {words}".rstrip() for line, words in zip(lines, last, strict=True))
+        rows.append([p.name, value, p.unit, f"{p.nominal:.4g}", bounds, p.remark or p.meaning])
+    return grid(rows, words=True)
 
 
 def combination_text(fit: Fit) -> str:
     """Return the combinations that the data determine although they do not determine their parameters."""
-    rows = [["identifiable combinations", "value", "unit"]]
-    rows += [[c.expression, concise(c.value, c.std), c.unit] for c in fit.combinations]
+    rows = [["identifiable combinations", "value (1 sigma)", "unit"]]
+    rows += [[c.expression, *in_units(c.value, c.std, c.unit)] for c in fit.combinations]
     return grid(rows)
 
 
@@ -103,9 +118,9 @@ def _goodness(fit: Fit) -> str:
         return f"goodness of fit: cost per degree of freedom {cost:.3f}{_too_small(fit)}"
     more = ", more than noise" if fitted.significant else ""
     return (
-        f"goodness of fit: cost per degree of freedom {cost:.3f} (expected 1 +- {fitted.scatter:.2g}){more}; "
-        f"most is left in run {fitted.worst_run}, {fitted.worst_channel}: {fitted.worst:.2f} x the noise"
-        + _too_small(fit)
+        f"goodness of fit: cost per degree of freedom {cost:.3f} (expected 1 +- {fitted.scatter:.2g}, "
+        f"1 sigma){more}; most is left in {fitted.where}: "
+        f"{fitted.worst:.2f} x the noise" + _too_small(fit)
     )
 
 

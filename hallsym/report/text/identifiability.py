@@ -7,6 +7,8 @@ import numpy as np
 from hallsym.inference import (
     Change,
     CombinationReport,
+    FurtherReport,
+    Gained,
     Identifiability,
     NullDirection,
     NullSpace,
@@ -14,7 +16,7 @@ from hallsym.inference import (
     ParameterReport,
 )
 from hallsym.model import Model
-from hallsym.report.tables import concise, grid
+from hallsym.report.tables import concise, grid, in_units
 from hallsym.units import parameter_unit, readable
 
 
@@ -23,7 +25,9 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     cost = report.evidence.cost
     runs, recorded = len(cost.summary.runs), report.evidence.recorded
     what = "will determine" if cost.planned else "determine" if runs > 1 else "determines"
+    amiss = report.evidence.amiss
     parts = [
+        *([amiss, ""] if amiss else []),
         f"{report.model.name}: what {f'{runs} runs of ' if runs > 1 else ''}{recorded} {what}",
         "",
         parameters_text(report.parameters, {p.name: p.meaning for p in report.model.parameters}),
@@ -31,11 +35,12 @@ def report_text(report: Identifiability, *, zeros: bool = False) -> str:
     if report.combinations:
         parts += ["", combinations_text(report.combinations)]
     parts += ["", *null_text(report.structural, report.practical)]
+    parts += ["", further_text(report.further)] if report.further else []
     parts += ["", effects_text(report)]
     parts += ["", outputs_text(report), "", *offsets_text(report.offsets, zeros)]
     parts += [f"uncertainty: {report.intervals.method} ({report.intervals.reason})"]
     parts += [f"not computed: {sentence}" for sentence in report.partial]
-    parts += [f"note: {note}" for note in report.evidence.notes]
+    parts += [f"note: {note}" for note in report.evidence.notes if note != amiss]
     return "\n".join(parts)
 
 
@@ -44,7 +49,9 @@ def parameters_text(parameters: Sequence[ParameterReport], meanings: Mapping[str
 
     `meanings`: what each parameter is, by name; it is said where the verdict needs no reason.
     """
-    rows = [["parameter", "value", "unit", "95 % interval", "of bounds", "correlated with", "verdict"]]
+    rows = [
+        ["parameter", "value (1 sigma)", "unit", "95 % interval", "of bounds", "correlated with", "verdict"]
+    ]
     for entry in parameters:
         factor, unit = parameter_unit(entry.unit)
         value = f"({entry.value * factor:.4g})"
@@ -55,9 +62,7 @@ def parameters_text(parameters: Sequence[ParameterReport], meanings: Mapping[str
         rows[-1].append(
             entry.verdict.word + (f": {because}" if because else f"; {meaning}" if meaning else "")
         )
-    body = grid([row[:-1] for row in rows]).split("\n")
-    width, words = len(body[1]), [rows[0][-1], "", *(row[-1] for row in rows[1:])]
-    return "\n".join(f"{line:{width}}  {word}".rstrip() for line, word in zip(body, words, strict=True))
+    return grid(rows, words=True)
 
 
 def _interval(entry: ParameterReport | CombinationReport, factor: float) -> str:
@@ -82,8 +87,10 @@ def _other(entry: ParameterReport) -> str:
 
 def combinations_text(combinations: Sequence[CombinationReport]) -> str:
     """Return the combinations that are identifiable although their parameters are not."""
-    rows = [["identifiable combinations", "value", "unit", "95 % interval"]]
-    rows += [[c.expression, concise(c.value, c.std), c.unit, _interval(c, 1.0)] for c in combinations]
+    rows = [["identifiable combinations", "value (1 sigma)", "unit", "95 % interval"]]
+    for c in combinations:
+        interval = _interval(c, parameter_unit(c.unit)[0])
+        rows.append([c.expression, *in_units(c.value, c.std, c.unit), interval])
     return grid(rows)
 
 
@@ -106,8 +113,37 @@ def _direction(direction: NullDirection) -> str:
     if direction.is_wide:
         known = 1 + len(direction.also)
         return f"  {named} may change together; {known} combinations of them are identifiable (table above)"
-    value = f"{concise(direction.value or 0.0, direction.std)} {direction.unit}"
+    value = " ".join(in_units(direction.value or 0.0, direction.std, direction.unit or "1")).removesuffix(
+        " 1"
+    )
     return f"  {named}: only {' and '.join((f'{direction.determined} = {value}', *direction.also))}"
+
+
+def further_text(further: Sequence[FurtherReport]) -> str:
+    """Return what each further recording would determine beside this one."""
+    rows = [["with another recording", "practical rank", "then determined (1 sigma)"]]
+    rows += [[f.recording, f"{f.rank} of {f.of}", _gained(f.gained)] for f in further]
+    body = grid([row[:-1] for row in rows]).split("\n")
+    width, words = len(body[1]), [rows[0][-1], "", *(row[-1] for row in rows[1:])]
+    return "\n".join(f"{line:{width}}  {word}".rstrip() for line, word in zip(body, words, strict=True))
+
+
+LISTED = 8
+"""Gains of a further recording that are listed; all are in the JSON record."""
+
+
+def _gained(gained: Sequence[Gained]) -> str:
+    new = [g for g in gained if g.before is None]
+    better = sorted((g for g in gained if g.before is not None), key=lambda g: -(g.before or 0.0) / g.std)
+    said = [f"{g.parameter} ({_size(g)})" for g in new]
+    said += [f"{g.parameter} {(g.before or 0.0) / g.std:.2g} x as well ({_size(g)})" for g in better]
+    rest = len(said) - LISTED
+    return ", ".join(said[:LISTED]) + (f" and {rest} more" if rest > 0 else "") or "nothing more"
+
+
+def _size(gained: Gained) -> str:
+    factor, unit = parameter_unit(gained.unit)
+    return f"{gained.std * factor:.2g} {unit}".replace(" 1", "")
 
 
 def effects_text(report: Identifiability) -> str:
@@ -161,7 +197,8 @@ def offsets_text(offsets: Offsets, listed: bool) -> list[str]:
         for n, z in sizes.items()
     ]
     std = factor * max(z["std"] for z in sizes.values())
-    lines = [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; each +-{std:.2g} {unit}"]
+    each = f"each +-{std:.2g} {unit} (1 sigma)"
+    lines = [f"{offsets.values.size} zero deviations, eliminated: {'; '.join(said)}; {each}"]
     if listed:
         rows = [["run", *(f"{n} [{unit}]" for n in offsets.names)]]
         for run, values, own in zip(offsets.runs, factor * offsets.values, factor * offsets.std, strict=True):
@@ -185,7 +222,6 @@ def _cell(report: Identifiability, name: str) -> str:
     if name not in report.model.names:
         return "-"
     entry = report[name]
-    factor, unit = parameter_unit(entry.unit)
     if entry.std is None:
         return entry.verdict.word
-    return f"{concise(entry.value * factor, entry.std * factor)} {unit}"
+    return " ".join(in_units(entry.value, entry.std, entry.unit))

@@ -8,6 +8,8 @@ from typing import Any
 from hallsym.families import effects
 from hallsym.model import LINKS, Model, Parameter
 from hallsym.report.tables import grid
+from hallsym.terminal import prose_width
+from hallsym.units import parameter_unit
 
 
 def model_record(model: Model) -> dict[str, Any]:
@@ -80,15 +82,16 @@ def _table(what: str, entries: Sequence[Mapping[str, Any]]) -> str:
     rows = [[what, "unit", "nominal", "lower", "upper", "meaning"]]
     for e in entries:
         fixed = e["lower"] is not None and e["upper"] is not None and isclose(e["lower"], e["upper"])
-        ends = ["fixed", ""] if fixed else [_number(e["lower"], "-inf"), _number(e["upper"], "inf")]
-        rows.append([e["name"], e["unit"], f"{e['nominal']:.6g}", *ends, e["meaning"]])
-    width = max(len(row[-1]) for row in rows)
-    return grid([[*row[:-1], row[-1].ljust(width)] for row in rows], left=2)
+        factor, unit = parameter_unit(e["unit"])
+        ends = [_number(e["lower"], factor, "-inf"), _number(e["upper"], factor, "inf")]
+        ends = ["fixed", ""] if fixed else ends
+        rows.append([e["name"], unit, f"{e['nominal'] * factor:.6g}", *ends, e["meaning"]])
+    return grid(rows, left=2, words=True)
 
 
-def _number(value: float | None, none: str) -> str:
-    return none if value is None else f"{value:.6g}"
+def _number(value: float | None, factor: float, none: str) -> str:
+    return none if value is None else f"{value * factor:.6g}"
 
 
 def _wrapped(text: str) -> str:
-    return fill(text, 110, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    return fill(text, prose_width(), subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)

@@ -92,7 +92,7 @@ def index_table(found: Tolerances) -> str:
 
 def size(t: Tolerance) -> str:
     """Return a range for reading: `+-50000 um`, `0.1 deg (normal)`."""
-    factor, unit = reading_unit(t.unit) if t.unit == "m" else parameter_unit(t.unit, millimetres=True)
+    factor, unit = reading_unit(t.unit) if t.unit == "m" else parameter_unit(t.unit, bare=True)
     sign = "" if t.distribution == "normal" else "+-"
     about = f" about {t.centre * factor:.4g}" if abs(t.centre - t.nominal) > 1e-12 * abs(t.nominal) else ""
     kind = {"rectangular": "", "normal": " (1 sigma)"}.get(t.distribution, f" ({t.distribution})")

@@ -68,12 +68,12 @@ def _missing_at(s: Signals, model: Model, k: int, reads: str) -> list[tuple[ca.S
     still = all(v.is_zero() for v in (dx, dz, moved["x_m"], moved["z_m"]))
     out = []
     for seen, x in zip(s["seen"](k), places, strict=True):
-        u, gap = (x - s["x_m"], s["z_m"]) if still else (seen.u, seen.height)
+        u, gap = (s["turn"] * (x - s["x_m"]), s["z_m"]) if still else (seen.u, seen.height)
         if reads == "nearest":
             u = nearest(array, u, len(places))
         straight, quarter = missing(array, u, gap)
         if still:
-            named = f"ends at {x:g} m ({reads} of {len(places)})"
+            named = f"ends at {x:g} m ({reads} of {len(places)}, {s['turn']})"
             straight, quarter = s.derive(f"{named}, cos", straight), s.derive(f"{named}, sin", quarter)
         out.append((straight, quarter))
     return out
@@ -89,7 +89,8 @@ def _unknown(model: Model) -> Model:
         for k, sensor in enumerate(seen):
             shift = s["moved"][k]["x_m"] - s["placed"][k][0]
             waves = [links.turned((cos, sin), q * (shift - x)) for x, _ in sensor.positions]
-            added.append(sum(p["ends_cos"] * c + p["ends_sin"] * v for c, v in waves) / len(waves))
+            odd = s["turn"] * p["ends_sin"]
+            added.append(sum(p["ends_cos"] * c + odd * v for c, v in waves) / len(waves))
         s["field"] = s["field"] + ca.vertcat(*added)
 
     new = [Parameter(f"ends_{f}", 0.0, -10.0, 10.0, "V", f"{f} of two waves per wavelength, at any gap")

@@ -1,19 +1,46 @@
-"""What charts are made of: scales, ticks, axes, paths; coordinates in px with two decimals."""
+"""What charts are made of: scales, ticks, axes, shapes; coordinates in px with two decimals."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from hallsym.report.page.html import Markup, tag
 from hallsym.report.words import MINUS
 
-WIDE, NARROW = 740.0, 240.0
+HALF, NARROW = 360.0, 240.0
+"""Width of a picture of which two stand side by side, a phone's width, and of one of three [px]."""
 RIM = 14.0
-"""Width of pictures, and what half a number at the right end of an axis needs [px]."""
+"""What half a number at the right end of an axis needs [px]."""
+
+
+class Mark(NamedTuple):
+    """One SVG element: attributes that are None are left out; `title` shows when pointed at."""
+
+    name: str
+    attributes: Mapping[str, str | float | None]
+    words: str = ""
+    title: str = ""
+    parts: tuple[Mark, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """A picture of `width` x `height` px; `says` is read out in its place."""
+
+    width: float
+    height: float
+    says: str
+    marks: list[Mark]
+    attributes: Mapping[str, str | float | None] = field(default_factory=dict)
+
+    @property
+    def box(self) -> str:
+        """The `viewBox`."""
+        return f"0 0 {px(self.width)} {px(self.height)}"
 
 
 @dataclass(frozen=True)
@@ -76,37 +103,42 @@ def px(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-def chart(width: float, height: float, says: str, *parts: object, **attributes: object) -> Markup:
-    """Return a picture; `says` is read out in its place."""
-    box = f"0 0 {px(width)} {px(height)}"
-    return tag("svg", *parts, viewBox=box, role="img", aria_label=says, **attributes)
-
-
-def text(x: float, y: float, words: object, anchor: str = "start", look: str | None = None) -> Markup:
+def text(x: float, y: float, words: str, anchor: str | None = None, look: str | None = None) -> Mark:
     """Return words whose baseline starts, ends or is centred (`middle`) at (x, y)."""
-    anchor_ = None if anchor == "start" else anchor
-    return tag("text", words, x=px(x), y=px(y), text_anchor=anchor_, class_=look)
+    return Mark("text", {"x": px(x), "y": px(y), "text-anchor": anchor, "class": look}, words)
 
 
-def line(x1: float, y1: float, x2: float, y2: float, look: str) -> Markup:
+def line(x1: float, y1: float, x2: float, y2: float, look: str) -> Mark:
     """Return a straight line."""
-    return tag("path", d=f"M{px(x1)} {px(y1)}L{px(x2)} {px(y2)}", class_=look)
+    return path(f"M{px(x1)} {px(y1)}L{px(x2)} {px(y2)}", look)
 
 
-def rect(x: float, y: float, width: float, height: float, look: str, title: str = "") -> Markup:
-    """Return a rectangle; `title` shows when pointed at."""
-    said = tag("title", title) if title else None
-    return tag("rect", said, x=px(x), y=px(y), width=px(max(width, 0.0)), height=px(height), class_=look)
+def path(steps: str, look: str) -> Mark:
+    """Return a line or an outline."""
+    return Mark("path", {"d": steps, "class": look})
 
 
-def dot(x: float, y: float, radius: float, look: str, title: str = "") -> Markup:
-    """Return a disc; `title` shows when pointed at."""
-    return tag(
-        "circle", tag("title", title) if title else None, cx=px(x), cy=px(y), r=px(radius), class_=look
-    )
+def rect(
+    x: float, y: float, width: float, height: float, look: str, title: str = "", part: float | None = None
+) -> Mark:
+    """Return a rectangle; `part`: how opaque its fill is."""
+    place: dict[str, str | None] = {
+        "x": px(x),
+        "y": px(y),
+        "width": px(max(width, 0.0)),
+        "height": px(height),
+        "class": look,
+    }
+    place["fill-opacity"] = None if part is None else px(part)
+    return Mark("rect", place, title=title)
 
 
-def polyline(points: Sequence[tuple[float, float]], look: str) -> Markup:
+def dot(x: float, y: float, radius: float, look: str, title: str = "") -> Mark:
+    """Return a disc."""
+    return Mark("circle", {"cx": px(x), "cy": px(y), "r": px(radius), "class": look}, title=title)
+
+
+def polyline(points: Sequence[tuple[float, float]], look: str) -> Mark:
     """Return a line through points, interrupted where a coordinate is nan."""
     parts, pen = [], "M"
     for x, y in points:
@@ -115,10 +147,10 @@ def polyline(points: Sequence[tuple[float, float]], look: str) -> Markup:
             continue
         parts.append(f"{pen}{px(x)} {px(y)}")
         pen = "L"
-    return tag("path", d="".join(parts), class_=look)
+    return path("".join(parts), look)
 
 
-def below(scale: Scale, y: float, title: str = "", most: int = 4, top: float | None = None) -> list[Markup]:
+def below(scale: Scale, y: float, title: str = "", most: int = 4, top: float | None = None) -> list[Mark]:
     """Return the x axis at `y`: line, ticks, numbers, title, and grid lines up to `top`."""
     parts = [line(scale.start, y, scale.end, y, "axis")]
     for value in scale.ticks(most):
@@ -131,7 +163,7 @@ def below(scale: Scale, y: float, title: str = "", most: int = 4, top: float | N
     return parts
 
 
-def beside(scale: Scale, x: float, right: float, most: int = 6) -> list[Markup]:
+def beside(scale: Scale, x: float, right: float, most: int = 6) -> list[Mark]:
     """Return the y axis at `x`: line, ticks, numbers, and grid lines up to `right`."""
     parts = [line(x, scale.start, x, scale.end, "axis")]
     for value in scale.ticks(most):

@@ -1,0 +1,100 @@
+"""`hallsym fleet`: calibrate many devices."""
+
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from hallsym.cli import NOT_DESCRIBED, OK
+from hallsym.cli.common import assignment, command, log_options, model_options, progress_of, say
+from hallsym.errors import InputError
+from hallsym.families.machine_file import read_machine
+from hallsym.files import atomic_write
+from hallsym.fleets import fleet, machine_file, tolerance_file
+from hallsym.fleets.page import save_page
+from hallsym.fleets.row import GOOD
+from hallsym.log import parse_column_option
+from hallsym.report.text.fleet import fleet_text
+
+
+def add(sub: Any) -> None:
+    """Add the command to the parser."""
+    parser = command(
+        sub, "fleet", run,
+        "Calibrate every device of a fleet, as many at once as there are cores, and write one row a device:\n"
+        "parameters, uncertainties, verdict, and the reason where a log could not be fitted. A fleet that\n"
+        "was stopped goes on where it was when the same command is given again. Prints how parameters\n"
+        "spread between devices beyond the uncertainty of a fit, which devices differ, and what drifts over\n"
+        "production. The exit code is 3 where a device is not good.",
+        "examples:\n"
+        "  hallsym fleet logs/ --model rotary -o fleet.parquet\n"
+        "  hallsym fleet 'logs/*.parquet' -o fleet.parquet --page fleet.html --next-machine next.toml\n"
+        "  hallsym fleet devices.csv --diagnose -o fleet.parquet    a table: log,device,order,supplier\n"
+        "  hallsym fleet logs/ -o fleet.parquet --scheduler tcp://host:8786",
+    )  # fmt: skip
+    parser.add_argument(
+        "logs", metavar="LOGS", nargs="+",
+        help="a folder of logs, a pattern in quotes, logs, or a table with columns log, device, order, ...",
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", metavar="TABLE", help="the table: .parquet, .csv or .json")
+    parser.add_argument("--page", metavar="HTML", help="write a page with distributions and trends")
+    parser.add_argument(
+        "--next-machine", metavar="TOML", help="write nominal values and bounds for the next batch"
+    )
+    parser.add_argument(
+        "--tolerances", metavar="TOML", help="write the spread for 'hallsym tolerances --ranges'"
+    )
+    model_options(parser, "the logs' base_model, else by their columns")
+    group = parser.add_argument_group("fleet")
+    group.add_argument(
+        "--diagnose", action="store_true", help="diagnose each log too; takes seconds a device"
+    )
+    group.add_argument("--solver", default="direct", help="as for 'hallsym fit' (default: direct)")
+    group.add_argument("--loss", default="auto", help="as for 'hallsym fit' (default: auto)")
+    group.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    group.add_argument(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead: tcp://host:8786"
+    )
+    log_options(parser)
+
+
+def run(options: Namespace) -> int:
+    """Carry the command out."""
+    if options.workers is not None and options.workers < 1:
+        raise InputError(f"--workers must be 1 or more; instead received {options.workers}.")
+    machine = read_machine(options.machine)
+    reading = {
+        "columns": dict(parse_column_option(text) for text in options.column),
+        "column_file": options.column_file,
+        "format": options.format,
+        "delimiter": options.delimiter,
+        "decimal": options.decimal,
+        "sheet": options.sheet,
+        "noise": dict(assignment(text) for text in options.noise),
+        "counts_per_turn": options.counts_per_turn,
+    }
+    found = fleet(
+        options.logs,
+        options.model,
+        effects=options.effect,
+        parameters=machine.parameters,
+        machine={"probes": machine.probes, "tables": dict(machine.tables)} if options.machine else None,
+        solver=options.solver,
+        loss=options.loss,
+        diagnose=options.diagnose,
+        drop_bad=options.drop_bad,
+        reading={key: value for key, value in reading.items() if value},
+        output=options.output,
+        workers=options.workers,
+        scheduler=options.scheduler,
+        on_progress=progress_of(options),
+    )
+    wrote: list[str | Path] = [options.output] if options.output else []
+    for path, make in ((options.next_machine, machine_file), (options.tolerances, tolerance_file)):
+        if path:
+            atomic_write(path, make(found))
+            wrote.append(path)
+    if options.page:
+        save_page(found, options.page)
+        wrote.append(options.page)
+    say(options, found.to_dict(), lambda: fleet_text(found), wrote=wrote)
+    return OK if set(found.verdicts) <= {GOOD} else NOT_DESCRIBED

@@ -1,0 +1,110 @@
+"""The parser of the command line: what is misspelt is named with the nearest word there is."""
+
+import argparse
+import sys
+from argparse import Action, ArgumentParser, Namespace
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from textwrap import fill
+from typing import Any, NoReturn
+
+from hallsym.cli import BAD_INPUT, COMMANDS
+from hallsym.errors import nearest, one_line, quoted
+from hallsym.terminal import prose_width
+
+EPILOG = """\
+exit codes: 0 done; 2 bad input (one sentence says what to do); 3 done and written, but the log leaves
+parameters of the model undetermined or its recording is at fault (both are named), or the model does not
+describe the log (the report of 'fit' or 'evaluate' begins with that); 4 the solver did not converge (the
+best so far is written); 70 a mistake in hallsym itself (HALLSYM_DEBUG=1 shows where); 130 interrupted by
+Ctrl-C (nothing is written).
+
+examples:
+  hallsym demo                                    the paper's calibration on the bundled campaign
+  hallsym fit LOG --model stage31 -o calib.json   calibrate a stage from your own log
+  hallsym evaluate calib.json OTHER_LOG           errors of that calibration on another log
+  hallsym diagnose LOG --model stage31            where the gap lies, why, and how far it shrinks
+  hallsym report calib.json LOG -o report.html    one HTML page of a calibration
+  hallsym info LOG                                what a log holds, and what is wrong with it
+"""
+
+
+def parser_of(commands: Sequence[str]) -> ArgumentParser:
+    """Return the parser with the options of `commands`; the other commands are only listed."""
+    parser = Parser(
+        prog="hallsym",
+        description="From a log of Hall readings beside a reference to a calibrated position sensor.",
+        epilog=EPILOG,
+        formatter_class=HelpText,
+    )
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    sub = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    for name, what in COMMANDS.items():
+        if name in commands:
+            import_module(f"hallsym.cli.{name}").add(sub)
+        else:
+            sub.add_parser(name, help=what)
+    return parser
+
+
+class HelpText(argparse.HelpFormatter):
+    """Help whose paragraphs fit the terminal; indented lines (examples) stay as they are."""
+
+    def __init__(self, prog: str) -> None:
+        """Be as wide as the terminal is."""
+        super().__init__(prog, width=prose_width() - 2)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        lines: list[str] = []
+        paragraph: list[str] = []
+        for line in [*text.split("\n"), ""]:
+            plain = bool(line) and not line.startswith(" ")
+            if plain:
+                paragraph.append(line)
+                if not line.endswith(":"):
+                    continue
+            if paragraph:
+                lines.append(fill(" ".join(paragraph), width, break_long_words=False, break_on_hyphens=False))
+                paragraph = []
+            if not plain:
+                lines.append(line)
+        return "\n".join(lines).rstrip() + "\n"
+
+
+class Parser(ArgumentParser):
+    """A parser whose complaint is one line, and that does not hide that a text could not be written."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong and end with 2."""
+        self.exit(BAD_INPUT, f"{one_line(f'{self.prog}: {message}; see {self.prog} --help')}\n")
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Any = None, namespace: Any = None
+    ) -> tuple[Namespace, list[str]]:
+        """Parse as argparse does, but name an option that does not exist before anything that follows."""
+        words = list(sys.argv[1:] if args is None else args)
+        for word in words:
+            if word == "--" or (self._subparsers and not word.startswith("-")):
+                break
+            name = word.partition("=")[0]
+            known = list(self._option_string_actions)
+            if name.startswith("--") and " " not in name and not any(o.startswith(name) for o in known):
+                self.error(f"there is no option {quoted(name)}{nearest(name, known)}")
+        return super().parse_known_args(words, namespace)
+
+    def _check_value(self, action: Action, value: Any) -> None:
+        if action.choices is None or value in action.choices:
+            return
+        known = [str(choice) for choice in action.choices]
+        near = nearest(str(value), known)
+        if action.dest != "command":
+            what = f"must be one of {', '.join(known)}; instead received {str(value)!r}{near}"
+            raise argparse.ArgumentError(action, what)
+        if Path(str(value)).exists():
+            near = f" (did you mean 'hallsym info {value}'?)"
+        near = near or f"; there are {', '.join(known)}"
+        self.error(f"there is no command {str(value)!r}{near}")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        (file or sys.stderr).write(message or "")

@@ -1,0 +1,99 @@
+"""Progress of long work on stderr: one line that is redrawn on a terminal, a line now and then elsewhere."""
+
+import sys
+from collections.abc import Callable
+from threading import Event, Lock, Thread
+from time import monotonic
+from typing import TextIO
+
+from hallsym.terminal import Step, columns
+
+EVERY_S = 5.0
+"""Seconds between lines where there is no terminal: some hundreds of them in an hour."""
+REDRAWN_S = 0.1
+"""Seconds between two drawings of the line on a terminal."""
+TICK_S = 1.0
+"""Seconds after which the line on a terminal is drawn again where nothing else happens."""
+SURE = 0.02
+"""Share of the work from which on the time that it took tells how much is left."""
+
+_SHOWN: list["Meter"] = []
+
+
+class Meter:
+    """Shows what is done now, and how long it will take or has taken; `end` takes the line away."""
+
+    def __init__(self, stream: TextIO | None = None, now: Callable[[], float] = monotonic) -> None:
+        """Begin the clock; `stream` is stderr by default."""
+        self._stream = stream or sys.stderr
+        self._now = now
+        self._redrawn = self._stream.isatty()
+        self._text, self._began, self._shown = "", now(), now()
+        self._ended, self._drawing = Event(), Lock()
+        _SHOWN.append(self)
+
+    def __call__(self, text: str) -> None:
+        """Show a text; a `Step` tells the share that is done, and so the time that is left."""
+        now, before = self._now(), self._text
+        again = isinstance(text, Step) and isinstance(before, Step) and text.share < before.share
+        if _head(text) != _head(before) or again:
+            self._began = now
+        if not before:
+            Thread(target=self._ticking, daemon=True).start()
+        self._text = text
+        if now - self._shown >= (REDRAWN_S if self._redrawn else EVERY_S) or (self._redrawn and not before):
+            self.draw()
+
+    def draw(self) -> None:
+        """Show the line as it is now."""
+        with self._drawing:
+            self._shown = self._now()
+            line = f"{self._text}, {self._time(self._shown - self._began)}"
+            if self._ended.is_set():
+                return
+            if self._redrawn:
+                most = (columns() or len(line) + 1) - 1
+                line = line if len(line) <= most else f"{line[: most - 3]}..."
+                print(f"\r\033[K{line}", end="", file=self._stream, flush=True)
+            else:
+                print(f"hallsym: {line}", file=self._stream, flush=True)
+
+    def end(self) -> None:
+        """Show nothing more; what follows begins on an empty line."""
+        with self._drawing:
+            if self._redrawn and self._text and not self._ended.is_set():
+                print("\r\033[K", end="", file=self._stream, flush=True)
+            self._ended.set()
+
+    def _ticking(self) -> None:
+        every = TICK_S if self._redrawn else EVERY_S
+        while not self._ended.wait(every):
+            if self._now() - self._shown >= every:
+                self.draw()
+
+    def _time(self, taken: float) -> str:
+        if isinstance(self._text, Step) and self._text.share >= SURE:
+            return f"{said_time(taken * (1 / min(self._text.share, 1.0) - 1))} left"
+        return f"{said_time(taken)} so far"
+
+
+def ended() -> None:
+    """End what is shown of every work: the command is done, was refused or interrupted."""
+    while _SHOWN:
+        _SHOWN.pop().end()
+
+
+def _head(text: str) -> str:
+    return text.partition(",")[0]
+
+
+def said_time(seconds: float) -> str:
+    """Return a duration for reading.
+
+    >>> said_time(12.3), said_time(250), said_time(7800)
+    ('12 s', '4 min', '2 h 10 min')
+    """
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

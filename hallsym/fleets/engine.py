@@ -1,0 +1,163 @@
+"""Work spread over processes or a cluster: the executors of `concurrent.futures`, and one loop.
+
+Locally a spawned `ProcessPoolExecutor`; on a cluster `dask.distributed.Client(address).get_executor()`. What
+an executor does of its own (queues, retries) is left to it. Only this is added: where a local process dies,
+its pool is broken and a new one goes on; work that was under way then runs alone, one after the other, and
+what ends a process twice is named instead of tried again.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Generic, TypeVar
+
+from hallsym.errors import InputError, summary
+
+Work = TypeVar("Work")
+Result = TypeVar("Result")
+
+ANSWERS = 10.0
+"""Time [s] within which a scheduler must answer."""
+TRIES = 2
+"""Processes that one piece of work may end when it runs alone, before it is given up."""
+ENDED = "Its process was ended twice, as by a system that is out of memory; look at this log by itself."
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables by which linear algebra takes one thread: the processes are the parallelism."""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Work that gave no result, and why."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Done(Generic[Work, Result]):
+    """One piece of work with what it gave."""
+
+    work: Work
+    result: Result | Failed
+
+
+def completed(
+    call: Callable[[Work], Result],
+    work: Iterable[Work],
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> Iterator[Done[Work, Result]]:
+    """Yield `call(one)` of every piece of work as it is done, in any order.
+
+    `call` and work are sent to other processes: a function of a module, and small things. `workers`: local
+    processes, one a core by default. `scheduler`: address of a Dask scheduler, used instead. Raises
+    `InputError` for a scheduler that does not answer.
+    """
+    left = list(work)
+    if scheduler is not None:
+        with _cluster(scheduler) as executor:
+            yield from _pass(executor, call, left)
+        return
+    count = workers or os.cpu_count() or 1
+    while left:
+        finished: set[int] = set()
+        with _local(count) as executor:
+            for done in _pass(executor, call, left):
+                finished.add(id(done.work))
+                yield done
+        # work is taken in its order: what was under way when a process died is among the first that is left
+        left = [one for one in left if id(one) not in finished]
+        suspects, left = left[: 2 * count + 1], left[2 * count + 1 :]
+        yield from _one_by_one(call, suspects)
+
+
+def _pass(
+    executor: Executor, call: Callable[[Work], Result], work: Sequence[Work]
+) -> Iterator[Done[Work, Result]]:
+    """Yield what one executor completes; nothing of work that was left when a process of it died."""
+    futures: dict[Future[Result], Work] = {}
+    try:
+        for one in work:
+            futures[executor.submit(call, one)] = one
+    except BrokenProcessPool:
+        pass
+    try:
+        for future in as_completed(futures):
+            try:
+                result: Result | Failed = future.result()
+            except BrokenProcessPool:
+                continue
+            except Exception as error:
+                result = Failed(_said(error))
+            yield Done(futures[future], result)
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def _one_by_one(call: Callable[[Work], Result], work: Sequence[Work]) -> Iterator[Done[Work, Result]]:
+    """Yield every piece of work, each alone in a process: one that ends it twice is the cause."""
+    left, ended = list(work), 0
+    while left:
+        with _local(1) as executor:
+            while left:
+                try:
+                    result: Result | Failed = executor.submit(call, left[0]).result()
+                except BrokenProcessPool:
+                    ended += 1
+                    if ended < TRIES:
+                        break
+                    result = Failed(ENDED)
+                except Exception as error:
+                    result = Failed(_said(error))
+                yield Done(left.pop(0), result)
+                if ended == TRIES:
+                    ended = 0
+                    break
+                ended = 0
+
+
+def _said(error: Exception) -> str:
+    if isinstance(error, InputError):
+        return str(error)
+    return f"{type(error).__name__}: {summary(error)}"
+
+
+@contextmanager
+def _local(workers: int) -> Iterator[Executor]:
+    """Processes of this machine, each with one thread of linear algebra."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    executor = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        yield executor
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+        for name, value in before.items():
+            os.environ.pop(name, None) if value is None else os.environ.update({name: value})
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    """The executor of a Dask scheduler."""
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(
+            "A scheduler needs dask, which is not installed; run: pip install 'hallsym[cluster]'."
+        ) from error
+    try:
+        client = Client(address, timeout=ANSWERS, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"Scheduler {address} does not answer within {ANSWERS:.0f} s; start it with 'dask scheduler', or "
+            "give its address as tcp://HOST:8786."
+        ) from error
+    try:
+        yield client.get_executor(pure=False)
+    finally:
+        client.close()

@@ -1,0 +1,155 @@
+"""What one device gives: a fit that no other device waits for, as one small row."""
+
+import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError, one_line, summary
+from hallsym.estimation import Fit, fit
+from hallsym.fleets.sources import Device
+from hallsym.log import Fault, read_log
+
+GOOD, AMISS, UNDETERMINED, NOT_CONVERGED, FAILED = (
+    "good", "not described", "not determined", "not converged", "failed",
+)  # fmt: skip
+VERDICTS = {
+    GOOD: "the model describes the log, and the log determines the model",
+    AMISS: "the model does not describe the log, or the recording is at fault",
+    UNDETERMINED: "the log leaves parameters open that another recording determines",
+    NOT_CONVERGED: "the solver did not converge",
+    FAILED: "the log could not be fitted",
+}
+"""What is said of a device, and what it means."""
+VALUE, STD = "value:", "std:"
+"""Prefixes of the columns of a parameter: its value and its standard uncertainty, in SI."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How each log is read and fitted; the same for all. See `fit` and `read_log`."""
+
+    model: str | None = None
+    effects: tuple[str, ...] = ()
+    parameters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    machine: Mapping[str, Any] | None = None
+    solver: str = "direct"
+    loss: str = "auto"
+    reading: Mapping[str, Any] = field(default_factory=dict)
+    drop_bad: bool = False
+    resolve_wiring: bool = False
+    diagnose: bool = False
+
+
+@dataclass(frozen=True)
+class Job:
+    """One device and how its log is fitted: what is sent to a process."""
+
+    device: Device
+    settings: Settings
+
+
+def row_of(job: Job) -> dict[str, Any]:
+    """Return the row of one device. Nothing is raised: a log that cannot be fitted gives its reason."""
+    began = perf_counter()
+    try:
+        row = _fitted(job)
+    except InputError as error:
+        row = failed(str(error))
+    except MemoryError:
+        row = failed("There is not enough memory for this log.")
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        row = failed(
+            f"This is a mistake in hallsym: {type(error).__name__} ({summary(error)}) at "
+            f"{Path(place.filename).name}:{place.lineno}."
+        )
+    return {**row, "seconds": perf_counter() - began}
+
+
+def failed(reason: str) -> dict[str, Any]:
+    """Return what is known of a device whose log was not fitted."""
+    return {"verdict": FAILED, "reason": one_line(reason)}
+
+
+def _fitted(job: Job) -> dict[str, Any]:
+    asked = job.settings
+    log = read_log(job.device.log, drop_bad=asked.drop_bad, **asked.reading)
+    if asked.machine is not None:
+        probes = asked.machine.get("probes") or log.meta.probes
+        raw = {**log.meta.raw, **asked.machine.get("tables", {})}
+        log = replace(log, meta=replace(log.meta, probes=probes, raw=raw))
+    found = fit(
+        log, asked.model, effects=asked.effects, parameters=asked.parameters or None, solver=asked.solver,
+        loss=asked.loss, drop_bad=asked.drop_bad, resolve_wiring=asked.resolve_wiring, quick=True,
+    )  # fmt: skip
+    row = row_of_fit(found)
+    if asked.diagnose:
+        row |= _diagnosed(log, found, asked)
+    return row
+
+
+def row_of_fit(found: Fit) -> dict[str, Any]:
+    """Return what a fleet keeps of a fit."""
+    verdict, reason = verdict_of(found)
+    goodness = found.goodness
+    assert goodness is not None
+    row: dict[str, Any] = {
+        "verdict": verdict,
+        "reason": one_line(reason),
+        "model": found.model.name,
+        "effects": ",".join(found.model.effects),
+        "rows": found.log["rows"],
+        "runs": found.log["runs"],
+        "residual_over_noise": float(goodness.residual_over_noise),
+        "cost_per_degree_of_freedom": float(goodness.cost_per_degree_of_freedom),
+        "worst_run": int(goodness.worst_run),
+        "worst_channel": goodness.worst_channel,
+    }
+    free = [k for k, p in enumerate(found.model.parameters) if p.width > 0]
+    for k in free:
+        row[f"{VALUE}{found.model.names[k]}"] = float(found.values[k])
+        row[f"{STD}{found.model.names[k]}"] = _finite(found.std[k])
+    return row
+
+
+def verdict_of(found: Fit) -> tuple[str, str]:
+    """Return the verdict on a fit and the sentence that says why; "" where it is good."""
+    faults = [note for note in found.notes if isinstance(note, Fault)]
+    amiss = found.goodness.sentence if found.goodness else None
+    if found.status != "converged":
+        return NOT_CONVERGED, found.message
+    if amiss:
+        return AMISS, amiss
+    if faults:
+        return AMISS, faults[0]
+    if found.undetermined_by_log:
+        return UNDETERMINED, f"{', '.join(found.undetermined_by_log)} are not determined by this log."
+    return GOOD, ""
+
+
+def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:
+    """Return the diagnosis of a device in words that group devices."""
+    from hallsym.diagnosis import diagnose  # what most fleets do not need takes a second to import
+
+    try:
+        result = diagnose(log, found.model, drop_bad=asked.drop_bad)
+    except InputError as error:
+        return {"diagnosis": "not possible", "causes": "", "diagnosis_reason": one_line(str(error))}
+    return {
+        "diagnosis": result.verdict,
+        "causes": _groups(result.groups),
+        "diagnosis_reason": one_line(result.sentence),
+    }
+
+
+def _groups(groups: Sequence[Sequence[str]]) -> str:
+    return " + ".join(sorted(" or ".join(sorted(group)) for group in groups))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,186 @@
+"""How a parameter differs between devices, beyond what its estimates are uncertain by.
+
+Random effects: the estimate of device i is `x_i = mu + d_i + e_i`, where d_i ~ N(0, tau^2) is the device's
+and e_i ~ N(0, s_i^2) the known uncertainty of the estimate. mu and tau maximise the likelihood (R. J. Hardy
+and S. G. Thompson, Stat. Med. 15 (1996) 619). The interval of tau is where twice the log likelihood is less
+than 3.84 below its maximum. tau is what tolerances and bounds of the next batch are made from: the scatter of
+the estimates themselves is larger, by their uncertainty.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+from scipy.special import chdtri, ndtri, stdtr
+
+FEWEST = 3
+"""Devices that a spread needs."""
+CHANCE = 0.01
+"""Probability that a fleet without any outlying device or trend is said to have one."""
+MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+ROUNDS = 20
+"""Of leaving outlying devices out and estimating again, at most; it ends where the same are left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """Slope of a parameter along a column, per unit of it, with 1 sigma; `chance`: that there is none."""
+
+    column: str
+    slope: float
+    std: float
+    chance: float
+    significant: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """The distribution of one parameter over devices, in its SI unit.
+
+    `mean`, `mean_std`: of the devices, with 1 sigma. `std`: tau, the standard deviation between devices;
+    `interval`: 95 % of it. `scatter`: standard deviation of the estimates themselves. `typical_std`: median
+    uncertainty of an estimate. `outlying`: device -> distance in its expected standard deviations.
+    """
+
+    name: str
+    unit: str
+    devices: int
+    mean: float
+    mean_std: float
+    std: float
+    interval: tuple[float, float]
+    scatter: float
+    typical_std: float
+    outlying: dict[str, float] = field(default_factory=dict)
+    trends: tuple[Trend, ...] = ()
+
+
+def spread_of(
+    name: str,
+    unit: str,
+    values: np.ndarray,
+    std: np.ndarray,
+    devices: Sequence[str],
+    *,
+    columns: dict[str, np.ndarray] | None = None,
+    tests: int = 1,
+    period: float | None = None,
+) -> Spread | None:
+    """Return the spread of a parameter; None where fewer than three devices determine it.
+
+    `values`, `std`: (m,), nan where a device does not determine the parameter. `columns`: numbers by device
+    (m,) along which a trend is looked for. `tests`: how many parameters are looked at together. `period`: of
+    a parameter that repeats; its values are taken about their circular mean.
+    """
+    known = np.isfinite(values) & np.isfinite(std) & (std > 0)
+    if known.sum() < FEWEST:
+        return None
+    x, s = _about_mean(values[known], period), std[known]
+    far = -float(ndtri(CHANCE / (2 * len(x) * max(tests, 1))))
+    inside, score = _inside(x, s, far)
+    mean, tau = random_effects(x[inside], s[inside])
+    weight = 1.0 / (tau**2 + s[inside] ** 2)
+    names = np.asarray(devices, dtype=object)[known]
+    kept = {c: np.asarray(v, dtype=float)[known][inside] for c, v in (columns or {}).items()}
+    count = max(tests, 1) * max(len(kept), 1)
+    found = [_trend(c, v, x[inside], s[inside], CHANCE / count) for c, v in kept.items()]
+    return Spread(
+        name, unit, int(inside.sum()), mean, float(weight.sum() ** -0.5), tau,
+        interval_of(x[inside], s[inside], tau), float(np.std(x[inside], ddof=1)), float(np.median(s)),
+        {str(n): float(z) for n, z in zip(names[~inside], score[~inside], strict=True)},
+        tuple(one for one in found if one is not None),
+    )  # fmt: skip
+
+
+def random_effects(x: np.ndarray, s: np.ndarray) -> tuple[float, float]:
+    """Return mean and standard deviation between devices of greatest likelihood, for estimates x (m,) +- s.
+
+    >>> import numpy as np
+    >>> mean, tau = random_effects(np.array([0.9, 1.0, 1.1]), np.array([0.2, 0.2, 0.2]))
+    >>> round(mean, 3), tau  # no spread beyond the uncertainty
+    (1.0, 0.0)
+    """
+    loss, scale = _loss(x, s), float(np.std(x))
+    if scale == 0:
+        return float(x[0]), 0.0
+    found = minimize_scalar(
+        lambda log: loss(np.exp(log)), bounds=(np.log(1e-4 * scale), np.log(3.0 * scale)), method="bounded",
+        options={"xatol": 1e-7},
+    )  # fmt: skip
+    tau = float(np.exp(found.x))
+    tau = tau if loss(tau) < loss(0.0) else 0.0
+    return _mean(x, s, tau), tau
+
+
+def interval_of(x: np.ndarray, s: np.ndarray, tau: float) -> tuple[float, float]:
+    """Return the 95 % interval of the standard deviation between devices, by the likelihood ratio."""
+    loss, rise = _loss(x, s), float(chdtri(1, 0.05))
+    least, scale = loss(tau), max(tau, float(np.std(x)), 1e-300)
+
+    def beyond(t: float) -> float:
+        return loss(t) - least - rise
+
+    low = 0.0 if tau == 0 or beyond(0.0) < 0 else float(brentq(beyond, 0.0, tau))
+    high = 2.0 * scale
+    while beyond(high) < 0:
+        high *= 2.0
+    return low, float(brentq(beyond, tau, high))
+
+
+def _loss(x: np.ndarray, s: np.ndarray) -> Callable[[float], float]:
+    """Minus twice the log likelihood of tau, the mean at its best."""
+
+    def loss(tau: float) -> float:
+        variance = tau**2 + s**2
+        return float(np.sum((x - _mean(x, s, tau)) ** 2 / variance + np.log(variance)))
+
+    return loss
+
+
+def _mean(x: np.ndarray, s: np.ndarray, tau: float) -> float:
+    weight = 1.0 / (tau**2 + s**2)
+    return float(weight @ x / weight.sum())
+
+
+def _inside(x: np.ndarray, s: np.ndarray, far: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return which devices (m,) belong to the others, and all scores (m,) against these."""
+    middle = float(np.median(x))
+    tau = float(np.sqrt(max((MAD * np.median(np.abs(x - middle))) ** 2 - np.median(s) ** 2, 0.0)))
+    score = (x - middle) / np.sqrt(tau**2 + s**2)
+    inside = np.abs(score) <= far
+    for _ in range(ROUNDS):
+        if inside.sum() < FEWEST:
+            return np.ones(len(x), dtype=bool), score
+        mean, tau = random_effects(x[inside], s[inside])
+        score, before = (x - mean) / np.sqrt(tau**2 + s**2), inside
+        inside = np.abs(score) <= far
+        if np.array_equal(inside, before):
+            break
+    return inside, score
+
+
+def _trend(column: str, along: np.ndarray, x: np.ndarray, s: np.ndarray, chance: float) -> Trend | None:
+    """Return the slope of x along a column by weighted least squares; None where it does not vary."""
+    known = np.isfinite(along)
+    if known.sum() <= FEWEST or np.ptp(along[known]) == 0:
+        return None
+    along, x, s = along[known], x[known], s[known]
+    _, tau = random_effects(x, s)
+    weight = 1.0 / (tau**2 + s**2)
+    place = along - weight @ along / weight.sum()
+    square = float(weight @ place**2)
+    slope = float((weight * place) @ x / square)
+    left = x - weight @ x / weight.sum() - slope * place
+    std = float(np.sqrt(weight @ left**2 / (len(x) - 2) / square))
+    p = 2.0 * float(stdtr(len(x) - 2, -abs(slope) / max(std, 1e-300)))
+    return Trend(column, slope, std, p, p < chance)
+
+
+def _about_mean(x: np.ndarray, period: float | None) -> np.ndarray:
+    if period is None:
+        return x
+    turn = 2 * np.pi / period
+    middle = float(np.angle(np.exp(1j * turn * x).mean())) / turn
+    return middle + (x - middle + period / 2) % period - period / 2

@@ -1,0 +1,131 @@
+"""Times as text: dates with a time of day, or a time of day, as seconds from the first sample."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hallsym.errors import InputError
+from hallsym.log.extras import load
+
+DAY_S = 86_400.0
+_CLOCK = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d{1,9})?"
+_ZONE = r"(?:Z|[+-]\d{2}:?\d{2})"
+_DATES = {
+    "year first": r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}",
+    "day.month": r"\d{1,2}\.\d{1,2}\.\d{4}",  # dots: everywhere the day stands first
+    "open": r"\d{1,2}[-/]\d{1,2}[-/]\d{4}",
+}
+DAY_FIRST, MONTH_FIRST = "day", "month"
+ORDERS = (DAY_FIRST, MONTH_FIRST)
+"""What `--dates` takes: which of two numbers stands first."""
+
+
+@dataclass(frozen=True)
+class TimeForm:
+    """How times are written: `date` as in `_DATES`, "" for a time of day alone; whether a zone is stated."""
+
+    date: str
+    zoned: bool
+
+    @property
+    def said(self) -> str:
+        """What the form is called."""
+        return "dates with times" if self.date else "times of day"
+
+
+def time_form(cells: Sequence[str]) -> TimeForm | None:
+    """Return the form that all cells of a column have; None where they are no times."""
+    if not cells:
+        return None
+    for date, pattern in {**_DATES, "": ""}.items():
+        start = rf"{pattern}[T ]\s*" if pattern else ""
+        for zone in ("", rf"\s*{_ZONE}") if date else ("",):
+            whole = re.compile(rf"\s*{start}{_CLOCK}{zone}\s*")
+            if all(whole.fullmatch(cell) for cell in cells):
+                return TimeForm(date, bool(zone))
+    return None
+
+
+class Seconds:
+    """Turns chunks of one column of times into seconds from its first one, in the order of the file."""
+
+    def __init__(self, form: TimeForm, order: str | None, what: str) -> None:
+        """Begin; `order`: which number of an open date stands first, `what` names the column in messages."""
+        self.form, self.what = form, what
+        self.order = order
+        self._first: int | None = None
+        self._last = 0.0
+        self._days = 0.0
+        self._dates: set[str] = set()
+
+    def __call__(self, cells: Any) -> np.ndarray:
+        """Return seconds (samples,) of an Arrow array of strings; a missing cell is nan."""
+        arrow, compute = load("pyarrow"), load("pyarrow.compute")
+        text = compute.utf8_trim_whitespace(cells.cast(arrow.string()))
+        text = compute.replace_substring_regex(text, ",", ".")
+        if self.form.date == "open":
+            self._decide(text, compute)
+        for pattern, plain in self._steps():
+            text = compute.replace_substring_regex(text, pattern, plain)
+        kind = arrow.timestamp("ns", "UTC") if self.form.zoned else arrow.timestamp("ns")
+        try:
+            times = text.cast(kind).cast(arrow.int64())
+        except arrow.ArrowInvalid as error:
+            raise InputError(
+                f"{self.what} must hold {self.form.said} written alike in every line; one is not "
+                f"({str(error)[:80]}): put it right, or leave the line out."
+            ) from error
+        missing = np.asarray(compute.is_null(times))
+        values = np.asarray(compute.fill_null(times, 0), dtype=np.int64)
+        seconds = self._from_first(values, missing)
+        return seconds if self.form.date else self._onward(seconds)
+
+    def _from_first(self, values: np.ndarray, missing: np.ndarray) -> np.ndarray:
+        known = np.flatnonzero(~missing)
+        if self._first is None and len(known):
+            self._first = int(values[known[0]])
+        seconds = (values - (self._first or 0)) * 1e-9
+        seconds[missing] = np.nan
+        return seconds
+
+    def _onward(self, seconds: np.ndarray) -> np.ndarray:
+        """Let a time of day go on after midnight."""
+        steps = np.diff(seconds, prepend=self._last)
+        days = self._days + DAY_S * np.cumsum(np.nan_to_num(steps) < -DAY_S / 2)
+        good = np.flatnonzero(np.isfinite(seconds))
+        if len(good):
+            self._last, self._days = float(seconds[good[-1]]), float(days[-1])
+        return seconds + days
+
+    def _decide(self, text: Any, compute: Any) -> None:
+        """Ask which number of a date is the day, where that matters: not while all dates are the same."""
+        if self.order is not None:
+            return
+        dates = compute.unique(compute.replace_substring_regex(text, r"[-/](\d{4})\s.*$", r"/\1")).to_pylist()
+        pairs = [re.split("[-/]", date)[:2] for date in dates if date]
+        first, second = (max((int(pair[k]) for pair in pairs), default=0) for k in (0, 1))
+        self._dates |= {date for date in dates if date}
+        if max(first, second) > 12 and self._first is None:
+            self.order = DAY_FIRST if first > 12 else MONTH_FIRST
+        elif len(self._dates) > 1:
+            raise InputError(
+                f"{self.what} holds dates such as {min(self._dates)}, whose day may stand first or second: "
+                "say which with --dates day or --dates month (in Python dates='day')."
+            )
+
+    def _steps(self) -> list[tuple[str, str]]:
+        """Return the replacements that make ISO 8601 of a time."""
+        pad = (r"(^|[-/. T])(\d)([-/.:])", r"\1" + r"0\2\3")
+        day, month = (r"\2", r"\1") if self.order != DAY_FIRST else (r"\1", r"\2")
+        swaps = {
+            "": [("^", "1970-01-01 ")],
+            "year first": [(r"^(\d{4})[-/.](\d\d)[-/.](\d\d)", r"\1-\2-\3")],
+            "day.month": [(r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1")],
+            "open": [(r"^(\d\d)[-/](\d\d)[-/](\d{4})", rf"\3-{month}-{day}")],
+        }[self.form.date]
+        return [pad, pad, *swaps, (r"\s+", " "), (r" ?([+-]\d\d):?(\d\d)$", r"\1:\2"), (r" Z$", "Z")]

@@ -1,0 +1,257 @@
+"""Errors that repeat with a coordinate: how large they are, what makes them, and what would remove them.
+
+The error of the decoded coordinate is a sum of harmonics of one period of the reference. The effects of the
+family say which harmonics come from how the parts are mounted, which from the reference, and which from
+anything else, so that the error splits into what belongs to the machine and what does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from hallsym.estimation import Fit, as_read
+from hallsym.log import Log
+from hallsym.log.batches import Weigh
+from hallsym.model import Family
+from hallsym.report.data.decoded import Decoded, decoded
+
+HIGHEST = 12
+"""Harmonics per period that are looked for in any case: clipping and the second harmonic of a field's third
+reach it, and with it a table of 24 entries."""
+SECTORS = 36
+"""Parts of the period that must each hold a sample: 10 deg of a turn, a third of the shortest wave."""
+ALONE = 3
+"""Samples for each coefficient at least."""
+CHANCE = 0.01
+"""Probability that noise alone shows one of all harmonics. The usual 1 %."""
+STEEP = 5.0
+"""Standard uncertainties from which on a reference is taken to have another scale. Over a single period a
+slope resembles the sum of all harmonics, so it must be beyond doubt."""
+MOUNTED, REFERENCE = "mechanics", "reference"
+"""Links of the chain whose effects mounting makes, and the reference."""
+ALIAS = 1e-2
+"""Information on a wave beside slower ones, as part of what it has alone, below which it is left out: knots
+at 200 places a turn do not tell the phase of a hundredth wave. A slope over a single turn has 5e-2."""
+GRID = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)
+
+
+@dataclass(frozen=True)
+class Size:
+    """Root mean square and peak over the period, in SI."""
+
+    rms: float
+    peak: float
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """`per_period` waves of the error with the nominal decoder; amplitude and its 95 % half width, in SI."""
+
+    per_period: int
+    amplitude: float
+    half_width: float
+    shown: bool
+    """Whether the log shows it beyond chance."""
+
+
+@dataclass(frozen=True)
+class PeriodicError:
+    """The error of `coordinate` over its `period`, with the nominal decoder, and what is left with remedies.
+
+    `machine`: what belongs to the machine. `mounted`: without `mount_orders`, which mounting the parts anew
+    can remove. `calibrated`: with the fitted parameters. `pattern`: what belongs to the reference, at
+    `pattern_orders`. `rest`: rms of what does not repeat, which no table removes. `elsewhere`: by order that
+    mounting can make, the effects that make it too and that mounting does not remove.
+    """
+
+    coordinate: str
+    period: float
+    harmonics: tuple[Harmonic, ...]
+    machine: Size
+    mounted: Size
+    calibrated: Size
+    pattern: Size
+    rest: float
+    mount_orders: tuple[int, ...]
+    pattern_orders: tuple[int, ...]
+    elsewhere: Mapping[int, tuple[str, ...]]
+    slope: float
+    """Error of the scale of the reference, 0 where the log shows none."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of `--json`, in SI."""
+        sizes = {name: vars(getattr(self, name)) for name in ("machine", "mounted", "calibrated", "pattern")}
+        return {
+            "coordinate": self.coordinate,
+            "period": self.period,
+            **sizes,
+            "rest": self.rest,
+            "harmonics": [vars(h) for h in self.harmonics],
+            "mount_orders": list(self.mount_orders),
+            "pattern_orders": list(self.pattern_orders),
+            "elsewhere": {str(n): list(names) for n, names in self.elsewhere.items()},
+            "slope": self.slope,
+        }
+
+
+def periodic_error(log: Log, fit: Fit, keep: Weigh | None = None) -> PeriodicError | None:
+    """Return the errors that repeat with the first coordinate that does; None where there is nothing to say.
+
+    That is: where the family's effects name no harmonics, where the log does not cover a period, or where it
+    has too few samples. `log`: as the model reads it (`as_read`).
+    """
+    model = fit.model
+    coordinate = next((c for c in model.pose if c in model.period), None)
+    if coordinate is None or not model.family.waves:
+        return None
+    k, period = model.pose.index(coordinate), model.period[coordinate]
+    mount, pattern, elsewhere = _sources(model.family)
+    orders = tuple(sorted({*range(1, HIGHEST + 1), *pattern}))
+    sums = _Sums(orders, 2 * np.pi / period)
+    for block in decoded(log, fit, keep):
+        sums.add(block, k)
+    if not sums.enough:
+        return None
+    before, after = sums.solved(0), sums.solved(1)
+    size = {name: before.size(chosen) for name, chosen in {
+        "machine": [n for n in orders if n not in pattern],
+        "mounted": [n for n in orders if n not in pattern and n not in mount],
+        "pattern": list(pattern),
+    }.items()}  # fmt: skip
+    return PeriodicError(
+        coordinate, period, tuple(before.harmonics), size["machine"], size["mounted"],
+        after.size([n for n in orders if n not in pattern]), size["pattern"], before.rest, mount, pattern,
+        elsewhere, before.slope,
+    )  # fmt: skip
+
+
+def periodic_of(fit: Fit, log: Log | None = None) -> PeriodicError | None:
+    """Return the errors that repeat on the log of a fit, or on another one; None where no log is at hand."""
+    seen, keep = (fit.source, fit.keep) if log is None else (log, None)
+    return None if seen is None else periodic_error(as_read(seen, fit.model, fit.wiring), fit, keep)
+
+
+def _sources(family: Family) -> tuple[tuple[int, ...], tuple[int, ...], dict[int, tuple[str, ...]]]:
+    """Return orders that mounting makes, that the reference alone makes, and what else makes mounting's."""
+    by_link: dict[str, set[int]] = {}
+    for effect in family.effects:
+        by_link.setdefault(effect.link, set()).update(effect.waves)
+    mount, reference = (by_link.get(link, set()) for link in (MOUNTED, REFERENCE))
+    others = set().union(*(orders for link, orders in by_link.items() if link != REFERENCE))
+    elsewhere = {
+        n: tuple(e.name for e in family.effects if e.link != MOUNTED and n in e.waves) for n in sorted(mount)
+    }
+    return tuple(sorted(mount)), tuple(sorted(reference - others)), elsewhere
+
+
+@dataclass(eq=False)
+class _Sums:
+    """Normal equations of harmonics and of a slope, the mean of each run and direction taken out."""
+
+    orders: tuple[int, ...]
+    rate: float
+    square: np.ndarray = field(init=False)
+    groups: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+    seen: np.ndarray = field(default_factory=lambda: np.zeros(SECTORS, dtype=int))
+
+    def __post_init__(self) -> None:
+        """Begin at zero."""
+        self.square = np.zeros((self.width + 2,) * 2)
+
+    @property
+    def width(self) -> int:
+        return 2 * len(self.orders) + 1
+
+    def add(self, block: Decoded, k: int) -> None:
+        """Add a block: the error of coordinate k by the nominal and by the fitted parameters."""
+        reference = block.reference[k]
+        phase = self.rate * reference
+        waves = np.array([f(n * phase) for n in self.orders for f in (np.cos, np.sin)])
+        errors = [block.nominal[k] - reference, block.fitted[k] - reference]
+        rows = np.vstack([waves, reference[None] * self.rate, errors])
+        good = block.kept & np.isfinite(rows).all(axis=0)
+        ahead = np.sign(np.diff(reference, prepend=reference[:1]))
+        if len(ahead) > 1:
+            ahead[0] = ahead[1]
+        sector = np.floor(phase[good] / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS
+        self.seen += np.bincount(sector, minlength=SECTORS)
+        for direction in (-1, 0, 1):
+            chosen = rows[:, good & (ahead == direction)]
+            if chosen.shape[1]:
+                self.square += chosen @ chosen.T
+                sums = np.r_[chosen.sum(axis=1), chosen.shape[1]]
+                key = (block.block.run, direction)
+                self.groups[key] = self.groups.get(key, 0.0) + sums
+
+    @property
+    def enough(self) -> bool:
+        """Whether a period is covered by enough samples."""
+        return bool(self.seen.all() and self.seen.sum() >= ALONE * (self.width + len(self.groups)))
+
+    def solved(self, version: int) -> _Solved:
+        """Return the harmonics of the error by the nominal (0) or the fitted parameters (1)."""
+        means = np.array([g[:-1] / np.sqrt(g[-1]) for g in self.groups.values()])
+        centred = self.square - means.T @ means
+        target, free = self.width + version, self.seen.sum() - len(self.groups)
+        with_slope = _solve(centred, list(range(self.width)), target, free)
+        slope, std = with_slope[0][-1], np.sqrt(with_slope[1][-1, -1])
+        if abs(slope) > STEEP * std > 0:
+            return _Solved(self.orders, with_slope[0][:-1], with_slope[1][:-1, :-1], with_slope[2], slope)
+        return _Solved(self.orders, *_solve(centred, list(range(self.width - 1)), target, free), 0.0)
+
+
+def _solve(
+    square: np.ndarray, columns: list[int], target: int, free: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return coefficients, their covariance and the rms of what is left; what no sample tells is zero."""
+    kept: list[int] = []
+    for j in columns:  # from slow waves to fast ones, which may look like slow ones at these samples
+        own = square[np.ix_(kept, kept)], square[kept, j]
+        new = square[j, j] - own[1] @ np.linalg.solve(*own) if kept else square[j, j]
+        if new > ALIAS * max(square[j, j], free / 2):
+            kept.append(j)
+    found, covariance = np.zeros(len(columns)), np.zeros((len(columns),) * 2)
+    at = np.searchsorted(columns, kept)
+    inverse = np.linalg.inv(square[np.ix_(kept, kept)])
+    found[at] = inverse @ square[kept, target]
+    rest = float(square[target, target] - found @ square[columns, target]) / max(free - len(kept), 1)
+    covariance[np.ix_(at, at)] = inverse * max(rest, 0.0)
+    return found, covariance, float(np.sqrt(max(rest, 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """Coefficients (2 per order) of the harmonics, their covariance, rms of the rest, slope."""
+
+    orders: tuple[int, ...]
+    found: np.ndarray
+    covariance: np.ndarray
+    rest: float
+    slope: float
+
+    @property
+    def harmonics(self) -> Iterator[Harmonic]:
+        """Yield each harmonic with what it is worth."""
+        limit = chdtri(2, CHANCE / len(self.orders))
+        for k, order in enumerate(self.orders):
+            at = slice(2 * k, 2 * k + 2)
+            pair, spread = self.found[at], self.covariance[at, at]
+            amplitude = float(np.hypot(*pair))
+            along = pair / amplitude if amplitude else np.zeros(2)
+            half = 1.96 * float(np.sqrt(max(along @ spread @ along, 0.0)))
+            telling = bool(pair @ np.linalg.pinv(spread, hermitian=True) @ pair > limit)
+            yield Harmonic(order, amplitude, half, telling)
+
+    def size(self, orders: list[int]) -> Size:
+        """Return the size of the sum of those of `orders` that the log shows."""
+        error = np.zeros(len(GRID))
+        for k, harmonic in enumerate(self.harmonics):
+            if harmonic.shown and harmonic.per_period in orders:
+                n = harmonic.per_period
+                error += self.found[2 * k] * np.cos(n * GRID) + self.found[2 * k + 1] * np.sin(n * GRID)
+        return Size(float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))

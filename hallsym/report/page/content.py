@@ -1,0 +1,177 @@
+"""What a page holds, without a word of HTML: sections of notes, tables, figures; the templates show them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from hallsym.report.page.marks import Chart
+from hallsym.report.page.rendering import render
+
+BRIEF = 30
+"""Rows of a table that is not broken over two printed pages."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """A paragraph; a `note` is smaller."""
+
+    kind: ClassVar[str] = "words"
+    words: str
+    note: bool = False
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading inside a section."""
+
+    kind: ClassVar[str] = "heading"
+    words: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text, numbers as text, and charts. The first `left` columns and `wordy` hold text.
+
+    `sortable`: by every column, with JavaScript.
+    """
+
+    kind: ClassVar[str] = "table"
+    head: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    caption: str
+    left: int = 1
+    wordy: Sequence[int] = ()
+    sortable: bool = False
+
+    def look(self, column: int) -> str | None:
+        """Return the class of a column's cells."""
+        return None if column < self.left else "t" if column in self.wordy else "n"
+
+    @property
+    def brief(self) -> bool:
+        """Whether the table fits on a printed page."""
+        return len(self.rows) <= BRIEF
+
+    @property
+    def many(self) -> bool:
+        """Whether a phone is too narrow for the columns; it shows each row as a list."""
+        return len(self.head) > 4
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and values; those without a value are left out, a value in `code` is typed."""
+
+    kind: ClassVar[str] = "facts"
+    pairs: Sequence[tuple[str, Any]]
+    code: frozenset[str] = frozenset()
+
+    @property
+    def known(self) -> list[tuple[str, str, bool]]:
+        """Name, value, and whether it is code."""
+        return [(name, str(v), name in self.code) for name, v in self.pairs if v not in (None, "")]
+
+
+@dataclass(frozen=True)
+class Item:
+    """A line of a list, which may begin with a `name` and end with a table."""
+
+    words: str
+    name: str = ""
+    table: Table | None = None
+
+
+@dataclass(frozen=True)
+class Items:
+    """A list."""
+
+    kind: ClassVar[str] = "items"
+    lines: Sequence[Item]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Charts with a caption, side by side; `look`: "two" in a row, or one "alone" that may be wider."""
+
+    kind: ClassVar[str] = "figure"
+    charts: Sequence[Chart]
+    caption: str = ""
+    look: str = ""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A table that is folded away; in print it is open."""
+
+    kind: ClassVar[str] = "fold"
+    summary: str
+    table: Table
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Maps over two coordinates, of which a script lets choose others: `data` is what it reads."""
+
+    kind: ClassVar[str] = "planes"
+    figures: Sequence[Figure]
+    data: Any
+
+
+@dataclass(frozen=True)
+class Runs:
+    """The errors of one run over time, in whose place a script shows others: `data` is what it reads."""
+
+    kind: ClassVar[str] = "runs"
+    title: str
+    note: str
+    charts: Sequence[Chart]
+    key: str
+    data: Any
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page with a heading; one without content is left out."""
+
+    ident: str
+    title: str
+    content: Sequence[Any]
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The card at the top: verdict, sizes against the noise floor, next command, sketch of the machine.
+
+    `state`: good, open or bad. `word`: the verdict in a few words, `sentence` the rest. `why`: what the next
+    command does.
+    """
+
+    state: str
+    word: str
+    sentence: str
+    sizes: Table | None = None
+    why: str = ""
+    command: str = ""
+    sketch: Chart | None = None
+    sketched: str = ""
+
+
+def document(title: str, headline: Headline, sections: Sequence[Section], footer: str) -> str:
+    """Return the page as HTML. Its policy forbids every request and every script but its own."""
+    shown = [
+        Section(s.ident, s.title, content)
+        for s in sections
+        if (content := [c for c in s.content if _full(c)])
+    ]
+    return render("page.html.j2", title=title, headline=headline, sections=shown, footer=footer)
+
+
+def _full(content: Any) -> bool:
+    """Return whether a piece has something to show."""
+    empty = {"table": "rows", "items": "lines", "figure": "charts", "fold": "table"}
+    if content is None:
+        return False
+    held = getattr(content, empty.get(content.kind, "kind"))
+    return _full(held) if content.kind == "fold" else bool(held)

@@ -1,0 +1,263 @@
+"""What the pages share: sizes against the noise floor, maps, runs, residuals, parameters, origin."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hallsym.estimation import Fit
+from hallsym.inference.verdict import TRADED
+from hallsym.report.data import (
+    Cells,
+    ParameterRow,
+    Residuals,
+    RunSeries,
+    correlation_of,
+    parameter_rows,
+)
+from hallsym.report.page import bars, maps, residuals, series
+from hallsym.report.page.content import Facts, Figure, Fold, Heading, Planes, Runs, Section, Table, Words
+from hallsym.report.tables import concise
+from hallsym.report.words import MINUS, amount, largest, name, scale, three
+
+Gap = Mapping[str, Mapping[str, float]]
+"""`{"rmse": {x_m: ..}, "peak": {..}}`."""
+
+COLOURS = "The fuller the colour the larger the error; a dash marks a negative one; no cell: no samples."
+BANDS = "Line: median; band: plus and minus the rms."
+OVER = BANDS + " Pale with a light line: before; darker, drawn over it: after."
+VALUES = (
+    "Values with the standard uncertainty in parentheses, on the last two digits; a value in parentheses is "
+    "not identifiable. In its bounds: dot and line are the value with two standard uncertainties, the small "
+    "stroke the nominal value; a hollow dot is not identifiable."
+)
+
+
+def numbers(runs: Sequence[int]) -> str:
+    """Return run numbers, neighbours as `3 to 9`."""
+    parts: list[list[int]] = []
+    for run in sorted(runs):
+        if parts and run == parts[-1][-1] + 1:
+            parts[-1].append(run)
+        else:
+            parts.append([run])
+    words = [f"{p[0]} to {p[-1]}" if len(p) > 2 else ", ".join(map(str, p)) for p in parts]
+    return ", ".join(words)
+
+
+def called(path: object) -> str:
+    """Return the last two parts of a log's path."""
+    return "/".join(Path(str(path)).parts[-2:]) if path else "a log in memory"
+
+
+def each(values: Mapping[str, float], turning: Collection[str] | None = None) -> str:
+    """Return `x 1.36 µm, y 1.54 µm, Rz 2.34 µrad`; `turning` as in `hallsym.units.readable`."""
+    return ", ".join(f"{name(c)} {amount(c, v, turning)}" for c, v in values.items())
+
+
+def sizes_table(
+    rows: Mapping[str, Gap], floor: Mapping[str, float], turning: Collection[str] | None = None
+) -> Table:
+    """Return the rmse of each output, a column for each of `rows`, beside the noise floor."""
+    *_, last = rows.values()
+    body = []
+    for c in last["rmse"]:
+        level = floor.get(c) or 0.0
+        factor, unit = scale(c, max(level, *(gap["rmse"][c] for gap in rows.values())), turning)
+        row = [f"{name(c)} [{unit}]", *(three(factor * gap["rmse"][c]) for gap in rows.values())]
+        ratio = f"{three(last['rmse'][c] / level)} ×" if level else ""
+        body.append([*row, three(factor * level) if level else "", ratio])
+    head = ["rmse", *rows, "noise floor", "times floor"]
+    return Table(head, body, "size of the error against the noise floor")
+
+
+def gap_table(
+    rows: Mapping[str, Gap],
+    floor: Mapping[str, float],
+    source: str = "",
+    turning: Collection[str] | None = None,
+) -> Table:
+    """Return the numbers behind the bars: rmse and peak per output; `source`: of the noise floor."""
+    outputs = list(next(iter(rows.values()))["rmse"])
+    places = [(what, c) for what in ("rmse", "peak") for c in outputs]
+    scales = [scale(c, max(gap[what][c] for gap in rows.values()), turning) for what, c in places]
+    every = list(zip(places, scales, strict=True))
+    head = ["version", *(f"{what} {name(c)} [{unit}]" for (what, c), (_, unit) in every)]
+    body = [
+        [label, *(three(factor * gap[what][c]) for (what, c), (factor, _) in every)]
+        for label, gap in rows.items()
+    ]
+    if floor:
+        level = [three(f * floor[c]) if what == "rmse" and c in floor else "" for (what, c), (f, _) in every]
+        body.append([f"noise floor, {source}" if source else "noise floor", *level])
+    return Table(head, body, "errors of the decoded pose")
+
+
+def against_floor(
+    rows: bars.Rows, floor: Mapping[str, float], turning: Collection[str] | None = None
+) -> Figure:
+    """Return the bars of rmse and peak."""
+    return Figure(bars.against_floor(rows, floor, turning))
+
+
+# -- where, when, and how the error is distributed ---------------------------------------------------------
+
+
+def maps_section(found: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> Section:
+    """Return the maps of the error; `found`: version of the model -> the same maps, one or two versions.
+
+    Of two versions maps over two coordinates stand one under the other on a common scale; along a coordinate
+    and by runs one is drawn over the other.
+    """
+    versions = {version: cells for version, cells in found.items() if cells}
+    content: list[Any] = []
+    if versions:
+        first, *second = versions.values()
+        pairs = list(zip(first, second[0] if second else [None] * len(first), strict=True))
+        content += _planes(versions, floor)
+        content += _profiles([(m, a) for m, a in pairs if not len(m.across)], floor, bool(second))
+    return Section("maps", "Where the error is", content)
+
+
+def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float]) -> list[Any]:
+    titles, every = maps.planes(versions, floor)
+    if not every:
+        return []
+    figures = [
+        Figure(
+            [maps.plane(every[0], version, what, k, title) for k, title in enumerate(titles)],
+            f"{what}{f', {version}' if len(versions) > 1 else ''}",
+        )
+        for what in ("median", "rms")
+        for version in versions
+    ]
+    more = " Before and after have one scale." if len(versions) > 1 else ""
+    note = Words(f"Over two coordinates. {COLOURS}{more}", note=True)
+    return [note, Planes(figures, {"titles": titles, "planes": [asdict(p) for p in every]})]
+
+
+def _profiles(
+    pairs: Sequence[tuple[Cells, Cells | None]], floor: Mapping[str, float], both: bool
+) -> list[Any]:
+    lines = [(m, a) for m, a in pairs if not m.labels]
+    how = (OVER if both else BANDS) + (" Dashed: noise floor." if floor else "")
+    content: list[Any] = [Words(f"Along one coordinate. {how}", note=True)] if lines else []
+    for m, a in lines:
+        content.append(Figure(_charts(m, a, floor), f"over {m.by}"))
+    for m, a in ((m, a) for m, a in pairs if m.labels):
+        held = " An h marks runs that were held out." if m.marked else ""
+        content += [Heading(f"By {m.by}"), Words(f"{how}{held}", note=True)]
+        content.append(Figure(_charts(m, a, floor), look="two"))
+        content.append(Fold(f"numbers by {m.by}", _cell_table(m, a)))
+    return content
+
+
+def _charts(m: Cells, a: Cells | None, floor: Mapping[str, float]) -> list[Any]:
+    return [c for k, name_ in enumerate(m.pose) for c in maps.profiles(m, k, floor.get(name_) or 0.0, a)]
+
+
+def _cell_table(cells: Cells, after: Cells | None = None) -> Table:
+    """Return the numbers behind a picture."""
+    versions = [("", cells)] if after is None else [(" before", cells), (" after", after)]
+    scales = [scale(c, largest(r), cells.turning) for c, r in zip(cells.pose, cells.rms, strict=True)]
+    head = [cells.by, "samples"]
+    head += [
+        f"{what} {name(c)}{when} [{u}]"
+        for c, (_, u) in zip(cells.pose, scales, strict=True)
+        for when, _ in versions
+        for what in ("median", "rms")
+    ]
+    rows = []
+    for k, label in enumerate(cells.labels):
+        row: list[object] = [label + (" (held out)" if k in cells.marked else ""), f"{cells.count[k]:d}"]
+        for output, (factor, _) in enumerate(scales):
+            for _, version in versions:
+                row += [_signed(factor * v[output, k]) for v in (version.median, version.rms)]
+        rows.append(row)
+    return Table(head, rows, f"errors by {cells.by}")
+
+
+def _signed(value: float) -> str:
+    return three(value).replace("-", MINUS) if np.isfinite(value) else ""
+
+
+def runs_section(found: Sequence[RunSeries]) -> Section:
+    """Return the errors over time of the worst run, with those of others for the script."""
+    shown = series.runs(found)
+    key = ""
+    if shown and len(shown.script["names"]) > 1:
+        key = "; light: " + "; dark, drawn over it: ".join(shown.script["names"])
+    content = [Runs(shown.title, shown.notes, shown.charts, key, shown.script)] if shown else []
+    return Section("series", "Decoded minus reference over time", content)
+
+
+def residuals_section(found: Mapping[str, Residuals]) -> Section:
+    """Return histogram and spectrum of the errors; `found`: by version of the model, one or two."""
+    if not found:
+        return Section("residuals", "Residuals", [])
+    spectra = residuals.spectra(found)
+    over = " Light: before; dark, drawn over it: after." if len(found) > 1 else ""
+    content: list[Any] = [
+        Words(
+            "All runs together. Dashed: normal noise as large as the noise floor, and its spectrum if it "
+            f"were white.{over}",
+            note=True,
+        ),
+        Figure(residuals.histograms(found), "Histogram of the error"),
+        Figure(spectra, "Amplitude spectral density of the error"),
+    ]
+    if not spectra:
+        content.append(Words("No spectrum: the runs are too short for one, or unevenly sampled.", note=True))
+    return Section("residuals", "Residuals", content)
+
+
+# -- parameters ---------------------------------------------------------------------------------------------
+
+
+def parameters_of(fit: Fit) -> list[Any]:
+    """Return the parameters, what the data determine in place of some, and their correlation."""
+    head = ["parameter", "value (std)", "unit", "nominal", "bounds", "in its bounds", "meaning", "verdict"]
+    rows = [_parameter(row) for row in parameter_rows(fit)]
+    table = Table(head, rows, f"parameters of {fit.model.name}", wordy=(6, 7), sortable=True)
+    content: list[Any] = [Words(VALUES, note=True), table]
+    if fit.combinations:
+        rows = [[c.expression, concise(c.value, c.std).replace("-", MINUS), c.unit] for c in fit.combinations]
+        content.append(Heading("Identifiable combinations"))
+        content.append(Table(["combination", "value", "unit"], rows, "identifiable combinations", wordy=(2,)))
+    chart = residuals.matrix(correlation_of(fit), TRADED)
+    if chart is not None:
+        how = (
+            "The fuller the colour the stronger; a dash marks a negative one. Point at a cell for its number."
+        )
+        content += [Heading("Correlation"), Words(how, note=True), Figure([chart], look="alone")]
+    return content
+
+
+def _parameter(p: ParameterRow) -> list[Any]:
+    shown = concise(p.value, p.std) if p.determined else f"({p.value:.4g})"
+    bounds = "fixed" if p.fixed else f"{p.lower:.4g} to {p.upper:.4g}"
+    mark = bars.in_bounds(p.value, p.std, p.lower, p.upper, p.nominal)
+    numbers_ = [n.replace("-", MINUS) for n in (shown, p.unit, f"{p.nominal:.4g}", bounds)]
+    verdict = "fixed" if p.fixed else p.remark.replace("see below", "combined below") or "identifiable"
+    return [p.name, *numbers_, mark or "", p.meaning, verdict]
+
+
+def origin_section(log: Mapping[str, Any], found: Mapping[str, Any], command: str) -> Section:
+    """Return where the page comes from: command, log, its hash, versions."""
+    pairs = [
+        ("command", command),
+        ("log", log.get("path") or "a log in memory"),
+        ("sha256 of the log", log.get("sha256")),
+        ("versions", versions(found)),
+    ]
+    code = frozenset({"command", "log", "sha256 of the log"})
+    return Section("origin", "Origin", [Facts(pairs, code)])
+
+
+def versions(found: Mapping[str, Any]) -> str:
+    """Return `hallsym 0.1.0, numpy 2.1`."""
+    return ", ".join(f"{name_} {version}" for name_, version in found.items())

@@ -1,0 +1,73 @@
+"""What the maker of a sensor that repeats asks: how large its own error is, and what would remove it."""
+
+from hallsym.model import Family
+from hallsym.report.data.periodic import PeriodicError, Size
+from hallsym.report.tables import grid
+from hallsym.units import readable
+
+
+def periodic_text(found: PeriodicError, family: Family) -> str:
+    """Return the error over the period, remedies beside each other, and what is not the machine's."""
+    factor, unit, name = readable(found.coordinate, {found.coordinate})
+    noun = family.noun or "machine"
+    over = "turn" if unit == "deg" else f"period of {name}"
+    rows = [
+        [
+            f"error of the {noun}, by remedy",
+            f"rms [{unit}]",
+            f"bought [{unit}]",
+            f"repeating, peak [{unit}]",
+        ]
+    ]
+    remedies = [("nothing done", found.machine)]
+    if found.mount_orders:
+        remedies.append((f"mounted anew, at best: no {_per(found.mount_orders, over)}", found.mounted))
+    remedies += [
+        ("with this calibration", found.calibrated),
+        (f"with a correction table over the {over}", Size(0, 0)),
+    ]
+    before = _with_rest(found.machine, found)
+    for label, size in remedies:
+        left = _with_rest(size, found)
+        bought = "" if size is found.machine else f"{factor * (before - left):.2g}"
+        rows.append([label, f"{factor * left:.3g}", bought, f"{factor * size.peak:.3g}"])
+    return "\n".join([grid(rows), *_sentences(found, noun, factor, unit, over)])
+
+
+def _with_rest(size: Size, found: PeriodicError) -> float:
+    return float((size.rms**2 + found.rest**2) ** 0.5)
+
+
+def _per(orders: tuple[int, ...], over: str) -> str:
+    return f"{' and '.join(map(str, orders))} per {over}"
+
+
+def _amplitudes(found: PeriodicError, factor: float, unit: str, orders: tuple[int, ...]) -> str:
+    shown = [h for h in found.harmonics if h.shown and h.per_period in orders]
+    said = (f"{h.per_period}: {factor * h.amplitude:.2g}" for h in shown)
+    widest = max((h.half_width for h in shown), default=0.0)
+    return f"{', '.join(said)} {unit} (amplitudes, 95 %: +-{factor * widest:.1g})" if shown else ""
+
+
+def _sentences(found: PeriodicError, noun: str, factor: float, unit: str, over: str) -> list[str]:
+    orders = tuple(h.per_period for h in found.harmonics if h.per_period not in found.pattern_orders)
+    said = _amplitudes(found, factor, unit, orders)
+    lines = [f"waves per {over} of the {noun}: {said or 'none that the log shows'}"]
+    pattern = _amplitudes(found, factor, unit, found.pattern_orders)
+    if pattern:
+        lines.append(
+            f"pattern of the reference, no error of the {noun}: {pattern}; left out above, and a correction "
+            "table made from this reference would copy it"
+        )
+    elif found.pattern_orders:
+        lines.append(
+            f"pattern of the reference ({_per(found.pattern_orders, over)}): none that the log shows"
+        )
+    lines += [
+        f"{n} per {over} may come from {', '.join(names)} too, which mounting does not remove"
+        for n, names in found.elsewhere.items()
+        if names and any(h.per_period == n and h.shown for h in found.harmonics)
+    ]
+    if found.slope:
+        lines.append(f"the scale of the reference differs by {100 * found.slope:+.2g} %; left out above")
+    return [*lines, f"does not repeat, and is part of every rms: {factor * found.rest:.2g} {unit} (noise)"]

@@ -1,0 +1,71 @@
+"""How wide a terminal is, text that fits it, and steps of long work that say how much of it is done."""
+
+from __future__ import annotations
+
+import re
+from shutil import get_terminal_size
+from textwrap import fill
+
+PROSE = 110
+"""Characters of a line of prose at most, and where no terminal says how many there are."""
+NARROWEST = 40
+"""Characters of a line at least: on less nothing can be read."""
+_COMMAND = re.compile(r"\bnext: hallsym .*$")
+
+
+def columns() -> int | None:
+    """Return the characters of a line of the terminal, or what the variable COLUMNS states.
+
+    None where output goes to a file or a pipe, whose lines may have any length.
+    """
+    width = get_terminal_size((0, 0)).columns
+    return max(width, NARROWEST) if width else None
+
+
+def prose_width() -> int:
+    """Return the characters of a line of prose."""
+    return min(columns() or PROSE, PROSE)
+
+
+def fitted(text: str) -> str:
+    """Return text whose lines fit the terminal: long ones are folded, and nothing is left out.
+
+    A command to copy that ends a line is folded with backslashes, so that it can be pasted as it stands.
+    """
+    width = columns()
+    if width is None:
+        return text
+    return "\n".join(line if len(line) <= width else _folded(line, width) for line in text.split("\n"))
+
+
+def _folded(line: str, width: int) -> str:
+    indent = line[: len(line) - len(line.lstrip())]
+    command = _COMMAND.search(line)
+    if command and len(line) > width:
+        before = line[: command.start()].rstrip()
+        parts = [_folded(before, width)] if len(before) > width else [before] if before.strip() else []
+        typed = _continued(f"{indent}{command[0]}", width, f"{indent}    ")
+        return "\n".join([*parts, typed])
+    return fill(line, width, subsequent_indent=f"{indent}  ", break_long_words=False, break_on_hyphens=False)
+
+
+def _continued(line: str, width: int, indent: str) -> str:
+    """Fold a command of a shell."""
+    if len(line) <= width:
+        return line
+    lines = fill(
+        line, width - 2, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    ).split("\n")
+    return " \\\n".join(lines)
+
+
+class Step(str):
+    """What long work does now, with the share of it that is done, 0 to 1."""
+
+    share: float
+
+    def __new__(cls, text: str, share: float) -> Step:
+        """Make the text, which is a string as any other."""
+        step = super().__new__(cls, text)
+        step.share = share
+        return step

@@ -1,0 +1,135 @@
+"""Throughput of a fleet: what a quick fit leaves out, what a second worker brings, what a cluster costs.
+
+    python tests/benchmarks/bench_fleet.py
+    python tests/benchmarks/bench_fleet.py --devices 400 --cluster
+
+Logs of 20 runs x 500 samples in Parquet, of encoders and of stages; direct fits. Ratios carry over between
+machines and times do not, so the table is of ratios: of processor time, and of wall-clock time between one
+worker and two, the start of the processes left out. `unit` is the processor time that numpy takes for the
+run statistics' main operation on one log (QR of 10 000 x 22), by which the speed of the machine is told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter, process_time
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from hallsym.estimation import fit
+from hallsym.families import build, published
+from hallsym.fleets import completed, devices_of
+from hallsym.fleets.row import Job, Settings, row_of
+from hallsym.log import Noise, read_log, write_log
+from hallsym.simulation import NoiseModel, campaign_from, paper_campaign, simulate, table8_noise
+
+RUNS, SAMPLES = 20, 500
+FASTEST = 60.0
+"""Direct fits a second and core that are asked for."""
+
+
+def encoder(seed: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """Return the log of one encoder, and the noise of its columns."""
+    model, rng = build("rotary"), np.random.default_rng(seed)
+    example = model.family.example
+    assert example is not None
+    truth = {n: v for n, v in example.values.items() if n in model.names}
+    truth = {n: v + 5e-3 * rng.standard_normal() for n, v in truth.items()}
+    noise = dict(Noise.given(example.noise, (*model.channels, *model.references)).std)
+    runs = [
+        {"duration_s": 1.0, "angle_rad": {"kind": "ramp", "rate": 13.0 - 26.0 * (k % 2), "about": 0.3 * k}}
+        for k in range(RUNS)
+    ]
+    campaign = campaign_from({"step_s": 1.0 / SAMPLES, "run": runs}, "the benchmark")
+    return simulate(model, truth, campaign, NoiseModel(noise), seed=seed), noise
+
+
+def stage(seed: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """Return the log of one stage, 20 of the paper's runs, and the noise of its columns."""
+    from dataclasses import replace
+
+    model, whole = build("stage31"), paper_campaign(1.0 / SAMPLES, 1.0)
+    some = np.linspace(0, len(whole.runs) - 1, RUNS).round().astype(int)
+    truth = published.values("table7_estimates")
+    noise = table8_noise(model, truth)
+    campaign = replace(whole, runs=tuple(whole.runs[k] for k in some))
+    return simulate(model, truth, campaign, noise, seed=seed), dict(noise.sigma)
+
+
+def least(call: Callable[[], object], turns: int = 5) -> float:
+    """Return the least processor time [s] of several turns."""
+    times = []
+    for _ in range(turns):
+        began = process_time()
+        call()
+        times.append(process_time() - began)
+    return min(times)
+
+
+def unit() -> float:
+    """Return the processor time [s] of the QR of one log's features."""
+    rows = np.random.default_rng(0).standard_normal((RUNS, SAMPLES, 22))
+    return least(lambda: np.linalg.qr(rows, mode="r"), 20)
+
+
+def one_core(kind: str, model: str, folder: Path, noise: dict[str, float]) -> None:
+    """Print the processor time of a fit, in full and quick, with noise that is stated and estimated."""
+    paths, one = sorted(folder.glob(f"{kind}*.parquet"))[:12], unit()
+    print(f"{model:10s} {'':18s} {'ms':>7s} {'fits/s':>8s} {'units':>7s}")
+    for said, given in (("noise stated", noise), ("noise estimated", None)):
+        for how, quick in (("in full", False), ("quick", True)):
+
+            def every(given: dict[str, float] | None = given, quick: bool = quick) -> None:
+                for path in paths:
+                    fit(read_log(path, noise=given), model, solver="direct", quick=quick)
+
+            every()
+            time = least(every, 3) / len(paths)
+            print(f"{'':10s} {said + ', ' + how:25s} {1e3 * time:7.1f} {1 / time:8.0f} {time / one:7.1f}")
+
+
+def pool(model: str, jobs: list[Job], **where: object) -> tuple[float, float]:
+    """Return wall-clock time [s] of all rows after the first, and the processor seconds that rows report."""
+    began, first, seconds = perf_counter(), 0.0, 0.0
+    for done in completed(row_of, jobs, **where):  # type: ignore[arg-type]
+        first = first or perf_counter()
+        seconds += done.result["seconds"] if isinstance(done.result, dict) else 0.0
+    del began, model
+    return perf_counter() - first, seconds
+
+
+def main() -> None:
+    """Write the logs, and print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--devices", type=int, default=200)
+    parser.add_argument("--cluster", action="store_true", help="a Dask scheduler of two processes too")
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for kind, make in (("encoder", encoder), ("stage", stage)):
+            for k in range(12 if kind == "stage" else asked.devices):
+                columns, noise = make(k)
+                write_log(columns, folder / f"{kind}{k:04d}.parquet")
+            one_core(kind, "rotary" if kind == "encoder" else "stage31", folder, noise)
+        jobs = [Job(d, Settings("rotary")) for d in devices_of(str(folder / "encoder*.parquet"))]
+        one, _ = pool("rotary", jobs, workers=1)
+        two, _ = pool("rotary", jobs, workers=2)
+        print(
+            f"{asked.devices} encoders: {len(jobs) / one:.0f} /s with one worker, two are {one / two:.2f} x"
+        )
+        if asked.cluster:
+            from distributed import LocalCluster
+
+            with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+                dask, _ = pool("rotary", jobs, scheduler=cluster.scheduler_address)
+            print(f"Dask, two workers: {dask / two:.2f} x the time of two local ones")
+
+
+if __name__ == "__main__":
+    main()

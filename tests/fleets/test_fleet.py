@@ -1,0 +1,283 @@
+"""Fleets: every device has its row, broken ones their reason, a stopped fleet goes on, workers may die."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fleet_work import TAU, ends_once, recorded, square, truths, write_fleet
+
+import hallsym
+from hallsym.cli.main import main
+from hallsym.errors import InputError
+from hallsym.families.machine_file import read_machine
+from hallsym.fleets import Failed, completed, devices_of, load_fleet
+from hallsym.fleets.journal import journal_of
+from hallsym.log import write_log
+
+ROOT = Path(__file__).resolve().parents[2]
+COUNT = 24
+
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory):
+    """Return a folder of 24 devices, five of them broken in five ways, and their fleet."""
+    folder = tmp_path_factory.mktemp("fleet") / "logs"
+    known = write_fleet(folder, COUNT)
+    far = recorded(known[3] | {"Ax": known[3]["Ax"] + 0.2}, 3)
+    write_log(far, folder / "dev3.parquet")
+    (folder / "dev7.parquet").write_bytes(b"PAR1 cut short")
+    columns = recorded(known[11], 11)
+    write_log({n: v for n, v in columns.items() if n != "v_cos_v"}, folder / "dev11.parquet")
+    bent = recorded(known[15], 15)
+    bent["v_sin_v"] += 0.05 * np.sin(3 * bent["angle_ref_rad"])
+    write_log(bent, folder / "dev15.parquet")
+    dead = recorded(known[19], 19)
+    dead["v_sin_v"][:] = 0.5
+    write_log(dead, folder / "dev19.parquet")
+    table = folder.parent / "fleet.parquet"
+    found = hallsym.fleet(folder, "rotary", output=table, workers=2)
+    return folder, known, found, table
+
+
+# -- rows --------------------------------------------------------------------------------------------------
+
+
+def test_every_device_has_its_row_and_broken_ones_say_why(broken):
+    _, known, found, _ = broken
+    assert found.devices == tuple(f"dev{k}" for k in range(COUNT))
+    rows = {row["device"]: row for row in found.rows}
+    assert {d for d, row in rows.items() if row["verdict"] == "failed"} == {"dev7", "dev11", "dev19"}
+    assert rows["dev15"]["verdict"] == "not described"
+    for device, word in (
+        ("dev7", "Parquet"),
+        ("dev11", "v_cos_v"),
+        ("dev15", "noise floor"),
+        ("dev19", "v_sin_v"),
+    ):
+        assert word in rows[device]["reason"]
+        assert len(rows[device]["reason"]) <= 300
+    assert set(found.outlying) == {"dev3", "dev7", "dev11", "dev15", "dev19"}
+    assert "Ax is" in found.outlying["dev3"]
+    for k, truth in enumerate(known):
+        if rows[f"dev{k}"]["verdict"] == "good" and k != 3:
+            for name in TAU:
+                std = rows[f"dev{k}"][f"std:{name}"]
+                assert rows[f"dev{k}"][f"value:{name}"] == pytest.approx(truth[name], abs=5 * std)
+
+
+def test_a_row_is_that_of_a_fit(broken):
+    folder, _, found, _ = broken
+    alone = hallsym.fit(folder / "dev0.parquet", "rotary", solver="direct")
+    row = found.rows[0]
+    for k, name in enumerate(alone.model.names):
+        assert row[f"value:{name}"] == pytest.approx(alone.values[k], abs=0.2 * alone.std[k])
+        assert row[f"std:{name}"] == pytest.approx(alone.std[k], rel=0.1)
+
+
+def test_the_spread_of_the_good_ones(broken):
+    _, known, found, _ = broken
+    spread = {s.name: s for s in found.spreads}
+    for name in TAU:
+        good = [t[name] for k, t in enumerate(known) if k not in (3, 7, 11, 15, 19)]
+        assert spread[name].std == pytest.approx(np.std(good), rel=0.1)
+        assert spread[name].interval[0] < spread[name].std < spread[name].interval[1]
+
+
+def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
+    folder, known, found, table = broken
+    again = load_fleet(table)
+    assert again.devices == found.devices
+    assert [s.std for s in again.spreads] == [s.std for s in found.spreads]
+    assert not journal_of(table).exists()
+    files = [tmp_path / name for name in ("page.html", "next.toml", "tolerances.toml", "fleet.csv")]
+    code = main([
+        "fleet", str(folder / "dev?.parquet"), "--model", "rotary", "--workers", "2", "-o", str(files[3]),
+        "--page", str(files[0]), "--next-machine", str(files[1]), "--tolerances", str(files[2]),
+    ])  # fmt: skip
+    assert code == 3
+    text = capsys.readouterr().out
+    assert "dev7: failed" in text
+    assert "spread (1 sigma)" in text
+    page = files[0].read_text()
+    assert page.count("<svg") == 6
+    assert "src=" not in page
+    assert "<link" not in page
+    machine = read_machine(files[1])
+    truth = truths(200, seed=1)
+    for name in TAU:
+        bounds = machine.parameters[name]
+        assert np.mean([bounds["lower"] < t[name] < bounds["upper"] for t in truth]) >= 0.98
+        assert bounds["nominal"] == pytest.approx(known[0][name], abs=6 * TAU[name])
+    assert len(hallsym.read_tolerances(files[2], hallsym.build("rotary"))) == 6
+    assert [row["verdict"] for row in load_fleet(files[3]).rows].count("good") == 9
+
+
+def test_a_table_of_logs_carries_names_order_and_covariates(broken, tmp_path):
+    folder, *_ = broken
+    table = tmp_path / "devices.csv"
+    lines = [f"{folder}/dev{k}.parquet,S-{k},{9 - k},{20.0 + k},{'AB'[k % 2]}" for k in (0, 1, 2, 4)]
+    table.write_text("\n".join(["log,device,order,oven_degc,supplier", *lines]))
+    found = hallsym.fleet(table, "rotary", workers=1)
+    assert found.devices == ("S-0", "S-1", "S-2", "S-4")
+    assert found.covariates == ("oven_degc", "supplier")
+    assert [t.column for t in found.spreads[0].trends] == ["order", "oven_degc"]
+    assert found.rows[1]["supplier"] == "B"
+
+
+# -- stopped and resumed -----------------------------------------------------------------------------------
+
+
+def test_a_fleet_that_was_killed_goes_on_without_loss(tmp_path):
+    folder, table = tmp_path / "logs", tmp_path / "fleet.parquet"
+    write_fleet(folder, 16)
+    words = [sys.executable, "-m", "hallsym", "fleet", str(folder), "--model", "rotary", "-o", str(table),
+             "--workers", "1"]  # fmt: skip
+    process = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True)
+    journal, deadline = journal_of(table), time.monotonic() + 120
+    while not (journal.exists() and len(journal.read_text().splitlines()) > 4):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    with open(journal, "a") as stream:
+        stream.write('{"stamp": "cut sh')
+    done = [json.loads(line) for line in journal.read_text().splitlines()[1:-1]]
+    assert 3 < len(done) < 16
+    said: list[str] = []
+    found = hallsym.fleet(folder, "rotary", output=table, workers=1, on_progress=said.append)
+    assert len(found.rows) == 16
+    assert {row["verdict"] for row in found.rows} == {"good"}
+    kept = {entry["row"]["seconds"] for entry in done}
+    assert kept <= {row["seconds"] for row in found.rows}
+    assert len(said) == 16 - len(done)
+    assert said[-1].startswith("16 of 16 devices, 0 s left")
+
+
+def test_a_journal_of_other_options_is_not_gone_on_with(broken, tmp_path):
+    folder, *_ = broken
+    table = tmp_path / "fleet.parquet"
+    journal_of(table).write_text('{"format": "hallsym fleet journal 1", "settings": "other"}\n')
+    refused("other options", folder, model="rotary", output=table)
+    journal_of(table).write_text("notes\n")
+    refused("journal of a fleet", folder, model="rotary", output=table)
+
+
+# -- workers -----------------------------------------------------------------------------------------------
+
+
+def test_work_comes_back_and_what_raises_is_named():
+    found = {done.work: done.result for done in completed(square, range(10, 16), workers=2)}
+    assert found.pop(13) == Failed("ValueError: thirteen")
+    assert found == {n: n**2 for n in (10, 11, 12, 14, 15)}
+
+
+@pytest.mark.slow
+def test_a_process_that_ends_leaves_the_others_and_is_named_the_second_time(tmp_path):
+    work = [(n, str(tmp_path)) for n in range(12)]
+    found = {done.work[0]: done.result for done in completed(ends_once, work, workers=2)}
+    assert isinstance(found.pop(5), Failed)
+    assert found == {n: n for n in range(12) if n != 5}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_dask_scheduler_loses_a_worker_and_gives_the_same_table(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    folder = tmp_path / "logs"
+    write_fleet(folder, 40)
+    port = free_port()
+    address, env = f"tcp://127.0.0.1:{port}", {**os.environ, "PYTHONPATH": str(ROOT)}
+    start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", str(port), "--no-dashboard",
+             "--host", "127.0.0.1"]  # fmt: skip
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1",
+              "--no-dashboard", "--no-nanny", "--host", "127.0.0.1"]  # fmt: skip
+    running = [subprocess.Popen(start, cwd=tmp_path, env=env, stderr=subprocess.DEVNULL)]
+    try:
+        running += [
+            subprocess.Popen(worker, cwd=tmp_path, env=env, stderr=subprocess.DEVNULL) for _ in range(2)
+        ]
+        with distributed.Client(address, timeout=60) as client:
+            client.wait_for_workers(2, timeout=120)
+        seen: list[str] = []
+
+        def kill_one(said: str) -> None:
+            seen.append(said)
+            if len(seen) == 5:
+                running[1].kill()
+
+        cluster = hallsym.fleet(folder, "rotary", scheduler=address, on_progress=kill_one)
+    finally:
+        for process in reversed(running):
+            process.kill()
+            process.wait()
+    local = hallsym.fleet(folder, "rotary", workers=2)
+    assert len(seen) == 40
+    for one, other in zip(cluster.rows, local.rows, strict=True):
+        assert {**one, "seconds": 0} == {**other, "seconds": 0}
+
+
+def free_port() -> int:
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+# -- sentences ---------------------------------------------------------------------------------------------
+
+
+def refused(match: str, sources, **options) -> None:
+    with pytest.raises(InputError, match=match) as error:
+        hallsym.fleet(sources, workers=1, **options)
+    assert len(str(error.value)) <= 300
+    assert "\n" not in str(error.value)
+
+
+def test_what_is_not_there_or_twice_is_one_sentence(broken, tmp_path):
+    folder, *_ = broken
+    refused("No log is called", tmp_path / "nothing*.csv")
+    refused("holds none", tmp_path)
+    refused("needs logs", [])
+    refused("Two devices are called 'dev0'", [folder / "dev0.parquet", folder / "dev0.parquet"])
+    refused("did you mean .rotary.", folder, model="rotarry")
+    table = tmp_path / "t.csv"
+    table.write_text(f"log,order\n{folder}/dev0.parquet,first\n")
+    refused("order of .* must hold numbers", table)
+    table.write_text("log,device\n,A\n")
+    refused("Row 1", table)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_scheduler_that_does_not_answer_is_one_sentence(broken, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("hallsym.fleets.engine.ANSWERS", 0.3)
+    folder, *_ = broken
+    for address in (f"tcp://127.0.0.1:{free_port()}", "no address"):
+        with pytest.raises(InputError, match="does not answer"):
+            hallsym.fleet(folder, "rotary", scheduler=address)
+
+
+def test_a_log_of_another_model_is_a_row_that_says_so(broken, tmp_path):
+    folder, *_ = broken
+    other = tmp_path / "odd"
+    other.mkdir()
+    (other / "log.parquet").write_bytes((folder / "dev2.parquet").read_bytes())
+    (other / "meta.json").write_text('{"base_model": "rotary_meng"}')
+    found = hallsym.fleet([folder / "dev0.parquet", folder / "dev1.parquet", other], workers=1)
+    assert [row["verdict"] for row in found.rows] == ["good", "good", "failed"]
+    assert "model rotary_meng" in found.rows[2]["reason"]
+    assert found.rows[2]["device"] == "odd"
+
+
+def test_devices_are_in_the_order_of_their_numbers(tmp_path):
+    for k in (10, 9, 1):
+        (tmp_path / f"dev{k}.csv").write_text("x")
+    assert [d.name for d in devices_of(tmp_path)] == ["dev1", "dev9", "dev10"]

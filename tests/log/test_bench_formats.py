@@ -1,0 +1,293 @@
+"""TDMS, MDF and MCAP: what their own libraries write is read as the same numbers, on one stated clock."""
+
+from __future__ import annotations
+
+import importlib
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bench_files import LIBRARY, WRITERS, Columns, Rates
+from log_samples import one_sentence, stage_arrays
+
+import hallsym
+from hallsym.cli.main import main
+from hallsym.errors import InputError
+from hallsym.families.published import values
+from hallsym.log import check_log, grouped, read_log, write_log
+
+SUFFIXES = tuple(WRITERS)
+HALL, REFERENCE = "Hall", "Reference"
+
+
+@pytest.fixture(params=SUFFIXES)
+def suffix(request: pytest.FixtureRequest) -> str:
+    pytest.importorskip(LIBRARY[request.param])
+    return request.param
+
+
+def topic(suffix: str, name: str) -> str:
+    """What a group is called: a topic of ROS has a slash."""
+    return f"/{name}" if suffix == ".mcap" else name
+
+
+def written(path: Path, groups: Rates) -> Path:
+    WRITERS[path.suffix](path, groups)
+    return path
+
+
+def sines(
+    first: float, rate: float, rows: int, name: str, amplitude: float = 1e-4
+) -> tuple[float, float, Columns]:
+    t = first + np.arange(rows) / rate
+    return first, rate, {name: amplitude * np.sin(2 * np.pi * 3 * t)}
+
+
+def two_rates(rows: int = 2000) -> Rates:
+    """Readings at 1 kHz from zero, a reference at 100 Hz that begins 2.3 ms later."""
+    return {
+        HALL: sines(0.0, 1000.0, rows, "hall_a_m"),
+        REFERENCE: sines(0.0023, 100.0, rows // 10, "x_ref_m"),
+    }
+
+
+def refused(path: Path, says: str, **options: Any) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        check_log(read_log(path, **options))
+    assert one_sentence(str(caught.value)), caught.value
+    assert path.name in str(caught.value)
+
+
+@pytest.mark.parametrize("limit", [10**9, 100])
+def test_names_units_and_numbers_are_those_of_the_file(
+    tmp_path: Path, suffix: str, limit: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grouped, "IN_MEMORY_ROWS", limit)
+    arrays = {name: v for name, v in stage_arrays(samples=150).items() if name != "t_s"}
+    log = read_log(written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, arrays)}))
+    assert (set(log.columns), log.rows, log.runs) == ({"t_s", *arrays}, 600, (0, 1, 2, 3))
+    assert log.table.in_memory == (limit > 600)
+    assert np.allclose(log.array("t_s"), np.arange(600) / 500, rtol=0, atol=1e-9)
+    for name, expected in arrays.items():
+        assert np.allclose(log.array(name), expected, rtol=1e-14, atol=0), name
+    blocks = list(log.blocks(["x_ref_m", "run"], size=37))
+    assert max(len(block.data["run"]) for block in blocks) <= 37
+    assert np.array_equal(np.concatenate([b.data["x_ref_m"] for b in blocks]), log.array("x_ref_m"))
+
+
+def test_a_fit_gives_what_the_csv_gives(tmp_path: Path, suffix: str) -> None:
+    model = hallsym.build("stage31")
+    campaign = hallsym.paper_campaign(step_s=0.02)
+    made = hallsym.simulate(model, values("table7_estimates"), campaign, hallsym.table8_noise(model), seed=3)
+    columns = {name: made[name] for name in made if name != "t_s"}
+    write_log(columns | {"t_s": np.arange(len(made["run"])) / 500}, tmp_path / "log.csv")
+    written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, columns)})
+    ours, theirs = (
+        hallsym.fit(str(tmp_path / f"log{end}"), "stage31", solver="direct") for end in (suffix, ".csv")
+    )
+    assert np.allclose(ours.values, theirs.values, rtol=1e-9, atol=1e-12)
+
+
+def test_two_clocks_are_asked_for(tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path / f"log{suffix}", two_rates())
+    hall = topic(suffix, HALL)
+    refused(path, f"has 2 clocks .*{hall} 1 kHz.*--clock {hall}:linear")
+    assert main(["info", str(path)]) == 2
+    shown = capsys.readouterr()
+    assert "on 2 clocks" in shown.out
+    assert "hall_a [um]" in shown.out
+    assert "--clock" in shown.err
+    assert main(["info", str(path), "--clock", f"{hall}:nearest"]) == 0
+    shown = capsys.readouterr()
+    assert f"at the samples of {hall}, other groups the nearest sample" in shown.out
+
+
+def expected(method: str, when: np.ndarray, time: np.ndarray, found: np.ndarray) -> np.ndarray:
+    if method == "linear":
+        return np.interp(when, time, found)
+    return found[np.abs(when[:, None] - time[None, :]).argmin(1)]
+
+
+@pytest.mark.parametrize("method", ["linear", "nearest"])
+@pytest.mark.parametrize("clock", [HALL, REFERENCE])
+@pytest.mark.parametrize("limit", [10**9, 100])
+def test_the_stated_clock_is_what_numpy_gives(
+    tmp_path: Path, suffix: str, clock: str, method: str, limit: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grouped, "IN_MEMORY_ROWS", limit)
+    monkeypatch.setattr("hallsym.log.table.CHUNK_ROWS", 64)
+    path = written(tmp_path / f"log{suffix}", two_rates(400))
+    log = read_log(path, clock=f"{topic(suffix, clock)}:{method}")
+    rates, other = two_rates(400), REFERENCE if clock == HALL else HALL
+    time = {g: first + np.arange(len(next(iter(c.values())))) / rate for g, (first, rate, c) in rates.items()}
+    begin, end = max(t[0] for t in time.values()), min(t[-1] for t in time.values())
+    inside = (time[clock] >= begin - 1e-12) & (time[clock] <= end + 1e-12)
+    own, followed = next(iter(rates[clock][2])), next(iter(rates[other][2]))
+    when = np.concatenate([b.data["t_s"] for b in log.blocks(["t_s"], size=33)])
+    assert log.rows == inside.sum() == len(when)
+    assert np.allclose(when, time[clock][inside], rtol=0, atol=1e-9)
+    assert np.allclose(log.array(own), rates[clock][2][own][inside], rtol=1e-12, atol=1e-18)
+    truth = expected(method, when, time[other], rates[other][2][followed])
+    found = np.concatenate([b.data[followed] for b in log.blocks([own, followed], size=33)])
+    assert np.allclose(found, truth, rtol=0, atol=1e-11)
+    assert any("is read as" in note and method in note for note in log.notes)
+
+
+def test_a_long_gap_is_not_bridged(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    import asammdf
+
+    t = np.arange(200) / 100
+    holes = {2: 0, 60: 3, 120: 6}  # at sample: samples lost
+    lost = np.concatenate([np.arange(at + 1, at + 1 + n) for at, n in holes.items()]).astype(int)
+    kept = np.setdiff1d(np.arange(200), lost)
+    file = asammdf.MDF(version="4.10")
+    file.append([asammdf.Signal(np.sin(t[kept]), t[kept], name="x_ref", unit="mm")], acq_name="R")
+    file.append([asammdf.Signal(t, t, name="z", unit="mm")], acq_name="H")
+    file.save(str(tmp_path / "log.mf4"))
+    log = read_log(tmp_path / "log.mf4", clock="H:linear")
+    none = np.flatnonzero(np.isnan(log.array("x_ref_m")))
+    assert none.tolist() == list(range(121, 127))
+    refused(tmp_path / "log.mf4", "x_ref_m", clock="H:linear")
+    assert read_log(tmp_path / "log.mf4", clock="H:linear", drop_bad=True).rows == 194
+
+
+def test_an_angle_that_begins_again_is_read_the_short_way(tmp_path: Path) -> None:
+    pytest.importorskip("nptdms")
+    from nptdms import ChannelObject, TdmsWriter
+
+    turn = np.arange(0, 200) * 23.0
+    with TdmsWriter(str(tmp_path / "log.tdms")) as writer:
+        writer.write_segment(
+            [
+                ChannelObject("R", "angle_ref", turn % 360, {"wf_increment": 0.01, "unit_string": "deg"}),
+                ChannelObject("V", "v_sin", np.ones(1991), {"wf_increment": 0.001, "unit_string": "V"}),
+            ]
+        )
+    log = read_log(tmp_path / "log.tdms", clock="V:linear")
+    truth = np.deg2rad(np.interp(log.array("t_s"), np.arange(200) / 100, turn))
+    off = np.angle(np.exp(1j * (log.array("angle_ref_rad") - truth)))
+    assert np.abs(off).max() < 1e-9
+
+
+def test_groups_of_the_same_channels_are_runs(tmp_path: Path, suffix: str) -> None:
+    if suffix == ".mcap":
+        pytest.skip("topics are not runs")
+    path = written(
+        tmp_path / f"log{suffix}", {f"Run {k}": sines(0.0, 100.0, 20 + k, "x_ref_m") for k in (10, 2, 1)}
+    )
+    log = read_log(path)
+    assert log.runs == (1, 2, 10)
+    assert [len(log.run(k)["x_ref_m"]) for k in log.runs] == [21, 22, 30]
+    assert log.run(2, ["t_s"])["t_s"][:3] == pytest.approx([0, 0.01, 0.02])
+
+
+def test_units_that_differ_between_files_are_converted_or_refused(tmp_path: Path) -> None:
+    pytest.importorskip("nptdms")
+    from nptdms import ChannelObject, TdmsWriter
+
+    for name, unit, size in (("a", "µm", 1e6), ("b", "mm", 1e3)):
+        with TdmsWriter(str(tmp_path / f"{name}.tdms")) as writer:
+            ramp = np.arange(50) * 1e-6 * size
+            writer.write_segment([ChannelObject("G", "IFM X", ramp, {"unit_string": unit})])
+    first = read_log(tmp_path / "a.tdms", columns={"x_ref_um": "IFM X"})
+    second = read_log(tmp_path / "b.tdms", columns={"x_ref": "IFM X"})
+    assert np.allclose(first.array("x_ref_m"), second.array("x_ref_m"), rtol=1e-12, atol=0)
+    with pytest.raises(
+        InputError, match="in mm by its header; in the calibration's log it was in um"
+    ) as error:
+        read_log(tmp_path / "b.tdms", remembered=first.table.mapping)
+    assert one_sentence(str(error.value))
+
+
+@pytest.mark.parametrize("keep", [0.1, 0.5, 0.9, 0.99])
+def test_truncated_file(tmp_path: Path, suffix: str, keep: float) -> None:
+    path = written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, stage_arrays(samples=150))})
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * keep)])
+    refused(path, "must be a complete|cut short")
+
+
+def test_damaged_files_raise_nothing_else(tmp_path: Path, suffix: str) -> None:
+    path = written(tmp_path / f"log{suffix}", {HALL: (0.0, 500.0, stage_arrays(runs=1, samples=60))})
+    data, rng = path.read_bytes(), np.random.default_rng(1)
+    for _ in range(25):
+        broken = bytearray(data)
+        at = int(rng.integers(len(data)))
+        broken[at : at + 8] = rng.bytes(8)
+        path.write_bytes(bytes(broken))
+        with suppress(InputError):
+            check_log(read_log(path))
+
+
+def test_other_files_under_these_names(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"log{suffix}"
+    path.write_bytes(b"run,t_s,x_ref_m\n" * 40)
+    refused(path, "must be a complete")
+    path.write_bytes(b"")
+    refused(path, "is empty")
+
+
+def test_wrong_clocks(tmp_path: Path, suffix: str) -> None:
+    path = written(tmp_path / f"log{suffix}", two_rates(200))
+    for clock, says in (
+        ("linear", "GROUP:METHOD"),
+        ("Hall:cubic", "linear or nearest"),
+        ("Hell:linear", r"has no group 'Hell' \(did you mean"),
+    ):
+        with pytest.raises(InputError, match=says) as error:
+            read_log(path, clock=clock)
+        assert one_sentence(str(error.value))
+    write_log(stage_arrays(), tmp_path / "log.csv")
+    with pytest.raises(InputError, match="Option clock must be left out"):
+        read_log(tmp_path / "log.csv", clock="Hall:linear")
+
+
+def test_a_missing_library_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = importlib.import_module
+
+    def without(name: str, *rest: Any) -> Any:
+        if name.partition(".")[0] in LIBRARY.values() or name.startswith("mcap"):
+            raise ImportError(name)
+        return whole(name, *rest)
+
+    monkeypatch.setattr(importlib, "import_module", without)
+    for suffix, extra in ((".tdms", "tdms"), (".mf4", "mdf"), (".mcap", "mcap")):
+        path = tmp_path / f"log{suffix}"
+        path.write_bytes(b"something")
+        with pytest.raises(InputError, match=rf"pip install 'hallsym\[{extra}\]'\.") as error:
+            read_log(path)
+        assert one_sentence(str(error.value))
+
+
+def test_clocks_that_count_from_different_starts_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("nptdms")
+    from nptdms import ChannelObject, TdmsWriter
+
+    start = np.datetime64("2026-01-01T00:00:00", "us")
+    with TdmsWriter(str(tmp_path / "log.tdms")) as writer:
+        writer.write_segment(
+            [
+                ChannelObject("A", "x_ref_m", np.arange(50.0), {"wf_increment": 0.1, "wf_start_time": start}),
+                ChannelObject("B", "z_m", np.arange(99.0), {"wf_increment": 0.05}),
+            ]
+        )
+    refused(tmp_path / "log.tdms", "count time from different starts", clock="A:linear")
+
+
+def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("nptdms")
+    from nptdms import ChannelObject, TdmsWriter
+
+    time = np.arange(60.0) / 10
+    time[30] = 1.0
+    with TdmsWriter(str(tmp_path / "log.tdms")) as writer:
+        writer.write_segment(
+            [
+                ChannelObject("A", "x_ref_m", np.arange(60.0)), ChannelObject("A", "Time [s]", time),
+                ChannelObject("B", "z_m", np.arange(99.0), {"wf_increment": 0.05}),
+            ]
+        )  # fmt: skip
+    refused(tmp_path / "log.tdms", "must rise", clock="B:linear")

@@ -1,0 +1,161 @@
+"""Times as text are seconds from the first sample; what may be read in two ways is asked about."""
+
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hallsym
+from hallsym import InputError, fit, load_fit, read_log
+from hallsym.cli.main import main
+from hallsym.log.text import Seconds
+from hallsym.log.text.times import time_form
+
+STEPS = np.array([0.0, 0.25, 1.5, 2.0, 3.125])
+START = datetime(2026, 1, 30, 23, 59, 58, tzinfo=timezone(timedelta(hours=2)))
+
+FORMS = {
+    "ISO 8601": lambda at: at.replace(tzinfo=None).isoformat(timespec="milliseconds"),
+    "with a zone": lambda at: at.isoformat(timespec="microseconds"),
+    "in Greenwich": lambda at: at.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S.%fZ"),
+    "slashes": lambda at: at.strftime("%Y/%m/%d %H:%M:%S.%f"),
+    "dots": lambda at: at.strftime("%d.%m.%Y %H:%M:%S,%f"),
+    "day first": lambda at: at.strftime("%d/%m/%Y %H:%M:%S.%f"),
+    "month first": lambda at: at.strftime("%m-%d-%Y %H:%M:%S.%f"),
+    "time of day": lambda at: at.strftime("%H:%M:%S.%f"),
+    "short": lambda at: f"{at.hour}:{at:%M:%S},{at.microsecond // 1000:03d}",
+}
+
+
+def written(path: Path, form, steps=STEPS, start=START, name="Zeit", times=20) -> Path:
+    """Write an encoder's log whose time is text, each step `times` times a round."""
+    seconds = np.concatenate([steps + k * (steps[-1] + 0.5) for k in range(times)])
+    turn = np.linspace(0, 350, len(seconds))
+    lines = [f"{name};angle_deg;angle_ref_deg"]
+    for s, a in zip(seconds, turn, strict=True):
+        lines.append(
+            f"{form(start + timedelta(seconds=float(s)))};{a:.4f};{a + 0.5 * np.sin(np.radians(a)):.4f}"
+        )
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+def test_every_form_is_the_same_time_over_midnight(tmp_path, form):
+    """The 30th is no month, so that its order is plain; the next sample is on the 31st."""
+    log = read_log(written(tmp_path / "log.csv", form))
+    expected = np.concatenate([STEPS + k * (STEPS[-1] + 0.5) for k in range(20)])
+    assert log.array("t_s") == pytest.approx(expected, abs=1.1e-3)
+    assert any("holds" in note and "in seconds from its first sample on" in note for note in log.notes)
+
+
+def test_a_time_of_text_answers_to_its_own_name_too(tmp_path):
+    path = written(tmp_path / "log.csv", FORMS["time of day"])
+    assert read_log(path, columns={"t_s": "Zeit"}).array("t_s")[1] == 0.25
+
+
+def test_a_number_for_the_time_stays_the_time(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = "\n".join(f"{0.1 * k:.1f},12:00:{k:02d},{k},{k}" for k in range(30))
+    path.write_text(f"t_s,Clock,angle_deg,angle_ref_deg\n{rows}\n")
+    assert read_log(path).array("t_s")[1] == pytest.approx(0.1)
+    assert read_log(path, columns={"t_s": "Clock"}).array("t_s")[1] == 1.0
+
+
+def test_a_date_that_may_be_read_in_two_ways_is_asked_about_where_it_matters(tmp_path, capsys):
+    path = written(tmp_path / "log.csv", FORMS["day first"], start=START.replace(month=2, day=3))
+    with pytest.raises(InputError, match="day may stand first or second: say which with --dates day"):
+        read_log(path).array("t_s")
+    assert read_log(path, dates="day").array("t_s")[-1] < 100
+    assert read_log(path, dates="month").array("t_s")[-1] > 20 * 86400
+    with pytest.raises(InputError, match="must be 'day' or 'month'"):
+        read_log(path, dates="year")
+    one_day = written(tmp_path / "day.csv", FORMS["day first"], start=START.replace(month=2, day=3, hour=1))
+    assert read_log(one_day).array("t_s")[1] == 0.25
+    even = np.arange(0, 25, 0.25)
+    path = written(tmp_path / "log.csv", FORMS["day first"], even, START.replace(month=2, day=3), times=1)
+    assert main(["info", str(path), "--dates", "day"]) == 0
+    assert "t_s" in capsys.readouterr().out
+
+
+def test_a_line_that_is_no_time_is_named(tmp_path):
+    path = written(tmp_path / "log.csv", FORMS["ISO 8601"], times=1000)
+    lines = path.read_text().split("\n")
+    lines[-3] = "yesterday;1.0;1.0"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"Column 'Zeit' of .* must hold dates with times written alike"):
+        read_log(path).array("t_s")
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.integers(0, 10**6), min_size=1, max_size=30), st.integers(1, 5))
+def test_chunks_of_a_column_give_the_same_seconds(steps, size):
+    at = [START + timedelta(milliseconds=int(ms)) for ms in np.cumsum(steps)]
+    for name in ("ISO 8601", "dots", "time of day"):
+        cells = [FORMS[name](t) for t in at]
+        form = time_form(cells)
+        whole = Seconds(form, None, "it")(pa.array(cells))
+        turned = Seconds(form, None, "it")
+        parts = [turned(pa.array(cells[k : k + size])) for k in range(0, len(cells), size)]
+        assert np.concatenate(parts) == pytest.approx(whole)
+
+
+# -- what a calibration remembers of how its log was read ------------------------------------------------
+
+
+def table(path: Path, decimal: str) -> Path:
+    """Write knots of an encoder whose three decimals may be thousands."""
+    reference = np.arange(3.0, 362.0, 3.0)
+    angle = reference + 0.5 * np.sin(2 * np.radians(reference))
+    rows = [f"{a:.3f}\t{r:.3f}".replace(".", decimal) for a, r in zip(angle, reference, strict=True)]
+    path.write_text("\n".join(["Winkel\tRef", *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+COLUMNS = {"angle_deg": "Winkel", "angle_ref_deg": "Ref"}
+
+
+def test_a_calibration_answers_what_the_next_file_leaves_open(tmp_path, capsys):
+    first, second = table(tmp_path / "a.txt", ","), table(tmp_path / "b.txt", ",")
+    with pytest.raises(InputError, match="--decimal"):
+        read_log(first, columns=COLUMNS)
+    found = fit(read_log(first, columns=COLUMNS, decimal=","), "rotary", solver="direct")
+    found.save(tmp_path / "calib.json")
+    known = load_fit(tmp_path / "calib.json")
+    assert dict(known.read_with) == {"decimal": ","}
+    seen = hallsym.evaluate(known, second)
+    assert any("is read as the calibration's log was: decimal ','" in note for note in seen.notes)
+    for command in (["evaluate", "calib.json", "b.txt"], ["report", "calib.json", "b.txt"]):
+        words = [str(tmp_path / w) if w.endswith((".json", ".txt")) else w for w in command]
+        words += ["-o", str(tmp_path / "page.html")] if command[0] == "report" else []
+        assert main(words) in (0, 3), capsys.readouterr().err
+
+
+def test_what_a_file_says_itself_wins_over_the_calibration(tmp_path):
+    found = fit(
+        read_log(table(tmp_path / "a.txt", ","), columns=COLUMNS, decimal=","), "rotary", solver="direct"
+    )
+    plain = read_log(table(tmp_path / "b.txt", "."), remembered=found.columns, read_with={"decimal": ","})
+    assert plain.array("angle_rad")[1] == pytest.approx(np.radians(6.104), abs=1e-4)
+    assert not any("as the calibration's log was" in note for note in plain.notes)
+
+
+def test_a_sheet_is_remembered(tmp_path):
+    xlsx = pytest.importorskip("xlsxwriter")
+    pytest.importorskip("python_calamine")
+    for name in ("a.xlsx", "b.xlsx"):
+        book = xlsx.Workbook(tmp_path / name)
+        turn = np.radians(np.arange(0, 360, 3.0))
+        for sheet in ("Notes", "Data"):
+            page = book.add_worksheet(sheet)
+            page.write_row(0, 0, ["angle_rad", "angle_ref_rad"])
+            for k, (a, r) in enumerate(zip(turn + 0.01 * np.sin(turn), turn, strict=True)):
+                page.write_row(k + 1, 0, [a, r])
+        book.close()
+    found = fit(read_log(tmp_path / "a.xlsx", sheet="Data"), "rotary", solver="direct")
+    assert dict(found.read_with) == {"sheet": "Data"}
+    assert hallsym.evaluate(found, tmp_path / "b.xlsx").table.count.sum() == 120

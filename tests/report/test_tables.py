@@ -1,0 +1,105 @@
+"""Tables and lines in a terminal of any width: they fit it, and nothing is left out."""
+
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hallsym import bundled_campaign, evaluate, fit
+from hallsym.report.tables import grid
+from hallsym.terminal import NARROWEST, columns, fitted, prose_width
+
+ROWS = [
+    ["parameter", "value", "unit", "standard uncertainty", "what it is"],
+    ["eta_A", "0.86697(10)", "1", "0.0001", "gain of probe A at height zero, as it was recorded"],
+    ["misalignment of probe A", "-0.007(11)", "deg", "0.011", "angle about the vertical axis"],
+]
+
+
+@pytest.fixture
+def wide(monkeypatch):
+    """Return what makes the terminal so many characters wide."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+    return lambda width: monkeypatch.setenv("COLUMNS", str(width))
+
+
+def words_of(text: str) -> list[str]:
+    return sorted(re.findall(r"[^\s\\]+", re.sub(r"^-+$", "", text, flags=re.MULTILINE)))
+
+
+def test_where_there_is_no_terminal_lines_have_any_length(wide):
+    assert columns() is None
+    assert prose_width() == 110
+    assert len(grid(ROWS, words=True).split("\n")) == 4
+    assert fitted("word " * 100) == "word " * 100
+
+
+def test_the_variable_columns_is_honoured_down_to_what_can_be_read(wide):
+    wide(72)
+    assert (columns(), prose_width()) == (72, 72)
+    wide(200)
+    assert (columns(), prose_width()) == (200, 110)
+    wide(3)
+    assert columns() == NARROWEST
+
+
+@pytest.mark.parametrize("width", [120, 90, 70, 60, 50, 40])
+def test_a_table_fits_and_keeps_every_word(wide, width):
+    expected = words_of(grid(ROWS, words=True))
+    wide(width)
+    text = grid(ROWS, words=True)
+    assert max(map(len, text.split("\n"))) <= width
+    assert set(words_of(text)) >= set(expected)
+
+
+def test_headers_are_folded_before_columns_are_moved(wide):
+    wide(40)
+    head = ["errors", "rmse x [um]", "rmse y [um]", "peak x [um]"]
+    lines = grid([head, ["fitted", "1.362", "1.541", "6.293"]]).split("\n")
+    assert lines[-1].split() == ["fitted", "1.362", "1.541", "6.293"]
+    assert " ".join(lines[:-2]).count("[um]") == 3
+
+
+def test_columns_that_do_not_fit_follow_in_blocks_with_the_names_of_the_rows(wide):
+    wide(40)
+    rows = [["run", *(f"column_{k:04d}" for k in range(9))], ["first", *map(str, range(9))]]
+    text = grid(rows)
+    blocks = text.split("\n\n")
+    assert len(blocks) == 5
+    assert all(block.split("\n")[-1].startswith("first") for block in blocks)
+    assert [w for block in blocks for w in block.split("\n")[-1].split()[1:]] == list("012345678")
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(40, 130),
+    st.lists(st.tuples(*[st.text("abc 0.1", max_size=18).map(str.strip)] * 5), min_size=2, max_size=5),
+    st.booleans(),
+)  # fmt: skip
+def test_any_table_fits_any_terminal(width, rows, words):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("COLUMNS", raising=False)
+        whole = grid(rows, words=words)
+        patch.setenv("COLUMNS", str(width))
+        text = grid(rows, words=words)
+    assert max(map(len, text.split("\n"))) <= width
+    assert set(words_of(text)) >= set(words_of(whole))
+
+
+def test_a_command_to_copy_stays_one_command(wide):
+    wide(60)
+    typed = "hallsym diagnose a/rather/long/path/to/a/log.parquet --model stage31 --holdout 2,7,12"
+    text = fitted(f"The model does not describe this log: it is far off, in all of it; next: {typed}")
+    prose, _, command = text.partition("next: ")
+    assert prose.endswith("\n")
+    assert " ".join(command.replace("\\\n", " ").split()) == typed
+    assert max(map(len, text.split("\n"))) <= 60
+
+
+def test_what_is_printed_of_results_fits(wide):
+    found = fit(bundled_campaign(), "stage31", solver="direct")
+    seen = evaluate(found, bundled_campaign())
+    wide(70)
+    for result in (found, seen):
+        assert max(map(len, result.summary().split("\n"))) <= 70
