@@ -111,15 +111,17 @@ class Smooth:
         Return those of all runs, (K, features), those without each fold, and the statistic over all sensors.
         """
         r = self.r
-        level = level_weights(r, residual, r.block)[:, None]
+        level, weighted = level_weights(r, residual, r.block)[:, None], r.precision @ residual
         q = np.zeros((len(self.blocks),) * 2)
         every, left = [], []
         for k, (phi, gram) in enumerate(zip(self.phi, self.gram, strict=True)):
             penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at))
-            weighted = self.own[k] * phi * residual[k]
             cross, parts = (
-                np.array([weighted[:, s].sum(axis=1) for s in group]) - shared[:, k]
-                for group, shared in zip((self.folds, self.blocks), self.shared, strict=True)
+                np.array([(phi[:, s] * row[s]).sum(axis=1) for s in group]) - shared[:, k]
+                for row, group, shared in (
+                    (self.own[k] * residual[k], self.folds, self.shared[0]),
+                    (weighted[k], self.blocks, self.shared[1]),
+                )
             )
             fit = regression(gram, cross[:, :, None], penalty)
             every.append(fit.all[:, 0])

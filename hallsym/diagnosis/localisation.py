@@ -96,7 +96,7 @@ def located(
         return Located((), tuple(curves), fitted, held)
     told = sum(s.share for s in statements)
     p_values = [tried.joint.p_value(z[0]) for z in tried.bands.statistics]
-    tones, frequencies = of_frequencies(tried.bands, p_values, told)
+    tones, frequencies = of_frequencies(tried.bands, p_values, fitted.spectrum.motion_hz, told)
     if frequencies and frequencies[0].kind == "mains" and frequencies[0].share > told:
         statements, frequencies = [frequencies[0], *statements], frequencies[1:]
     size = variance * fitted.residual.size / fitted.excess

@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.diagnosis.decoded_errors import BlockErrors
 from hallsym.diagnosis.p_values import beyond, beyond_one
 from hallsym.diagnosis.record import Share, Size, Sizes, Statement
-from hallsym.diagnosis.residual_table import Band, ResidualTable
+from hallsym.diagnosis.residual_table import MOTION, Band, ResidualTable
 from hallsym.diagnosis.sign_flips import of_means
 from hallsym.diagnosis.words import percent, plain
 
@@ -159,7 +159,7 @@ def bands(r: ResidualTable) -> Bands:
     )
 
 
-def of_frequencies(found: Bands, p_values: Sequence[float], told: float) -> Found:
+def of_frequencies(found: Bands, p_values: Sequence[float], motion_hz: Sequence[float], told: float) -> Found:
     """Kinds of frequency that hold more than twice their part of what white noise would have."""
     rows, worth = [], []
     for band, share, part, p in zip(found.bands, found.shares, found.parts, p_values, strict=True):
@@ -167,16 +167,18 @@ def of_frequencies(found: Bands, p_values: Sequence[float], told: float) -> Foun
         named = band.kind == "mains" or told <= HALF
         if p < LEVEL and share >= max(TWICE * part, part + MORE) and named:
             worth.append((share, band, p))
-    return rows, _frequencies(worth)
+    return rows, _frequencies(worth, motion_hz)
 
 
-def _frequencies(worth: Sequence[tuple[float, Band, float]]) -> list[Statement]:
+def _frequencies(worth: Sequence[tuple[float, Band, float]], motion_hz: Sequence[float]) -> list[Statement]:
     said, rest = [], 1.0
     for share, band, p in sorted(worth, key=lambda w: -w[0])[:NAMED]:
         share = min(share, rest)  # bands below the noise make the others more than the whole
         rest -= share
         if share >= LEAST:
             text = f"{percent(share)} of the excess lies at {band.name}"
+            if band == MOTION and motion_hz:
+                text += f" (strongest near {float(np.median(motion_hz)):.3g} Hz)"
             said.append(Statement("frequency", band.name, share, p, text, kind=band.kind))
     return said
 
