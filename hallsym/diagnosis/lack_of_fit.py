@@ -14,6 +14,7 @@ from hallsym.diagnosis.coordinates import coordinates
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
 from hallsym.diagnosis.residual_table import residual_table
 from hallsym.diagnosis.residuals import Base
+from hallsym.diagnosis.tones import tones
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,10 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class LackOfFit:
-    """Families of curves, best first."""
+    """Families of curves, best first; `tones`: decrease of the gap metric without its steady tones."""
 
     shapes: tuple[Shape, ...]
+    tones: float = 0.0
 
     def best(self, level: float) -> Shape | None:
         """Return the family that explains most and is no chance (level corrected for all tried)."""
@@ -58,4 +60,4 @@ def lack_of_fit(base: Base, runs: Sequence[int]) -> LackOfFit:
         curves = [make(r, c).curve(r.residual) for make in ((Smooth, FineMap) if c.fine else (Smooth,))]
         found += [(Key(kind, c.name), x.explained, x.p_value) for x in curves if x is not None]
     shapes = [Shape(key, 1 - float(np.sqrt(1 - np.clip(x / total, 0.0, 1.0))), p) for key, x, p in found]
-    return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)))
+    return LackOfFit(tuple(sorted(shapes, key=lambda s: -s.drop)), tones(base, runs))

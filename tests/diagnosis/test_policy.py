@@ -123,7 +123,7 @@ def validated(after: float, rest: LackOfFit) -> SimpleNamespace:
     end = object()
     return SimpleNamespace(
         named=True, metric=after, before=SimpleNamespace(metric=4e-6), base=end, end=end, rest=rest,
-        start=None, slow=0.0, floor=FLOOR, effects=(), judged=None,
+        start=None, slow=0.0, error=0.0, floor=FLOOR, effects=(), judged=None,
     )  # fmt: skip
 
 
