@@ -16,19 +16,15 @@ from itertools import pairwise
 import numpy as np
 
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.regression import regression, ridge
-from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.regression import RIDGE, regression, ridge
+from hallsym.diagnosis.residual_table import PARTS, ResidualTable
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.families.play import stop_operator
 
 BEND = 0.01
 """Weight of the bending penalty against the data."""
-TINY = 1e-6
-"""The same on the curves themselves, so that what no sample determines stays 0."""
 MEMORIES = (0.05, 0.15, 0.4, 1.0)
 """Half-widths of the play that is looked for, over the standard deviation of what a sensor senses."""
-FEWEST_PARTS = 3
-"""Stretches of a run from which on they may predict one another."""
 FINE = 96
 """Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
 
@@ -74,19 +70,19 @@ class Smooth:
             return
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         self.at, self.phi = self._features(values)
+        K, nf, _ = self.phi.shape
+        self.folds, self.blocks = _slices(r.fold), _slices(r.block)
+        other = None if moved is None else _features_at(moved, coordinate, self.at, self.scale, r)
+        change = np.zeros_like(r.residual) if moved is None else r.precision @ (moved.residual - r.residual)
+        by = (other - self.phi) * change[:, None, :] if other is not None else np.zeros((K, nf, 1))
+        self.shared = [
+            np.array([by[:, :, s].sum(axis=2) for s in group]) for group in (self.folds, self.blocks)
+        ]
         self.own = 1 / np.diag(np.linalg.inv(r.precision))
         self.gram = np.array(
-            [[w * phi[:, s] @ phi[:, s].T for s in _slices(r.fold)]
+            [[w * phi[:, s] @ phi[:, s].T for s in self.folds]
              for w, phi in zip(self.own, self.phi, strict=True)]
         )  # fmt: skip
-        other = None if moved is None else _features_at(moved, coordinate, self.at, self.scale, r)
-        by = np.zeros((*self.phi.shape[:2], 1))
-        if moved is not None and other is not None:
-            change = self.own[:, None] * (moved.residual - r.residual)
-            by = (other - self.phi) * change[:, None, :]
-        self.shared = [
-            np.stack([by[:, :, s].sum(axis=2) for s in _slices(group)], axis=1) for group in (r.fold, r.block)
-        ]  # (K, groups, features), of folds and of blocks
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
@@ -99,42 +95,45 @@ class Smooth:
         """Return the curve of a residual (K, n)."""
         if self.values is None:
             return None
-        beta, left, statistic = self._fit(residual)
+        beta, left, z = self._fit(residual)
         explained, (U, _, nf), m = self._explains(left, residual), left.shape, len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
         predicted = np.einsum("kf,kfn->kn", beta, self.phi)
         both = nf == 2 * m and self.coordinate.gain
         return Curve(
             self.coordinate, self.values, self.at, beta[:, :m], beta[:, m:] if both else None, error[:, :m],
-            error[:, m:] if both else None, self.scale, explained, statistic, predicted,
+            error[:, m:] if both else None, self.scale, explained, z, predicted,
         )  # fmt: skip
 
     def _fit(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit the coefficients of each sensor to its own residual.
 
-        Return those of all runs, (K, features), those without each fold, and the statistic of all sensors.
+        Return those of all runs, (K, features), those without each fold, and the statistic over all sensors.
         """
         r = self.r
-        folds, blocks = _slices(r.fold), _slices(r.block)
-        level = level_weights(r, residual, r.block)[:, None]
-        q = np.zeros((len(blocks),) * 2)
+        level, weighted = level_weights(r, residual, r.block)[:, None], r.precision @ residual
+        q = np.zeros((len(self.blocks),) * 2)
         every, left = [], []
-        every_sensor = zip(self.own, self.phi, self.gram, residual, *self.shared, strict=True)
-        for w, phi, gram, own, of_folds, of_blocks in every_sensor:
+        for k, (phi, gram) in enumerate(zip(self.phi, self.gram, strict=True)):
             penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at))
-            weighted = w * phi * own
-            cross = np.array([weighted[:, s].sum(axis=1) for s in folds]) - of_folds
+            cross, parts = (
+                np.array([(phi[:, s] * row[s]).sum(axis=1) for s in group]) - shared[:, k]
+                for row, group, shared in (
+                    (self.own[k] * residual[k], self.folds, self.shared[0]),
+                    (weighted[k], self.blocks, self.shared[1]),
+                )
+            )
             fit = regression(gram, cross[:, :, None], penalty)
             every.append(fit.all[:, 0])
             left.append(fit.left_out[:, :, 0])
-            scores = level * (np.array([weighted[:, s].sum(axis=1) for s in blocks]) - of_blocks)
+            scores = level * parts
             q += scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T)
         return np.array(every), np.stack(left, axis=1), of_products(q, r.run_of(r.block))
 
     def _explains(self, left_out: np.ndarray, residual: np.ndarray) -> float:
         """Squares that coefficients (folds, K, features), each of the other folds, remove."""
         total = 0.0
-        for beta, s in zip(left_out, _slices(self.r.fold), strict=True):
+        for beta, s in zip(left_out, self.folds, strict=True):
             says = np.einsum("kf,kfn->kn", beta, self.phi[:, :, s])
             total += float((says * (self.r.precision @ (2 * residual[:, s] - says))).sum())
         return total
@@ -225,7 +224,7 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
     even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
         at = np.flatnonzero(run == number)
-        if len(at) < FEWEST_PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
+        if len(at) < PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
             continue
         penalty = ridge(gram[at])
         explained += float(regression(gram[at], cross[at][:, :, None], penalty).squares.sum())
@@ -313,4 +312,4 @@ def _penalty(size: np.ndarray, m: int) -> np.ndarray:
     """
     D = np.diff(np.eye(m), 2, axis=0)
     weight = np.maximum(size.reshape(-1, m).mean(axis=1), 1e-300)
-    return np.kron(np.diag(weight), BEND * D.T @ D + TINY * np.eye(m))
+    return np.kron(np.diag(weight), BEND * D.T @ D + RIDGE * np.eye(m))
