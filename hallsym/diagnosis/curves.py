@@ -12,6 +12,7 @@ coordinate have in common because both hold the noise of the references (`measur
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +22,11 @@ from hallsym.diagnosis.residual_table import PARTS, ResidualTable
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.families.play import stop_operator
 
-BEND = 0.01
-"""Weight of the bending penalty against the data."""
+BENDS = (0.01, 0.3, 10.0)
+"""Weights of the bending penalty against the data that are tried, from free knots to nearly a straight line.
+
+The curve that predicts runs left out best is taken: a free one runs wild beyond its runs, a stiff one follows
+no bend."""
 MEMORIES = (0.05, 0.15, 0.4, 1.0)
 """Half-widths of the play that is looked for, over the standard deviation of what a sensor senses."""
 FINE = 96
@@ -56,6 +60,19 @@ class Curve:
     def p_value(self) -> float:
         """P-value of this curve alone: the share of draws with as large a statistic."""
         return float((self.statistic >= self.statistic[0]).mean())
+
+
+class _Fit(NamedTuple):
+    """Coefficients of a curve of all runs, (K, features), and without each fold, (folds, K, features).
+
+    `explained`: whitened squares that the latter remove from their folds. `statistic`: (draws,), of all
+    sensors.
+    """
+
+    explained: float
+    beta: np.ndarray
+    left: np.ndarray
+    statistic: np.ndarray
 
 
 class Smooth:
@@ -95,8 +112,10 @@ class Smooth:
         """Return the curve of a residual (K, n)."""
         if self.values is None:
             return None
-        beta, left, z = self._fit(residual)
-        explained, (U, _, nf), m = self._explains(left, residual), left.shape, len(self.at)
+        fits = self._fits(residual)
+        explained, beta, left, _ = max(fits, key=lambda f: f.explained)
+        z = np.max([f.statistic for f in fits], axis=0)
+        (U, _, nf), m = left.shape, len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
         predicted = np.einsum("kf,kfn->kn", beta, self.phi)
         both = nf == 2 * m and self.coordinate.gain
@@ -105,30 +124,33 @@ class Smooth:
             error[:, m:] if both else None, self.scale, explained, z, predicted,
         )  # fmt: skip
 
-    def _fit(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Fit the coefficients of each sensor to its own residual.
-
-        Return those of all runs, (K, features), those without each fold, and the statistic over all sensors.
-        """
+    def _fits(self, residual: np.ndarray) -> list["_Fit"]:
+        """Fit the coefficients of each sensor to its own residual, for each bending penalty."""
         r = self.r
         level, weighted = level_weights(r, residual, r.block)[:, None], r.precision @ residual
-        q = np.zeros((len(self.blocks),) * 2)
-        every, left = [], []
-        for k, (phi, gram) in enumerate(zip(self.phi, self.gram, strict=True)):
-            penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at))
-            cross, parts = (
+        cross, scores = (
+            [
                 np.array([(phi[:, s] * row[s]).sum(axis=1) for s in group]) - shared[:, k]
-                for row, group, shared in (
-                    (self.own[k] * residual[k], self.folds, self.shared[0]),
-                    (weighted[k], self.blocks, self.shared[1]),
-                )
+                for k, (phi, row) in enumerate(zip(self.phi, rows, strict=True))
+            ]
+            for rows, group, shared in (
+                (self.own[:, None] * residual, self.folds, self.shared[0]),
+                (weighted, self.blocks, self.shared[1]),
             )
-            fit = regression(gram, cross[:, :, None], penalty)
-            every.append(fit.all[:, 0])
-            left.append(fit.left_out[:, :, 0])
-            scores = level * parts
-            q += scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T)
-        return np.array(every), np.stack(left, axis=1), of_products(q, r.run_of(r.block))
+        )
+        out = []
+        for bend in BENDS if self.coordinate.ordered else BENDS[:1]:
+            q = np.zeros((len(self.blocks),) * 2)
+            each = []
+            for gram, targets, of_blocks in zip(self.gram, cross, scores, strict=True):
+                penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at), bend)
+                each.append(regression(gram, targets[:, :, None], penalty))
+                own = level * of_blocks
+                q += own @ np.linalg.solve(gram.sum(axis=0) + penalty, own.T)
+            left = np.stack([fit.left_out[:, :, 0] for fit in each], axis=1)
+            beta = np.array([fit.all[:, 0] for fit in each])
+            out.append(_Fit(self._explains(left, residual), beta, left, of_products(q, r.run_of(r.block))))
+        return out
 
     def _explains(self, left_out: np.ndarray, residual: np.ndarray) -> float:
         """Squares that coefficients (folds, K, features), each of the other folds, remove."""
@@ -305,11 +327,11 @@ def _slices(group: np.ndarray) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def _penalty(size: np.ndarray, m: int) -> np.ndarray:
+def _penalty(size: np.ndarray, m: int, bend: float) -> np.ndarray:
     """Penalty on the second differences of each curve over m knots, and a trace of one on their size.
 
     `size`: (curves * m,) squares of the features.
     """
     D = np.diff(np.eye(m), 2, axis=0)
     weight = np.maximum(size.reshape(-1, m).mean(axis=1), 1e-300)
-    return np.kron(np.diag(weight), BEND * D.T @ D + RIDGE * np.eye(m))
+    return np.kron(np.diag(weight), bend * D.T @ D + RIDGE * np.eye(m))
