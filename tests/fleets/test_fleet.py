@@ -258,7 +258,7 @@ def test_what_is_not_there_or_twice_is_one_sentence(broken, tmp_path):
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_one_sentence(broken, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("hallsym.fleets.engine.ANSWERS", 0.3)
+    monkeypatch.setattr("hallsym.workers.ANSWERS", 0.3)
     folder, *_ = broken
     for address in (f"tcp://127.0.0.1:{free_port()}", "no address"):
         with pytest.raises(InputError, match="does not answer"):
