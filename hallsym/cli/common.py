@@ -20,10 +20,17 @@ from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
-from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
+from hallsym.log import MOST_ROWS, MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
-from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
+from hallsym.simulation import (
+    MOST_SAMPLES,
+    Campaign,
+    campaign_from,
+    paper_campaign,
+    read_campaign,
+    table8_noise,
+)
 from hallsym.terminal import fitted
 from hallsym.toml import column_of
 from hallsym.workers import Workers
@@ -386,7 +393,7 @@ def campaign_of(options: Namespace) -> Campaign:
         raise InputError(
             "--step and --duration belong to the paper's campaign; a campaign file states its own."
         )
-    return read_campaign(options.campaign)
+    return read_campaign(options.campaign, MOST_ROWS if getattr(options, "part_rows", None) else MOST_SAMPLES)
 
 
 def truth_of(

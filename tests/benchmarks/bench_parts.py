@@ -42,7 +42,8 @@ def main(folder, workers, limit, noise):
     fit = hallsym.fit(log, "rotary", solver="direct")
     own, theirs = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print(json.dumps({
-        "seconds": perf_counter() - began, "cpu": process_time(), "workers_cpu": theirs.ru_utime + theirs.ru_stime,
+        "seconds": perf_counter() - began, "cpu": process_time(),
+        "workers_cpu": theirs.ru_utime + theirs.ru_stime,
         "own_mb": own.ru_maxrss / 1e3, "worker_mb": theirs.ru_maxrss / 1e3, "values": fit.values.tolist(),
         "std": fit.std.tolist(), "rows": fit.log["rows"], "cost": fit.solver["cost"],
         "rmse": [list(row["rmse"].values()) for row in fit.error_rows.values() if row],
@@ -111,8 +112,9 @@ def main() -> None:
         one, two, difference = compared(folder)
     for said, fit in (("one pass", one), ("two workers", two)):
         print(
-            f"{said:12s} {fit['rows'] / 1e6:.0f} M samples, {fit['seconds']:.0f} s, CPU {fit['cpu']:.0f} s + workers "
-            f"{fit['workers_cpu']:.0f} s; peak {fit['own_mb']:.0f} MB, of a worker {fit['worker_mb']:.0f} MB"
+            f"{said:12s} {fit['rows'] / 1e6:.0f} M samples, {fit['seconds']:.0f} s, CPU {fit['cpu']:.0f} s + "
+            f"workers {fit['workers_cpu']:.0f} s; peak {fit['own_mb']:.0f} MB, of a worker "
+            f"{fit['worker_mb']:.0f} MB"
         )
     print(f"largest relative difference of values, uncertainties, cost and errors: {difference:.1e}")
     if not difference <= AGREE:
