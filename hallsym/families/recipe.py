@@ -35,15 +35,20 @@ def recipe_of(model: Model) -> Recipe:
     """Return what `model` is built again from. Raises `InputError` where that takes somebody's own code."""
     added = tuple(added_effects(model))
     foreign = [effect for effect in added if not known_effect(effect, model.family)]
-    if foreign or model.family.maker(model.name) is None:
-        what = f"effect {foreign[0]}" if foreign else f"model {model.name}"
-        raise InputError(
-            f"Workers cannot build {what}, which is not hallsym's own, again; leave workers out, and the log "
-            "is read in one process."
-        )
     changes = {p.name: {"nominal": p.nominal, "lower": p.lower, "upper": p.upper}
                for p in (*model.parameters, *model.zeros)}  # fmt: skip
-    return Recipe(model.name, added, tuple(layout_of(model)), changes)
+    recipe = Recipe(model.name, added, tuple(layout_of(model)), changes)
+    if foreign or model.family.maker(model.name) is None or _chain(made(recipe)) != _chain(model):
+        what = f"Effect {foreign[0]}" if foreign else f"Model {model.name}"
+        raise InputError(
+            f"{what} holds code that is not hallsym's own, which workers do not have; leave workers out, and "
+            "the log is read in one process."
+        )
+    return recipe
+
+
+def _chain(model: Model) -> tuple[Any, ...]:
+    return tuple(link for link, _ in model.steps), model.names, model.channels, model.references, model.state
 
 
 def made(

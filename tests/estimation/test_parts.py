@@ -114,11 +114,11 @@ def test_what_cannot_be_shared_out_is_one_sentence(dataset, tmp_path):
     refused("stands in parts 1 and 2", lambda: fit(log, "stage31", solver="direct"))
 
     def mine(model):
-        return model
+        return model.with_step("electronics", lambda signals, values: None, effect="mine")
 
     log = read_log(dataset, noise=NOISE, workers=Workers(2))
     with_own = build("stage31", own={"mine": mine}, added=("mine",))
-    refused("effect mine", lambda: summarise(log, with_own))
+    refused("not hallsym's own", lambda: summarise(log, with_own))
 
 
 @pytest.mark.slow
