@@ -8,13 +8,13 @@ from typing import Any
 
 from hallsym.errors import counted
 from hallsym.families import build
-from hallsym.fleets.engine import Failed, completed
 from hallsym.fleets.journal import Journal, journal_of
 from hallsym.fleets.result import Fleet
 from hallsym.fleets.row import Job, Settings, failed, row_of
 from hallsym.fleets.sources import ORDER_COLUMN, Device, devices_of
 from hallsym.log import Meta
 from hallsym.model import Model
+from hallsym.workers import Failed, completed
 
 Progress = Callable[[str], None]
 
