@@ -198,6 +198,8 @@ def test_picker_hover_maps_sorting_and_copying(chromium, pages):
     assert found["button"] == "copy"
 
 
+A4 = 688
+"""Width of an A4 page within its margins of 14 mm [px]."""
 AUDIT = """axe.run(document, { resultTypes: ['violations'] }).then((found) => tell(JSON.stringify(
   found.violations.map((v) => [v.id, v.help, v.nodes.slice(0, 3).map((n) => n.html.slice(0, 200))]))),
   (error) => tell(String(error)))"""
@@ -224,6 +226,20 @@ def axe() -> str:
 def test_axe_finds_nothing(chromium, pages, axe, name, width, dark):
     scheme = f"--blink-settings=preferredColorScheme={0 if dark else 1}"
     answer = chromium.framed(pages[name], width, axe + ";" + AUDIT, scheme)
+    assert json.loads(answer) == []
+
+
+@pytest.mark.parametrize("name", ["fit", pytest.param("diagnosis", marks=pytest.mark.slow)])
+def test_axe_finds_nothing_on_paper(chromium, pages, axe, name, tmp_path):
+    """Chromium has no option for the media type, so the rules for print are made those of the window."""
+    text = pages[name].read_text(encoding="utf-8")
+    for media, instead in (("@media print", "@media all"), ("@media screen", "@media not all")):
+        assert media in text
+        text = text.replace(media, instead)
+    printed = tmp_path / "printed.html"
+    printed.write_text(text, encoding="utf-8")
+    shown = "getComputedStyle(document.querySelector('nav')).display === 'none'"
+    answer = chromium.framed(printed, A4, f"{axe};if ({shown}) {AUDIT}; else tell('shown as on a screen')")
     assert json.loads(answer) == []
 
 
