@@ -95,7 +95,7 @@ def rows(
     room = LETTER * max(len(row.name) for row in found) + 10
     above = room > 0.4 * width
     step, bottom = 32.0 if above else 19.0, TOP + 2
-    x, bottom = x.between(RIM if above else room, width - 54), bottom + step * len(found)
+    x, bottom = x.between(RIM if above else room, width - 48), bottom + step * len(found)
     zero = x(max(x.low, 0.0))
     marks = [text(0, 12, title, look="title"), axis(x, bottom, TOP), line(zero, TOP, zero, bottom, "axis")]
     for k, row in enumerate(found):
