@@ -87,6 +87,25 @@ def test_a_picture_higher_than_a_page_is_several_files_that_share_what_it_repeat
     assert max(shown) - min(shown) <= 1
 
 
+@pytest.mark.parametrize("columns", [1, 2])
+def test_a_legend_of_several_lines_lies_below_the_axis_label(columns: int) -> None:
+    with style.context(["default", plots.STYLE]), plots.laid_out(columns):
+        figure = Figure(figsize=(plots.WIDTHS[columns], 2.0))
+        ax = figure.add_axes((0.2, 0.62 / 2, 0.7, 0.5))
+        lines = [ax.plot([0, 1], [0, k], label=f"col {k}")[0] for k in range(9)]
+        label = ax.set_xlabel("time in the run [s]")
+        ax.xaxis.set_label_coords(0.5, -0.24)  # 0.24 inches below an axis 1 inch high
+        plots.legend(figure, lines, "lower center", ncols=6)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        top = figure.legends[0].get_window_extent(canvas.get_renderer()).y1
+        assert top <= label.get_window_extent(canvas.get_renderer()).y0
+
+
+def test_a_number_of_six_digits_has_the_room_that_ticks_leave_it() -> None:
+    assert plots.text_width("123456") <= plots.NUMBER
+
+
 def test_both_widths_have_names_of_their_own_and_the_same_bytes(tmp_path: Path) -> None:
     draw = {"spectrum": drawings()["spectrum full"]}
     place = plots.Place(tmp_path, plots.SUFFIXES, "campaign/log.parquet, stage31", columns=(1, 2))

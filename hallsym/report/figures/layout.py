@@ -32,7 +32,7 @@ LATER = 0.8
 """Inches kept for lines by which labels and legends make a picture grow."""
 HEAD = 0.42
 """Most inches above a stacked panel: a title of two lines."""
-NUMBER = 0.42
+NUMBER = 0.43
 """Inches of an x axis that a number of six digits takes."""
 TIGHT = 0.5
 """Least width of axes in which anything can be read [inches]."""
