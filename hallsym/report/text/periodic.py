@@ -11,7 +11,7 @@ from hallsym.units import readable
 
 LOST = 2.0
 """Where calibration makes what does not repeat smaller by more than this factor, that is no noise: the
-nominal parameters do not decode the readings at all (their circle does not go round the nominal centre, say)."""
+nominal parameters do not decode the readings (their circle does not go round the nominal centre, say)."""
 
 
 def periodic_text(found: PeriodicError, family: Family) -> str:
@@ -22,8 +22,8 @@ def periodic_text(found: PeriodicError, family: Family) -> str:
     if found.rest > LOST * found.rest_calibrated:
         rest = found.rest_calibrated
         return (
-            f"error of the {noun}: not split by cause, the nominal parameters do not decode these readings; with "
-            f"this calibration rms {factor * hypot(found.calibrated.rms, rest):.3g} {unit}, of which "
+            f"error of the {noun}: not split by cause, the nominal parameters do not decode these readings; "
+            f"with this calibration rms {factor * hypot(found.calibrated.rms, rest):.3g} {unit}, of which "
             f"{factor * rest:.3g} {unit} do not repeat (noise)"
         )
     rows = [
