@@ -34,12 +34,16 @@ Layer = Callable[[Scale, Scale], Iterable[Mark]]
 
 def framed(
     title: str, says: str, x: Scale, y: Scale, layers: Sequence[Layer], *, width: float = NARROW,
-    height: float = 90.0, attributes: Mapping[str, str | float | None] | None = None,
+    height: float = 90.0, grid: bool = True, attributes: Mapping[str, str | float | None] | None = None,
 ) -> Chart:  # fmt: skip
     """Draw layers over the axes of two scales; `height`: of the y axis."""
     right, bottom = width - RIM, TOP + height
     across, up = x.between(LEFT, right), y.between(bottom, TOP)
-    marks = [text(0, 12, title, look="title"), axis(up, LEFT, right, up=True), axis(across, bottom)]
+    marks = [
+        text(0, 12, title, look="title"),
+        axis(up, LEFT, right if grid else None, up=True),
+        axis(across, bottom),
+    ]
     marks += [mark for layer in layers for mark in layer(across, up)]
     return Chart(width, bottom + x.depth, says, marks, attributes or {})
 

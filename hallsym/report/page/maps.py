@@ -118,7 +118,7 @@ def plane(shown: Mapping[str, Any], version: str, what: str, output: int, title:
     x = Scale(edges[0], edges[-1], title=f"{shown['by']}, upwards {shown['up']}")
     place = {"class": "plane", "data-version": version, "data-what": what, "data-output": str(output)}
     words, y = f"{what} {quantity}, full: {three(full)} {unit}", Scale(across[0], across[-1])
-    return framed(words, says, x, y, [cells], height=NARROW - RIM - LEFT, attributes=place)
+    return framed(words, says, x, y, [cells], height=NARROW - RIM - LEFT, grid=False, attributes=place)
 
 
 def _where(cells: Cells, k: int) -> str:

@@ -172,7 +172,7 @@
       const y = (v) => bottom - ((v - plane.across[0]) / (last(plane.across) - plane.across[0])) * (bottom - TOP);
       const ends = (edges) => [edges[0], last(edges)], said = (edges, k) => `${three(edges[k])} to ${three(edges[k + 1])}`;
       svg.querySelector(".title").textContent = `${what} ${quantity}, full: ${three(full)} ${unit}`;
-      axis(svg.querySelector(".up"), ends(plane.across), [bottom, TOP], LEFT, right, 4);
+      axis(svg.querySelector(".up"), ends(plane.across), [bottom, TOP], LEFT, null, 4);
       axis(svg.querySelector(".across"), ends(plane.edges), [LEFT, right], bottom, null, 4, `${plane.by}, upwards ${plane.up}`);
       cells.replaceChildren();
       values.forEach((value, k) => {
