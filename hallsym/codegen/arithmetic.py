@@ -128,8 +128,9 @@ class Arithmetic(ABC):
         low, high = self.ends
         with np.errstate(all="ignore"):
             above, below = ~(inputs <= high), inputs < low
-        bits = (1 << np.arange(len(inputs), dtype=np.uint32))[:, None]
-        return np.where(above, high, np.where(below, low, inputs)), ((above | below) * bits).sum(axis=0)
+        bits = np.array(self.decoupler.input_bits, dtype=np.uint32)[:, None]
+        status = np.bitwise_or.reduce(np.where(above | below, bits, np.uint32(0)), axis=0)
+        return np.where(above, high, np.where(below, low, inputs)), status
 
     def step(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pose (n_pose, s) and status (s,) of inputs (n_inputs, s), whatever their bits, as C does."""

@@ -193,7 +193,7 @@ class Backend(Arithmetic):
         for k, port in enumerate(self.inputs):
             low, high = ends(d, port.column)
             out.append({
-                **_record(k, port), "bit": bit(port.column), "mask": f"0x{1 << k:08X}UL",
+                **_record(k, port), "bit": bit(port.column), "mask": f"0x{d.input_bits[k]:08X}UL",
                 "low": low, "high": high, "least": of_params(low), "greatest": of_params(high),
                 "lowest": f"{d.ends(port.column)[0]:.6g}", "highest": f"{d.ends(port.column)[1]:.6g}",
                 **self._of_input(port),
@@ -318,6 +318,12 @@ def ends(d: Decoupler, column: str) -> tuple[str, str]:
 def of_params(text: str) -> str:
     """Return C with the entries taken from the constant table."""
     return text.replace("p->", "decoupler_params.")
+
+
+def taken(d: Decoupler) -> dict[str, str]:
+    """Return how C takes the bit of an input into the status, and why so."""
+    once = {"takes": "+=", "once": "each bit once"}
+    return {"takes": "|=", "once": "inputs share bits"} if d.shared else once
 
 
 def bit(column: str) -> str:

@@ -22,6 +22,8 @@ ENOUGH = 2e-11
 """Change of the pose [m, rad] below which an iteration of a non-linear model ends."""
 
 TRIED = 100_000
+FLAG_BITS = 31
+"""Bits of the status of a step: of inputs from below, of flags from above. The last one is of a zero refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +156,17 @@ class Decoupler:
         return ENOUGH if self.at_pose else self.approximation
 
     @property
+    def input_bits(self) -> tuple[int, ...]:
+        """Status bit of each input, below those of the flags; where there are more inputs, neighbours share."""
+        own, count = FLAG_BITS - len(self.flags), len(self.inputs)
+        return tuple(1 << (k if count <= own else k * own // count) for k in range(count))
+
+    @property
+    def shared(self) -> bool:
+        """Whether inputs share status bits."""
+        return len(set(self.input_bits)) < len(self.inputs)
+
+    @property
     def quantity(self) -> str:
         """What its output is: a pose, or an angle or a position where that is all of it."""
         names = {"rad": "angle", "m": "position"}
@@ -230,7 +243,7 @@ class Decoupler:
 
 def flag_bit(k: int) -> int:
     """Return the status bit of the flag of that number; bits of inputs begin at the other end."""
-    return 1 << (30 - k)
+    return 1 << (FLAG_BITS - 1 - k)
 
 
 def _whole(step: Step, value: ca.SX) -> ca.SX:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hallsym.codegen import faults
 from hallsym.codegen.arithmetic import Port
-from hallsym.codegen.backend import bit, ends, raised, status_bit
+from hallsym.codegen.backend import bit, ends, raised, status_bit, taken
 from hallsym.codegen.bounds import LEAST_GAIN, spreads
 from hallsym.codegen.cost import firmware_cost
 from hallsym.codegen.entries import short, unit
@@ -81,6 +81,7 @@ class FloatBackend(FloatArithmetic):
         work = firmware_cost(d, self.real.fused)
         common = {
             "real": self.type,
+            **taken(d),
             "builtin_fabs": self.real.fabs,
             "zero": c(0.0),
             "ieee": lines_of(f"{FRAGMENTS}ieee.c", {}),

@@ -10,7 +10,7 @@ import numpy as np
 
 from hallsym.codegen import faults
 from hallsym.codegen.arithmetic import Port
-from hallsym.codegen.backend import bit, ends, of_params, raised
+from hallsym.codegen.backend import bit, ends, of_params, raised, taken
 from hallsym.codegen.binary_angle import UNIT
 from hallsym.codegen.bounds import LEAST_GAIN
 from hallsym.codegen.entries import short
@@ -161,7 +161,7 @@ class IntegerBackend(IntegerArithmetic):
         can_fail = bool(self.limited or d.flags)
         return {
             "helpers": helpers(p),
-            "limits": lines_of(f"{FRAGMENTS}limited.c", {}) if self.limited else [],
+            "limits": lines_of(f"{FRAGMENTS}limited.c", taken(d)) if self.limited else [],
             "status": ["uint32_t status = 0U;"] if can_fail else [],
             "held": held,
             "body": p.c(names),

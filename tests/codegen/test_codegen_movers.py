@@ -105,6 +105,18 @@ def test_the_reference_is_least_squares_over_all_readings():
     assert np.abs(made().decoupler.exact(inputs_of(pose)) - pose).max() < 1e-9
 
 
+def test_the_decoder_of_the_model_gives_the_same():
+    """hallsym's own decoder: weighted least squares of the finite field, from its own start."""
+    fit, pose = fit_of(), poses(150)
+    inputs = inputs_of(pose)
+    weight = [1 / fit.noise.sigmas[c].value ** 2 for c in fit.model.channels]
+    run = on_arrays(fit.model.decoded_near)
+    found = run(fit.values, [], list(inputs[:-2]), [], weight, list(pose))[0]
+    assert np.abs(found - pose).max() < 1e-7
+    off = np.abs(stepped(inputs)[0] - found).max(axis=1)
+    assert (off <= list(made().backend.error_bound.values())).all()
+
+
 def test_stated_errors_hold_and_rounding_is_small():
     code = made()
     for column, met in code.errors.items():

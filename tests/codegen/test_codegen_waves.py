@@ -294,3 +294,21 @@ def test_its_cost_is_counted_without_a_compiler_about_its_typical_gap():
     model = halbach.models.halbach()
     cost = cost_of(model, model.vector({"a1": 0.62, "a5": -6e-4}))  # at a gap of 0 it would not converge
     assert 100 < cost.instructions < 160
+
+
+def test_more_inputs_than_bits_share_them_and_flags_keep_their_own(tmp_path):
+    need("gcc")
+    code = hallsym.generate(calibrated(sums(36), VALUES))
+    bits, backend = code.decoupler.input_bits, code.backend
+    assert len(set(bits)) == 30
+    assert max(bits) < 0x40000000  # of the field
+    inputs = np.tile(np.array(code.decoupler.rest), (36, 1)).T
+    np.fill_diagonal(inputs, np.nan)
+    assert ((backend.step(inputs.astype(np.float32))[1] & 0x3FFFFFFF) == bits).all()
+    inputs[:] = np.nan
+    assert (backend.step(inputs.astype(np.float32))[1] & 0x3FFFFFFF == 0x3FFFFFFF).all()
+    code.write(tmp_path / "fw")
+    text = (tmp_path / "fw/src/decoupler.c").read_text()
+    assert "*status |= bit;" in text
+    assert "*status += bit;" not in text
+    ran(tmp_path / "fw", "make", "check")

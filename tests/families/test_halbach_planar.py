@@ -158,6 +158,36 @@ def test_a_log_that_no_mover_can_have_made_is_refused_in_one_sentence(model, mad
     assert len(str(raised.value)) <= 300
 
 
+def longer_rows():
+    """Four arrays of three wavelengths, each over six sums at 20 mm: rows longer than the arrays."""
+    centres = {"X1": (-0.06, 0.07), "X2": (0.06, -0.07), "Y1": (0.07, 0.06), "Y2": (-0.07, -0.06)}
+    made = [Array(n, 0.03, n[0].lower(), c, 0.09, 0.12, 0.0075) for n, c in centres.items()]
+    sums = []
+    for array in made:
+        for k in range(6):
+            at = [(k - 2.5) * 0.02 * (array.axis == j) + array.centre[j] for j in (0, 1)]
+            across = [(n - 1) * 0.01 for n in range(3)]
+            places = tuple((at[0] + d * array.axis, at[1] + d * (1 - array.axis)) for d in across)
+            sums.append(Sensor(f"{array.name.lower()}_{k}_v", places, array.name))
+    return (*sums, *made)
+
+
+def test_rows_longer_than_the_arrays_are_taken_with_their_ends_and_refused_without():
+    model = planar.halbach_planar(longer_rows())
+    ended = planar_ends.array_edges(model)
+    turns = np.linspace(0, 1, 400)[:, None] * 2 * np.pi * [3, 4, 5, 7, 6, 5]
+    poses = np.sin(turns) * [0.03, 0.03, 1.5e-3, 5e-3, 5e-3, 5e-3] + [0, 0, 5.5e-3, 0, 0, 0]
+    p = ended.vector({"a1": 0.62, "a5": -6e-4, "edges": 1.0})
+    v = on_arrays(ended.reading)(p, [], [*poses.T], [])[0]
+    log = log_of(ended, poses, v, 1e-3)
+    planar.inspect(ended, log)
+    with pytest.raises(InputError, match="goes .* mm beyond sensor"):
+        planar.inspect(model, log)
+    far = log_of(ended, poses + [0.06, 0, 0, 0, 0, 0], v, 1e-3)
+    with pytest.raises(InputError, match="has 1 of its 6 sensors under it, where phase and height need 2"):
+        planar.inspect(ended, far)
+
+
 def test_another_wavelength_is_named(model):
     stated = planar.halbach_planar(planar.pinwheel(0.027))
     layout = (*sensors(model.layout), *(Array(a.name, 0.027, a.along, a.centre, a.length_m, a.width_m)

@@ -138,10 +138,11 @@ class _Assembly(MoverPieces, Assembly):
             f"Rows: {rows}. A sensor counts from {1e3 * found.margin * found.wavelength:.3g} mm inside the "
             "ends of its array on, and fully half a wavelength further: weights are smooth, so nothing steps "
             "where sensors come and go.",
-            "Give all readings at every sample, also of sensors that no array is over: the code weights them.",
-            f"What says the period, x_near_m and y_near_m where they are inputs, is the position so far or the "
-            f"commanded one, within {1e3 * NEAR * found.wavelength:.2g} mm: it chooses the period and nothing "
-            "else.",
+            "Give all readings at every sample, also of sensors that no array is over: the code weights "
+            "them.",
+            f"What says the period, x_near_m and y_near_m where they are inputs, is the position so far or "
+            f"the commanded one, within {1e3 * NEAR * found.wavelength:.2g} mm: it chooses the period and "
+            "nothing else.",
             f"It leaves at most {listed} of the poses of the model: {SAFE:g} times what {TRIALS} poses of "
             "the box met, and what polynomials leave (measured, not proved for every pose).",
             "Only readings of a pose in the box have that error: others give a finite pose, mostly a flag.",

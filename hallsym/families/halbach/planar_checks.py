@@ -12,6 +12,8 @@ from hallsym.model import Inspection, Model
 
 SAMPLES = 400
 """Samples of a log that are looked at, evenly over all runs."""
+LEAST_SEEN = 2
+"""Sensors that an array must have under it at every pose: for a phase and an amplitude."""
 SURE = 4.0
 """Times less of the variation that the nominal wavelength must leave over than another does, not to be it."""
 
@@ -93,11 +95,14 @@ def in_mover(sensor: Sensor, array: Array, pose: np.ndarray) -> np.ndarray:
 def _inside(model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str) -> None:
     """Refuse poses at which a sensor has left its array: the mover is beyond the grid.
 
-    A model that knows the ends of the arrays tells the field up to a wavelength beyond them.
+    A model that knows the ends of the arrays tells the field of sensors beyond them too: there each array
+    must see as many as phase and height need.
     """
+    if "edges" in model.names:
+        _seen(model, known, places, name)
     for sensor, at in zip(sensors(model.layout), places, strict=True):
         array = known[sensor.array]
-        reach = array.length_m / 2 + (array.wavelength_m if "edges" in model.names else 0.0)
+        reach = np.inf if "edges" in model.names else array.length_m / 2
         beyond = np.array([np.abs(at[:, 0]) - reach, np.abs(at[:, 1]) - array.width_m / 2]).max()
         if beyond > 0:
             size = f"{1e3 * array.length_m:g} x {1e3 * array.width_m:g} mm"
@@ -105,6 +110,19 @@ def _inside(model: Model, known: dict[str, Array], places: Sequence[np.ndarray],
                 f"The mover of {name} goes {1e3 * beyond:.3g} mm beyond sensor {sensor.channel}, "
                 f"which array {array.name} ({size}) then no longer "
                 "covers; check zero and unit of the reference, leave out those poses, or the sensor."
+            )
+
+
+def _seen(model: Model, known: dict[str, Array], places: Sequence[np.ndarray], name: str) -> None:
+    """Refuse poses at which an array has fewer sensors under it than phase and height need."""
+    for array in known.values():
+        own = [at for s, at in zip(sensors(model.layout), places, strict=True) if s.array == array.name]
+        under = sum(np.abs(at[:, 0].mean(axis=0)) <= array.length_m / 2 for at in own)
+        if np.min(under) < LEAST_SEEN:
+            raise InputError(
+                f"The mover of {name} goes so far that array {array.name} ({1e3 * array.length_m:g} mm long) has "
+                f"{int(np.min(under))} of its {len(own)} sensors under it, where phase and height need "
+                f"{LEAST_SEEN}; check zero and unit of the reference, or leave out those poses."
             )
 
 

@@ -17,8 +17,8 @@ from hallsym.model import Model, Parameter, Signals, effect
 def array_edges(model: Model) -> Model:
     """The arrays have ends along their period, near which their field fades and reaches beyond.
 
-    `edges` is 1 for arrays as long as the layout states, and wide; with it sensors may be up to a wavelength
-    beyond the ends along the period.
+    `edges` is 1 for arrays as long as the layout states, and wide; with it sensors may lie beyond the
+    ends along the period, as long as two or more of each array are under it.
     """
 
     def step(s: Signals, p: P) -> None:

@@ -4,12 +4,12 @@ INLINE @REAL@ limited(@REAL@ value, @REAL@ low, @REAL@ high, uint32_t bit, uint3
     if (UNLIKELY(!(value <= high))) /* NaN goes here too */
     {
         result = high;
-        *status += bit; /* each bit once */
+        *status @TAKES@ bit; /* @ONCE@ */
     }
     else if (UNLIKELY(value < low))
     {
         result = low;
-        *status += bit; /* each bit once */
+        *status @TAKES@ bit; /* @ONCE@ */
     }
     else
     {

@@ -15,7 +15,7 @@ INLINE @REAL@ within(@REAL@ value, @REAL@ limit, uint32_t bit, uint32_t *status)
     if ((result.bits & @SIZE_MASK@) > most.bits)
     {
         result.bits = most.bits | (result.bits & @SIGN_MASK@);
-        *status += bit; /* each bit once */
+        *status @TAKES@ bit; /* @ONCE@ */
     }
     return result.value;
 }

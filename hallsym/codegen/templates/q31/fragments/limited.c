@@ -4,12 +4,12 @@ static inline int32_t limited(int32_t value, int32_t low, int32_t high, uint32_t
     if (value > high)
     {
         result = high;
-        *status += bit; /* each bit once */
+        *status @TAKES@ bit; /* @ONCE@ */
     }
     else if (value < low)
     {
         result = low;
-        *status += bit; /* each bit once */
+        *status @TAKES@ bit; /* @ONCE@ */
     }
     else
     {
