@@ -7,7 +7,17 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
-from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
+from hallsym.cli.common import (
+    command,
+    log_options,
+    open_log,
+    own_effects,
+    own_option,
+    plots_options,
+    plots_place,
+    reading_words,
+    say,
+)
 from hallsym.estimation import evaluate, load_fit
 from hallsym.log import Fault
 from hallsym.report.data.periodic import periodic_of
@@ -32,6 +42,7 @@ def add(sub: Any) -> None:
         action="store_true",
         help="estimate the zero of a reference that turns from each run too: it was homed or coupled anew",
     )
+    plots_options(parser)
     log_options(parser)
 
 
@@ -50,7 +61,15 @@ def run(options: Namespace) -> int:
     if options.json:
         periodic = periodic_of(found.calibration, found.log)
         record["periodic_error"] = periodic.to_dict() if periodic else None
-    say(options, record, lambda: evaluation_text(found, by_run=options.by_run), notes=found.notes, then=then)
+    wrote = []
+    if options.plots:
+        from hallsym.report.figures import save_evaluation
+
+        wrote = save_evaluation(found, plots_place(options, options.log, options.calibration))
+    say(
+        options, record, lambda: evaluation_text(found, by_run=options.by_run), notes=found.notes,
+        wrote=wrote, then=then,
+    )  # fmt: skip
     for said in (*faults, *([amiss] if amiss and options.json else [])):
         print(f"hallsym: {said}", file=sys.stderr)
     return NOT_DESCRIBED if amiss or faults else OK
