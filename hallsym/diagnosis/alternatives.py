@@ -183,7 +183,7 @@ def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _P
         places={key: s.place for key, s in tried.items()},
         searched={key: s.variant.tried > 1 for key, s in tried.items()},
         count=total * every,
-        width=_widths(len(M), n - far.n, far, made, new),
+        width=_widths(n + far.slopes.columns + len(bare) + 1, n - far.n, far, made, new),
     )
 
 
