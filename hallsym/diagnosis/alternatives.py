@@ -19,6 +19,7 @@ from hallsym.diagnosis.normal_equations import Accumulator, coefficients
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.ranking import count_of, distance
 from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Selection, cancels
@@ -43,8 +44,6 @@ BEYOND = 2.0
 """Times its bounds that a parameter of a set may be to first order: refitted exactly it would stop there."""
 PASSES = 12
 """Linearisations of a set at most: three or four are usual where it is, to first order, at its minimum."""
-NIL = 1e-9
-"""Part of a column's squares below which what is left of it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
