@@ -174,7 +174,7 @@ def test_a_parameter_at_its_bound_is_named(tmp_path):
         tmp_path, "rotary", parameters={"beta": {"lower": -0.01, "upper": 0.0199}}, workers=1
     )
     assert found.rows[0]["verdict"] == "not described"
-    assert "beta" in found.rows[0]["reason"] or "noise floor" in found.rows[0]["reason"]
+    assert found.rows[0]["reason"].startswith("beta ends at its bound, 0.0199")
 
 
 # -- stopped and resumed -----------------------------------------------------------------------------------
