@@ -20,13 +20,12 @@ from hallsym.diagnosis.detection import QUICK, REPEATS, CurvePoint, Rate
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.facts import facts_of, instants, rails_of
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
-from hallsym.diagnosis.features import Key
 from hallsym.diagnosis.findings import firmware_cost, operations
 from hallsym.diagnosis.flexible import PAST, flexible, resemblances
 from hallsym.diagnosis.gap import remains, used_up
 from hallsym.diagnosis.holdout_pieces import knot_group, split
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
-from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape, lack_of_fit
+from hallsym.diagnosis.lack_of_fit import Key, LackOfFit, Shape, lack_of_fit
 from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.noise import noise_of_rest, noise_text

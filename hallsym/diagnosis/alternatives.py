@@ -19,6 +19,7 @@ from hallsym.diagnosis.normal_equations import Accumulator, coefficients
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.ranking import count_of, distance
 from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Selection, cancels
@@ -38,8 +39,6 @@ SAMPLES = 200_000
 """Samples that products are made of; of a longer log, batches spread over it."""
 NUMBERS = 4_000_000
 """Entries of the columns that are held at once: 32 MB."""
-NIL = 1e-9
-"""Part of a column's squares below which what is left of it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)

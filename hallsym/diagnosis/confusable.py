@@ -25,6 +25,7 @@ from hallsym.diagnosis.selection import Selected, Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import Verdict
+from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
@@ -165,10 +166,6 @@ def with_readings(columns: dict[str, np.ndarray], base: Base) -> Log:
     )
 
 
-MOST = 3
-"""Other effects that a group holds at most, in the order of their fit."""
-
-
 @dataclass(frozen=True, eq=False)
 class Confusable:
     """Groups that this log cannot tell apart, what separates each, and all names that carry evidence."""
@@ -184,7 +181,7 @@ class Confusable:
         sides = {s.group: s.sides for s in self.separate if s.sides}
         each = (sides.get(group) or tuple((n,) for n in group) for group in self.groups)
         out = [" + ".join(side) for sets in each if (name,) in sets for side in sets if side != (name,)]
-        return out[:MOST]
+        return out[:SHOWN]
 
 
 def confusable(
@@ -242,7 +239,7 @@ def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[E
         rivals = [r for r in rivals if r.bic - one.bic < setup.policy.reason]
     close = [(r, distance(one.fit, r.fit)) for r in rivals]
     limit = _limit(setup, one, inflation)
-    return [(r, d) for r, d in close if d < limit][:MOST]
+    return [(r, d) for r, d in close if d < limit][:SHOWN]
 
 
 def _from_selected(setup: Setup, found: Validation, other: Alternative) -> Separation:

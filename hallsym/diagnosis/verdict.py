@@ -91,7 +91,7 @@ def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, n
     if metric <= worth_reporting(floor, threshold, policy) or shaped(rest, threshold, policy):
         return False
     half = policy.half * threshold
-    if rest.lines >= half or any(s.p_value < policy.shape_certain and s.drop >= half for s in rest.shapes):
+    if rest.tones >= half or any(s.p_value < policy.shape_certain and s.drop >= half for s in rest.shapes):
         return False
     slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.floor_known
     known = replace(floor, metric=floor.metric * in_outputs(found.base, noise))
