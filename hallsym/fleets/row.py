@@ -129,8 +129,8 @@ def verdict_of(found: Fit) -> tuple[str, str]:
         return AMISS, faults[0]
     if pressed := _pressed(found):
         return AMISS, (
-            f"{pressed} ends at its bound, {found.value(pressed):.6g}, so the other parameters make up for it; "
-            "widen the bound (--machine), or look at this device."
+            f"{pressed} ends at its bound, {found.value(pressed):.6g}, so the other parameters make up for it"
+            "; widen the bound (--machine), or look at this device."
         )
     if found.undetermined_by_log:
         return UNDETERMINED, f"{', '.join(found.undetermined_by_log)} are not determined by this log."
