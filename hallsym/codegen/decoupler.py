@@ -23,7 +23,8 @@ ENOUGH = 2e-11
 
 TRIED = 100_000
 FLAG_BITS = 31
-"""Bits of the status of a step: of inputs from below, of flags from above. The last one is of a zero refused."""
+"""Bits of the status of a step: of inputs from below, of flags from above; the last one is of a refused
+zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,7 @@ class Decoupler:
 
     @property
     def input_bits(self) -> tuple[int, ...]:
-        """Status bit of each input, below those of the flags; where there are more inputs, neighbours share."""
+        """Status bit of each input, below those of the flags; of more inputs, neighbours share one."""
         own, count = FLAG_BITS - len(self.flags), len(self.inputs)
         return tuple(1 << (k if count <= own else k * own // count) for k in range(count))
 

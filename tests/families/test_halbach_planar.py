@@ -181,9 +181,9 @@ def test_rows_longer_than_the_arrays_are_taken_with_their_ends_and_refused_witho
     v = on_arrays(ended.reading)(p, [], [*poses.T], [])[0]
     log = log_of(ended, poses, v, 1e-3)
     planar.inspect(ended, log)
-    with pytest.raises(InputError, match="goes .* mm beyond sensor"):
+    with pytest.raises(InputError, match=r"goes .* mm beyond sensor"):
         planar.inspect(model, log)
-    far = log_of(ended, poses + [0.06, 0, 0, 0, 0, 0], v, 1e-3)
+    far = log_of(ended, poses + np.array([0.06, 0, 0, 0, 0, 0]), v, 1e-3)
     with pytest.raises(InputError, match="has 1 of its 6 sensors under it, where phase and height need 2"):
         planar.inspect(ended, far)
 

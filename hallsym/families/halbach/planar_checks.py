@@ -120,8 +120,8 @@ def _seen(model: Model, known: dict[str, Array], places: Sequence[np.ndarray], n
         under = sum(np.abs(at[:, 0].mean(axis=0)) <= array.length_m / 2 for at in own)
         if np.min(under) < LEAST_SEEN:
             raise InputError(
-                f"The mover of {name} goes so far that array {array.name} ({1e3 * array.length_m:g} mm long) has "
-                f"{int(np.min(under))} of its {len(own)} sensors under it, where phase and height need "
+                f"The mover of {name} goes so far that array {array.name} ({1e3 * array.length_m:g} mm long) "
+                f"has {int(np.min(under))} of its {len(own)} sensors under it, where phase and height need "
                 f"{LEAST_SEEN}; check zero and unit of the reference, or leave out those poses."
             )
 
