@@ -21,9 +21,10 @@ import _rivals as rivals
 import casadi as ca
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path[:0] = [str(Path(__file__).parent.parent), str(Path(__file__).parent.parent / "codegen")]
 
 from bench_codegen import code_of, counted, in_qemu, run
+from test_codegen_movers import fit_of as longer_rows
 from waves import calibrated, calibrated_planar
 
 import hallsym
@@ -77,6 +78,7 @@ def main() -> int:
         ("6-DOF, 12 sums, 5 um", calibrated_planar(**LEVEL), 5e-6),
         ("6-DOF, 24 sums, 10 mrad, 1 um", calibrated_planar(**TILTED), 1e-6),
         ("30 columns, 300 mm, array of 120 mm", travelling(), None),
+        ("6-DOF, 24 sums, rows longer than arrays", longer_rows(), 5e-6),
     ]
     integers = [(rows[k], name) for k, name in ((0, "q31: the first"), (4, "q31: 12 sums"), (5, "q31: 24"))]
     if quick:
