@@ -21,7 +21,8 @@ import _rivals as rivals
 import casadi as ca
 import numpy as np
 
-sys.path[:0] = [str(Path(__file__).parent.parent), str(Path(__file__).parent.parent / "codegen")]
+sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path.insert(0, str(Path(__file__).parent.parent / "codegen"))
 
 from bench_codegen import code_of, counted, in_qemu, run
 from test_codegen_movers import fit_of as longer_rows
