@@ -139,7 +139,7 @@ def test_flags_say_no_array_an_array_off_the_board_and_too_much_tilt():
     nothing = np.zeros((len(low), 1))
     assert stepped(nothing)[1] & FIELD
     pose = poses(200)
-    for axis, value, bit in ((2, 0.012, FIELD), (3, 0.03, TILTED), (0, 0.045, COVER)):
+    for axis, value, bit in ((2, 0.012, FIELD), (3, 0.03, TILTED), (0, 0.051, COVER)):
         moved = pose.copy()
         moved[axis] = value
         found, status = stepped(inputs_of(moved))
