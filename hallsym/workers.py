@@ -41,6 +41,12 @@ class Workers:
         if self.count is not None and self.count < 1:
             raise InputError(f"Workers must be 1 or more; instead received {self.count}.")
 
+    def check(self) -> None:
+        """Raise `InputError` where the scheduler does not answer: before minutes of reading, not after."""
+        if self.scheduler is not None:
+            with _cluster(self.scheduler):
+                pass
+
 
 @dataclass(frozen=True)
 class Failed:

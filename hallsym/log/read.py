@@ -107,6 +107,8 @@ def read_log(
             f"Workers share a log in parts, a folder of Parquet files; {where} is one. Leave them out, or "
             "write it in parts ('hallsym simulate --part-rows', hallsym.log.PartsWriter)."
         )
+    if workers is not None:
+        workers.check()
     table.workers = workers
     if not any(name != RUN for name in table.columns):
         raise InputError(
