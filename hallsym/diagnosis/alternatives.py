@@ -42,8 +42,9 @@ NUMBERS = 4_000_000
 """Entries of the columns that are held at once: 32 MB."""
 BEYOND = 2.0
 """Times its bounds that a parameter of a set may be to first order: refitted exactly it would stop there."""
-PASSES = 12
-"""Linearisations of a set at most: three or four are usual where it is, to first order, at its minimum."""
+FIRST, PASSES = 2, 12
+"""Linearisations after which a set must leave less than at its start, and those at most from there on: three
+or four are usual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,7 +370,11 @@ def _exact(
     for score in scores:
         base = with_model(base, score.variant.make(base.model))
     p = np.array([known.get(n, v) for n, v in zip(base.model.names, base.p, strict=True)])
-    fit = refit(replace(base, p=p, zeros=end.zeros, keep=end.keep), setup.runs, PASSES)
+    start = replace(base, p=p, zeros=end.zeros, keep=end.keep)
+    near = refit(start, setup.runs, FIRST)
+    if near.base is start:
+        return None  # the step that leaves as little to first order leaves more: it does not say what is left
+    fit = refit(near.base, setup.runs, PASSES)
     values, new = fit.base.values, [n for n in fit.base.model.names if n not in known]
     if not all(s.effect.possible(values) for s in scores) or cancels(fit, new, policy.cancelling):
         return None

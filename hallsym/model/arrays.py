@@ -85,17 +85,17 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     def evaluated(inputs: Sequence[Sequence], shape: tuple[int, ...]) -> list[np.ndarray]:
         work: list = [None] * function.sz_w()
         out: list[list] = [[0.0] * n for n in rows]
-        for kind, op, arguments, target in program:
+        for kind, op, a, b, target in program:
             if kind == "binary":
-                work[target] = op(work[arguments[0]], work[arguments[1]])
+                work[target] = op(work[a], work[b])
             elif kind == "unary":
-                work[target] = op(work[arguments[0]])
+                work[target] = op(work[a])
             elif kind == "input":
-                work[target] = inputs[arguments[0]][arguments[1]]
+                work[target] = inputs[a][b]
             elif kind == "constant":
                 work[target] = op
             else:
-                out[target[0]][target[1]] = work[arguments[0]]
+                out[b][target] = work[a]
         return [_stack(entries, shape) for entries in out]
 
     most = max(FEWEST, WORK // (function.sz_w() + sum(rows)))
@@ -143,19 +143,25 @@ def on_vectors(function: ca.Function) -> Callable[..., list[np.ndarray]]:
 
 
 def _compile(function: ca.Function, real: type) -> list[tuple]:
+    """Return each instruction as kind, operation, two places it reads and the one it writes.
+
+    The numbers of places are shared: a graph has hundreds of thousands of instructions.
+    """
     program: list[tuple] = []
+    most = max(function.sz_w(), function.nnz_in(), function.nnz_out())
+    of = list(range(most + 1))
     for k in range(function.n_instructions()):
         code, i, o = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if code == ca.OP_CONST:
-            program.append(("constant", real(function.instruction_constant(k)), (), o[0]))
+            program.append(("constant", real(function.instruction_constant(k)), 0, 0, of[o[0]]))
         elif code == ca.OP_INPUT:
-            program.append(("input", None, tuple(i), o[0]))
+            program.append(("input", None, i[0], of[i[1]], of[o[0]]))
         elif code == ca.OP_OUTPUT:
-            program.append(("output", None, tuple(i), tuple(o)))
+            program.append(("output", None, of[i[0]], o[0], of[o[1]]))
         elif code in BINARY:
-            program.append(("binary", BINARY[code], tuple(i), o[0]))
+            program.append(("binary", BINARY[code], of[i[0]], of[i[1]], of[o[0]]))
         elif code in UNARY:
-            program.append(("unary", UNARY[code], tuple(i), o[0]))
+            program.append(("unary", UNARY[code], of[i[0]], 0, of[o[0]]))
         else:
             raise NotImplementedError(f"operation {code} of {function.name()} has no array form")
     return program

@@ -7,6 +7,7 @@ from test_halbach_ends import swept
 import hallsym
 from hallsym.families.halbach import PLANAR
 from hallsym.families.halbach.effects import magnets, mechanics, transducer
+from hallsym.families.halbach.further import half_turned
 from hallsym.families.halbach.layout import columns
 from hallsym.families.halbach.models import halbach
 from hallsym.families.halbach.planar import halbach_planar
@@ -72,6 +73,26 @@ def campaign(wide, values):
     plan = campaign_from({**PLANAR.example.campaign, "step_s": 2e-2}, "motions")
     made = hallsym.simulate(wide, {**PLANAR.example.values, **values}, plan, NoiseModel(noise), seed=1)
     return Log.from_arrays(made, Noise.given(noise, tuple(made)))
+
+
+def test_the_height_of_an_array_is_a_gain_of_its_patch_until_the_mover_is_turned():
+    """Of a level mover whose field has one harmonic; a turned mover brings another array over the patch."""
+    height = 6e-5
+    forms = {
+        mechanics.array_geometry_error(halbach_planar(), array="X1", only="height"): {"dz_X1": height},
+        transducer.gain_mismatch(halbach_planar(), of="X1"): {"gain_X1": np.expm1(-height / LC_M)},
+    }
+    pose = np.array([[3e-3, -1e-3, z, 0, 0, 4e-3] for z in (4e-3, 5e-3, 8e-3)]).T
+
+    def apart(*models):
+        read = [
+            np.array(m.reading(m.vector({**PLANAR.example.values, "a5": 0.0, **values}), [], pose, []))
+            for m, values in zip(models, forms.values(), strict=True)
+        ]
+        return np.abs(read[0] - read[1]).max() / np.abs(read[0]).max()
+
+    assert apart(*forms) < 1e-12
+    assert apart(*map(half_turned, forms)) > 0.5 * height / LC_M
 
 
 @pytest.mark.slow
