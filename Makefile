@@ -37,8 +37,9 @@ tools: ## compilers, QEMU and provers that the tests of generated C use (as root
 	        apt-get install -y -qq --no-install-recommends $$missing; } >/dev/null 2>&1 || \
 	    echo "apt could not install them; the tests that need them say so"; }
 
+# Tests start many interpreters; those read each other's bytecode, whatever the environment says.
 test: install tools lint browser ## lint, then pytest on all cores (with the slow tests when CI=true)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(SLOW)
+	OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal $(SLOW)
 
 # Tests look at HTML pages in Chromium. Debian's root installs it; others run without it, or with their own.
 browser:

@@ -69,3 +69,15 @@ class Step(str):
         step = super().__new__(cls, text)
         step.share = share
         return step
+
+
+def said_time(seconds: float) -> str:
+    """Return a duration for reading.
+
+    >>> said_time(12.3), said_time(250), said_time(7800)
+    ('12 s', '4 min', '2 h 10 min')
+    """
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

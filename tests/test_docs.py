@@ -9,7 +9,9 @@ The tutorials are notebooks: cells of Python, of shell commands (`%%sh`; `|| ech
 be 3) and files to write (`%%writefile`). They run here without a kernel, in tests/test_site.py with one.
 """
 
+import ast
 import contextlib
+import importlib
 import io
 import json
 import re
@@ -25,6 +27,8 @@ from pathlib import Path
 
 import pytest
 
+import hallsym as hallsym_package
+
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = tuple(sorted((ROOT / "docs" / "tutorials").glob("*.md")))
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *TUTORIALS)
@@ -32,6 +36,12 @@ LISTED = (
     "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "data/README.md", "data/campaign/README.md",
     "data/encoder/README.md",
 )  # fmt: skip
+LONG = {
+    "budget", "concepts", "diagnose", "encoder", "fleet", "halbach", "rotary", "selftest", "sensitivity",
+    "stage", "trajectory",
+}  # fmt: skip
+"""Pages whose examples take more than 4 s of a processor: they run with the slow tests; what they name is
+always looked up."""
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = (
     "demo",
@@ -178,7 +188,13 @@ def compiles(code: str, folder: Path) -> None:
         assert found.returncode == 0, found.stderr
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.slow] if page.stem in LONG else [], id=name_of(page))
+        for page in PAGES
+    ],
+)
 def test_examples_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data").symlink_to(ROOT / "data")
@@ -263,13 +279,27 @@ def test_commands_and_options_exist(page):
         )
 
 
-def test_the_table_in_the_readme_is_what_the_demo_prints():
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_python_of_the_page_names_what_exists(page):
+    for block in blocks_of(page):
+        if block.kind not in ("python", "setup", "ipython3") or block.text.startswith("%%"):
+            continue
+        for node in ast.walk(ast.parse(block.text)):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("hallsym"):
+                module = importlib.import_module(node.module)
+                for name in node.names:
+                    assert hasattr(module, name.name), f"{name_of(page)}: {node.module} has no {name.name}"
+            elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "hallsym":
+                assert hasattr(hallsym_package, node.attr), f"{name_of(page)}: hallsym has no {node.attr}"
+
+
+def test_the_table_beside_the_paper_is_what_the_demo_prints():
     from hallsym.cli import paper
 
     _, _, steps = paper.reproduce()
     printed = paper.text(steps)
     lines = [re.split(r" {2,}", line.strip()) for line in printed.splitlines()[2:]]
-    rows = re.findall(r"^\| ((?:nominal|paper|Model).*) \|$", text_of(ROOT / "README.md"), re.M)
+    rows = re.findall(r"^\| ((?:nominal|paper|Model).*) \|$", text_of(ROOT / "docs" / "theory.md"), re.M)
     shown = [row.split(" | ") for row in rows]
     assert [row[0] for row in shown] == [line[0] for line in lines]
     for row, line in zip(shown, lines, strict=True):

@@ -7,7 +7,16 @@ from dataclasses import replace
 from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
-from hallsym.cli.common import command, log_options, open_log, own_effects, own_option, reading_words, say
+from hallsym.cli.common import (
+    command,
+    log_options,
+    open_log,
+    own_effects,
+    own_option,
+    reading_words,
+    say,
+    workers_options,
+)
 from hallsym.estimation import evaluate, load_fit
 from hallsym.log import Fault
 from hallsym.report.data.periodic import periodic_of
@@ -33,6 +42,7 @@ def add(sub: Any) -> None:
         help="estimate the zero of a reference that turns from each run too: it was homed or coupled anew",
     )
     log_options(parser)
+    workers_options(parser)
 
 
 def run(options: Namespace) -> int:

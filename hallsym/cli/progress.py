@@ -6,7 +6,7 @@ from threading import Event, Lock, Thread
 from time import monotonic
 from typing import TextIO
 
-from hallsym.terminal import Step, columns
+from hallsym.terminal import Step, columns, said_time
 
 EVERY_S = 5.0
 """Seconds between lines where there is no terminal: some hundreds of them in an hour."""
@@ -87,15 +87,3 @@ def ended() -> None:
 
 def _head(text: str) -> str:
     return text.partition(",")[0]
-
-
-def said_time(seconds: float) -> str:
-    """Return a duration for reading.
-
-    >>> said_time(12.3), said_time(250), said_time(7800)
-    ('12 s', '4 min', '2 h 10 min')
-    """
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

@@ -8,13 +8,14 @@ from typing import Any
 
 from hallsym.errors import counted
 from hallsym.families import build
-from hallsym.fleets.engine import Failed, completed
 from hallsym.fleets.journal import Journal, journal_of
 from hallsym.fleets.result import Fleet
 from hallsym.fleets.row import Job, Settings, failed, row_of
 from hallsym.fleets.sources import ORDER_COLUMN, Device, devices_of
 from hallsym.log import Meta
 from hallsym.model import Model
+from hallsym.terminal import said_time
+from hallsym.workers import Failed, completed
 
 Progress = Callable[[str], None]
 
@@ -104,19 +105,7 @@ def _rows(
 def _progress(done: int, every: int, before: int, seconds: float) -> str:
     """Return how far the fleet is, and the time that is left."""
     left = seconds / max(done - before, 1) * (every - done)
-    return f"{done} of {counted(every, 'device')}, {_duration(left)} left"
-
-
-def _duration(seconds: float) -> str:
-    """Return a duration as people say it.
-
-    >>> _duration(12), _duration(700), _duration(9000)
-    ('12 s', '12 min', '2 h 30 min')
-    """
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
+    return f"{done} of {counted(every, 'device')}, {said_time(left)} left"
 
 
 def _of_one_model(row: dict[str, Any], rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

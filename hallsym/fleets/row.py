@@ -127,9 +127,20 @@ def verdict_of(found: Fit) -> tuple[str, str]:
         return AMISS, amiss
     if faults:
         return AMISS, faults[0]
+    if pressed := _pressed(found):
+        return AMISS, (
+            f"{pressed} ends at its bound, {found.value(pressed):.6g}, so the other parameters make up for it; "
+            "widen the bound (--machine), or look at this device."
+        )
     if found.undetermined_by_log:
         return UNDETERMINED, f"{', '.join(found.undetermined_by_log)} are not determined by this log."
     return GOOD, ""
+
+
+def _pressed(found: Fit) -> str | None:
+    """Return a parameter that ends at a bound which is no nominal value: there an effect is merely absent."""
+    nominal = {p.name: p.nominal for p in found.model.parameters}
+    return next((n for n in found.at_bound if not np.isclose(found.value(n), nominal[n], atol=1e-12)), None)
 
 
 def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:

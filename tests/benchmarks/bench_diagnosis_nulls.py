@@ -7,8 +7,8 @@
 that was tried, is below .05; 5 % are right. `KS`: p-value of Kolmogorov and Smirnov's test that these are
 uniform. `listed`: logs with a smaller finding. `where`: logs with a statement of where something lies, which
 is right in 5 % at most. `places < .05`: the same of the smallest p-value of all places, of the logs in which
-places were tried at all: a log without any excess has none. The table is by kind of noise, number of runs, machine
-and source of noise.
+places were tried at all: a log without any excess has none. The table is by kind of noise, number of runs,
+machine and source of noise.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from hallsym.cli import INTERRUPTED
-from hallsym.cli.progress import EVERY_S, Meter, ended, said_time
-from hallsym.terminal import Step
+from hallsym.cli.progress import EVERY_S, Meter, ended
+from hallsym.terminal import Step, said_time
 
 ROOT = Path(__file__).parents[2]
 

@@ -44,7 +44,8 @@ def backend_of(fit, plan):
 
 
 @pytest.mark.parametrize(
-    ("reach", "count", "most"), [(uncertainty, 25, 0.5e-9), (half_of_geometry, 25, 1e-9)]
+    ("reach", "count", "most"),
+    [pytest.param(uncertainty, 25, 0.5e-9, marks=pytest.mark.slow), (half_of_geometry, 25, 1e-9)],
 )
 def test_plausible_recalibrations_have_the_same_code(reach, count, most):
     first = made("stage31", arithmetic="q31").backend

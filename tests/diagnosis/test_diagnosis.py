@@ -38,7 +38,7 @@ from hallsym.simulation import paper_campaign
 SLOW = pytest.mark.slow
 NAMED = (
     ("odd_nonlinearity", "raster"),
-    ("mount_slip", "grid"),
+    pytest.param("mount_slip", "grid", marks=SLOW),
     pytest.param("hysteresis", "multisine", marks=SLOW),
     pytest.param("gain_temperature_drift", "multisine", marks=SLOW),
     pytest.param("mains_hum", "raster", marks=SLOW),
@@ -145,6 +145,7 @@ def test_noise_that_is_only_estimated_and_correlated_is_no_gap() -> None:
     assert diagnose(log).verdict == "no gap"
 
 
+@pytest.mark.slow
 def test_two_effects_are_both_found() -> None:
     effects = listed(np.random.default_rng(3))
     log = machine("raster", (effects["odd_nonlinearity"], effects["mains_hum"]), seed=3, thin=6)
@@ -163,6 +164,7 @@ def test_an_effect_whose_parameters_end_at_their_bounds_is_still_found() -> None
     assert found.shrinkage.share_closed > 0.8
 
 
+@pytest.mark.slow
 def test_delay_and_lag_at_one_frequency_are_a_group_with_what_would_separate_them() -> None:
     found = diagnose(hidden("time_skew", "grid", thin=6))
     assert set(found.groups[0]) == {"time_skew", "first_order_lag"}

@@ -156,6 +156,7 @@ def test_sizes_are_those_of_the_decoded_pose_and_of_the_readings() -> None:
     np.testing.assert_allclose(seen, np.sqrt(total / count), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_links_are_told_of_what_is_left_beside_an_effect_that_computes_columns() -> None:
     """The log that links are judged on has no column that a model computes, whichever model holds it."""
     listing, others = (make(np.random.default_rng(1)) for make in (listed, unlisted))

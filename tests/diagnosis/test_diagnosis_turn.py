@@ -50,6 +50,7 @@ def of_a_table():
     return diagnose(table(LIKE_A_TABLE), "rotary_ideal")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_knot_that_is_a_spike_is_judged_among_its_neighbours(of_a_table, direction):
     """One knot off by 3 deg goes and changes no name; a pattern of four knots has none."""

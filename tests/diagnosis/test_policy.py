@@ -343,6 +343,7 @@ def without(log: Log, model: str, **gates: float) -> tuple[Diagnosis, Diagnosis]
     return diagnose(log, model), diagnose(log, model, policy=replace(POLICY, **gates))
 
 
+@pytest.mark.slow
 def test_two_plain_effects_win_against_a_flexible_one():
     """One harmonic, an offset and a gain mismatch: a tilt of the magnet would take all along."""
     kept, off = without(machine(third), "rotary_ideal", plain_pairs=0)
@@ -395,6 +396,7 @@ def test_an_effect_that_leaves_its_shape_behind_is_no_cause(gates):
     assert off.ranked[0] == "even_nonlinearity"
 
 
+@pytest.mark.slow
 def test_clipping_is_judged_by_the_holdout_runs():
     """The score is that of a tangent, which knows nothing of a rail."""
     kept, off = without(clipped(), "ellipse", bent=0.0)

@@ -385,6 +385,7 @@ def kept(s: SelfTest, name: str, campaign: str, seed: int, **options) -> None:
     assert (found.verdict, found.ranked[0]) == ("explained", name)
 
 
+@pytest.mark.slow
 def test_what_it_calls_findable_is_found() -> None:
     options = {"thin": 8, "temperature": True}
     s = selftest(machine("multisine", seed=11, **options), "stage31",

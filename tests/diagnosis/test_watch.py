@@ -24,6 +24,7 @@ def known() -> hallsym.Fit:
     return calibration(0)
 
 
+@pytest.mark.slow
 def test_logs_that_belong_are_rarely_called_changed() -> None:
     found, least = alarms(20)
     assert found <= stats.binom.ppf(0.999, 20, FALSE_ALARM)

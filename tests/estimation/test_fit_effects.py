@@ -316,6 +316,7 @@ def diagnose_only(log: Log, make):
 # -- the command line --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_that_is_printed_runs(tmp_path, capsys) -> None:
     log = written(hidden("odd_nonlinearity", "raster", thin=24), tmp_path / "log.csv")
     noise = ["hall_m=5e-7", "x_ref_m=3e-7", "y_ref_m=3e-7", "rz_ref_rad=5e-7"]

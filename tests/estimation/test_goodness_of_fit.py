@@ -83,6 +83,7 @@ def test_residuals_are_counted_by_run_and_channel():
     assert found.by_channel["hall_c_m"] > max(found.by_channel[c] for c in HALL[:2])
 
 
+@pytest.mark.slow
 def test_coloured_noise_has_fewer_samples_than_there_are():
     """The expected scatter covers what 40 recordings with correlated noise show."""
     found = [goodness(record(seed=s, correlation_s=0.04), loss="none") for s in range(40)]

@@ -27,6 +27,7 @@ def one(seed: int, *, sigma=SIGMAS, samples: int = 50, **noise) -> tuple[np.ndar
     return p, uncertainty(cost, p, found)
 
 
+@pytest.mark.slow
 def test_scatter_of_60_recordings_is_the_stated_covariance():
     """Each scatter within the central 99.99 % of chi2(60), their joint distance within 4 sigma."""
     errors, covariance = [], None

@@ -200,7 +200,8 @@ def test_a_fit_finds_an_effect_that_was_simulated(effect, values):
 
 
 @pytest.mark.parametrize(
-    ("effect", "name", "late"), [("time_skew", "delay", 8e-4), ("first_order_lag", "tau_lag", 4e-4)]
+    ("effect", "name", "late"),
+    [("time_skew", "delay", 8e-4), ("first_order_lag", "tau_lag", 4e-4)],
 )
 def test_readings_that_come_late(effect, name, late):
     """A delay is the field of an earlier pose; a low-pass the mean of earlier fields, exp(-t / tau) / tau."""
@@ -244,6 +245,7 @@ def test_what_is_tied_is_said():
     assert found.structural.rank == found.structural.of - 1  # a common gain is the amplitude
 
 
+@pytest.mark.slow
 def test_an_effect_is_diagnosed():
     model = halbach(NINE)
     log = recorded(transducer.gain_mismatch(model), {"gain_0": 0.012, "gain_4": -0.009, "gain_6": 0.01})

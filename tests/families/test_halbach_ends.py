@@ -124,7 +124,7 @@ def swept(wide, values, gaps):
 
 
 @pytest.mark.parametrize("cause", ["forbidden_harmonics", "array_edges"])
-@pytest.mark.parametrize("gaps", [(4.2e-3,), (4.2e-3, 5.2e-3)])
+@pytest.mark.parametrize("gaps", [pytest.param((4.2e-3,), marks=pytest.mark.slow), (4.2e-3, 5.2e-3)])
 def test_the_puzzle_of_the_thesis(cause, gaps):
     """At one gap a second harmonic and sensors chosen anew look alike; a second gap tells them apart."""
     model = halbach()
@@ -143,6 +143,7 @@ def test_the_puzzle_of_the_thesis(cause, gaps):
     assert "a longer array" in recording
 
 
+@pytest.mark.slow
 def test_steps_where_sensors_change_are_no_harmonic():
     """Sums as long as the array see its ends in turn: readings tell what decoded errors alone do not."""
     sums = [

@@ -43,6 +43,7 @@ def test_a_lost_magnet_and_a_spread_of_all():
     assert found.effects[0].parameters["lost_1"].value == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_spread_of_all_magnets_is_no_lost_one():
     model, sizes = halbach(), (1, -2, 0.5, 1.3, -0.7, 0.2, -1.4, 1.1, 0.3, -0.9, 0.6)
     values = {f"remanence_spread_{k - 5}": 0.03 * v for k, v in enumerate(sizes)}
@@ -52,6 +53,7 @@ def test_a_spread_of_all_magnets_is_no_lost_one():
     assert (found.verdict, found.ranked, found.groups) == ("explained", ("remanence_spread",), ())
 
 
+@pytest.mark.slow
 def test_compression_that_sensors_nearly_share_is_no_cubic_term_of_each():
     """Scatter of a tenth: nine terms explain 6 % more, by BIC 1 %, and lower the gap by less than 1 %."""
     model = halbach(columns(tuple(0.01 * (k - 4) for k in range(9))))

@@ -326,7 +326,7 @@ def test_signed_counts_are_a_turn_too():
 # -- the command line ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("form", ["voltages", "angle"])
+@pytest.mark.parametrize("form", ["voltages", pytest.param("angle", marks=pytest.mark.slow)])
 def test_every_command_works_on_an_encoder(form, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("angle.toml").write_text('[[probes]]\nchannel = "angle_rad"\n')

@@ -80,7 +80,7 @@ def rmse(fit, row: str = "fitted") -> float:
 
 
 def followed_up(capsys, log: Path, words: tuple[str, ...], folder: Path) -> str:
-    """Fit a log in a folder of its own and run every command that is the next one; return what was printed."""
+    """Fit a log in a folder of its own and run each command that is the next; return what was printed."""
     calib = folder / "calib.json"
     folder.mkdir(exist_ok=True)
     said = ""
@@ -99,7 +99,10 @@ def followed_up(capsys, log: Path, words: tuple[str, ...], folder: Path) -> str:
 # -- commands that are printed ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("zero", "sign"), [(12000.0, 1), (1000.0, -1)], ids=["along", "against"])
+@pytest.mark.parametrize(
+    ("zero", "sign"),
+    [pytest.param(12000.0, 1, id="along"), pytest.param(1000.0, -1, id="against", marks=pytest.mark.slow)],
+)
 def test_what_is_printed_for_a_table_of_knots_can_be_followed(tmp_path, capsys, zero, sign):
     """Counts leave their turn where they are made continuous, or inverted: that is no fault of the table."""
     said = followed_up(capsys, knots(tmp_path / "knots.csv", zero, sign), KNOTS, tmp_path)

@@ -76,8 +76,8 @@ def test_a_row_is_that_of_a_fit(broken):
     alone = hallsym.fit(folder / "dev0.parquet", "rotary", solver="direct")
     row = found.rows[0]
     for k, name in enumerate(alone.model.names):
-        assert row[f"value:{name}"] == pytest.approx(alone.values[k], abs=0.2 * alone.std[k])
-        assert row[f"std:{name}"] == pytest.approx(alone.std[k], rel=0.1)
+        assert row[f"value:{name}"] == pytest.approx(alone.values[k], abs=1e-4 * alone.std[k])
+        assert row[f"std:{name}"] == pytest.approx(alone.std[k], rel=1e-5)
 
 
 def test_the_spread_of_the_good_ones(broken):
@@ -85,8 +85,11 @@ def test_the_spread_of_the_good_ones(broken):
     spread = {s.name: s for s in found.spreads}
     for name in TAU:
         good = [t[name] for k, t in enumerate(known) if k not in (3, 7, 11, 15, 19)]
-        assert spread[name].std == pytest.approx(np.std(good), rel=0.1)
-        assert spread[name].interval[0] < spread[name].std < spread[name].interval[1]
+        # the uncertainties of fits are a tenth of TAU or less, so the truths' own spread is seen to 1 %
+        assert spread[name].typical_std < 0.1 * TAU[name]
+        assert spread[name].std == pytest.approx(np.std(good, ddof=1), rel=0.05)
+    held = [spread[name].interval[0] <= tau <= spread[name].interval[1] for name, tau in TAU.items()]
+    assert sum(held) >= 4  # of five intervals of 95 %
 
 
 def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
@@ -112,7 +115,7 @@ def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
     truth = truths(200, seed=1)
     for name in TAU:
         bounds = machine.parameters[name]
-        assert np.mean([bounds["lower"] < t[name] < bounds["upper"] for t in truth]) >= 0.98
+        assert all(bounds["lower"] < t[name] < bounds["upper"] for t in truth)
         assert bounds["nominal"] == pytest.approx(known[0][name], abs=6 * TAU[name])
     assert len(hallsym.read_tolerances(files[2], hallsym.build("rotary"))) == 6
     assert [row["verdict"] for row in load_fleet(files[3]).rows].count("good") == 9
@@ -258,7 +261,7 @@ def test_what_is_not_there_or_twice_is_one_sentence(broken, tmp_path):
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_one_sentence(broken, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("hallsym.fleets.engine.ANSWERS", 0.3)
+    monkeypatch.setattr("hallsym.workers.ANSWERS", 0.3)
     folder, *_ = broken
     for address in (f"tcp://127.0.0.1:{free_port()}", "no address"):
         with pytest.raises(InputError, match="does not answer"):

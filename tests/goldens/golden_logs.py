@@ -388,21 +388,21 @@ LOGS: dict[str, Recorded] = {
     "stage31_table6": Recorded(lambda: stage(3, campaign=table6()), ("--seed", "1"), "always"),
     "stage31_mixed": Recorded(lambda: stage(4), DIRECT, "always"),
     "stage31_tied": Recorded(lambda: stage(5, model="stage31_tied", truth=TIED), DIRECT),
-    "stage31_slow_noise": Recorded(lambda: stage(6, noise="slow"), DIRECT, "always"),
+    "stage31_slow_noise": Recorded(lambda: stage(6, noise="slow"), DIRECT),
     "stage31_spikes": Recorded(lambda: stage(7, spiky), DIRECT),
     "stage31_four_probes": Recorded(
         lambda: stage(8, truth=FOUR_GAINS, probes=FOUR_PROBES), DIRECT
     ),
     "stage31_turning": Recorded(
         lambda: stage(9, added=("exact_rotation",), campaign=turning_campaign()),
-        (*DIRECT, "--effect", "exact_rotation"), "always",
+        (*DIRECT, "--effect", "exact_rotation"),
     ),
     # stages with a hidden effect
     "stage30_vertical": Recorded(lambda: stage(10, base="stage30"), DIRECT, "always"),
     "stage31_late": Recorded(lambda: stage(11, late), (*DIRECT, "--effect", "time_skew"), "always"),
     "stage31_lag": Recorded(lambda: stage(12, low_passed), (*DIRECT, "--effect", "first_order_lag")),
     "stage31_play": Recorded(
-        lambda: stage(13, play), (*DIRECT, "--effect", "hysteresis:half_width_m=1e-05"), "always",
+        lambda: stage(13, play), (*DIRECT, "--effect", "hysteresis:half_width_m=1e-05"),
         loose=("half_width",),
     ),
     "stage31_rails": Recorded(lambda: stage(14, at_rails), (*DIRECT, "--effect", RAILS)),
@@ -410,7 +410,7 @@ LOGS: dict[str, Recorded] = {
     "stage31_crossed": Recorded(lambda: stage(16, crossed), (*DIRECT, "--effect", "cross_axis_sensitivity")),
     "stage31_bent": Recorded(lambda: stage(17, bent), (*DIRECT, "--effect", "height_quadratic")),
     "stage31_warmed": Recorded(
-        lambda: stage(18, warmed), (*DIRECT, "--effect", "gain_temperature_drift:mean_degc=20"), "always"
+        lambda: stage(18, warmed), (*DIRECT, "--effect", "gain_temperature_drift:mean_degc=20")
     ),
     "stage31_hum": Recorded(
         lambda: stage(19, humming), (*DIRECT, "--effect", "mains_hum:frequency_hz=50.02")
@@ -430,7 +430,7 @@ LOGS: dict[str, Recorded] = {
     "rotary_homed_angle": Recorded(
         lambda: encoder(33, angle=True, homes=HOMES), (*DIRECT, *OWN_ZEROS), diagnose=OWN_ZEROS
     ),
-    "rotary_ideal_offset": Recorded(lambda: encoder(34, base="rotary_ideal"), DIRECT, "always"),
+    "rotary_ideal_offset": Recorded(lambda: encoder(34, base="rotary_ideal"), DIRECT),
     "rotary_third_wave": Recorded(
         lambda: encoder(35, third_wave), (*DIRECT, "--effect", "third_harmonic_distortion"), "always"
     ),

@@ -6,16 +6,14 @@ import sys
 
 import numpy as np
 import pytest
+from tolerance_ranges import PAPER
 
 from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.families import build
-from hallsym.families.published import bounds
 from hallsym.uncertainty import DIVISORS
 from hallsym.uncertainty.tolerances import (
     Tolerance,
-    Tolerances,
-    Workspace,
     default_tolerances,
     given_tolerances,
     read_tolerances,
@@ -23,38 +21,6 @@ from hallsym.uncertainty.tolerances import (
 )
 
 pytest.importorskip("SALib")
-
-SMALL = {
-    **{f"H{k}{axis}_um": 100 for k in (1, 2, 3) for axis in "xy"},
-    **{f"eta_{k}_percent": 0.03 for k in "ABC"},
-    **{f"theta_{k}_mrad": 0.25 for k in "ABC"},
-}
-"""Small enough for the error to be linear in them to 1e-3."""
-COUPLED = {f"{q}_{k}_per_{u}": 100 for q, u in (("a", "m"), ("b", "rad"), ("c", "rad")) for k in "ABC"}
-PAPER = bounds()
-
-
-@pytest.fixture(scope="module")
-def model():
-    return build("stage15")
-
-
-@pytest.fixture(scope="module")
-def somewhere() -> Workspace:
-    rng = np.random.default_rng(5)
-    return Workspace(
-        rng.uniform(-1, 1, (3, 7)) * np.array([[3e-4], [5e-4], [3e-4]]), rng.uniform(-2e-4, 2e-4, (3, 7))
-    )
-
-
-@pytest.fixture(scope="module")
-def small(model, somewhere) -> Tolerances:
-    return tolerances(model, somewhere, ranges=SMALL, samples=256, seed=1)
-
-
-@pytest.fixture(scope="module")
-def paper(model) -> Tolerances:
-    return tolerances(model, seed=0, samples=256)
 
 
 def test_default_ranges_are_table_3_about_table_1(model):

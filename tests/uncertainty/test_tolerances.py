@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tolerance_ranges import COUPLED, SMALL
 from twins import pm
 
 from hallsym.families import build
-from hallsym.families.published import bounds
 from hallsym.families.stage import models as stage
 from hallsym.simulation import paper_campaign
 from hallsym.uncertainty.tolerances import (
@@ -28,38 +28,6 @@ from hallsym.uncertainty.tolerances import (
 )
 
 pytest.importorskip("SALib")
-
-SMALL = {
-    **{f"H{k}{axis}_um": 100 for k in (1, 2, 3) for axis in "xy"},
-    **{f"eta_{k}_percent": 0.03 for k in "ABC"},
-    **{f"theta_{k}_mrad": 0.25 for k in "ABC"},
-}
-"""Small enough for the error to be linear in them to 1e-3."""
-COUPLED = {f"{q}_{k}_per_{u}": 100 for q, u in (("a", "m"), ("b", "rad"), ("c", "rad")) for k in "ABC"}
-PAPER = bounds()
-
-
-@pytest.fixture(scope="module")
-def model():
-    return build("stage15")
-
-
-@pytest.fixture(scope="module")
-def somewhere() -> Workspace:
-    rng = np.random.default_rng(5)
-    return Workspace(
-        rng.uniform(-1, 1, (3, 7)) * np.array([[3e-4], [5e-4], [3e-4]]), rng.uniform(-2e-4, 2e-4, (3, 7))
-    )
-
-
-@pytest.fixture(scope="module")
-def small(model, somewhere) -> Tolerances:
-    return tolerances(model, somewhere, ranges=SMALL, samples=256, seed=1)
-
-
-@pytest.fixture(scope="module")
-def paper(model) -> Tolerances:
-    return tolerances(model, seed=0, samples=256)
 
 
 def error_by_hand(machines: np.ndarray, names, where: Workspace) -> np.ndarray:

@@ -56,7 +56,8 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
         )
     under = _under(model, array, x)
     _covered(model, array, under, log.name)
-    share, silent = _explained(array, x, z, v, array.wavelength_m, under)
+    harmonic = _Harmonic(x, z, v, under)
+    share, silent = harmonic.explained(array.wavelength_m)
     if silent.any() and not silent.all():
         name = model.channels[int(np.flatnonzero(silent)[0])]
         raise InputError(
@@ -64,7 +65,7 @@ def inspect(model: Model, log: Any, *, fitted: bool = True) -> Inspection:
             f"{100 * SILENT:.0f} % of the others'): it lies outside the array, or is not "
             "connected; leave it out of the layout."
         )
-    _wavelength(array, x, z, v, under, float(np.median(share)), stroke, log.name)
+    _wavelength(array, harmonic, float(np.median(share)), stroke, log.name)
     notes = []
     if stroke < WHOLE:
         notes.append(
@@ -108,34 +109,39 @@ def _covered(model: Model, array: Array, under: np.ndarray, name: str) -> None:
         )
 
 
-def _explained(
-    array: Array, x: np.ndarray, z: np.ndarray, v: np.ndarray, wavelength: float, under: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Share of each channel's variation that one harmonic explains, and which channels see hardly any.
+class _Harmonic:
+    """What one harmonic explains of readings v (K, n), of the samples at which the array is over a channel.
 
-    Of the samples at which the array is over a channel.
+    By normal equations of all channels at once: the wavelength is looked for among some 400.
     """
-    k = 2 * np.pi / wavelength
-    fade = np.exp(-k * (z - array.level_m))
-    basis = np.array([np.ones_like(x), fade * np.cos(k * x), fade * np.sin(k * x)]).T
-    share, size = np.zeros(len(v)), np.full(len(v), np.nan)
-    for k, at in enumerate(under):
-        if at.sum() < LEAST_UNDER:
-            continue
-        found, *_ = np.linalg.lstsq(basis[at], v[k, at], rcond=None)
-        share[k] = 1 - np.var(v[k, at] - basis[at] @ found) / max(np.var(v[k, at]), 1e-300)
-        size[k] = np.hypot(*found[1:])
-    return share, size < SILENT * np.nanmedian(size)
+
+    def __init__(self, x: np.ndarray, z: np.ndarray, v: np.ndarray, under: np.ndarray) -> None:
+        self.x, self.above = x, z - z.min()
+        self.weight = under.astype(float)
+        count = self.weight.sum(axis=1, keepdims=True)
+        self.enough = count[:, 0] >= LEAST_UNDER
+        self.v = self.weight * (v - (self.weight * v).sum(axis=1, keepdims=True) / np.maximum(count, 1))
+        self.power = np.maximum(np.sum(self.v**2, axis=1), 1e-300)
+
+    def explained(self, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the share of each channel's variation (K,), and which channels see hardly any field (K,)."""
+        k = 2 * np.pi / wavelength
+        fade = np.exp(-k * self.above)
+        basis = np.array([np.ones_like(self.x), fade * np.cos(k * self.x), fade * np.sin(k * self.x)])
+        gram = self.weight @ (basis[:, None] * basis).reshape(9, -1).T
+        moments = self.v @ basis.T
+        found = np.einsum("kij,kj->ki", np.linalg.pinv(gram.reshape(-1, 3, 3), hermitian=True), moments)
+        left = np.maximum(self.power - np.sum(found * moments, axis=1), 0.0)
+        share = np.where(self.enough, 1 - left / self.power, 0.0)
+        size = np.where(self.enough, np.hypot(found[:, 1], found[:, 2]), np.nan)
+        return share, size < SILENT * np.nanmedian(size)
 
 
-def _wavelength(
-    array: Array, x: np.ndarray, z: np.ndarray, v: np.ndarray, under: np.ndarray, share: float,
-    stroke: float, name: str,
-) -> None:  # fmt: skip
+def _wavelength(array: Array, harmonic: _Harmonic, share: float, stroke: float, name: str) -> None:
     """Refuse readings that repeat at another wavelength, or at none."""
     if stroke < WHOLE / 2:
         return
-    shares = [float(np.median(_explained(array, x, z, v, w * array.wavelength_m, under)[0])) for w in TRIED]
+    shares = [float(np.median(harmonic.explained(w * array.wavelength_m)[0])) for w in TRIED]
     best = int(np.argmax(shares))
     found = float(TRIED[best]) * array.wavelength_m
     if shares[best] < FOLLOWS:
