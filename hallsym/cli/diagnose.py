@@ -3,6 +3,7 @@
 import json
 import shlex
 from argparse import Namespace
+from pathlib import Path
 from typing import Any
 
 from hallsym.cli import OK
@@ -13,21 +14,21 @@ from hallsym.cli.common import (
     open_log,
     own_effects,
     own_option,
+    plots_options,
+    plots_place,
     progress_of,
     reading_words,
     run_numbers,
     say,
 )
-from hallsym.diagnosis import Base, Examined, compare, errors_of, examine, model_on, prepare
+from hallsym.diagnosis import Examined, compare, examine, model_on, prepare
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
-from hallsym.estimation.decoding import columns_of
 from hallsym.families import default_model
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
-from hallsym.log.derived import extended
 from hallsym.model import Model
-from hallsym.report.data import Version, gather
+from hallsym.report.data import gather, version_of
 from hallsym.report.page import diagnosis_page
 from hallsym.report.text.comparison import comparison_text
 from hallsym.report.text.diagnosis import diagnosis_text
@@ -42,7 +43,7 @@ def add(sub: Any) -> None:
         "examples:\n"
         "  hallsym diagnose LOG --model stage31\n"
         "  hallsym diagnose LOG --model calib.json --holdout 2,7,12 --json\n"
-        "  hallsym diagnose LOG --effects my_effects.py -o report.html\n"
+        "  hallsym diagnose LOG --effects my_effects.py -o report.html --plots pictures\n"
         "  hallsym diagnose --compare before.json after.json",
     )  # fmt: skip
     parser.add_argument("log", metavar="LOG", nargs="?", help="log, or a folder with log and meta.json")
@@ -61,6 +62,7 @@ def add(sub: Any) -> None:
         "-o", "--output", action="append", default=[], metavar="FILE",
         help="save the diagnosis: .html for one page to read and print, anything else for JSON (repeat)",
     )  # fmt: skip
+    plots_options(parser)
     model_options(parser, "the log's base_model, else by its columns")
     log_options(parser)
 
@@ -105,8 +107,18 @@ def run(options: Namespace) -> int:
         else:
             _save(path, found.to_dict())
     words = reading_words(options, known)
-    say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=options.output)
+    wrote = [*options.output, *_pictures(options, seen)]
+    say(options, found.to_dict(), lambda: diagnosis_text(found, words), wrote=wrote)
     return OK
+
+
+def _pictures(options: Namespace, seen: Examined) -> list[Path]:
+    """Save the pictures that are asked for."""
+    if not options.plots:
+        return []
+    from hallsym.report.figures import save_diagnosis
+
+    return save_diagnosis(seen, plots_place(options, options.log, seen.fit.model.name))
 
 
 def _save(path: str, record: dict[str, Any]) -> None:
@@ -116,7 +128,7 @@ def _save(path: str, record: dict[str, Any]) -> None:
 def _page(options: Namespace, seen: Examined) -> str:
     """The page of a diagnosis, with maps and series of what the model leaves, before and after."""
     first = seen.fit
-    after = None if seen.after is None else _version(seen.after)
+    after = None if seen.after is None else version_of(seen.after, "after")
     shown = gather(seen.before.log, first, label="before", keep=first.keep, after=after)
     return diagnosis_page(
         seen.diagnosis,
@@ -139,16 +151,13 @@ def _typed(options: Namespace, first: Fit) -> str:
     return shlex.join([*words, *reading_words(options), "-o", "report.html"])
 
 
-def _version(base: Base) -> Version:
-    log = extended(base.log, base.model, base.sigma, base.values)
-    return Version("after", log, columns_of(base.model), errors_of(base), base.keep)
-
-
 def _compare(options: Namespace) -> int:
     if options.log is not None:
         raise InputError(
             f"--compare reads saved diagnoses only; leave the log {options.log} out, or diagnose it first."
         )
+    if options.plots:
+        raise InputError("--compare draws nothing; leave --plots out, or diagnose a log with it.")
     changed = compare(*options.compare)
     for path in options.output:
         _save(path, changed.to_dict())

@@ -13,6 +13,8 @@ from hallsym.cli.common import (
     open_log,
     own_effects,
     own_option,
+    plots_options,
+    plots_place,
     reading_words,
     say,
     workers_options,
@@ -41,6 +43,7 @@ def add(sub: Any) -> None:
         action="store_true",
         help="estimate the zero of a reference that turns from each run too: it was homed or coupled anew",
     )
+    plots_options(parser)
     log_options(parser)
     workers_options(parser)
 
@@ -60,7 +63,15 @@ def run(options: Namespace) -> int:
     if options.json:
         periodic = periodic_of(found.calibration, found.log)
         record["periodic_error"] = periodic.to_dict() if periodic else None
-    say(options, record, lambda: evaluation_text(found, by_run=options.by_run), notes=found.notes, then=then)
+    wrote = []
+    if options.plots:
+        from hallsym.report.figures import save_evaluation
+
+        wrote = save_evaluation(found, plots_place(options, options.log, options.calibration))
+    say(
+        options, record, lambda: evaluation_text(found, by_run=options.by_run), notes=found.notes,
+        wrote=wrote, then=then,
+    )  # fmt: skip
     for said in (*faults, *([amiss] if amiss and options.json else [])):
         print(f"hallsym: {said}", file=sys.stderr)
     return NOT_DESCRIBED if amiss or faults else OK

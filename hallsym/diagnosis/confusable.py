@@ -13,6 +13,7 @@ import numpy as np
 
 from hallsym.diagnosis.alternatives import Alternative, alternatives
 from hallsym.diagnosis.findings import EITHER
+from hallsym.diagnosis.further import further_recordings, with_readings
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, count_of, distance
@@ -28,11 +29,8 @@ from hallsym.diagnosis.verdict import Verdict
 from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
-from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
-from hallsym.log.derived import extended
 from hallsym.model import ways_text
-from hallsym.model.arrays import on_arrays
 
 
 def separation(
@@ -64,6 +62,8 @@ def separation(
         return plain  # no clock, no motion to propose
     try:
         tried, squared = simulated(fits)
+        more, added = further_recordings(fits)
+        tried, squared = [*tried, *more], np.concatenate([squared, added])
     except (InputError, KeyError, ValueError, np.linalg.LinAlgError):
         return plain
     sigma = np.sqrt(squared / variance)
@@ -147,23 +147,6 @@ def _append(
         row["temperature_degc"] = np.full(len(t), span.temperature) if warm is None else warm
     for c, values in row.items():
         columns.setdefault(c, []).append(values)
-
-
-def with_readings(columns: dict[str, np.ndarray], base: Base) -> Log:
-    """Add the readings that the model of `base` gives; columns that it computes come from the motion."""
-    model = base.model
-    blank = np.zeros(len(columns["run"]))
-    bare = Log.from_arrays({**columns, **dict.fromkeys(model.channels, blank)}, noise=base.log.noise)
-    read, zeros = on_arrays(model.reading), np.zeros(len(model.zeros))
-    parts: list[np.ndarray] = []
-    for block in extended(bare, model, base.sigma, base.values).blocks(columns_of(model)):
-        pose, state = ([block.data[c] for c in names] for names in (model.references, model.state))
-        (reading,) = read(base.p, zeros, pose, state)
-        parts.append(np.broadcast_to(reading, (len(model.channels), len(pose[0]))))
-    readings = np.hstack(parts)
-    return Log.from_arrays(
-        {**columns, **dict(zip(model.channels, readings, strict=True))}, noise=base.log.noise
-    )
 
 
 @dataclass(frozen=True, eq=False)

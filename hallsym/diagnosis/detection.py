@@ -11,8 +11,8 @@ from hallsym.estimation.calibration import INTERVAL
 
 REPEATS = 20
 """Trials of each size: if all find it, it is found in at least 83 % (two-sided 95 %)."""
-QUICK = 1
-"""Trials of each size for a first look."""
+FIRST_LOOK_S = 100.0
+"""Seconds of a first look; a trial begins only if it can be expected to end in them."""
 FOUND = 0.9
 """Share of trials, at a size and all larger ones, from which on an effect counts as found there.
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.estimation.calibration import Fit, load_fit
@@ -32,7 +34,8 @@ class Evaluation(Shown):
 
     `table.over(runs)` gives rmse and peak by pose coordinate, SI. `goodness`: what is left, in multiples of
     the noise. `noise_floor`: the error that noise alone would leave, by pose coordinate. `notes`: what has to
-    be said of the log. `calibration`, `log`: what was evaluated, and on what.
+    be said of the log. `calibration`, `log`: what was evaluated, and on what. `zeros`: zero deviations by
+    run. `decoded`: the log as it was decoded, channels as the model names them.
     """
 
     model: Model
@@ -43,6 +46,16 @@ class Evaluation(Shown):
     notes: tuple[str, ...]
     calibration: Fit
     log: Log
+    zeros: Mapping[int, np.ndarray]
+    decoded: Log
+
+    @property
+    def applied(self) -> Fit:
+        """The calibration as it decodes `decoded`: with the zeros and the noise of this log."""
+        return replace(
+            self.calibration, zeros=self.zeros, noise=self.noise, noise_floor=self.noise_floor, errors=None,
+            log={**self.calibration.log, "holdout": []}, wiring=None, keep=None,
+        )  # fmt: skip
 
     @property
     def log_name(self) -> str:
@@ -87,7 +100,10 @@ def evaluate(
     goodness = found.goodness.judged(
         noise, (*model.channels, *model.references), given.meta.gap_threshold_rel
     )
-    return Evaluation(model, found.table, goodness, found.noise_floor, noise, tuple(notes), known, given)
+    return Evaluation(
+        model, found.table, goodness, found.noise_floor, noise, tuple(notes), known, given, found.zeros,
+        found.log,
+    )  # fmt: skip
 
 
 def _belongs(log: Log, known: Fit) -> None:

@@ -57,14 +57,26 @@ def zeros_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
     return dict(zip(cost.summary.runs, cost.at(p).zeros, strict=True))
 
 
+def deviations_of(cost: Cost, p: np.ndarray) -> dict[int, np.ndarray]:
+    """Return the zero deviations of every run at `p` in reading space, as a calibration keeps them."""
+    model = cost.summary.model
+    first = dict(zip(cost.summary.runs, cost.summary.first_state, strict=True))
+    return {run: zeros * model.zero_scale(p, first[run]) for run, zeros in zeros_of(cost, p).items()}
+
+
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Fixed parameters on another log: errors, zeros beside the calibration's, how well they fit it."""
+    """Fixed parameters on another log: errors, zeros beside the calibration's, how well they fit it.
+
+    `zeros`: deviations by run. `log`: what was decoded, with the zeros of its references that were asked for.
+    """
 
     table: ErrorTable
     shifts: Shifts
     goodness: GoodnessOfFit
     noise_floor: Mapping[str, float]
+    zeros: Mapping[int, np.ndarray]
+    log: Log
 
 
 def judge(
@@ -88,7 +100,8 @@ def judged(
         log = rehomed(log, shifts, model)
         cost = cost_near(log, model, p, noise)
     (table,) = error_tables(log, model, [(p, zeros_of(cost, p))], cost.reading_variance, sigma=noise)
-    return Judged(table, shifts, goodness_of(cost.at(p), 0), noise_floor(cost, p))
+    floor = noise_floor(cost, p)
+    return Judged(table, shifts, goodness_of(cost.at(p), 0), floor, deviations_of(cost, p), log)
 
 
 @dataclass(frozen=True, eq=False)

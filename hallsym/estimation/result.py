@@ -12,6 +12,7 @@ import numpy as np
 from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import Wiring, composed
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty_at
+from hallsym.estimation.gauss_newton import deviations_of
 from hallsym.estimation.goodness_of_fit import diagnose_command
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.linearised import exact
@@ -50,10 +51,8 @@ def fit_of(
         path.parent if path is not None and path.is_file() and task.log.meta.raw else path
     )  # a folder with its meta.json
     command = diagnose_command(whole, model, added_effects(model))
-    gain = np.array([model.zero_scale(state.p, s) for s in state.everything.summary.first_state])
-    delta = state.everything.at(state.p).zeros
-    delta = delta * gain if delta.shape[1] else delta
-    zeros = dict(zip(state.everything.summary.runs, delta, strict=True))
+    zeros = deviations_of(state.everything, state.p)
+    delta = np.array(list(zeros.values()))
     return Fit(
         model=model,
         values=state.p,

@@ -58,6 +58,12 @@ BINARY: dict[int, Callable] = {
 }
 
 
+WORK, FEWEST = 12_000_000, 256
+"""Intermediate and final values that are held at once, 96 MB, and samples that are taken together at least.
+
+A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
+
+
 def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[np.ndarray]]:
     """Return `run(*inputs) -> outputs`, `function` evaluated on arrays of samples.
 
@@ -76,7 +82,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
     @np.errstate(divide="ignore", over="ignore", invalid="ignore")
-    def run(*inputs: Sequence) -> list[np.ndarray]:
+    def evaluated(inputs: Sequence[Sequence], shape: tuple[int, ...]) -> list[np.ndarray]:
         work: list = [None] * function.sz_w()
         out: list[list] = [[0.0] * n for n in rows]
         for kind, op, arguments, target in program:
@@ -90,8 +96,20 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
                 work[target] = op
             else:
                 out[target[0]][target[1]] = work[arguments[0]]
-        shape = np.broadcast_shapes(*{getattr(v, "shape", ()) for column in inputs for v in column})
         return [_stack(entries, shape) for entries in out]
+
+    most = max(FEWEST, WORK // (function.sz_w() + sum(rows)))
+
+    def run(*inputs: Sequence) -> list[np.ndarray]:
+        shape = np.broadcast_shapes(*{getattr(v, "shape", ()) for column in inputs for v in column})
+        if len(shape) != 1 or shape[0] <= most:
+            return evaluated(inputs, shape)
+        parts = []
+        for low in range(0, shape[0], most):
+            here = slice(low, min(low + most, shape[0]))
+            own = [[v if np.size(v) == 1 else v[here] for v in column] for column in inputs]
+            parts.append(evaluated(own, (here.stop - low,)))
+        return [np.concatenate(own, axis=-1) for own in zip(*parts, strict=True)]
 
     return run
 

@@ -219,21 +219,9 @@ def _diagnosis_table(d: Diagnosis) -> Table:
 
 
 def _diagnosis_figure(d: Diagnosis, log: Any) -> Figure:
-    from matplotlib.figure import Figure
+    from hallsym.report.figures import gap
 
-    from hallsym.units import readable
-
-    pose = list(d.noise_floor.outputs)
-    picture = Figure(figsize=(2.4 * len(pose), 2.6), layout="constrained")
-    for ax, c in zip(np.atleast_1d(picture.subplots(1, len(pose))), pose, strict=True):
-        factor, unit, name = readable(c)
-        heights = [factor * d.gap_before.rmse[c], factor * d.gap_after.rmse[c]]
-        ax.bar(["model", "with effects"], heights, color=["0.55", "0.25"], width=0.6)
-        floor = ax.axhline(factor * d.noise_floor.outputs[c], color="black", linestyle="--")
-        ax.set_ylabel(f"rmse {name} [{unit}]")
-    ax.legend([floor], ["noise floor"])
-    picture.suptitle(f"{d.model}: {d.verdict}")
-    return picture
+    return gap(d)
 
 
 # -- what data determine, plans, budgets -----------------------------------------------------------------

@@ -133,6 +133,50 @@ def test_a_table_of_logs_carries_names_order_and_covariates(broken, tmp_path):
     assert found.rows[1]["supplier"] == "B"
 
 
+@pytest.mark.slow
+def test_devices_are_diagnosed_and_grouped_by_causes(tmp_path):
+    """Two encoders whose field is curved where the magnet is off its axis, and one that is in order."""
+    known = truths(3)
+    for k, truth in enumerate(known):
+        columns = recorded(truth, k, runs=8, samples=250)
+        if k > 0:
+            columns["v_sin_v"] += 0.01 * np.sin(3 * columns["angle_ref_rad"])
+            columns["v_cos_v"] += 0.01 * np.cos(3 * columns["angle_ref_rad"])
+        write_log(columns, tmp_path / f"dev{k}.parquet")
+    found = hallsym.fleet(tmp_path, "rotary", diagnose=True, workers=1)
+    assert [row["verdict"] for row in found.rows] == ["good", "not described", "not described"]
+    assert [row["diagnosis"] for row in found.rows] == ["no gap", "explained", "explained"]
+    assert found.groups == {"explained: eccentricity": ("dev1", "dev2")}
+    text = found.rows[1]["diagnosis_reason"]
+    assert "With eccentricity it falls" in text
+    mended = hallsym.fleet(tmp_path, "rotary", effects=["eccentricity:form=curved"], diagnose=True, workers=1)
+    assert mended.verdicts == {"good": ("dev0", "dev1", "dev2")}
+    assert {row["diagnosis"] for row in mended.rows} == {"no gap"}
+
+
+@pytest.mark.slow
+def test_numbers_of_an_effect_that_are_left_open_are_those_of_each_log(tmp_path):
+    known = truths(2)
+    for k, truth in enumerate(known):
+        columns = recorded(truth, k, runs=8, samples=250)
+        columns["v_sin_v"] += 0.01 * np.sin(2 * np.pi * (50.0 + 10.0 * k) * columns["t_s"])
+        columns["v_cos_v"] += 0.01 * np.sin(2 * np.pi * (50.0 + 10.0 * k) * columns["t_s"])
+        write_log(columns, tmp_path / f"dev{k}.parquet")
+    found = hallsym.fleet(tmp_path, "rotary", effects=["mains_hum"], workers=1)
+    assert [row["verdict"] for row in found.rows] == ["good", "good"]
+    assert {row["effects"] for row in found.rows} == {"mains_hum"}
+
+
+def test_a_parameter_at_its_bound_is_named(tmp_path):
+    """Others make up for it, so that its device says nothing of how devices differ."""
+    write_log(recorded(truths(1)[0] | {"beta": 0.02}, 0), tmp_path / "dev0.parquet")
+    found = hallsym.fleet(
+        tmp_path, "rotary", parameters={"beta": {"lower": -0.01, "upper": 0.0199}}, workers=1
+    )
+    assert found.rows[0]["verdict"] == "not described"
+    assert found.rows[0]["reason"].startswith("beta ends at its bound, 0.0199")
+
+
 # -- stopped and resumed -----------------------------------------------------------------------------------
 
 

@@ -3,7 +3,7 @@
 from hallsym.report.data.cells import Cells, Tally
 from hallsym.report.data.correlation import Correlation, blocks, correlation_of
 from hallsym.report.data.decoded import Decoded, Decoder, decoded
-from hallsym.report.data.gather import Gathered, Version, gather
+from hallsym.report.data.gather import Gathered, Version, compared, gather, version_of
 from hallsym.report.data.parameters import ParameterRow, parameter_rows
 from hallsym.report.data.residuals import Residuals, ResidualTally
 from hallsym.report.data.series import RunSeries, run_series
@@ -37,6 +37,7 @@ __all__ = [
     "Trace",
     "Version",
     "blocks",
+    "compared",
     "correlation_of",
     "decoded",
     "gather",
@@ -46,5 +47,6 @@ __all__ = [
     "representative",
     "run_series",
     "settings",
+    "version_of",
     "worst_first",
 ]

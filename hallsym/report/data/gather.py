@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from hallsym.estimation import Fit
-from hallsym.log import Block, Log
+from hallsym.diagnosis import Base, errors_of
+from hallsym.estimation import ErrorTable, Fit, columns_of
+from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
 from hallsym.report.data.cells import Cells, Tally
 from hallsym.report.data.decoded import decoded
@@ -69,6 +70,12 @@ class Version:
             yield block, errors if self.keep is None else np.where(self.keep(block) > 0, errors, np.nan)
 
 
+def version_of(base: Base, label: str) -> Version:
+    """Return a model of a diagnosis, without or with the effects found, as a version of the one diagnosed."""
+    log = extended(base.log, base.model, base.sigma, base.values)
+    return Version(label, log, columns_of(base.model), errors_of(base), base.keep)
+
+
 @dataclass(frozen=True, eq=False)
 class _Map:
     """Cells without numbers, how many they are, and which of them each sample of a block is in."""
@@ -76,6 +83,25 @@ class _Map:
     frame: Cells
     cells: int
     place: Callable[[Block], np.ndarray]
+
+
+def compared(survey: Survey, fit: Fit, before: Version, after: Version) -> Survey:
+    """Return a survey whose errors are those of one version of the model, then those of another."""
+    (left, nominal), (right, fitted) = (_errors(survey, fit, version) for version in (before, after))
+    return replace(survey, errors=(left, right), nominal=nominal, fitted=fitted)
+
+
+def _errors(survey: Survey, fit: Fit, version: Version) -> tuple[Trace, ErrorTable]:
+    n, at = len(fit.model.pose), {run: k for k, run in enumerate(survey.runs)}
+    trace, count = Trace(n, squares=True), np.zeros(len(at))
+    squares, peak = np.zeros((len(at), n)), np.zeros((len(at), n))
+    for block, errors in version.read(timed=False):
+        trace.add(errors)
+        k, kept = at[block.run], errors[:, np.isfinite(errors).all(axis=0)]
+        count[k] += kept.shape[1]
+        squares[k] += np.sum(kept**2, axis=1)
+        peak[k] = np.maximum(peak[k], np.abs(kept).max(axis=1, initial=0.0))
+    return trace, ErrorTable(fit.model.pose, survey.runs, count, squares, peak)
 
 
 def gather(

@@ -20,9 +20,11 @@ from hallsym.report.figures.along import save_errors
 from hallsym.report.figures.by_setting import errors_by_setting
 from hallsym.report.figures.correlation import correlation
 from hallsym.report.figures.detection import detection, save_detection
+from hallsym.report.figures.diagnosis import gap, save_diagnosis, shares
 from hallsym.report.figures.effects import effects
 from hallsym.report.figures.errors import errors_before_after
 from hallsym.report.figures.estimates import COVERAGE, parameters
+from hallsym.report.figures.evaluation import save_evaluation
 from hallsym.report.figures.intervals import intervals
 from hallsym.report.figures.layout import NUMBER, WIDTH, WIDTHS, laid_out
 from hallsym.report.figures.measured import measured
@@ -61,6 +63,7 @@ __all__ = [
     "ends_in_words",
     "errors_before_after",
     "errors_by_setting",
+    "gap",
     "intervals",
     "laid_out",
     "legend",
@@ -69,7 +72,9 @@ __all__ = [
     "profiles",
     "save_budget_pictures",
     "save_detection",
+    "save_diagnosis",
     "save_errors",
+    "save_evaluation",
     "save_figures",
     "save_pictures",
     "save_plan_pictures",
@@ -77,6 +82,7 @@ __all__ = [
     "save_sorting",
     "save_tolerances",
     "save_watch",
+    "shares",
     "sorts",
     "spectrum",
     "text_width",

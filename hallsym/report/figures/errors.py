@@ -42,8 +42,10 @@ SOLID = 2.5
 """Errors are a solid block when picture columns typically extend over this many rms (a sine's whole: 2.8)."""
 
 
-def errors_before_after(fit: Fit, survey: Survey) -> Figure:
+def errors_before_after(fit: Fit, survey: Survey, titles: tuple[str, str] | None = None) -> Figure:
     """Draw the errors of the decoded pose over the whole campaign: nominal parameters left, fitted right.
+
+    `titles`: what the two sides are, where they are something else.
 
     Every sample counts: of each picture column the least and the greatest error are drawn, and where that
     makes a solid block the local rms too. The two sides have scales of their own, and the right one says by
@@ -79,7 +81,8 @@ def errors_before_after(fit: Fit, survey: Survey) -> Figure:
     finer = ", ".join(">10000" if ratio > 1e4 else short(float(f"{ratio:.2g}")) for ratio in ratios)
     for ax in axes[-1]:
         label_x(ax, _campaign_label(survey))
-    for ax, title in zip(axes[0], (_nominal_words(fit), f"Fitted; scales {finer} × finer"), strict=True):
+    left, right = titles or (_nominal_words(fit), "Fitted")
+    for ax, title in zip(axes[0], (left, f"{right}; scales {finer} × finer"), strict=True):
         ax.set_title(f"{title}\n{ax.get_title('left')}", loc="left", linespacing=1.6)
     _campaign_legend(figure, fit, survey, solid)
     return figure
