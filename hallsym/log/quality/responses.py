@@ -13,7 +13,7 @@ from hallsym.model import Model
 class Responses:
     """Slopes d reading / d reference of each run, by linear least squares, and what they leave.
 
-    `slopes`, `std`: (runs, n_pose, n_channels), 0 for a reference that did not move, or only along with others.
+    `slopes`, `std`: (runs, n_pose, n_channels), 0 for a reference that did not move apart from others.
     `moved`: (runs, n_pose). `together`: the slopes with all references, each of which may mean nothing alone.
     `unexplained`: (runs, n_channels) share of a reading's variance that the references leave, 0 where a
     channel hears only noise. `signal`: (runs, n_channels) variance of a reading over that of its noise.
