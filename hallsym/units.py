@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -68,6 +69,7 @@ _QUANTITIES: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 
 
+@lru_cache(maxsize=4096)
 def split_unit(column: str) -> tuple[str, Unit | None]:
     """Split `x_ref_um` into its stem `x_ref` and its unit; the unit is None where none is stated.
 

@@ -293,13 +293,13 @@ def test_python_of_the_page_names_what_exists(page):
                 assert hasattr(hallsym_package, node.attr), f"{name_of(page)}: hallsym has no {node.attr}"
 
 
-def test_the_table_in_the_readme_is_what_the_demo_prints():
+def test_the_table_beside_the_paper_is_what_the_demo_prints():
     from hallsym.cli import paper
 
     _, _, steps = paper.reproduce()
     printed = paper.text(steps)
     lines = [re.split(r" {2,}", line.strip()) for line in printed.splitlines()[2:]]
-    rows = re.findall(r"^\| ((?:nominal|paper|Model).*) \|$", text_of(ROOT / "README.md"), re.M)
+    rows = re.findall(r"^\| ((?:nominal|paper|Model).*) \|$", text_of(ROOT / "docs" / "theory.md"), re.M)
     shown = [row.split(" | ") for row in rows]
     assert [row[0] for row in shown] == [line[0] for line in lines]
     for row, line in zip(shown, lines, strict=True):

@@ -20,12 +20,20 @@ from hallsym.families import build, model_for
 from hallsym.families.machine_file import Machine
 from hallsym.families.published import values as published_values
 from hallsym.families.user import load_effects
-from hallsym.log import MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
+from hallsym.log import MOST_ROWS, MOST_RUN, Log, Meta, Noise, check_noise_keys, parse_column_option, read_log
 from hallsym.model import Effect, Model
 from hallsym.records import named
-from hallsym.simulation import Campaign, campaign_from, paper_campaign, read_campaign, table8_noise
+from hallsym.simulation import (
+    MOST_SAMPLES,
+    Campaign,
+    campaign_from,
+    paper_campaign,
+    read_campaign,
+    table8_noise,
+)
 from hallsym.terminal import fitted
 from hallsym.toml import column_of
+from hallsym.workers import Workers
 
 if TYPE_CHECKING:
     from hallsym.report.figures import Place
@@ -127,6 +135,24 @@ def log_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def workers_options(parser: ArgumentParser) -> None:
+    """Options of commands that share passes over a log in parts out."""
+    group = parser.add_argument_group("log in parts")
+    group.add_argument(
+        "--workers", type=int, metavar="N",
+        help="processes that make run statistics and error tables of the parts; same numbers as without",
+    )  # fmt: skip
+    group.add_argument(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead: tcp://host:8786"
+    )
+
+
+def workers_of(options: Namespace) -> Workers | None:
+    """Return who makes passes over the parts of a log; None where nobody was named."""
+    count, scheduler = getattr(options, "workers", None), getattr(options, "scheduler", None)
+    return None if count is None and scheduler is None else Workers(count, scheduler)
+
+
 FILE_OPTIONS = ("format", "delimiter", "decimal", "sheet", "clock", "dates")
 """Options that say what a file is."""
 
@@ -198,6 +224,7 @@ def open_log(options: Namespace, machine: Machine | None = None, known: Fit | No
         drop_bad=options.drop_bad,
         remembered=None if known is None else known.columns,
         read_with=None if known is None else known.read_with,
+        workers=workers_of(options),
         **reading_of(options),
     )
     return log if machine is None else replace(log, meta=machine.applied(log.meta))
@@ -366,7 +393,7 @@ def campaign_of(options: Namespace) -> Campaign:
         raise InputError(
             "--step and --duration belong to the paper's campaign; a campaign file states its own."
         )
-    return read_campaign(options.campaign)
+    return read_campaign(options.campaign, MOST_ROWS if getattr(options, "part_rows", None) else MOST_SAMPLES)
 
 
 def truth_of(

@@ -17,6 +17,7 @@ from hallsym.cli.common import (
     plots_place,
     reading_words,
     say,
+    workers_options,
 )
 from hallsym.estimation import evaluate, load_fit
 from hallsym.log import Fault
@@ -44,6 +45,7 @@ def add(sub: Any) -> None:
     )
     plots_options(parser)
     log_options(parser)
+    workers_options(parser)
 
 
 def run(options: Namespace) -> int:

@@ -18,7 +18,7 @@ from hallsym.cli.common import (
     say,
     seed,
 )
-from hallsym.diagnosis import QUICK, RATIOS, REPEATS, ROWS, load_effects, selftest
+from hallsym.diagnosis import FIRST_LOOK_S, RATIOS, REPEATS, ROWS, load_effects, selftest
 from hallsym.estimation.calibration import load_fit
 from hallsym.families import build, default_model
 from hallsym.families.machine_file import read_machine
@@ -33,7 +33,7 @@ def add(sub: Any) -> None:
         "Fit a model and simulate it on the recorded motion. Inject each effect of the catalogue at several\n"
         "sizes, with noise like that of the log, and diagnose each simulated log blind. Print which effects\n"
         "would be found, from which size on, and which would be taken for another. Takes an hour for all\n"
-        "effects, minutes with --quick or for a few; Ctrl-C keeps what was done.",
+        "effects, minutes for a few; --quick ends after two minutes. Ctrl-C keeps what was done.",
         "examples:\n"
         "  hallsym selftest LOG --model stage31 --quick\n"
         "  hallsym selftest LOG --effects hysteresis,time_skew --sizes 1.1,1.2\n"
@@ -50,7 +50,10 @@ def add(sub: Any) -> None:
         "--repeats", type=int, default=REPEATS, help=f"trials of each size (default {REPEATS})"
     )
     parser.add_argument(
-        "--quick", action="store_true", help="one trial of each size: a first look, without bounds"
+        "--quick",
+        action="store_true",
+        help="a first look of two minutes: one trial of each size, the largest of each effect first, without "
+        "bounds; what is not reached is listed",
     )
     parser.add_argument("--seed", type=seed, default=0, help="of signs, instants and noise (default 0)")
     parser.add_argument(
@@ -98,7 +101,8 @@ def run(options: Namespace) -> int:
         effects=load_effects(options.user_effects) if options.user_effects else (),
         threshold=options.threshold,
         ratios=options.sizes,
-        repeats=QUICK if options.quick else options.repeats,
+        repeats=options.repeats,
+        seconds=FIRST_LOOK_S if options.quick else None,
         seed=options.seed,
         rows=options.rows,
         drop_bad=options.drop_bad,

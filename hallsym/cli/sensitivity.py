@@ -20,6 +20,7 @@ from hallsym.cli.common import (
     say,
     seed,
     truth_of,
+    workers_options,
 )
 from hallsym.errors import InputError
 from hallsym.estimation import fit, load_fit
@@ -81,6 +82,7 @@ def add(sub: Any) -> None:
     )
     model_options(parser, "the calibration's, or stage31")
     log_options(parser)
+    workers_options(parser)
 
 
 def run(options: Namespace) -> int:

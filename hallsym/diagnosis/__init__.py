@@ -10,23 +10,23 @@ from hallsym.diagnosis.alternatives import Alternative, alternatives
 from hallsym.diagnosis.change_points import ChangePoint, change_points
 from hallsym.diagnosis.choose import model_on
 from hallsym.diagnosis.compare import Comparison, EffectChange, ParameterChange, PlaceChange, compare
-from hallsym.diagnosis.confusable import confusable, recorded, separation, smaller_findings, with_readings
+from hallsym.diagnosis.confusable import confusable, recorded, separation, smaller_findings
 from hallsym.diagnosis.coordinates import Coordinate, coordinates, hats, knots
 from hallsym.diagnosis.cordic import cordic
 from hallsym.diagnosis.curve_words import shape, waves_per_period
 from hallsym.diagnosis.curves import FineMap, Smooth, run_gains
 from hallsym.diagnosis.decoded_errors import BlockErrors, block_errors, errors_of
-from hallsym.diagnosis.detection import QUICK, REPEATS, CurvePoint, Rate
+from hallsym.diagnosis.detection import FIRST_LOOK_S, REPEATS, CurvePoint, Rate
 from hallsym.diagnosis.engine import Examined, diagnose, examine, prepare
 from hallsym.diagnosis.facts import facts_of, instants, rails_of
 from hallsym.diagnosis.faults import faults, wiring_p, wirings
-from hallsym.diagnosis.features import Key
 from hallsym.diagnosis.findings import firmware_cost, operations
 from hallsym.diagnosis.flexible import PAST, flexible, resemblances
+from hallsym.diagnosis.further import with_readings
 from hallsym.diagnosis.gap import remains, used_up
 from hallsym.diagnosis.holdout_pieces import knot_group, split
 from hallsym.diagnosis.injection import Injection, generator, injections, sized
-from hallsym.diagnosis.lack_of_fit import LackOfFit, Shape, lack_of_fit
+from hallsym.diagnosis.lack_of_fit import Key, LackOfFit, Shape, lack_of_fit
 from hallsym.diagnosis.localisation import Located, located
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.noise import noise_of_rest, noise_text
@@ -82,7 +82,8 @@ from hallsym.families.user import load_effects
 from hallsym.model import Effect, Facts, Variant
 
 __all__ = [
-    "FALSE_ALARM", "NO_EFFECT", "PAST", "POLICY", "QUICK", "QUIET", "RATIOS", "REPEATS", "ROWS", "WITH_REST",
+    "FALSE_ALARM", "FIRST_LOOK_S", "NO_EFFECT", "PAST", "POLICY", "QUIET", "RATIOS", "REPEATS", "ROWS",
+    "WITH_REST",
     "Accumulator", "Alternative", "Band", "Base", "Bench", "BlockErrors", "ChangePoint", "Comparison",
     "Coordinate", "CurvePoint", "CurveShape", "Diagnosis", "Effect", "EffectChange", "Estimate", "Exact",
     "Examined", "Facts", "Findable", "FineMap", "Floor", "FoundEffect", "Gap", "Injection", "Judged", "Key",

@@ -19,6 +19,7 @@ from hallsym.diagnosis.normal_equations import Accumulator, coefficients
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.ranking import count_of, distance
 from hallsym.diagnosis.refit import Refitted, refit, with_model
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.selection import Selection, cancels
@@ -26,6 +27,7 @@ from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
 from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.log.batches import Batch
+from hallsym.model import Model
 
 SHOWN = 2
 """Sets that stand beside the same effects at most, of one size none with an effect of another: most further
@@ -38,8 +40,10 @@ SAMPLES = 200_000
 """Samples that products are made of; of a longer log, batches spread over it."""
 NUMBERS = 4_000_000
 """Entries of the columns that are held at once: 32 MB."""
-NIL = 1e-9
-"""Part of a column's squares below which what is left of it is rounding."""
+BEYOND = 2.0
+"""Times its bounds that a parameter of a set may be to first order: refitted exactly it would stop there."""
+PASSES = 12
+"""Linearisations of a set at most: three or four are usual where it is, to first order, at its minimum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +121,8 @@ class _Products:
     """Products of columns: of the model, of all effects, contributions of the selected ones, and residual.
 
     The zeros of each run are eliminated. `own`: columns of the model without effects; `selected`, `others`:
-    those of each effect; `made`: the contribution of each selected effect. `count`: readings.
+    those of each effect; `made`: the contribution of each selected effect. `count`: readings. `width`: how
+    far each column's parameter may go from where it is nil.
     """
 
     M: np.ndarray
@@ -129,6 +134,7 @@ class _Products:
     places: Mapping[str, int]
     searched: Mapping[str, bool]
     count: float
+    width: np.ndarray
 
 
 def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _Products:
@@ -176,7 +182,21 @@ def _products(setup: Setup, found: Validation, tried: Mapping[str, Score]) -> _P
         places={key: s.place for key, s in tried.items()},
         searched={key: s.variant.tried > 1 for key, s in tried.items()},
         count=total * every,
+        width=_widths(n + far.slopes.columns + len(bare) + 1, n - far.n, far, made, new),
     )
+
+
+def _widths(
+    size: int, first: int, far: Accumulator, made: Mapping[str, Model], new: Mapping[str, Sequence[str]]
+) -> np.ndarray:
+    """Return how far each of `size` columns may go; those of the candidates of `far` begin at `first`."""
+    out = np.full(size, np.inf)
+    for key, model in made.items():
+        at = [model.names.index(n) for n in new[key]]
+        lower, upper = (np.abs(b - model.nominal)[at] for b in model.bounds)
+        span = far.span[key]
+        out[first + span.start : first + span.stop] = np.maximum(lower, upper)
+    return out
 
 
 def _without(base: Base, held: Held) -> np.ndarray:
@@ -315,7 +335,9 @@ def _grown(
                 theta = coefficients(R[np.ix_(pick, pick)], np.arange(len(columns)))
                 tried[wider] = theta, float(R[-1, -1] - theta @ R[columns, -1])
         ranked = sorted(tried, key=lambda keys: tried[keys][1])
-        done = [keys for keys in ranked if tried[keys][1] <= enough]
+        done = [
+            keys for keys in ranked if tried[keys][1] <= enough and _inside(P, seen, keys, tried[keys][0])
+        ]
         out += [(keys, *tried[keys]) for keys in done]
         best: dict[tuple[str, ...], tuple[str, ...]] = {}  # of the same effects the best variants
         for keys in ranked:
@@ -323,6 +345,12 @@ def _grown(
                 best.setdefault(tuple(sorted(P.names[k] for k in keys)), keys)
         grown = list(best.values())[:KEPT]
     return out
+
+
+def _inside(P: _Products, seen: Mapping[str, np.ndarray], keys: Sequence[str], theta: np.ndarray) -> bool:
+    """Return whether the parameters of a set are, to first order, inside `BEYOND` times their bounds."""
+    columns = np.concatenate([seen[k] for k in keys])
+    return bool(np.all(np.abs(theta) <= BEYOND * P.width[columns]))
 
 
 # -- exact refits --------------------------------------------------------------------------------------------
@@ -341,7 +369,7 @@ def _exact(
     for score in scores:
         base = with_model(base, score.variant.make(base.model))
     p = np.array([known.get(n, v) for n, v in zip(base.model.names, base.p, strict=True)])
-    fit = refit(replace(base, p=p, zeros=end.zeros, keep=end.keep), setup.runs)
+    fit = refit(replace(base, p=p, zeros=end.zeros, keep=end.keep), setup.runs, PASSES)
     values, new = fit.base.values, [n for n in fit.base.model.names if n not in known]
     if not all(s.effect.possible(values) for s in scores) or cancels(fit, new, policy.cancelling):
         return None

@@ -13,6 +13,7 @@ import numpy as np
 
 from hallsym.diagnosis.alternatives import Alternative, alternatives
 from hallsym.diagnosis.findings import EITHER
+from hallsym.diagnosis.further import further_recordings, with_readings
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, count_of, distance
@@ -25,13 +26,11 @@ from hallsym.diagnosis.selection import Selected, Selection
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import Verdict
+from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
-from hallsym.estimation.decoding import columns_of
 from hallsym.log import Log
-from hallsym.log.derived import extended
 from hallsym.model import ways_text
-from hallsym.model.arrays import on_arrays
 
 
 def separation(
@@ -63,6 +62,8 @@ def separation(
         return plain  # no clock, no motion to propose
     try:
         tried, squared = simulated(fits)
+        more, added = further_recordings(fits)
+        tried, squared = [*tried, *more], np.concatenate([squared, added])
     except (InputError, KeyError, ValueError, np.linalg.LinAlgError):
         return plain
     sigma = np.sqrt(squared / variance)
@@ -148,27 +149,6 @@ def _append(
         columns.setdefault(c, []).append(values)
 
 
-def with_readings(columns: dict[str, np.ndarray], base: Base) -> Log:
-    """Add the readings that the model of `base` gives; columns that it computes come from the motion."""
-    model = base.model
-    blank = np.zeros(len(columns["run"]))
-    bare = Log.from_arrays({**columns, **dict.fromkeys(model.channels, blank)}, noise=base.log.noise)
-    read, zeros = on_arrays(model.reading), np.zeros(len(model.zeros))
-    parts: list[np.ndarray] = []
-    for block in extended(bare, model, base.sigma, base.values).blocks(columns_of(model)):
-        pose, state = ([block.data[c] for c in names] for names in (model.references, model.state))
-        (reading,) = read(base.p, zeros, pose, state)
-        parts.append(np.broadcast_to(reading, (len(model.channels), len(pose[0]))))
-    readings = np.hstack(parts)
-    return Log.from_arrays(
-        {**columns, **dict(zip(model.channels, readings, strict=True))}, noise=base.log.noise
-    )
-
-
-MOST = 3
-"""Other effects that a group holds at most, in the order of their fit."""
-
-
 @dataclass(frozen=True, eq=False)
 class Confusable:
     """Groups that this log cannot tell apart, what separates each, and all names that carry evidence."""
@@ -184,7 +164,7 @@ class Confusable:
         sides = {s.group: s.sides for s in self.separate if s.sides}
         each = (sides.get(group) or tuple((n,) for n in group) for group in self.groups)
         out = [" + ".join(side) for sets in each if (name,) in sets for side in sets if side != (name,)]
-        return out[:MOST]
+        return out[:SHOWN]
 
 
 def confusable(
@@ -242,7 +222,7 @@ def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[E
         rivals = [r for r in rivals if r.bic - one.bic < setup.policy.reason]
     close = [(r, distance(one.fit, r.fit)) for r in rivals]
     limit = _limit(setup, one, inflation)
-    return [(r, d) for r, d in close if d < limit][:MOST]
+    return [(r, d) for r, d in close if d < limit][:SHOWN]
 
 
 def _from_selected(setup: Setup, found: Validation, other: Alternative) -> Separation:

@@ -1,6 +1,7 @@
 """What a residual may depend on: states, readings, motion, time, places on an axis or within its period."""
 
 from dataclasses import dataclass
+from math import tau
 
 import numpy as np
 
@@ -9,8 +10,6 @@ from hallsym.units import readable
 
 KNOTS = 9
 """Knots of a smooth curve."""
-TURN = 2 * np.pi
-"""Period of an angle for which the model states none, once it goes further than this."""
 VARIES = 5.0
 """Standard deviations of its noise that a coordinate must vary by (rms)."""
 
@@ -51,8 +50,8 @@ class Coordinate:
         x = getattr(r, self.column) if self.own else r.columns.get(self.column)
         if x is None:
             return None
-        if self.unit == "rad" and self.fine and np.ptp(x) > TURN:
-            x = np.mod(x, TURN)
+        if self.unit == "rad" and self.fine and np.ptp(x) > tau:
+            x = np.mod(x, tau)
         return x if np.std(x) > max(VARIES * r.sigma.get(self.column, 0.0), 1e-15) else None
 
 
@@ -123,7 +122,7 @@ def _place(reference: str, r: ResidualTable) -> str:
         return r.words[reference]
     if unit_of(reference) != "rad":
         return f"place in the stroke of {_stem(reference)}"
-    far = np.ptp(r.columns[f"d0_{reference}"]) > TURN
+    far = np.ptp(r.columns[f"d0_{reference}"]) > tau
     return f"place in the turn of {_stem(reference)}" if far else f"angle {_stem(reference)}"
 
 

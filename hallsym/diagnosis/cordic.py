@@ -1,11 +1,13 @@
 """Whether a decoded angle was computed with few steps of CORDIC: only certain angles are read then."""
 
 from dataclasses import dataclass
-from math import pi
+from math import pi, tau
 
 import numpy as np
 
 from hallsym.diagnosis.p_values import as_often
+from hallsym.diagnosis.regression import NIL
+from hallsym.diagnosis.survey import MOSTLY
 from hallsym.families.cordic import Levels, levels, worst_of
 
 STEPS = range(4, 15)
@@ -14,17 +16,12 @@ TOLERANCE = 0.25
 """How near an angle must be, in distances of neighbouring levels, to be one of them.
 
 It leaves room for a rounding to counts of half that distance; half of all angles would be as near."""
-MOSTLY = 0.9
-"""Part of the values that must be levels: of equal steps half are, of another number of steps 60 %."""
 WORTH, MOST = 0.02, 2.0
 """Mean square of CORDIC's error over that of the residual: what is looked for lies between."""
 EVEN = 0.7
 """Least distance of equal steps, in distances of levels, that the values are held against."""
 FINE = 16
 """Offsets of the zero that are tried, per distance of neighbouring levels, at least."""
-DIGITS = 1e-9
-"""Readings nearer than this [rad] are one value."""
-TURN = 2 * pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +46,7 @@ def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | Non
     told from a rounding, and not looked for. Nor are levels that equal steps of any size are nearer to: a
     rounding, or a motor that goes from step to step.
     """
-    v = np.unique(np.round(np.mod(values, TURN) / DIGITS)) * DIGITS
+    v = np.unique(np.round(np.mod(values, tau) / NIL)) * NIL
     known = [levels(n) for n in STEPS]
     tried = [
         k
@@ -72,26 +69,26 @@ def _distance(k: Levels) -> float:
 
 def _circle(k: Levels) -> np.ndarray:
     """All levels of a turn, ascending from 0."""
-    return np.sort(np.mod(np.concatenate([k.angles, k.angles + pi]), TURN))
+    return np.sort(np.mod(np.concatenate([k.angles, k.angles + pi]), tau))
 
 
 def _covered(k: Levels) -> float:
     """Part of a turn that is near a level."""
     at = _circle(k)
-    gaps = np.diff(at, append=at[0] + TURN)
-    return float(np.minimum(gaps, 2 * TOLERANCE * _distance(k)).sum()) / TURN
+    gaps = np.diff(at, append=at[0] + tau)
+    return float(np.minimum(gaps, 2 * TOLERANCE * _distance(k)).sum()) / tau
 
 
 def _hits(v: np.ndarray, k: Levels) -> tuple[int, float, int]:
     """Values near a level at the best offset, their rms distance [rad], and how many offsets were tried."""
-    bins = int(2 ** np.ceil(np.log2(FINE * TURN / _distance(k))))
-    width, at, reach = TURN / bins, _circle(k), TOLERANCE * _distance(k)
+    bins = int(2 ** np.ceil(np.log2(FINE * tau / _distance(k))))
+    width, at, reach = tau / bins, _circle(k), TOLERANCE * _distance(k)
     centres = (np.arange(bins) + 0.5) * width
     cost = np.minimum(_apart(centres, at) ** 2, reach**2)
     total = np.fft.irfft(np.fft.rfft(_held(v, bins)) * np.conj(np.fft.rfft(cost)), bins)
     best = float(np.argmin(total)) * width
     for _ in range(2):  # offsets between those tried
-        off = _apart(np.mod(v - best, TURN), at)
+        off = _apart(np.mod(v - best, tau), at)
         near = np.abs(off) <= reach
         if not near.any():
             return 0, reach, bins
@@ -103,7 +100,7 @@ def _off_even(v: np.ndarray, distance: float, bins: int) -> float:
     """Rms distance of the values from the equal steps that suit them best, `distance` or more [rad]."""
     waves = np.arange(bins + 1) / 2  # per turn; the steps need not divide it
     size = np.abs(np.fft.rfft(_held(v, bins), 2 * bins))
-    asked = (waves >= 4) & (waves <= TURN / (EVEN * distance))
+    asked = (waves >= 4) & (waves <= tau / (EVEN * distance))
     best = float(waves[asked][np.argmax(size[asked])])
     near = best + np.linspace(-0.5, 0.5, 51)
     length = np.abs(np.exp(1j * np.outer(near, v)).mean(axis=1))
@@ -112,12 +109,12 @@ def _off_even(v: np.ndarray, distance: float, bins: int) -> float:
 
 
 def _held(v: np.ndarray, bins: int) -> np.ndarray:
-    return np.bincount((v / TURN * bins).astype(int) % bins, minlength=bins).astype(float)
+    return np.bincount((v / tau * bins).astype(int) % bins, minlength=bins).astype(float)
 
 
 def _apart(angles: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Signed distance of each angle within a turn from the nearest of `at`."""
-    round_ = np.concatenate([at[-1:] - TURN, at, at[:1] + TURN])
+    round_ = np.concatenate([at[-1:] - tau, at, at[:1] + tau])
     after = np.searchsorted(round_, angles)
     after = np.clip(after, 1, len(round_) - 1)
     above, below = round_[after] - angles, round_[after - 1] - angles

@@ -12,23 +12,23 @@ coordinate have in common because both hold the noise of the references (`measur
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.regression import regression, ridge
-from hallsym.diagnosis.residual_table import ResidualTable
+from hallsym.diagnosis.regression import RIDGE, regression, ridge
+from hallsym.diagnosis.residual_table import PARTS, ResidualTable
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.families.play import stop_operator
 
-BEND = 0.01
-"""Weight of the bending penalty against the data."""
-TINY = 1e-6
-"""The same on the curves themselves, so that what no sample determines stays 0."""
+BENDS = (0.01, 0.3, 10.0)
+"""Weights of the bending penalty against the data that are tried, from free knots to nearly a straight line.
+
+The curve that predicts runs left out best is taken: a free one runs wild beyond its runs, a stiff one follows
+no bend."""
 MEMORIES = (0.05, 0.15, 0.4, 1.0)
 """Half-widths of the play that is looked for, over the standard deviation of what a sensor senses."""
-FEWEST_PARTS = 3
-"""Stretches of a run from which on they may predict one another."""
 FINE = 96
 """Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
 
@@ -62,6 +62,19 @@ class Curve:
         return float((self.statistic >= self.statistic[0]).mean())
 
 
+class _Fit(NamedTuple):
+    """Coefficients of a curve of all runs, (K, features), and without each fold, (folds, K, features).
+
+    `explained`: whitened squares that the latter remove from their folds. `statistic`: (draws,), of all
+    sensors.
+    """
+
+    explained: float
+    beta: np.ndarray
+    left: np.ndarray
+    statistic: np.ndarray
+
+
 class Smooth:
     """Smooth curves over one coordinate: what does not depend on the residual is computed once."""
 
@@ -74,19 +87,19 @@ class Smooth:
             return
         self.scale = float(np.sqrt(np.mean(r.sensed**2))) or 1.0
         self.at, self.phi = self._features(values)
+        K, nf, _ = self.phi.shape
+        self.folds, self.blocks = _slices(r.fold), _slices(r.block)
+        other = None if moved is None else _features_at(moved, coordinate, self.at, self.scale, r)
+        change = np.zeros_like(r.residual) if moved is None else r.precision @ (moved.residual - r.residual)
+        by = (other - self.phi) * change[:, None, :] if other is not None else np.zeros((K, nf, 1))
+        self.shared = [
+            np.array([by[:, :, s].sum(axis=2) for s in group]) for group in (self.folds, self.blocks)
+        ]
         self.own = 1 / np.diag(np.linalg.inv(r.precision))
         self.gram = np.array(
-            [[w * phi[:, s] @ phi[:, s].T for s in _slices(r.fold)]
+            [[w * phi[:, s] @ phi[:, s].T for s in self.folds]
              for w, phi in zip(self.own, self.phi, strict=True)]
         )  # fmt: skip
-        other = None if moved is None else _features_at(moved, coordinate, self.at, self.scale, r)
-        by = np.zeros((*self.phi.shape[:2], 1))
-        if moved is not None and other is not None:
-            change = self.own[:, None] * (moved.residual - r.residual)
-            by = (other - self.phi) * change[:, None, :]
-        self.shared = [
-            np.stack([by[:, :, s].sum(axis=2) for s in _slices(group)], axis=1) for group in (r.fold, r.block)
-        ]  # (K, groups, features), of folds and of blocks
 
     def _features(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r, c = self.r, self.coordinate
@@ -99,42 +112,50 @@ class Smooth:
         """Return the curve of a residual (K, n)."""
         if self.values is None:
             return None
-        beta, left, statistic = self._fit(residual)
-        explained, (U, _, nf), m = self._explains(left, residual), left.shape, len(self.at)
+        fits = self._fits(residual)
+        explained, beta, left, _ = max(fits, key=lambda f: f.explained)
+        z = np.max([f.statistic for f in fits], axis=0)
+        (U, _, nf), m = left.shape, len(self.at)
         error = np.sqrt((U - 1) / U * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
         predicted = np.einsum("kf,kfn->kn", beta, self.phi)
         both = nf == 2 * m and self.coordinate.gain
         return Curve(
             self.coordinate, self.values, self.at, beta[:, :m], beta[:, m:] if both else None, error[:, :m],
-            error[:, m:] if both else None, self.scale, explained, statistic, predicted,
+            error[:, m:] if both else None, self.scale, explained, z, predicted,
         )  # fmt: skip
 
-    def _fit(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Fit the coefficients of each sensor to its own residual.
-
-        Return those of all runs, (K, features), those without each fold, and the statistic of all sensors.
-        """
+    def _fits(self, residual: np.ndarray) -> list["_Fit"]:
+        """Fit the coefficients of each sensor to its own residual, for each bending penalty."""
         r = self.r
-        folds, blocks = _slices(r.fold), _slices(r.block)
-        level = level_weights(r, residual, r.block)[:, None]
-        q = np.zeros((len(blocks),) * 2)
-        every, left = [], []
-        every_sensor = zip(self.own, self.phi, self.gram, residual, *self.shared, strict=True)
-        for w, phi, gram, own, of_folds, of_blocks in every_sensor:
-            penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at))
-            weighted = w * phi * own
-            cross = np.array([weighted[:, s].sum(axis=1) for s in folds]) - of_folds
-            fit = regression(gram, cross[:, :, None], penalty)
-            every.append(fit.all[:, 0])
-            left.append(fit.left_out[:, :, 0])
-            scores = level * (np.array([weighted[:, s].sum(axis=1) for s in blocks]) - of_blocks)
-            q += scores @ np.linalg.solve(gram.sum(axis=0) + penalty, scores.T)
-        return np.array(every), np.stack(left, axis=1), of_products(q, r.run_of(r.block))
+        level, weighted = level_weights(r, residual, r.block)[:, None], r.precision @ residual
+        cross, scores = (
+            [
+                np.array([(phi[:, s] * row[s]).sum(axis=1) for s in group]) - shared[:, k]
+                for k, (phi, row) in enumerate(zip(self.phi, rows, strict=True))
+            ]
+            for rows, group, shared in (
+                (self.own[:, None] * residual, self.folds, self.shared[0]),
+                (weighted, self.blocks, self.shared[1]),
+            )
+        )
+        out = []
+        for bend in BENDS if self.coordinate.ordered else BENDS[:1]:
+            q = np.zeros((len(self.blocks),) * 2)
+            each = []
+            for gram, targets, of_blocks in zip(self.gram, cross, scores, strict=True):
+                penalty = _penalty(np.diag(gram.sum(axis=0)), len(self.at), bend)
+                each.append(regression(gram, targets[:, :, None], penalty))
+                own = level * of_blocks
+                q += own @ np.linalg.solve(gram.sum(axis=0) + penalty, own.T)
+            left = np.stack([fit.left_out[:, :, 0] for fit in each], axis=1)
+            beta = np.array([fit.all[:, 0] for fit in each])
+            out.append(_Fit(self._explains(left, residual), beta, left, of_products(q, r.run_of(r.block))))
+        return out
 
     def _explains(self, left_out: np.ndarray, residual: np.ndarray) -> float:
         """Squares that coefficients (folds, K, features), each of the other folds, remove."""
         total = 0.0
-        for beta, s in zip(left_out, _slices(self.r.fold), strict=True):
+        for beta, s in zip(left_out, self.folds, strict=True):
             says = np.einsum("kf,kfn->kn", beta, self.phi[:, :, s])
             total += float((says * (self.r.precision @ (2 * residual[:, s] - says))).sum())
         return total
@@ -225,7 +246,7 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
     even = level_weights(r, residual, r.part)[:, None] * cross
     for number in np.unique(run):
         at = np.flatnonzero(run == number)
-        if len(at) < FEWEST_PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
+        if len(at) < PARTS or np.diag(gram[at].sum(axis=0)).min() <= 0:
             continue
         penalty = ridge(gram[at])
         explained += float(regression(gram[at], cross[at][:, :, None], penalty).squares.sum())
@@ -306,11 +327,11 @@ def _slices(group: np.ndarray) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def _penalty(size: np.ndarray, m: int) -> np.ndarray:
+def _penalty(size: np.ndarray, m: int, bend: float) -> np.ndarray:
     """Penalty on the second differences of each curve over m knots, and a trace of one on their size.
 
     `size`: (curves * m,) squares of the features.
     """
     D = np.diff(np.eye(m), 2, axis=0)
     weight = np.maximum(size.reshape(-1, m).mean(axis=1), 1e-300)
-    return np.kron(np.diag(weight), BEND * D.T @ D + TINY * np.eye(m))
+    return np.kron(np.diag(weight), bend * D.T @ D + RIDGE * np.eye(m))

@@ -90,8 +90,6 @@ FIRST = 12
 """Waves per period up to which all are looked at, beside those that an effect is known by."""
 SHOWN = 0.03
 """Part of the largest amplitude of a coordinate from which on a wave is shown."""
-PER_WAVE = 2
-"""Samples per wave that are needed at least."""
 COVERED = 0.01
 """Least eigenvalue of the mean products of 1 and the first `LONG` waves where a log covers the period."""
 LONG = 3
@@ -106,7 +104,7 @@ def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
     alike = np.diag(nominal_variance(model.model, np.diag(model.covariance)))
     plain = replace(model, p=designed(model.model, model.p), covariance=alike)
     bases = [base for base in (plain, model, after) if base is not None]
-    orders = [n for n in sorted({*range(1, FIRST + 1), *known}) if PER_WAVE * n <= model.log.rows]
+    orders = [n for n in sorted({*range(1, FIRST + 1), *known}) if 2 * n <= model.log.rows]
     periodic = [k for k, c in enumerate(pose) if c in model.model.period]
     sizes = [_amplitudes(base, periodic, orders) for base in bases] if periodic else []
     out = []

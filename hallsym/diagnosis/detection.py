@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 from scipy.special import betaincinv
 
-COVERED = 0.95
-"""Probability that the bounds cover, at least."""
+from hallsym.estimation.calibration import INTERVAL
+
 REPEATS = 20
 """Trials of each size: if all find it, it is found in at least 83 % (two-sided 95 %)."""
-QUICK = 1
-"""Trials of each size for a first look."""
+FIRST_LOOK_S = 100.0
+"""Seconds of a first look; a trial begins only if it can be expected to end in them."""
 FOUND = 0.9
 """Share of trials, at a size and all larger ones, from which on an effect counts as found there.
 
@@ -35,13 +35,13 @@ class Rate:
     def low(self) -> float:
         """Lower bound."""
         k, n = self.count, self.trials
-        return float(betaincinv(k, n - k + 1, 0.5 * (1 - COVERED))) if k else 0.0
+        return float(betaincinv(k, n - k + 1, 0.5 * (1 - INTERVAL))) if k else 0.0
 
     @property
     def high(self) -> float:
         """Upper bound."""
         k, n = self.count, self.trials
-        return float(betaincinv(k + 1, n - k, 0.5 * (1 + COVERED))) if k < n else 1.0
+        return float(betaincinv(k + 1, n - k, 0.5 * (1 + INTERVAL))) if k < n else 1.0
 
 
 @dataclass(frozen=True)

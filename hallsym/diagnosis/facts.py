@@ -7,7 +7,8 @@ import numpy as np
 from hallsym.diagnosis.change_points import change_points
 from hallsym.diagnosis.normal_equations import Accumulator, Stretch
 from hallsym.diagnosis.policy import POLICY
-from hallsym.diagnosis.residual_table import residual_table
+from hallsym.diagnosis.regression import NIL
+from hallsym.diagnosis.residual_table import ROOM, residual_table
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.diagnosis.survey import MAINS, MAINS_BAND, SEGMENT, Survey
 from hallsym.estimation import eliminate, pseudo_inverse
@@ -17,8 +18,6 @@ from hallsym.model import Facts, Model
 
 MAX_SEGMENTS = 1200
 """Stretches that a log is cut into at most; a slip may be at the start of each."""
-SAME = 1e-9
-"""Relative difference below which two instants are the same to the fitted runs."""
 
 
 def instants(base: Base, runs: Sequence[int], rows: int) -> tuple[tuple[int, float], ...]:
@@ -52,7 +51,7 @@ def _best(
     runs = {run[0].run for run in stretches}
     gains = _gains(stretches, k, column, z, runs - holdout)
     most = max((gain for _, gain in gains), default=0.0)
-    equal = {t for t, gain in gains if gain >= most * (1 - SAME)}
+    equal = {t for t, gain in gains if gain >= most * (1 - NIL)}
     if len(equal) > 1:
         gains = [(t, gain) for t, gain in _gains(stretches, k, column, z, runs) if t in equal]
     return k, max(gains, key=lambda g: g[1])[0] if gains else 0.0
@@ -110,8 +109,8 @@ def _gain(total: np.ndarray, JJ: np.ndarray, cross: np.ndarray, own: np.ndarray)
     A = own - cross[:, :n].swapaxes(1, 2) @ through
     b = cross[:, n] - through.swapaxes(1, 2) @ total[:n, n]
     left, raw = (np.diagonal(M, axis1=1, axis2=2) for M in (A, own))
-    gain = np.einsum("ij,ijk,ik->i", b, pseudo_inverse(A, 1e-9), b)
-    return np.where((left <= 1e-9 * np.maximum(raw, 1e-300)).any(axis=1), 0.0, gain)
+    gain = np.einsum("ij,ijk,ik->i", b, pseudo_inverse(A, NIL), b)
+    return np.where((left <= NIL * np.maximum(raw, 1e-300)).any(axis=1), 0.0, gain)
 
 
 # -- two levels of offset among the runs ---------------------------------------------------------------------
@@ -152,8 +151,6 @@ def switched_runs(base: Base) -> tuple[int, ...]:
 
 QUANTILES = (0.998, 0.99, 0.97, 0.93)
 """Quantiles of the readings that are tried as rails, each high and low."""
-SAMPLED = 50_000
-"""Samples that those quantiles are taken from."""
 
 
 def _steps_at(base: Base, found: Sequence[tuple[int, float]]) -> tuple[float, ...]:
@@ -213,6 +210,6 @@ def rails_of(log: Log, model: Model) -> tuple[tuple[float, float], ...]:
 
 def _extremes(log: Log, model: Model) -> np.ndarray:
     """Return quantiles of the readings, high and low in turn: (2 n_quantiles, n_channels)."""
-    thin = max(1, log.rows // SAMPLED)
+    thin = max(1, log.rows // ROOM)
     values = np.hstack([np.array(b.columns(model.channels))[:, ::thin] for b in batches(log, model.channels)])
     return np.vstack([np.quantile(values, [a, 1 - a], axis=1) for a in QUANTILES])

@@ -22,6 +22,8 @@ from hallsym.log.batches import Weigh
 
 TAILS = ("outliers", "dropped_samples")
 """Faults of few samples, which can be left out."""
+OF_VALUES = ("cordic_steps", "adc_quantisation")
+"""Faults that the values of the readings tell, whatever a model leaves: their error is known."""
 FAR = 42.0
 """Squared whitened distance of a sample, over its typical one, from which on it is left out.
 
@@ -39,10 +41,6 @@ SMOOTH = 0.25
 """Correlation of neighbouring time shifts from which on they are no jitter, which has none.
 
 White noise has -0.09 after the running median; a gap of the model that is sampled finely comes near 1."""
-ONE_SIDED = 0.5
-"""Mean sign of samples that are late from which on they count as stale: jitter is early as often as late.
-
-Between 0 of jitter and 1 of stale samples; that it is no chance is tested beside it."""
 
 
 KINDS = 6
@@ -83,7 +81,7 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
             Fault("outliers", f"{100 * found.spike_share:.2g} % of the samples are spikes",
                   tail / variance, {"share": Estimate(found.spike_share, None, "1")}, found.spike_p)
         )  # fmt: skip
-    elif rare and certain(found.stale_p) and abs(found.one_sided) > ONE_SIDED:
+    elif rare and certain(found.stale_p):
         out.append(
             Fault("dropped_samples", f"{100 * found.stale_share:.2g} % of the samples are old",
                   tail / variance, {"share": Estimate(found.stale_share, None, "1")}, found.stale_p)

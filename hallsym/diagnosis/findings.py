@@ -14,6 +14,7 @@ from hallsym.diagnosis.record import Estimate, FoundEffect, Resemblance
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
 from hallsym.diagnosis.verdict import closed
+from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError, counted
 from hallsym.families.faults import FAULTS
 from hallsym.model import Model
@@ -159,8 +160,6 @@ def _repair(name: str) -> str:
 
 
 NO_WORK = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN)
-SHOWN = 3
-"""Computed signals that are named; of more the text says '...'."""
 
 
 def operations(model: Model) -> int:

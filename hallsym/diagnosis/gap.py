@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from hallsym.diagnosis.features import Key
-from hallsym.diagnosis.lack_of_fit import LackOfFit
+from hallsym.diagnosis.lack_of_fit import Key, LackOfFit
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.setup import Floor
 
@@ -14,10 +13,10 @@ def worth_reporting(floor: Floor, threshold: float, policy: Policy) -> float:
 
 
 def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
-    """Return whether a residual has a shape, or lines, that are worth the threshold by themselves."""
+    """Return whether a residual has a shape, or tones, that are worth the threshold by themselves."""
     need = 1 - (1 - threshold) / (1 + policy.floor_known)
     best = found.best(policy.shape_certain)
-    return found.lines >= need or (best is not None and best.drop >= need)
+    return found.tones >= need or (best is not None and best.drop >= need)
 
 
 def remains(
@@ -44,7 +43,7 @@ def remains(
     half = policy.half * threshold
     likely = any(s.p_value < policy.shape_likely and s.drop >= half for s in found.shapes)
     large = metric > floor.metric * (1 + policy.unstructured)
-    return likely or found.lines >= half or slow >= threshold or large
+    return likely or found.tones >= half or slow >= threshold or large
 
 
 def used_up(
@@ -68,7 +67,7 @@ def slow_share(variance: float, fast: float) -> float:
 
 def _powers(found: LackOfFit, metric: float) -> dict[str, float]:
     """Squares [m^2] that each kind of shape explains; curves over several coordinates of a kind add up."""
-    best: dict[Key, float] = {Key("lines"): _power(found.lines, metric)}
+    best: dict[Key, float] = {Key("tones"): _power(found.tones, metric)}
     for shape in found.shapes:  # best first: the finest curve that pays
         best.setdefault(shape.key, _power(shape.drop, metric))
     kinds: dict[str, float] = {}

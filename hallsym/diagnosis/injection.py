@@ -18,10 +18,9 @@ from hallsym.diagnosis.words import gap_text, gap_unit
 from hallsym.families.faults import FAULTS, Draw, Injection, Noisy, Recording, RecordingFault, Size
 from hallsym.model import Effect, Facts, Model, Variant
 
-ABSORBED = 0.02
-"""Share of an effect that must be left by the model's own parameters for it to count as visible."""
 NEAR = 0.02
-"""How near the gap of an injection must come to what is wanted."""
+"""How near the gap of an injection must come to what is wanted; what the model's own parameters must leave of
+an effect for it to count as visible."""
 SEARCH = 12
 SEEN = 1e-3
 """A parameter that makes less than this part of the noise floor at its bound is left at 0."""
@@ -47,7 +46,7 @@ def sized(truth: SimulatedMachine, injection: Injection, ratio: float) -> Sized:
         if not np.isfinite(readings).all():
             return Sized(amount, 0.0, "its readings are not finite on this log")
         gap, raw = truth.gap(readings)
-        hidden = gap < ABSORBED * raw and raw > truth.floor_m
+        hidden = gap < NEAR * raw and raw > truth.floor_m
         if hidden or (amount >= injection.most and gap < (1 - NEAR) * wanted):
             return Sized(amount, gap, _invisible(gap, raw, gap_unit(truth.base.model.pose)))
         before = seen[-1]
@@ -63,7 +62,7 @@ def sized(truth: SimulatedMachine, injection: Injection, ratio: float) -> Sized:
 
 def _invisible(gap: float, raw: float, unit: tuple[float, str]) -> str:
     left = gap_text(gap, unit, 2)
-    if gap < ABSORBED * raw:
+    if gap < NEAR * raw:
         return f"the model's own parameters absorb it: of {gap_text(raw, unit)} they leave {left}"
     return f"at the bounds of its parameters it makes {left} on this log"
 

@@ -17,26 +17,39 @@ def by_candidate(
     `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
     (rows, blocks, samples) of each channel, `D`: (n_pose, K, blocks, samples).
     """
-    blocks = near.shape[2]
-    decoded = np.einsum("ikbs,okbs->oibs", D, near)
-    white_near = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
+    first, at, blocks = work.z + work.n, work.near, near.shape[2]
+    white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
+    grams = [_gram(columns) for columns in (white, decoded)]
+    out = [np.zeros((blocks, work.size, work.size)) for _ in grams]
+    for M, gram in zip(out, grams, strict=True):
+        M[:, at[:, None], at] = gram
+    if not any(map(len, rows)):
+        return out[0], out[1]
+    metric = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
     mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
-    first, at = work.z + work.n, work.near
-    out = []
-    for metric in (white_near, mapped):
-        M = np.zeros((blocks, work.size, work.size))
-        inner = _flat(near) @ _flat(metric).swapaxes(1, 2)
-        M[:, at[:, None], at] = inner
+    for M, columns in zip(out, (metric, mapped), strict=True):
         for k, block in enumerate(rows):
             if len(block):
-                across = block.swapaxes(0, 1) @ metric[:, k].transpose(1, 2, 0)
+                across = block.swapaxes(0, 1) @ columns[:, k].transpose(1, 2, 0)
                 M[:, (first + work.slopes.column[k])[:, None], at] += across
         M[:, at[:-1], first:-1] = M[:, first:-1, at[:-1]].swapaxes(1, 2)
         M[:, -1, first:-1] = M[:, first:-1, -1]
-        out.append(M)
     for c in range(len(work.slopes.span)):
         _add_own(work, rows, c, precision, D, *out)
     return out[0], out[1]
+
+
+def _decoded(D: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Return (own, n_pose, blocks, samples): what the columns `near` are as an error of the pose."""
+    out = np.empty((len(near), len(D), *near.shape[2:]))
+    for k, column in enumerate(near):
+        np.einsum("ikbs,kbs->ibs", D, column, out=out[k])
+    return out
+
+
+def _gram(columns: np.ndarray) -> np.ndarray:
+    """Return the products (blocks, own, own) of columns (own, rows, blocks, samples) with each other."""
+    return np.array([own @ own.T for own in _flat(columns)])
 
 
 def _flat(columns: np.ndarray) -> np.ndarray:

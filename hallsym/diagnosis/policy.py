@@ -70,14 +70,6 @@ class Policy:
     """Difference of BIC up to which a variant with as few parameters as another effect explains as much.
 
     What Kass and Raftery (1995) call very strong."""
-    foreseen: float = 0.75
-    """Cross-validated gap, over that of the best fitting effect, below which an effect that fits alike wins.
-
-    A score is good to about a quarter: an effect that is better by more predicts better."""
-    fits_alike: float = 0.05
-    """Relative difference of the gaps of two exact refits up to which they fit alike.
-
-    The gap that is worth reporting."""
     plain_pairs: int = 2
     """Plain effects that, each with a second effect, compete with a flexible one (0: none).
 

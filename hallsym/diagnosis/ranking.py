@@ -115,7 +115,7 @@ def ordered(
     """Order exact refits, best first; those that are not `worth` it behind those that are."""
     first = _simpler_first(sorted(exact, key=lambda e: e.bic), scored, policy)
     counted = [e for e in first if worth(e.score)]
-    return _better_predicting_first(counted, policy) + [e for e in first if not worth(e.score)]
+    return counted + [e for e in first if not worth(e.score)]
 
 
 def _simpler_first(exact: list[Exact], scored: Sequence[Score], policy: Policy) -> list[Exact]:
@@ -154,20 +154,6 @@ def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> 
 def _same(a: Exact, b: Exact) -> bool:
     """Return whether two effects of one size leave the same, to less than the noise of one reading."""
     return a.score.size == b.score.size and abs(b.fit.cost - a.fit.cost) * count_of(a.fit) <= a.fit.cost
-
-
-def _better_predicting_first(exact: list[Exact], policy: Policy) -> list[Exact]:
-    """Put the effect first that fits nearly as well as the best one and predicts other runs far better.
-
-    BIC cannot see this where much of what is left is no noise.
-    """
-    if not exact:
-        return exact
-    near = [e for e in exact if e.gap <= exact[0].gap * (1 + policy.fits_alike)]
-    least = min(near, key=lambda e: e.score.ratio)
-    if least.score.ratio >= policy.foreseen * exact[0].score.ratio:
-        return exact
-    return _first(least, exact)
 
 
 def plain_pairs_first(

@@ -16,8 +16,6 @@ PER_PERIOD = 12
 """Samples per period of the fastest motion that is proposed."""
 BETWEEN = 1.0
 """Seconds between runs."""
-PER_TURN = 24
-"""Samples per turn at the highest speed that is proposed."""
 SWING = 0.05
 """Part of a turn over which a shaft is swung to and fro: 18 deg."""
 WARM = 5.0
@@ -106,7 +104,7 @@ def recordings(r: Range) -> list[Recording]:
 def _turns(r: Range) -> list[Recording]:
     """What a shaft can do: turn at a speed, both ways, swing, rest, or turn while it gets warm."""
     seconds = min(LENGTH, LONGEST * r.step_s)
-    fastest = r.turn / (PER_TURN * r.step_s)
+    fastest = r.turn / (2 * PER_PERIOD * r.step_s)
     v = min(r.speed, fastest)
     out: list[Recording] = []
 

@@ -93,15 +93,18 @@ def with_model(base: Base, model: Model) -> Base:
     return replace(base, model=model, p=p, free=free)
 
 
-def refit(base: Base, runs: Sequence[int]) -> Refitted:
-    """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples."""
+def refit(base: Base, runs: Sequence[int], most: int = MOST) -> Refitted:
+    """Minimise the whitened residual of `runs` from `base`; every run's zeros follow its own samples.
+
+    `most`: linearisations at most.
+    """
 
     def linearised(at: Base) -> Refitted:
         t = normal_equations(at)
         units = t.units(runs)
         return Refitted(at, t, units, float(t.likelihood[units, -1, -1].sum()))
 
-    return gauss_newton(linearised, base, lambda now, gained: gained <= CLOSE * now.cost, MOST)[0]
+    return gauss_newton(linearised, base, lambda now, gained: gained <= CLOSE * now.cost, most)[0]
 
 
 def seen(base: Base, M: np.ndarray) -> np.ndarray:

@@ -7,6 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+FOLDS = 11
+"""Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
+NIL = 1e-9
+"""Relative squares below which a column is rounding: the model absorbs it, or it never moves."""
 RIDGE = 1e-3
 """Pull of coefficients towards 0, over the squares of their column: what no group determines stays 0."""
 

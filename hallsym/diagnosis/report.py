@@ -35,7 +35,8 @@ from hallsym.diagnosis.shares import sizes
 from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import QUIET, WITH_REST, Verdict, closed
 from hallsym.diagnosis.words import gap_text, gap_unit, percent
-from hallsym.estimation.calibration import Fit, added_effects
+from hallsym.estimation.calibration import Fit
+from hallsym.families.recipe import added_effects
 
 
 def report(

@@ -12,7 +12,7 @@ import numpy as np
 from hallsym.diagnosis.normal_equations import UNITS
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.sign_flips import FEWEST_UNITS, stretch
-from hallsym.diagnosis.survey import MAINS
+from hallsym.diagnosis.survey import ENOUGH, MAINS
 from hallsym.estimation.decoding import decoding_gain
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
@@ -21,8 +21,6 @@ MAINS_DRIFT = 0.3
 """Distance from the mains [Hz] that they and a clock may drift by."""
 STRETCH = 32
 """Samples that a stretch must have."""
-ENOUGH = 2_000_000
-"""Samples after which no more are looked at."""
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,13 @@ from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Significance
+from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.sign_flips import NIL, SignFlips, adjusted, least_p, searched, stretch
+from hallsym.diagnosis.sign_flips import SignFlips, adjusted, least_p, searched, stretch
 from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
 from hallsym.model import Effect, Facts, Model, Variant
-
-FOLDS = 11
-"""A prime, so that folds do not fall in step with settings that recur every few runs."""
 
 
 class Candidate(NamedTuple):

@@ -8,6 +8,7 @@ import numpy as np
 
 from hallsym.diagnosis.derivatives import slope_of
 from hallsym.diagnosis.facts import facts_of
+from hallsym.diagnosis.faults import OF_VALUES, faults
 from hallsym.diagnosis.gap import remains, slow_share, used_up
 from hallsym.diagnosis.lack_of_fit import lack_of_fit
 from hallsym.diagnosis.ranking import Exact, bic_of, plain_pairs_first, refitted
@@ -221,6 +222,7 @@ class _Search:
         self.owner: dict[str, str] = {}
         self.refits: dict[tuple[Exact, ...], Refitted] = {}
         self.last: list[Score] = []
+        self.of_values = 0.0
         self.dropped: list[Selected] = []
         self.nested = Nested(setup.runs, setup.policy)
 
@@ -246,15 +248,15 @@ class _Search:
         """Return whether an effect lowers the gap enough; one `beside` others must be needed and certain.
 
         A first effect that is certain is taken up from half the threshold on: it may be worth more on the
-        holdout runs, which decide.
+        holdout runs, which decide. What the values of the readings make of the gap, as steps do, no effect
+        can take away: it would only follow their error.
         """
         if beside == self.setup.base.model.family.most_effects:
             return False
-        level = self.setup.threshold
         certain = score.p_value < self.policy.certain
-        if not beside:
-            return score.ratio <= 1 - level or (certain and score.ratio <= 1 - self.policy.half * level)
-        return self.needed() and certain and score.ratio <= 1 - level
+        level = self.setup.threshold * (self.policy.half if certain and not beside else 1.0)
+        needed = not beside or (certain and self.needed())
+        return needed and max(score.ratio, np.sqrt(self.of_values)) <= 1 - level
 
     def needed(self) -> bool:
         """Return whether what is left may hold another effect: it is above the floor, or that is unknown."""
@@ -267,6 +269,8 @@ class _Search:
         """Screen the catalogue at `at`; return exact refits, best first, if any effect is `worth` it."""
         found = survey(at.base, frozenset(self.runs))
         facts = facts_of(at.base, found)
+        told = faults(at.base, found, self.setup.tested)
+        self.of_values = sum(f.power for f in told if f.name in OF_VALUES)
         tried, trouble = candidates(at.base, self.setup.catalogue, facts)
         screen = Screen(at.base, tried, self.runs, self.policy.inflation, colour=found.colour)
         ranked = screen.scores

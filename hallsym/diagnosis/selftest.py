@@ -186,6 +186,45 @@ def run_trials(
     return out, True
 
 
+def first_look(
+    bench: Bench, wanted: Sequence[str], ratios: Sequence[float], seconds: float
+) -> tuple[list[Trial], bool, str]:
+    """Run one trial of each size, the largest of every effect first, as many as `seconds` allow.
+
+    No trial begins that would end later if it took as long as the longest one so far. Returned are the
+    trials, whether no interrupt ended them, and a note on what was not reached ("" if all were).
+    """
+    say, began, longest = bench.setup.say, perf_counter(), 0.0
+    out: list[Trial] = []
+    queue = [i for i in bench.injections(0) if i.name in wanted]
+    largest = [(i, ratios[-1] if i.sized else ratios[0]) for i in queue]
+    smaller = [(i, r) for r in reversed(ratios[:-1]) for i in (*queue, None) if i is None or i.sized]
+    plan: list[tuple[Injection | None, float]] = [(None, ratios[-1]), *largest, *smaller]
+    note = ""
+    try:
+        for k, (injection, ratio) in enumerate(plan):
+            left = seconds - (perf_counter() - began)
+            if out and longest > left:
+                note = (
+                    f"A first look: {k} of {len(plan)} trials fitted into the time, the largest size of each "
+                    "effect first. Without --quick all are made, or name a few with --effects."
+                )
+                break
+            name = injection.name if injection else NO_EFFECT
+            say(f"{name} at {ratio:g} x the noise floor, {k} of {len(plan)} trials done, {left:.0f} s left")
+            made = bench.trial(injection, ratio, 0)
+            if isinstance(made, str):
+                bench.reasons.setdefault(name, made)
+                continue
+            out.append(made)
+            longest = max(longest, made.seconds)
+    except KeyboardInterrupt:
+        return out, False, note
+    finally:
+        out.sort(key=lambda t: t.ratio or 0.0)
+    return out, True, note
+
+
 def _left(seconds: float, done: int, total: int) -> str:
     if not done:
         return ""
@@ -274,6 +313,7 @@ def selftest(
     repeats: int = REPEATS,
     seed: int = 0,
     rows: int = ROWS,
+    seconds: float | None = None,
     drop_bad: bool = False,
     on_progress: Callable[[str], None] | None = None,
 ) -> SelfTest:
@@ -281,8 +321,9 @@ def selftest(
 
     `names`: effects and faults to try (default: all). `ratios`: gap over noise floor of the sizes, above 1.
     `repeats`: trials of each size, with other signs, instants and noise. `rows`: samples to decimate the log
-    to. `model`, `holdout`, `effects`, `threshold` as in `diagnose`. A keyboard interrupt ends it early: what
-    was done is returned with `complete` False.
+    to. `seconds`: a first look that takes about so long, one trial of each size, the largest of each effect
+    first; a note says what was not reached. `model`, `holdout`, `effects`, `threshold` as in `diagnose`. A
+    keyboard interrupt ends it early: what was done is returned with `complete` False.
 
     Raises `InputError` for an unknown name, a ratio not above 1, and wherever `diagnose` does.
     """
@@ -297,7 +338,12 @@ def selftest(
     )  # fmt: skip
     wanted = _wanted(names, setup.catalogue)
     bench = Bench(setup, tuple(effects), seed, rows)
-    trials, complete = run_trials(bench, wanted, ratios, repeats)
+    note = ""
+    if seconds is None:
+        trials, complete = run_trials(bench, wanted, ratios, repeats)
+    else:
+        repeats, left = 1, seconds - (perf_counter() - began)
+        trials, complete, note = first_look(bench, wanted, ratios, left)
     quiet = tuple(t for t in trials if t.name == NO_EFFECT)
     alarms = sum(t.verdict not in QUIET for t in quiet)
     return SelfTest(
@@ -322,7 +368,7 @@ def selftest(
         outputs=setup.fit.model.pose,
         log={**setup.fit.log, "holdout": list(setup.holdout)},
         complete=complete,
-        notes=tuple(dict.fromkeys((NOT_TESTED, *setup.fit.notes))),
+        notes=tuple(dict.fromkeys((*([note] if note else []), NOT_TESTED, *setup.fit.notes))),
         seconds=perf_counter() - began,
     )
 

@@ -14,10 +14,8 @@ from scipy.special import stdtr, stdtrit
 
 from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.refit import Refitted, inside_bounds
+from hallsym.diagnosis.regression import FOLDS
 from hallsym.diagnosis.scores import Screen
-
-FOLDS = 11
-"""Groups of fitted runs that are left out in turn; a prime, so as not to fall in step with settings."""
 
 Squares = Mapping[tuple[int, ...], float]
 """Squared decoded errors of each judging run (or of neighbouring runs of a log of very many)."""

@@ -21,14 +21,13 @@ import numpy as np
 from scipy.special import gammaincc, ndtr, ndtri, stdtr
 
 from hallsym.diagnosis.normal_equations import NormalEquations
+from hallsym.diagnosis.regression import NIL
 from hallsym.estimation import pseudo_inverse
 
 FLIPS = 1999
 """Random signs that are drawn: p-values go down to 0.0005, and one of 0.05 is good to 0.005."""
 FEWEST_UNITS = 24
 """Runs from which on runs are the units; of fewer, stretches are, so that there are about as many."""
-NIL = 1e-9
-"""Part of a column's squares below which what is left of it is rounding (products are good to 1e-13)."""
 SAME = 1e-8
 """Part of the largest eigenvalue below which a direction of an effect repeats another one."""
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import median_filter
 
-from hallsym.diagnosis.p_values import as_many, as_often, exceeds, statistic_at, student
+from hallsym.diagnosis.p_values import as_many, as_often, chance, exceeds, statistic_at, student
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.estimation import pseudo_inverse
+from hallsym.log.quality.runs import FEWEST_SAMPLES
 
 MAINS = (50.0, 60.0)
 """Frequencies of the mains [Hz]."""
@@ -20,9 +21,7 @@ MAINS_BAND = 4.0
 FINE = 0.125
 """Distance of the frequencies that are tried there [Hz]: half of what runs of 4 s resolve."""
 SEGMENT = 64
-"""Samples of a segment between two instants at which a slip is looked for."""
-LAGS = 64
-"""Samples up to which the residual's memory is added up."""
+"""Samples between instants at which a slip is looked for; over which the memory of a residual is added up."""
 ENOUGH = 1_000_000
 """Samples that are looked at one by one; of a longer log every 64th block beyond."""
 UNCORRELATED = 0.02
@@ -31,8 +30,6 @@ KNOWN_VALUES = 20_000
 """Different readings of a channel that are kept; some more, as a block is added whole."""
 FEWEST = 200
 """Samples from which on faults of single ones are judged."""
-FEWEST_GAPS = 8
-"""Distances between readings from which on they may show steps."""
 WAVE_BLOCKS, WAVE_SAMPLES, WAVE_DEGREE = 256, 16, 6
 """Blocks that mains lines are looked for in, samples that each must have, and the number of coefficients of
 the polynomial that is taken out of each."""
@@ -46,15 +43,11 @@ SPIKE = 6.0
 """Standard deviations beyond which a sample counts as a spike: 2e-9 of Gaussian samples do.
 
 That it is more than the noise's own tails is tested beside it."""
-TWO_MORE = 12.0
-"""Added to the square of `SPIKE` where it is the sum of the squares of further readings."""
-CHI_SQUARE_QUARTILE = 1.3233
-"""Upper quartile of chi-square with one degree of freedom."""
 QUARTILE_ERROR = 2.4
 """Standard error of that quartile, over the quartile, of one sample: 2.4 / sqrt(n) of n."""
 BINS = 12
 """Bins of speed in which the scatter of the samples is measured, each of as many samples."""
-WHOLE, MOSTLY = 0.02, 0.95
+WHOLE, MOSTLY = 0.02, 0.9
 """How near to whole, in steps, the distance of two readings must be, and how many of them, for ADC steps."""
 
 
@@ -71,10 +64,10 @@ class Survey:
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
     `colour`: autocorrelation of the residual at lags 0, 1, ...
     `jitter_s`: rms sampling-instant error that explains residual growing with speed. `stale_share`,
-    `spike_share`: share of samples, `one_sided` the mean sign of the stale ones' delay, `smooth` the
-    correlation of neighbouring time shifts (0 for jitter), `bursts` the share of spikes and stale samples
-    that are within one of many. `adc_step`: (K,) step seen, 0 for none, among `values`, different readings of
-    each channel (20 000 or little more). `lines_hz`: mains lines.
+    `spike_share`: share of samples, `smooth` the correlation of neighbouring time shifts (0 for jitter),
+    `bursts` the share of spikes and stale samples that are within one of many. `adc_step`: (K,) step seen, 0
+    for none, among `values`, different readings of each channel (20 000 or little more). `lines_hz`: mains
+    lines.
     """
 
     duration_s: float = 0.0
@@ -88,7 +81,6 @@ class Survey:
     stale_power: float = 0.0
     spike_share: float = 0.0
     spike_power: float = 0.0
-    one_sided: float = 0.0
     smooth: float = 0.0
     bursts: float = 0.0
     adc_step: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -113,7 +105,7 @@ class _Work:
         self.K = channels
         self.found = Survey()
         self.squares = self.differences = 0.0
-        self.correlation = np.zeros(LAGS)
+        self.correlation = np.zeros(SEGMENT)
         self.shift: list[np.ndarray] = []
         self.spectra: list[tuple[float, float, np.ndarray]] = []
         self.values: list[set[float]] = [set() for _ in range(channels)]
@@ -146,7 +138,7 @@ class _Work:
         n = r.shape[1]
         x = r - r.mean(axis=1, keepdims=True)
         spectrum = np.abs(np.fft.rfft(x, 2 * n, axis=1)) ** 2
-        products = np.fft.irfft(spectrum, axis=1)[:, :LAGS].sum(axis=0)
+        products = np.fft.irfft(spectrum, axis=1)[:, :SEGMENT].sum(axis=0)
         self.correlation[: len(products)] += products
 
     def _spectrum(self, t: np.ndarray, r: np.ndarray) -> None:
@@ -190,7 +182,7 @@ class _Work:
         total = max(self.count * self.K, 1)
         f.variance, f.fast = self.squares / total, self.differences / total
         rho = self.correlation / max(self.correlation[0], 1e-300)
-        stop = next((k for k in range(1, LAGS) if rho[k] < UNCORRELATED), LAGS)
+        stop = next((k for k in range(1, SEGMENT) if rho[k] < UNCORRELATED), SEGMENT)
         f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
         f.colour = rho if self.correlation[0] > 0 else f.colour
         if self.shift:
@@ -219,8 +211,8 @@ class _Work:
         f.jitter_power = float(slope * np.mean(size**2)) / self.K
         expected = FILTERED * (body + slope * size**2)
         quiet = max(float(np.median(rest)) / statistic_at(0.5, max(self.K - 1, 1)), QUIETEST)
-        beyond = SPIKE**2 + TWO_MORE
-        spikes = rest > quiet * beyond
+        limit = statistic_at(chance(SPIKE**2, 1), max(self.K - 1, 1))  # as rare in as many directions
+        spikes = rest > quiet * limit
         late = (z**2 > SPIKE**2 * expected) & ~spikes
         f.smooth = float(self.neighbours[0] / max(self.neighbours[1], 1e-300))
         f.bursts = float(self.crowd[0] / max(self.crowd[1], 1.0))
@@ -228,12 +220,12 @@ class _Work:
         tail_z = max(0.0, float(np.mean(np.where(spikes, 0.0, z**2 - expected))))
         f.spike_power = float((rest[spikes] + z[spikes] ** 2).sum()) / (len(z) * self.K)
         f.stale_power = tail_z / self.K if late.any() else 0.0
-        f.one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
-        far = exceeds(rest, max(self.K - 1, 1), quiet * beyond)
+        one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
+        far = exceeds(rest, max(self.K - 1, 1), quiet * limit)
         f.spike_p = as_many(_events(spikes), far * len(rest))
         relative = z**2 / expected
         far, events = exceeds(relative, 1, SPIKE**2), _events(late)
-        sides = round(0.5 * (1 + abs(f.one_sided)) * events)
+        sides = round(0.5 * (1 + abs(one_sided)) * events)
         f.stale_p = max(as_many(events, far * len(z)), min(1.0, 2 * as_often(sides, events, 0.5)))
 
     def _judge_lines(self) -> None:
@@ -291,7 +283,7 @@ def _growth(z: np.ndarray, size: np.ndarray) -> tuple[float, float, float]:
     order = np.argsort(size)
     bins = np.array_split(order, BINS)
     x = np.array([np.mean(size[b] ** 2) for b in bins])
-    y = np.array([np.quantile(z[b] ** 2, 0.75) for b in bins]) / (CHI_SQUARE_QUARTILE * FILTERED_QUARTILE)
+    y = np.array([np.quantile(z[b] ** 2, 0.75) for b in bins]) / (statistic_at(0.25, 1) * FILTERED_QUARTILE)
     error = np.maximum(y, 0.3) * QUARTILE_ERROR / np.sqrt([len(b) for b in bins])
     A = np.column_stack([np.ones(len(x)), x]) / error[:, None]
     covariance = pseudo_inverse(A.T @ A)
@@ -308,7 +300,7 @@ def _step(v: np.ndarray) -> tuple[float, float]:
     """
     gaps = np.diff(v)
     gaps = gaps[gaps > 1e-13]
-    if len(gaps) < FEWEST_GAPS:
+    if len(gaps) < FEWEST_SAMPLES:
         return 0.0, 1.0
     q = float(np.quantile(gaps, 0.05))
     near = gaps[gaps < 1.5 * q]

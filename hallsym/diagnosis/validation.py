@@ -215,5 +215,5 @@ def _lowered_floor(setup: Setup, gap: float, explained: bool, found: Sequence[Fa
 
 def _beyond_shapes(found: Sequence[Fault], rest: LackOfFit) -> list[Fault]:
     """Return the faults that are no part of a shape, which may look like late samples here and there."""
-    least = max([rest.lines, *(s.drop for s in rest.shapes)])
+    least = max([rest.tones, *(s.drop for s in rest.shapes)])
     return [f for f in found if f.name != "clock_jitter" and cures(f) >= least]

@@ -10,6 +10,10 @@ UNITS = {"m": (1e6, "um"), "rad": (1e6, "urad"), "m/s": (1e3, "mm/s"), "v": (1e3
 """How places are shown to a person."""
 
 
+SHOWN = 3
+"""Names that are listed at most: signals to compute, other effects of a group."""
+
+
 def percent(share: float) -> str:
     """Return a share in per cent without digits."""
     return f"{100 * share:.0f} %"

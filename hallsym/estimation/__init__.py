@@ -10,6 +10,7 @@ The path of a fit, file by file:
 - `identifiable`: which parameters the data determine, and which are therefore held.
 - `optimum`: global search, IPOPT, Newton; `gauss_newton`: by passes over the log.
 - `outliers`, `decoding`: samples that are left out; errors of the decoded pose.
+- `parts`: the same passes over a log in parts, made by several processes.
 - `residual_noise`: the noise that is left, its size and colour; `residual_columns`: what it is told from.
 - `goodness_of_fit`: what is left, in multiples of the noise; `lower_bound`: what a linear fit leaves.
 - `covariance`: standard uncertainties; `run_scatter`: those that show between runs.
@@ -24,7 +25,6 @@ from hallsym.estimation.calibration import (
     CombinationEstimate,
     Errors,
     Fit,
-    added_effects,
     calibration_schema,
     coverage_factor,
     load_fit,
@@ -69,6 +69,7 @@ from hallsym.estimation.residual_noise import KNOWN, Residual, ResidualNoise, au
 from hallsym.estimation.run_statistics import RunStatistics, summarise
 from hallsym.estimation.start import LinearFit, closed_form, linear_fit
 from hallsym.estimation.task import noise_of
+from hallsym.families.recipe import added_effects
 
 __all__ = [
     "BUDGET",

@@ -15,8 +15,9 @@ from hallsym.estimation.decoding import ErrorTable, logged_columns
 from hallsym.estimation.goodness_of_fit import GoodnessOfFit
 from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.likelihood import Cost
-from hallsym.families import build, known_effect, plain
-from hallsym.log import Foreign, Log, Meta, Noise, Sigma
+from hallsym.families import known_effect
+from hallsym.families.recipe import Recipe, added_effects, layout_of, made
+from hallsym.log import Foreign, Log, Noise, Sigma
 from hallsym.log.batches import Weigh
 from hallsym.model import Family, Model
 from hallsym.model.effect import read_text
@@ -260,7 +261,7 @@ class Fit(Shown):
                 for run, d in self.zeros.items()
             },
             "wiring": None if self.wiring is None else [list(pair) for pair in self.wiring],
-            "layout": [dict(p.entry) for p in model.layout],
+            "layout": layout_of(model),
             "log": {**self.log, "sha256": self.source.sha256 if self.source else self.log["sha256"]},
             **({"columns": mapped} if mapped else {}),
             **({"read_with": dict(self.read_with)} if self.read_with else {}),
@@ -394,9 +395,8 @@ def _model(
             raise InputError(f"Bounds of {name} in {where} are inverted; fit the log again.")
     for name, entry in record.parameters.items():
         changes[name]["nominal"] = entry.nominal
-    meta = Meta(probes=[dict(entry) for entry in record.layout])
-    model = build(record.model, meta=meta, added=tuple(record.added), own=own, families=families)
-    return model.with_parameters(changes)
+    recipe = Recipe(record.model, tuple(record.added), tuple(record.layout), changes)
+    return made(recipe, own, families)
 
 
 def _same(wanted: Sequence[str], found: Iterable[str], where: str) -> None:
@@ -414,12 +414,6 @@ def _plain(record: Any) -> dict[str, Any]:
     import msgspec
 
     return msgspec.json.decode(msgspec.json.encode(record))
-
-
-def added_effects(model: Model) -> Sequence[str]:
-    """Return the effects that `model` has beyond those its name stands for, with their numbers."""
-    new = [model.texts.get(effect, effect) for effect in model.effects[len(plain(model).effects) :]]
-    return list(dict.fromkeys(new))
 
 
 def _number(value: float) -> float | None:

@@ -66,7 +66,7 @@ class Coefficients:
         """Return the coefficients and their slopes, the latter (1 + n_zeros, n_features, n, n_channels)."""
         model = self.features.model
         shape = (1 + self.n_zeros, len(model.channels), self.features.size)
-        value, slope = (np.asarray(v) for v in self.features.expansion[0](p, self.centre))
+        value, slope = self.features.expansion[0](p, self.centre)
         return (
             np.ascontiguousarray(np.swapaxes(value.T.reshape(shape), 1, 2)),
             np.ascontiguousarray(np.transpose(slope.reshape(*shape, -1), (0, 2, 3, 1))),
@@ -96,4 +96,4 @@ class Coefficients:
     def curvature(self, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return sum of weights * d2 coefficient / dp2, shape (n, n), weights shaped as coefficients."""
         flat = np.swapaxes(weights, 1, 2).ravel()
-        return np.asarray(self.features.expansion[1](p, self.centre, flat))
+        return self.features.expansion[1](p, self.centre, flat)

@@ -189,7 +189,7 @@ def structural_rank(
     if sampled:
         rows = np.array(sampled) * scales(model)
     else:
-        slope = on_arrays(features.expansion[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
+        slope = on_arrays(features.expressions[0])(at.T, np.zeros(features.exponents.shape[1]))[1]
         shape = (len(model.names), 1 + features.n_zeros, len(model.channels), features.size, points)
         rows = slope.reshape(shape)[:, 0].reshape(len(model.names), -1, points).T * scales(model)
     tried = [_pivots(jacobian[:, np.array(open_)]) for jacobian in rows]

@@ -43,8 +43,8 @@ def responses_of(cost: Cost) -> Responses | None:
     gram, cross = np.swapaxes(X, 1, 2) @ X, np.swapaxes(X, 1, 2) @ Y
     energy, total = np.einsum("rjj->rj", gram), np.einsum("rik,rik->rk", Y, Y)
     signal = total / (summary.counts[:, None] * cost.reading_variance)
-    slopes, inverse, left = _regression(gram, cross, total, energy > 0)
-    part = slopes**2 * energy[:, :, None] / np.maximum(total, 1e-300)[:, None, :]
+    together, inverse, left = _regression(gram, cross, total, energy > 0)
+    part = together**2 * energy[:, :, None] / np.maximum(total, 1e-300)[:, None, :]
     own = 1.0 / np.maximum(np.einsum("rjj->rj", inverse), 1e-300)
     clear = own > APART * summary.counts[:, None] * noise
     never = ~clear.any(axis=0)  # then the noise is not in the unit of the column
@@ -56,7 +56,7 @@ def responses_of(cost: Cost) -> Responses | None:
     each = left / freedom  # of a short run too small by chance: what is usual is the least
     variance = np.maximum(np.maximum(each, np.median(each, axis=0)), cost.reading_variance)
     std = np.sqrt(np.einsum("rjj->rj", inverse)[:, :, None] * variance[:, None, :])
-    return Responses(model, summary.runs, slopes, std, moved, share, signal, gram, total)
+    return Responses(model, summary.runs, slopes, std, moved, share, signal, gram, total, together)
 
 
 def _freed(summary: RunStatistics, index: list[int]) -> tuple[np.ndarray, np.ndarray]:

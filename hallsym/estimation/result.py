@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from hallsym.estimation.calibration import Fit, added_effects
+from hallsym.estimation.calibration import Fit
 from hallsym.estimation.channel_assignment import Wiring, composed
 from hallsym.estimation.covariance import Uncertainty, noise_floor, uncertainty_at
 from hallsym.estimation.gauss_newton import deviations_of
@@ -18,6 +18,7 @@ from hallsym.estimation.identifiable import Determination
 from hallsym.estimation.linearised import exact
 from hallsym.estimation.lower_bound import LowerBound, lower_bound
 from hallsym.estimation.task import Solved
+from hallsym.families.recipe import added_effects
 from hallsym.log.phase import home_notes
 from hallsym.model import Model
 

@@ -7,6 +7,7 @@ from hallsym.errors import InputError, nearest
 from hallsym.families import halbach, rotary, stage
 from hallsym.families.faults import FAULTS
 from hallsym.log import Meta
+from hallsym.log.columns import listed
 from hallsym.log.limits import is_moving
 from hallsym.model import Effect, Family, Model
 from hallsym.model.effect import as_effect, read_text
@@ -67,10 +68,10 @@ def default_model(meta: Meta) -> str:
     Raises `InputError` where the columns are of no family.
     """
     if meta.columns and not meta.base_model and not any(map(is_moving, meta.columns)):
+        kinds = " nor ".join(f"{f.about.partition(';')[0].rstrip(')')})" for f in FAMILIES)
         raise InputError(
-            f"The log's columns ({', '.join(meta.columns)}) are neither "
-            f"{' nor '.join(f.about for f in FAMILIES)}; map columns with --column ('hallsym "
-            "info LOG --suggest' writes a column file), or name the model with --model."
+            f"The log's columns ({listed(meta.columns, 3)}) are neither {kinds}; map columns with "
+            "--column-file ('hallsym info LOG --suggest' writes it), or name the model with --model."
         )
     fitting = [f for f in FAMILIES if f.refers(meta.columns)]
     sure = [f for f in fitting if f.reads(meta.columns)]

@@ -147,8 +147,18 @@ def _model(source: Source, name: str | None, meta: Meta) -> Model:
     numbers = numbers_of(source.names)
 
     def fits(model: Model) -> float:
-        stems = _stems(model)
-        return sum(max(likeness(s, name, numbers) for name in source.names) for s in stems) / len(stems)
+        stems, names, total = _stems(model), list(source.names), 0.0
+        pairs = sorted((-likeness(s, n, numbers), s, n) for s in stems for n in names)
+        for score, stem, theirs in pairs:  # each column is one of ours
+            if score < 0 and stem in stems and theirs in names:
+                stems.remove(stem)
+                names.remove(theirs)
+                total -= score
+        for stem in stems:  # no name is like it, a unit may be
+            told = [n for n in names if _stated(source, n) and _unit_fits(source, n, stem, model)]
+            names = [n for n in names if n not in told[:1]]
+            total += BARE * len(told[:1])
+        return total / len(_stems(model))
 
     stated = name or meta.base_model
     names = [stated] if stated else [family.default for family in FAMILIES]

@@ -10,7 +10,7 @@ from hallsym.fleets.result import Fleet
 from hallsym.fleets.spread import Spread
 
 OUTSIDE = 1e-4
-"""Probability that a parameter of a device of the same production lies outside the bounds."""
+"""Share of the next devices whose estimate of a parameter may lie outside its bounds."""
 DIGITS = 9
 """Significant digits of what is written."""
 
@@ -18,15 +18,29 @@ DIGITS = 9
 def machine_file(fleet: Fleet) -> str:
     """Return the text of a machine file with nominal values and bounds for the next batch.
 
-    Nominal: the mean of the devices. Bounds: what all but 1e-4 of the next devices lie within, for a spread
-    at the upper end of its 95 % interval. Parameters that repeat are left out: mounting sets them.
+    Nominal: the mean of the devices. Bounds: a tolerance interval, which holds 9,999 of 10,000 next devices
+    or more with a confidence of 95 %. Parameters that repeat are left out: mounting sets them.
     """
     lines = []
     for s in _known(fleet):
-        low, high = s.mean - _reach(s), s.mean + _reach(s)
+        low, high = bounds(s)
         lines += [f"[parameters.{s.name}]", f"nominal = {_short(s.mean)}", f"lower = {_short(low)}",
                   f"upper = {_short(high)}", ""]  # fmt: skip
     return "\n".join([f"# From {_devices(fleet)}; SI units.", "", *lines])
+
+
+def bounds(spread: Spread) -> tuple[float, float]:
+    """Return what the estimates of the next devices lie between but for `OUTSIDE` of them: in 95 % of fleets.
+
+    In 97.5 %, by the upper end of the interval of their spread, less the 1 % in which a good device was taken
+    for an outlying one.
+
+    W. G. Howe, J. Am. Stat. Assoc. 64 (1969) 610, doi:10.2307/2283644: the normal quantile times the upper
+    confidence limit of the standard deviation, which is also that of the mean about which it is taken.
+    """
+    sigma = float(np.hypot(spread.interval[1], spread.typical_std)) * (1.0 + 1.0 / spread.devices) ** 0.5
+    reach = -float(ndtri(OUTSIDE / 2)) * sigma
+    return spread.mean - reach, spread.mean + reach
 
 
 def tolerance_file(fleet: Fleet) -> str:
@@ -51,12 +65,6 @@ def _known(fleet: Fleet) -> Sequence[Spread]:
 
 def _devices(fleet: Fleet) -> str:
     return counted(max(s.devices for s in fleet.spreads), "device")
-
-
-def _reach(spread: Spread) -> float:
-    """Half width of the bounds; an estimate, not only its truth, shall lie within them."""
-    sigma = float(np.linalg.norm([spread.interval[1], spread.mean_std, spread.typical_std]))
-    return -float(ndtri(OUTSIDE / 2)) * sigma
 
 
 def _short(value: float) -> float:

@@ -1,14 +1,12 @@
 """The verb `fleet`: every device fitted by itself, as many at once as there are workers."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from hallsym.errors import counted
-from hallsym.families import build
-from hallsym.fleets.engine import Failed, completed
+from hallsym.families import adapted, build, effect_named
 from hallsym.fleets.journal import Journal, journal_of
 from hallsym.fleets.result import Fleet
 from hallsym.fleets.row import Job, Settings, failed, row_of
@@ -16,6 +14,7 @@ from hallsym.fleets.sources import ORDER_COLUMN, Device, devices_of
 from hallsym.log import Meta
 from hallsym.model import Model
 from hallsym.terminal import said_time
+from hallsym.workers import Failed, completed
 
 Progress = Callable[[str], None]
 
@@ -42,10 +41,11 @@ def fleet(
 
     `sources`: a folder of logs, a pattern, logs, or a table of logs with columns `log`, `device`, `order` and
     covariates. `model`, `effects`, `parameters`, `solver`, `loss`, `drop_bad`, `resolve_wiring`: as for
-    `fit`, of every log. `reading`: more of `read_log`. `machine`: probes and tables of a machine file.
-    `diagnose`: diagnose each log too. `output`: the table to write; beside it a journal keeps what is done
-    until all is, so that the same call goes on where an earlier one was stopped. `workers`: local processes,
-    one a core by default; `scheduler`: address of a Dask scheduler instead.
+    `fit`, of every log; numbers of effects that are left open are found on each. `reading`: more of
+    `read_log`. `machine`: probes and tables of a machine file. `diagnose`: diagnose each log too. `output`:
+    the table to write; beside it a journal keeps what is done until all is, so that the same call goes on
+    where an earlier one was stopped. `workers`: local processes, one a core by default; `scheduler`: address
+    of a Dask scheduler instead.
 
     A log that cannot be fitted gives a row with its reason. A log whose run statistics show nothing amiss is
     read once, without error tables (`fit(quick=True)`).
@@ -60,7 +60,7 @@ def fleet(
         resolve_wiring, diagnose,
     )  # fmt: skip
     if model is not None:
-        build(model, meta=Meta(), added=tuple(effects), parameters=parameters)
+        _built(model, settings)
     journal = None if output is None else Journal(journal_of(output), settings)
     rows = _rows(devices, settings, journal, workers, scheduler, say)
     rows = [_of_one_model(row, rows) for row in rows]
@@ -128,7 +128,21 @@ def _model(rows: Sequence[Mapping[str, Any]], settings: Settings) -> Model | Non
     row = next((r for r in rows if r.get("model")), None)
     if row is None:
         return None
-    meta = Meta(probes=(settings.machine or {}).get("probes"))
-    built = build(str(row["model"]), meta=meta, added=settings.effects, parameters=settings.parameters)
-    fitted = [k.partition(":")[2] for k in row if k.startswith("value:")]
-    return built if set(fitted) <= set(built.names) else replace(built, layout=built.layout)
+    return _built(str(row["model"]), settings)
+
+
+def _built(name: str, settings: Settings) -> Model:
+    """Return the model of the fleet, without effects whose numbers each log has of its own.
+
+    Raises `InputError` for a model, an effect or a parameter that is not known.
+    """
+    model, found = build(name, meta=Meta(probes=(settings.machine or {}).get("probes"))), True
+    for text in settings.effects:
+        effect = effect_named(text, model)
+        if ":" in text or not effect.lacking(text):
+            model = effect.added(model, text)
+        else:
+            found = False
+    known = {p.name for p in (*model.parameters, *model.zeros)}
+    changes = {n: e for n, e in settings.parameters.items() if found or n in known}
+    return adapted(model, (), changes)

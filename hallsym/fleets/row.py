@@ -1,18 +1,23 @@
 """What one device gives: a fit that no other device waits for, as one small row."""
 
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hallsym.errors import InputError, one_line, summary
 from hallsym.estimation import Fit, fit
+from hallsym.estimation.prepare import model_of
 from hallsym.fleets.sources import Device
-from hallsym.log import Fault, read_log
+from hallsym.log import Fault, Log, read_log
+from hallsym.model import Model
+
+if TYPE_CHECKING:
+    from hallsym.diagnosis import Diagnosis
 
 GOOD, AMISS, UNDETERMINED, NOT_CONVERGED, FAILED = (
     "good", "not described", "not determined", "not converged", "failed",
@@ -84,13 +89,22 @@ def _fitted(job: Job) -> dict[str, Any]:
         raw = {**log.meta.raw, **asked.machine.get("tables", {})}
         log = replace(log, meta=replace(log.meta, probes=probes, raw=raw))
     found = fit(
-        log, asked.model, effects=asked.effects, parameters=asked.parameters or None, solver=asked.solver,
-        loss=asked.loss, drop_bad=asked.drop_bad, resolve_wiring=asked.resolve_wiring, quick=True,
+        log, _model(log, asked), solver=asked.solver, loss=asked.loss, drop_bad=asked.drop_bad,
+        resolve_wiring=asked.resolve_wiring, quick=True,
     )  # fmt: skip
     row = row_of_fit(found)
     if asked.diagnose:
         row |= _diagnosed(log, found, asked)
     return row
+
+
+def _model(log: Log, asked: Settings) -> Model:
+    """Return the model of a device; numbers of effects that are left open are those its own log shows."""
+    if not asked.effects:
+        return model_of(log, asked.model, (), asked.parameters)
+    from hallsym.diagnosis import model_on  # as `diagnose` below
+
+    return model_on(log, asked.model, asked.effects, parameters=asked.parameters, drop_bad=asked.drop_bad)
 
 
 def row_of_fit(found: Fit) -> dict[str, Any]:
@@ -127,9 +141,20 @@ def verdict_of(found: Fit) -> tuple[str, str]:
         return AMISS, amiss
     if faults:
         return AMISS, faults[0]
+    if pressed := _pressed(found):
+        return AMISS, (
+            f"{pressed} ends at its bound, {found.value(pressed):.6g}, so other parameters make up for it; "
+            "widen the bound (--machine), or look at this device."
+        )
     if found.undetermined_by_log:
         return UNDETERMINED, f"{', '.join(found.undetermined_by_log)} are not determined by this log."
     return GOOD, ""
+
+
+def _pressed(found: Fit) -> str | None:
+    """Return a parameter that ends at a bound which is no nominal value: there an effect is merely absent."""
+    nominal = {p.name: p.nominal for p in found.model.parameters}
+    return next((n for n in found.at_bound if not np.isclose(found.value(n), nominal[n], atol=1e-12)), None)
 
 
 def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:
@@ -142,13 +167,15 @@ def _diagnosed(log: Any, found: Fit, asked: Settings) -> dict[str, Any]:
         return {"diagnosis": "not possible", "causes": "", "diagnosis_reason": one_line(str(error))}
     return {
         "diagnosis": result.verdict,
-        "causes": _groups(result.groups),
+        "causes": _causes(result),
         "diagnosis_reason": one_line(result.sentence),
     }
 
 
-def _groups(groups: Sequence[Sequence[str]]) -> str:
-    return " + ".join(sorted(" or ".join(sorted(group)) for group in groups))
+def _causes(result: "Diagnosis") -> str:
+    """Return the effects that were found, each with those that the log cannot tell from it."""
+    apart = {name: sorted(group) for group in result.groups for name in group}
+    return " + ".join(sorted({" or ".join(apart.get(e.name, [e.name])) for e in result.effects}))
 
 
 def _finite(value: float) -> float | None:

@@ -1,10 +1,17 @@
 """How a parameter differs between devices, beyond what its estimates are uncertain by.
 
 Random effects: the estimate of device i is `x_i = mu + d_i + e_i`, where d_i ~ N(0, tau^2) is the device's
-and e_i ~ N(0, s_i^2) the known uncertainty of the estimate. mu and tau maximise the likelihood (R. J. Hardy
-and S. G. Thompson, Stat. Med. 15 (1996) 619). The interval of tau is where twice the log likelihood is less
-than 3.84 below its maximum. tau is what tolerances and bounds of the next batch are made from: the scatter of
-the estimates themselves is larger, by their uncertainty.
+and e_i ~ N(0, s_i^2) the known uncertainty of the estimate. tau maximises the restricted likelihood, that of
+what the mean leaves (D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, doi:10.2307/2286796): the likelihood
+itself is greatest for a tau that is too small, by a tenth with five devices, since it takes the mean for
+known. The interval of tau holds 95 % of all fleets, of three devices too: at the true tau the weighted
+squares about the mean are chi-square distributed (W. Viechtbauer, Stat. Med. 26 (2007) 37,
+doi:10.1002/sim.2514). tau is what tolerances and bounds of the next batch are made from: the scatter of the
+estimates themselves is larger, by their uncertainty.
+
+A device is outlying where it lies further from the others than a further device of theirs would, with a
+chance of 1 % for the whole fleet: Student's t for a mean and a tau that are those of the others. What is
+outlying to begin with is told by medians, so that several such devices do not hide each other.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,11 +24,16 @@ from scipy.special import chdtri, ndtri, stdtr
 FEWEST = 3
 """Devices that a spread needs."""
 CHANCE = 0.01
-"""Probability that a fleet without any outlying device or trend is said to have one."""
+"""Probability that a fleet without any outlying device or trend is said to have one. Of devices it is 1.0 to
+1.5 % in fleets of 5 to 200 (simulated)."""
 MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-ROUNDS = 20
-"""Of leaving outlying devices out and estimating again, at most; it ends where the same are left out."""
+MOSTLY = 0.75
+"""Share of the devices that are taken to belong together unasked, those nearest the median. The fewer, the
+smaller their spread beside that of all: half of five good devices make 3 % of such fleets have an outlying
+one, three quarters 1 %."""
+CONFIDENCE = 0.95
+"""Of the interval of the standard deviation between devices."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +90,7 @@ def spread_of(
     if known.sum() < FEWEST:
         return None
     x, s = _about_mean(values[known], period), std[known]
-    far = -float(ndtri(CHANCE / (2 * len(x) * max(tests, 1))))
-    inside, score = _inside(x, s, far)
+    inside, score = _inside(x, s, CHANCE / (2 * len(x) * max(tests, 1)))
     mean, tau = random_effects(x[inside], s[inside])
     weight = 1.0 / (tau**2 + s[inside] ** 2)
     names = np.asarray(devices, dtype=object)[known]
@@ -88,14 +99,14 @@ def spread_of(
     found = [_trend(c, v, x[inside], s[inside], CHANCE / count) for c, v in kept.items()]
     return Spread(
         name, unit, int(inside.sum()), mean, float(weight.sum() ** -0.5), tau,
-        interval_of(x[inside], s[inside], tau), float(np.std(x[inside], ddof=1)), float(np.median(s)),
+        interval_of(x[inside], s[inside]), float(np.std(x[inside], ddof=1)), float(np.median(s)),
         {str(n): float(z) for n, z in zip(names[~inside], score[~inside], strict=True)},
         tuple(one for one in found if one is not None),
     )  # fmt: skip
 
 
 def random_effects(x: np.ndarray, s: np.ndarray) -> tuple[float, float]:
-    """Return mean and standard deviation between devices of greatest likelihood, for estimates x (m,) +- s.
+    """Return mean and standard deviation between devices of greatest restricted likelihood, for x (m,) +- s.
 
     >>> import numpy as np
     >>> mean, tau = random_effects(np.array([0.9, 1.0, 1.1]), np.array([0.2, 0.2, 0.2]))
@@ -114,27 +125,31 @@ def random_effects(x: np.ndarray, s: np.ndarray) -> tuple[float, float]:
     return _mean(x, s, tau), tau
 
 
-def interval_of(x: np.ndarray, s: np.ndarray, tau: float) -> tuple[float, float]:
-    """Return the 95 % interval of the standard deviation between devices, by the likelihood ratio."""
-    loss, rise = _loss(x, s), float(chdtri(1, 0.05))
-    least, scale = loss(tau), max(tau, float(np.std(x)), 1e-300)
+def interval_of(x: np.ndarray, s: np.ndarray) -> tuple[float, float]:
+    """Return the interval of the standard deviation between devices that holds it with `CONFIDENCE`."""
+    tail, degrees = (1.0 - CONFIDENCE) / 2, len(x) - 1
 
-    def beyond(t: float) -> float:
-        return loss(t) - least - rise
+    def squares(tau: float) -> float:
+        return float(np.sum((x - _mean(x, s, tau)) ** 2 / (tau**2 + s**2)))
 
-    low = 0.0 if tau == 0 or beyond(0.0) < 0 else float(brentq(beyond, 0.0, tau))
-    high = 2.0 * scale
-    while beyond(high) < 0:
-        high *= 2.0
-    return low, float(brentq(beyond, tau, high))
+    def at(value: float) -> float:
+        if squares(0.0) <= value:
+            return 0.0
+        high = max(float(np.std(x)), float(s.min()))
+        while squares(high) > value:
+            high *= 2.0
+        return float(brentq(lambda tau: squares(tau) - value, 0.0, high))
+
+    return at(float(chdtri(degrees, tail))), at(float(chdtri(degrees, 1.0 - tail)))
 
 
 def _loss(x: np.ndarray, s: np.ndarray) -> Callable[[float], float]:
-    """Minus twice the log likelihood of tau, the mean at its best."""
+    """Minus twice the restricted log likelihood of tau."""
 
     def loss(tau: float) -> float:
         variance = tau**2 + s**2
-        return float(np.sum((x - _mean(x, s, tau)) ** 2 / variance + np.log(variance)))
+        about = np.sum((x - _mean(x, s, tau)) ** 2 / variance + np.log(variance))
+        return float(about + np.log(np.sum(1.0 / variance)))
 
     return loss
 
@@ -144,21 +159,37 @@ def _mean(x: np.ndarray, s: np.ndarray, tau: float) -> float:
     return float(weight @ x / weight.sum())
 
 
-def _inside(x: np.ndarray, s: np.ndarray, far: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return which devices (m,) belong to the others, and all scores (m,) against these."""
+def _inside(x: np.ndarray, s: np.ndarray, chance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return which devices (m,) belong together, and how far all are from these in standard deviations (m,).
+
+    Those near the median begin, and three quarters of all; of the others the nearest joins if it is no
+    further away than a further device would be but once in 1 / `chance`, on either side.
+    """
     middle = float(np.median(x))
     tau = float(np.sqrt(max((MAD * np.median(np.abs(x - middle))) ** 2 - np.median(s) ** 2, 0.0)))
-    score = (x - middle) / np.sqrt(tau**2 + s**2)
-    inside = np.abs(score) <= far
-    for _ in range(ROUNDS):
-        if inside.sum() < FEWEST:
-            return np.ones(len(x), dtype=bool), score
-        mean, tau = random_effects(x[inside], s[inside])
-        score, before = (x - mean) / np.sqrt(tau**2 + s**2), inside
-        inside = np.abs(score) <= far
-        if np.array_equal(inside, before):
-            break
-    return inside, score
+    inside = np.abs(x - middle) <= -float(ndtri(chance)) * np.sqrt(tau**2 + s**2)
+    inside |= np.argsort(np.argsort(np.abs(x - middle))) < max(FEWEST, MOSTLY * len(x))
+    while True:
+        away, probability = _away(x, s, inside)
+        others = np.flatnonzero(~inside)
+        if not len(others) or (probability[others] < chance).all():
+            return inside, away
+        inside = inside.copy()
+        inside[others[np.argmax(probability[others])]] = True
+
+
+def _away(x: np.ndarray, s: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how many expected standard deviations devices (m,) are away from some, and how often a
+    further one of these would be as far on that side."""
+    mean, tau = random_effects(x[inside], s[inside])
+    weight = 1.0 / (tau**2 + s[inside] ** 2)
+    variance = tau**2 + s**2
+    first, second, third = (float(np.sum(weight**k)) for k in (1, 2, 3))
+    # that of tau^2, by the information of the restricted likelihood; and what it is for all of a variance
+    known = 0.5 * (second - 2.0 * third / first + (second / first) ** 2)
+    degrees = np.maximum(2.0 * variance**2 * known, 1.0)
+    score = (x - mean) / np.sqrt(variance + 1.0 / first)
+    return (x - mean) / np.sqrt(variance), stdtr(degrees, -np.abs(score))
 
 
 def _trend(column: str, along: np.ndarray, x: np.ndarray, s: np.ndarray, chance: float) -> Trend | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -50,12 +51,12 @@ class Drop:
 class Keep:
     """The filter of one pass: returns the rows of a piece to keep; remembers how far time has come."""
 
-    def __init__(self, drop: Drop) -> None:
-        """Start a pass."""
+    def __init__(self, drop: Drop, row: int = 0) -> None:
+        """Start a pass at a row of the log."""
         self.drop = drop
         self._run: int | None = None
         self._latest = -np.inf
-        self._row = 0
+        self._row = row
 
     def __call__(self, piece: Piece) -> Array:
         """Return a boolean mask of shape (rows,)."""
@@ -89,5 +90,5 @@ class Keep:
 
 def without(log: Log, drop: Drop) -> Log:
     """Return the log without the samples that `drop` names; a stream stays a stream."""
-    table = Filtered(log.table, drop.columns, lambda: Keep(drop))
+    table = Filtered(log.table, drop.columns, partial(Keep, drop))
     return Log(table, log.noise, log.meta, log.path, log.notes, log.counted)

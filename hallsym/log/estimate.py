@@ -12,7 +12,7 @@ from hallsym.log.columns import RUN
 from hallsym.log.core import Log
 from hallsym.log.noise import Noise, Sigma
 from hallsym.log.phase import unwrapped
-from hallsym.model.medians import median
+from hallsym.model.medians import median, medians
 from hallsym.units import Array, si_unit
 
 _ORDERS = range(2, 9)
@@ -47,8 +47,8 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
     Valid for noise that is independent from sample to sample: drift, 1/f noise and hum below about a tenth of
     the sampling rate look like motion and are not seen. A channel that is constant within all runs gives 0.
     """
-    spreads: dict[str, list[Array]] = {name: [] for name in channels}
     steps: dict[str, list[float]] = {name: [] for name in channels}
+    alike: dict[tuple[int, bool], list[tuple[Array, Array]]] = {}
     timed = "t_s" in log.columns
     taken: dict[int, int] = {}
     typical = min(_SAMPLES, max(1, log.rows // len(log.runs)))
@@ -62,33 +62,57 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
         start = max(0, (len(block.data[RUN]) - _SAMPLES) // 2)
         part = {name: values[start : start + _SAMPLES] for name, values in block.data.items()}
         t = part["t_s"] if timed else np.arange(len(part[RUN]), dtype=float)
-        filters = _filters(t)
-        for name in channels:
-            values = part[name]
-            values = unwrapped(values, _TURN) if si_unit(name) == "rad" else values
-            spreads[name].append(np.array([_spread(_apply(f, values), f[0].shape[-1] // 2) for f in filters]))
-            steps[name].append(_coarse_step(values))
-    return Noise({n: Sigma(_combine(n, spreads[n], steps[n], log.name), "estimated") for n in channels})
+        rows = np.empty((len(channels), len(t)))
+        for k, name in enumerate(channels):
+            rows[k] = unwrapped(part[name], _TURN) if si_unit(name) == "rad" else part[name]
+            steps[name].append(_coarse_step(rows[k]))
+        alike.setdefault((len(t), _is_even(t)), []).append((t, rows))
+    found = [
+        _even_spreads([rows for _, rows in blocks]) if even
+        else np.array([_uneven_spreads(t, rows) for t, rows in blocks])
+        for (_, even), blocks in alike.items()
+    ]  # fmt: skip
+    spreads = np.concatenate(found) if found else np.empty((0, len(channels), len(_ORDERS)))
+    return Noise({
+        n: Sigma(_combine(n, spreads[:, k], steps[n], log.name), "estimated") for k, n in enumerate(channels)
+    })  # fmt: skip
 
 
-Filter = tuple[Array, Array | None]
-
-
-def _filters(t: Array) -> list[Filter]:
-    """Return (weights, usable windows) per order; weights are (k + 1,) or (windows, k + 1), of unit norm."""
+def _is_even(t: Array) -> bool:
+    """Return whether samples are evenly spaced."""
     step = np.diff(t)
     usual = median(step) if len(step) else 0.0
-    even = bool(usual > 0 and np.abs(step / usual - 1).max(initial=0.0) <= _UNEVEN)
-    return [_binomial(k) if even else _divided(t, step, usual, k) for k in _ORDERS]
+    return bool(usual > 0 and np.abs(step / usual - 1).max(initial=0.0) <= _UNEVEN)
 
 
-def _binomial(k: int) -> Filter:
-    weights = np.array([(-1) ** j * comb(k, j) for j in range(k + 1)], float)
-    return weights / np.sqrt(comb(2 * k, k)), None
+def _even_spreads(blocks: list[Array]) -> Array:
+    """Return the spread of each order's differences in blocks (channels, n): (blocks, channels, orders)."""
+    stacked = np.concatenate(blocks)
+    difference, out = stacked - stacked[:, :1], np.full((len(stacked), len(_ORDERS)), np.nan)
+    done = 0
+    for i, k in enumerate(_ORDERS):
+        if difference.shape[1] <= k - done:
+            break
+        difference, done = np.diff(difference, n=k - done, axis=1), k
+        out[:, i] = _spreads(difference / np.sqrt(comb(2 * k, k)), (k + 1) // 2)
+    return out.reshape(len(blocks), -1, len(_ORDERS))
+
+
+def _uneven_spreads(t: Array, rows: Array) -> Array:
+    """Return the same of one block, by divided differences: (channels, orders)."""
+    step = np.diff(t)
+    filters = [_divided(t, step, median(step) if len(step) else 0.0, k) for k in _ORDERS]
+    return np.array([[_spread(_apply(f, v), f[0].shape[-1] // 2) for f in filters] for v in rows])
+
+
+Filter = tuple[Array, Array]
 
 
 def _divided(t: Array, step: Array, usual: float, k: int) -> Filter:
-    """Weights 1 / prod(t_j - t_m) annihilate polynomials of degree k - 1 on any spacing."""
+    """Return (weights, usable windows), weights (windows, k + 1) of unit norm.
+
+    1 / prod(t_j - t_m) annihilates polynomials of degree k - 1 on any spacing.
+    """
     if len(t) <= k or usual <= 0:
         return np.zeros((0, k + 1)), np.zeros(0, bool)
     windows = np.lib.stride_tricks.sliding_window_view(t / usual, k + 1)
@@ -105,8 +129,6 @@ def _apply(filter: Filter, values: Array) -> Array:
     weights, usable = filter
     if len(values) < weights.shape[-1]:
         return np.empty(0)
-    if usable is None:
-        return np.convolve(values - values[0], weights[::-1], mode="valid")
     windows = np.lib.stride_tricks.sliding_window_view(values - values[0], weights.shape[-1])
     return np.einsum("ij,ij->i", windows[usable], weights[usable])
 
@@ -129,6 +151,31 @@ def _spread(difference: Array, reach: int) -> float:
     return sigma
 
 
+def _spreads(differences: Array, reach: int) -> Array:
+    """Return `_spread` of each row of (rows, n), (rows,), all rows at once."""
+    size = np.abs(differences)
+    most = size.max(axis=1) if size.shape[1] else np.empty(0)
+    if size.shape[1] < _FEWEST or not np.isfinite(most).all():
+        return np.array([_spread(row, reach) for row in differences])
+    sigma = medians(size) / 0.67449
+    coarse = sigma <= 1e-9 * most
+    sigma[coarse] = np.sqrt(np.mean(size[coarse] ** 2, axis=1))
+    left = np.flatnonzero(~coarse)
+    for _ in range(_ROUNDS):
+        if not len(left):
+            break
+        rows, before = size[left], sigma[left, None]
+        within = rows <= _CLIP * before
+        kept = np.where(within, rows, 0.0)
+        now = np.sqrt(np.einsum("ij,ij->i", kept, kept) / np.count_nonzero(within, axis=1))
+        for j in np.flatnonzero(most[left] > _FAR * before[:, 0]):
+            clean = _clean(rows[j], before[j, 0], reach)
+            now[j] = np.sqrt(clean @ clean / len(clean))
+        sigma[left] = now / _CLIPPED_STD
+        left = left[np.abs(sigma[left] - before[:, 0]) > 3e-3 * before[:, 0]]
+    return np.asarray(sigma)
+
+
 def _clean(size: Array, sigma: float, reach: int) -> Array:
     """Return what lies within the clip and not within `reach` of a difference that only an outlier makes."""
     within = size <= _CLIP * sigma
@@ -146,8 +193,8 @@ def _coarse_step(values: Array) -> float:
     return float(changes.min()) if len(changes) and len(changes) < 0.8 * len(step) else 0.0
 
 
-def _combine(channel: str, spreads: list[Array], steps: list[float], where: str) -> float:
-    table = np.array(spreads).reshape(-1, len(_ORDERS))
+def _combine(channel: str, table: Array, steps: list[float], where: str) -> float:
+    """Return the noise from spreads (blocks, orders)."""
     known = ~np.isnan(table)
     usable = [float(np.median(table[known[:, i], i])) for i in range(len(_ORDERS)) if known[:, i].any()]
     if not usable:

@@ -34,17 +34,17 @@ class Hdf5Source(Source):
         self.path = path
         with self._opened() as file:
             lengths, unusable = _vectors(file)
-        self.parts, left_out, self.aliases = _arrange(lengths)
+        self._groups, left_out, self.aliases = _arrange(lengths)
         self.left_out = {**left_out, **{name.rpartition("/")[2]: why for name, why in unusable.items()}}
-        self.rows = sum(lengths[next(iter(columns.values()))] for _, columns in self.parts)
-        found = list(self.parts[0][1]) if self.parts else []
-        self.names = (RUN, *found) if self.parts and self.parts[0][0] is not None else tuple(found)
+        self.rows = sum(lengths[next(iter(columns.values()))] for _, columns in self._groups)
+        found = list(self._groups[0][1]) if self._groups else []
+        self.names = (RUN, *found) if self._groups and self._groups[0][0] is not None else tuple(found)
         self.small = self.rows <= IN_MEMORY_ROWS
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield consecutive chunks of at most `size` rows."""
         with self._opened() as file:
-            for run, columns in self.parts:
+            for run, columns in self._groups:
                 sets = {name: file[columns[name]] for name in names if name in columns}
                 total = max(next(iter(file[d] for d in columns.values())).shape)
                 for lo in range(0, total, size):

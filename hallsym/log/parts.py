@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from functools import partial
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -50,6 +51,12 @@ class Parts(Source):
         """Yield consecutive chunks, part by part."""
         for part in self.parts:
             yield from part.chunks(names, size)
+
+    def part(self, k: int) -> Source:
+        """Return one part; it is read in pieces, not at once, where the whole is."""
+        out = copy(self)
+        out.parts, out.rows = (self.parts[k],), self.parts[k].count()
+        return out
 
     def labels(self, name: str) -> list[str]:
         """Return a column of names, as text."""

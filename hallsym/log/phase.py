@@ -15,6 +15,7 @@ import numpy as np
 
 from hallsym.log.columns import RUN
 from hallsym.log.core import Log
+from hallsym.log.table import View
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 from hallsym.units import readable
@@ -199,7 +200,7 @@ class _Branch:
     middle: float
 
 
-class _Continuous:
+class _Continuous(View):
     """The table of a log whose repeating columns are continuous.
 
     `references`: period by column. `apart`: by reference and run, what is added to it.
@@ -212,10 +213,8 @@ class _Continuous:
         channels: Mapping[str, _Branch],
         apart: Mapping[str, Mapping[int, float]],
     ) -> None:
-        self.table, self.references, self.channels, self.apart = table, references, channels, apart
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.table, name)
+        super().__init__(table)
+        self.references, self.channels, self.apart = references, channels, apart
 
     def counts_per_turn(self, column: str) -> float | None:
         """Return the counts of a turn of a column that stays within one; None of one made continuous."""

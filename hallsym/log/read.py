@@ -31,6 +31,7 @@ from hallsym.log.table import Source, Table
 from hallsym.log.text import ORDERS, stated_delimiter
 from hallsym.reading import regular
 from hallsym.units import split_unit
+from hallsym.workers import Workers
 
 
 def as_log(
@@ -58,6 +59,7 @@ def read_log(
     counts_per_turn: float | None = None,
     remembered: Mapping[str, Foreign] | None = None,
     read_with: Mapping[str, str] | None = None,
+    workers: Workers | None = None,
 ) -> Log:
     """Open a log; samples are read when they are first used.
 
@@ -79,6 +81,8 @@ def read_log(
     `read_with`: options (`decimal`, `sheet`, ...) that an earlier log was read with (`Fit.read_with`), which
     answer what this file leaves open.
     `drop_bad` leaves out the samples and runs that `check_log` would refuse.
+    `workers`: processes or a scheduler that a log in parts is shared out to; run statistics and error tables
+    of its parts are then made there, and are bitwise those of one pass.
     """
     given = {"format": format, "delimiter": delimiter, "decimal": decimal, "sheet": sheet}
     given |= {"clock": clock, "dates": dates}
@@ -98,6 +102,12 @@ def read_log(
     turn = None if counts is None else counts_in_turn(counts, where)
     bindings, changed = bind(source.names, wanted, where, turn, source.units)
     table = Table(source, bindings, where)
+    if workers is not None and not table.parts:
+        raise InputError(
+            f"Workers share a log in parts, a folder of Parquet files; {where} is one. Leave them out, or "
+            "write it in parts ('hallsym simulate --part-rows', hallsym.log.PartsWriter)."
+        )
+    table.workers = workers
     if not any(name != RUN for name in table.columns):
         raise InputError(
             f"{where} has no column whose name ends with a unit, such as hall_a_m; it has"

@@ -189,10 +189,17 @@ def from_log(value: Callable[[Facts], Any], meaning: str, *, valid: Valid = ANY)
 
 
 def found(
-    rule: Callable[[Model, Facts], Iterable[Try]], meaning: str, *, valid: Valid = ANY, instead: bool = False
+    rule: Callable[[Model, Facts], Iterable[Try]],
+    meaning: str,
+    *,
+    default: Any = REQUIRED,
+    valid: Valid = ANY,
+    instead: bool = False,
 ) -> Any:
     """Return an argument that a rule finds on a log; its tries may state other numbers too (see `beside`)."""
-    return Number(meaning, lambda name, model, facts: rule(model, facts), valid=valid, instead=instead)
+    return Number(
+        meaning, lambda name, model, facts: rule(model, facts), default, valid=valid, instead=instead
+    )
 
 
 def beside(meaning: str, *, default: Any = REQUIRED, instead: bool = False) -> Any:

@@ -6,6 +6,7 @@ speed. The graph stays the only source of the mathematics.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -57,6 +58,12 @@ BINARY: dict[int, Callable] = {
 }
 
 
+WORK, FEWEST = 12_000_000, 256
+"""Intermediate and final values that are held at once, 96 MB, and samples that are taken together at least.
+
+A graph of many magnets and sensors holds tens of thousands of values of each sample at once."""
+
+
 def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[np.ndarray]]:
     """Return `run(*inputs) -> outputs`, `function` evaluated on arrays of samples.
 
@@ -75,7 +82,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
         raise NotImplementedError(f"on_arrays needs dense outputs; densify {function.name()} first")
 
     @np.errstate(divide="ignore", over="ignore", invalid="ignore")
-    def run(*inputs: Sequence) -> list[np.ndarray]:
+    def evaluated(inputs: Sequence[Sequence], shape: tuple[int, ...]) -> list[np.ndarray]:
         work: list = [None] * function.sz_w()
         out: list[list] = [[0.0] * n for n in rows]
         for kind, op, arguments, target in program:
@@ -89,8 +96,48 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
                 work[target] = op
             else:
                 out[target[0]][target[1]] = work[arguments[0]]
-        shape = np.broadcast_shapes(*{getattr(v, "shape", ()) for column in inputs for v in column})
         return [_stack(entries, shape) for entries in out]
+
+    most = max(FEWEST, WORK // (function.sz_w() + sum(rows)))
+
+    def run(*inputs: Sequence) -> list[np.ndarray]:
+        shape = np.broadcast_shapes(*{getattr(v, "shape", ()) for column in inputs for v in column})
+        if len(shape) != 1 or shape[0] <= most:
+            return evaluated(inputs, shape)
+        parts = []
+        for low in range(0, shape[0], most):
+            here = slice(low, min(low + most, shape[0]))
+            own = [[v if np.size(v) == 1 else v[here] for v in column] for column in inputs]
+            parts.append(evaluated(own, (here.stop - low,)))
+        return [np.concatenate(own, axis=-1) for own in zip(*parts, strict=True)]
+
+    return run
+
+
+def on_vectors(function: ca.Function) -> Callable[..., list[np.ndarray]]:
+    """Return `run(*inputs) -> outputs`, a function of dense vectors called thousands of times.
+
+    Numbers go in and out through one buffer: a call of the function itself takes ten times as long for
+    matrices of the size of a fit. Outputs are new arrays of the function's shapes.
+    """
+    bound: Any = function.buffer()
+    inputs = [np.zeros(function.nnz_in(k)) for k in range(function.n_in())]
+    outputs = [np.zeros(function.nnz_out(k)) for k in range(function.n_out())]
+    shapes = [function.size_out(k) for k in range(function.n_out())]
+    if not all(function.sparsity_out(k).is_dense() for k in range(function.n_out())):
+        raise NotImplementedError(f"on_vectors needs dense outputs; densify {function.name()} first")
+    for k, values in enumerate(inputs):
+        bound[0].set_arg(k, memoryview(values.data))
+    for k, values in enumerate(outputs):
+        bound[0].set_res(k, memoryview(values.data))
+
+    def run(*given: np.ndarray) -> list[np.ndarray]:
+        for values, new in zip(inputs, given, strict=True):
+            values[:] = np.ravel(new)
+        bound[1]()  # the buffer, bound[0], lives as long as this function does
+        return [
+            values.reshape(shape, order="F").copy() for values, shape in zip(outputs, shapes, strict=True)
+        ]
 
     return run
 

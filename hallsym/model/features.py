@@ -5,7 +5,7 @@ their monomials: reading = sum_j f_j(data) c_j(parameters, zeros). Found by diff
 the family, so an effect that adds a term adds its features by itself.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from math import comb, factorial, prod
@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from hallsym.errors import InputError
-from hallsym.model.arrays import on_arrays
+from hallsym.model.arrays import on_arrays, on_vectors
 from hallsym.model.model import Model
 
 MAX_FEATURES = 120
@@ -114,7 +114,7 @@ class Features:
         return replace(self, exponents=self.exponents[self.n_zero :], n_zero=0)
 
     @cached_property
-    def expansion(self) -> tuple[ca.Function, ca.Function]:
+    def expressions(self) -> tuple[ca.Function, ca.Function]:
         """Coefficients with their derivatives, the zeros split off: reading = f . (c + sum_l d_l E_l).
 
         `(parameters, centre) -> [c, E_1, ...], d / d parameters`, each column flattened by channel, and
@@ -132,6 +132,12 @@ class Features:
         hessian, _ = ca.hessian(ca.dot(weights, flat), p)
         first = ca.Function("coefficients", [p, centre], [stacked, ca.densify(ca.jacobian(flat, p))])
         return first, ca.Function("curvature", [p, centre, weights], [ca.densify(hessian)])
+
+    @cached_property
+    def expansion(self) -> tuple[Callable[..., Sequence[np.ndarray]], Callable[..., np.ndarray]]:
+        """The same, to be called with numbers."""
+        first, curvature = (on_vectors(function) for function in self.expressions)
+        return first, lambda *inputs: curvature(*inputs)[0]
 
     @property
     def std(self) -> np.ndarray | None:

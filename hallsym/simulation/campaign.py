@@ -80,12 +80,14 @@ KEYS = ("step_s", "zero_spread_m", "setting", "trajectory", "run", "noise")
 # -- campaign files --------------------------------------------------------------------------------------
 
 
-def read_campaign(path: str | Path) -> Campaign:
+def read_campaign(path: str | Path, most: int = MOST_SAMPLES) -> Campaign:
     """Read a campaign from TOML: a clock, trajectories run at each vertical setting, then single runs.
+
+    `most`: samples that it may have; more than can be held where they are written in parts.
 
     Raises `InputError` for a missing file, an unknown key or signal, or a value that cannot be.
     """
-    return _campaign(Table.read(path, "Campaign file", KEYS), Path(path).parent)
+    return _campaign(Table.read(path, "Campaign file", KEYS), Path(path).parent, most)
 
 
 def campaign_from(raw: Mapping[str, Any], where: str) -> Campaign:
@@ -93,7 +95,7 @@ def campaign_from(raw: Mapping[str, Any], where: str) -> Campaign:
     return _campaign(Table(raw, where, KEYS), Path())
 
 
-def _campaign(file: Table, folder: Path) -> Campaign:
+def _campaign(file: Table, folder: Path, most: int = MOST_SAMPLES) -> Campaign:
     settings = [{axis: at.number(axis) for axis in at.raw} for at in file.tables("setting", axes())]
     trajectories = file.tables("trajectory", ("duration_s", "raster", "curve", *axes()))
     single = file.tables("run", ("name", "duration_s", "zero_deviations_m", "raster", "curve", *axes()))
@@ -114,17 +116,18 @@ def _campaign(file: Table, folder: Path) -> Campaign:
         file.number("zero_spread_m", 1e-6, least=0.0),
         noise_table(file),
     )
-    _check_length(made, file)
+    _check_length(made, file, most)
     return made
 
 
-def _check_length(campaign: Campaign, file: Table) -> None:
-    """Refuse runs that no memory holds."""
+def _check_length(campaign: Campaign, file: Table, most: int) -> None:
+    """Refuse runs that no memory holds, or no log."""
     samples = sum(run.duration_s for run in campaign.runs) / campaign.step_s
-    if samples > MOST_SAMPLES:
+    if samples > most:
+        parts = "; 'hallsym simulate --part-rows' writes more" if most == MOST_SAMPLES else ""
         raise InputError(
-            f"A {file.where} must have at most {MOST_SAMPLES:g} samples; it has {samples:.3g}: raise "
-            "'step_s' or shorten 'duration_s'."
+            f"A {file.where} must have at most {most:g} samples; it has {samples:.3g}: raise 'step_s' or "
+            f"shorten 'duration_s'{parts}."
         )
 
 

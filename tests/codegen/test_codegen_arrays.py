@@ -157,7 +157,7 @@ def test_the_folder_passes_its_self_test_without_undefined_behaviour(case, tmp_p
     assert "0 faults of a table not found, 0 zeros wrong" in said
 
 
-MOST = {"closed form of 12 sums": (450, 560), "24 sums": (1500, 1600)}
+MOST = {"closed form of 12 sums": (410, 450), "24 sums": (1400, 1500)}
 """Instructions of a call in range, and of any."""
 
 

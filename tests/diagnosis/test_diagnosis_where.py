@@ -55,18 +55,7 @@ def found(name: str, campaign: str, kind=listed) -> Located:
         ("time_skew", "grid", "velocity"),
         ("odd_nonlinearity", "raster", "the reading itself"),
         pytest.param("motor_stray_field", "multisine", "acceleration", marks=pytest.mark.slow),
-        pytest.param(
-            "gain_time_drift",
-            "grid",
-            "time in the campaign",
-            marks=[
-                pytest.mark.slow,
-                pytest.mark.xfail(
-                    strict=True,
-                    reason="the gain of each run by itself is named before the time of the campaign",
-                ),
-            ],
-        ),
+        pytest.param("gain_time_drift", "grid", "time in the campaign", marks=pytest.mark.slow),
     ],
 )
 def test_the_first_statement_is_the_physical_one(name: str, campaign: str, by: str) -> None:

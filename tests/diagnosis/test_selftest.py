@@ -316,6 +316,24 @@ def test_bad_input_is_one_sentence(options: dict, message: str) -> None:
         selftest(quiet(), "stage31", **options)
 
 
+def test_a_first_look_ends_in_time_and_says_what_it_did_not_reach(monkeypatch) -> None:
+    stubbed(monkeypatch, lambda name: ("no gap", "no gap", ()) if name == NO_EFFECT else SEEN)
+    names = ["time_skew", "odd_nonlinearity"]
+    none, every = (selftest(quiet(), "stage31", names=names, seconds=s) for s in (0.0, 1e6))
+    assert len(none.quiet_trials) == 1
+    assert [e.status for e in none.effects] == ["not run", "not run"]
+    assert none.complete
+    text = selftest_text(none)
+    assert "1 of 9 trials fitted into the time" in text
+    assert "not run: time_skew, odd_nonlinearity" in text
+    assert len(every.quiet_trials) == 3
+    assert [[t.ratio for t in e.trials] for e in every.effects] == [[1.07, 1.3, 2.0]] * 2
+    assert "fitted into the time" not in selftest_text(every)
+
+
+SEEN = ("found", "explained", ("it",))
+
+
 def test_the_command(monkeypatch, tmp_path, capsys) -> None:
     stubbed(monkeypatch, lambda name: ("no gap", "no gap", ()))
     log, out = tmp_path / "log.parquet", tmp_path / "out.json"

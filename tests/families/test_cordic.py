@@ -107,9 +107,7 @@ def test_a_diagnosis_names_the_steps():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("steps", "bits", "names"), [
-    pytest.param(6, None, ["cordic_steps"], marks=pytest.mark.xfail(
-        strict=True, reason="six steps are called a flexible change of the field: 'behaves like' pole_pairs",
-    )),
+    (6, None, ["cordic_steps"]),
     (10, None, ["cordic_steps"]), (11, 14, ["cordic_steps"]),
     (12, 14, ["cordic_steps"]), (None, 12, ["adc_quantisation"]), (None, 9, ["adc_quantisation"]),
     (None, None, []),

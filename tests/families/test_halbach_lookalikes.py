@@ -75,7 +75,6 @@ def campaign(wide, values):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="the two are not yet told to be a group")
 @pytest.mark.parametrize("cause", ["array_geometry_error", "gain_mismatch"])
 def test_the_height_of_an_array_and_the_gain_of_its_patch(cause):
     """A common gain of the sensors under an array is exp(height / lc)."""

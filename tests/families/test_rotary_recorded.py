@@ -80,7 +80,7 @@ def rmse(fit, row: str = "fitted") -> float:
 
 
 def followed_up(capsys, log: Path, words: tuple[str, ...], folder: Path) -> str:
-    """Fit a log in its own folder and run every command that is the next one; return what was printed."""
+    """Fit a log in a folder of its own and run each command that is the next; return what was printed."""
     calib = folder / "calib.json"
     folder.mkdir(exist_ok=True)
     said = ""

@@ -76,8 +76,8 @@ def test_a_row_is_that_of_a_fit(broken):
     alone = hallsym.fit(folder / "dev0.parquet", "rotary", solver="direct")
     row = found.rows[0]
     for k, name in enumerate(alone.model.names):
-        assert row[f"value:{name}"] == pytest.approx(alone.values[k], abs=0.2 * alone.std[k])
-        assert row[f"std:{name}"] == pytest.approx(alone.std[k], rel=0.1)
+        assert row[f"value:{name}"] == pytest.approx(alone.values[k], abs=1e-4 * alone.std[k])
+        assert row[f"std:{name}"] == pytest.approx(alone.std[k], rel=1e-5)
 
 
 def test_the_spread_of_the_good_ones(broken):
@@ -85,8 +85,11 @@ def test_the_spread_of_the_good_ones(broken):
     spread = {s.name: s for s in found.spreads}
     for name in TAU:
         good = [t[name] for k, t in enumerate(known) if k not in (3, 7, 11, 15, 19)]
-        assert spread[name].std == pytest.approx(np.std(good), rel=0.1)
-        assert spread[name].interval[0] < spread[name].std < spread[name].interval[1]
+        # the uncertainties of fits are a tenth of TAU or less, so the truths' own spread is seen to 1 %
+        assert spread[name].typical_std < 0.1 * TAU[name]
+        assert spread[name].std == pytest.approx(np.std(good, ddof=1), rel=0.05)
+    held = [spread[name].interval[0] <= tau <= spread[name].interval[1] for name, tau in TAU.items()]
+    assert sum(held) >= 4  # of five intervals of 95 %
 
 
 def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
@@ -112,7 +115,7 @@ def test_table_page_and_files_for_the_next_batch(broken, tmp_path, capsys):
     truth = truths(200, seed=1)
     for name in TAU:
         bounds = machine.parameters[name]
-        assert np.mean([bounds["lower"] < t[name] < bounds["upper"] for t in truth]) >= 0.98
+        assert all(bounds["lower"] < t[name] < bounds["upper"] for t in truth)
         assert bounds["nominal"] == pytest.approx(known[0][name], abs=6 * TAU[name])
     assert len(hallsym.read_tolerances(files[2], hallsym.build("rotary"))) == 6
     assert [row["verdict"] for row in load_fleet(files[3]).rows].count("good") == 9
@@ -128,6 +131,50 @@ def test_a_table_of_logs_carries_names_order_and_covariates(broken, tmp_path):
     assert found.covariates == ("oven_degc", "supplier")
     assert [t.column for t in found.spreads[0].trends] == ["order", "oven_degc"]
     assert found.rows[1]["supplier"] == "B"
+
+
+@pytest.mark.slow
+def test_devices_are_diagnosed_and_grouped_by_causes(tmp_path):
+    """Two encoders whose field is curved where the magnet is off its axis, and one that is in order."""
+    known = truths(3)
+    for k, truth in enumerate(known):
+        columns = recorded(truth, k, runs=8, samples=250)
+        if k > 0:
+            columns["v_sin_v"] += 0.01 * np.sin(3 * columns["angle_ref_rad"])
+            columns["v_cos_v"] += 0.01 * np.cos(3 * columns["angle_ref_rad"])
+        write_log(columns, tmp_path / f"dev{k}.parquet")
+    found = hallsym.fleet(tmp_path, "rotary", diagnose=True, workers=1)
+    assert [row["verdict"] for row in found.rows] == ["good", "not described", "not described"]
+    assert [row["diagnosis"] for row in found.rows] == ["no gap", "explained", "explained"]
+    assert found.groups == {"explained: eccentricity": ("dev1", "dev2")}
+    text = found.rows[1]["diagnosis_reason"]
+    assert "With eccentricity it falls" in text
+    mended = hallsym.fleet(tmp_path, "rotary", effects=["eccentricity:form=curved"], diagnose=True, workers=1)
+    assert mended.verdicts == {"good": ("dev0", "dev1", "dev2")}
+    assert {row["diagnosis"] for row in mended.rows} == {"no gap"}
+
+
+@pytest.mark.slow
+def test_numbers_of_an_effect_that_are_left_open_are_those_of_each_log(tmp_path):
+    known = truths(2)
+    for k, truth in enumerate(known):
+        columns = recorded(truth, k, runs=8, samples=250)
+        columns["v_sin_v"] += 0.01 * np.sin(2 * np.pi * (50.0 + 10.0 * k) * columns["t_s"])
+        columns["v_cos_v"] += 0.01 * np.sin(2 * np.pi * (50.0 + 10.0 * k) * columns["t_s"])
+        write_log(columns, tmp_path / f"dev{k}.parquet")
+    found = hallsym.fleet(tmp_path, "rotary", effects=["mains_hum"], workers=1)
+    assert [row["verdict"] for row in found.rows] == ["good", "good"]
+    assert {row["effects"] for row in found.rows} == {"mains_hum"}
+
+
+def test_a_parameter_at_its_bound_is_named(tmp_path):
+    """Others make up for it, so that its device says nothing of how devices differ."""
+    write_log(recorded(truths(1)[0] | {"beta": 0.02}, 0), tmp_path / "dev0.parquet")
+    found = hallsym.fleet(
+        tmp_path, "rotary", parameters={"beta": {"lower": -0.01, "upper": 0.0199}}, workers=1
+    )
+    assert found.rows[0]["verdict"] == "not described"
+    assert found.rows[0]["reason"].startswith("beta ends at its bound, 0.0199")
 
 
 # -- stopped and resumed -----------------------------------------------------------------------------------
@@ -258,7 +305,7 @@ def test_what_is_not_there_or_twice_is_one_sentence(broken, tmp_path):
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_one_sentence(broken, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("hallsym.fleets.engine.ANSWERS", 0.3)
+    monkeypatch.setattr("hallsym.workers.ANSWERS", 0.3)
     folder, *_ = broken
     for address in (f"tcp://127.0.0.1:{free_port()}", "no address"):
         with pytest.raises(InputError, match="does not answer"):

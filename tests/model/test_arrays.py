@@ -178,3 +178,15 @@ def test_long_doubles_stay_long_doubles():
     )
     assert out.dtype == np.longdouble
     assert float(out[0]) == pytest.approx(1e-18, rel=0.1)
+
+
+def test_many_samples_go_through_in_pieces(monkeypatch):
+    """Memory does not grow with samples times intermediate values; the values are the same, bit by bit."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    f = ca.Function("f", [p, x], [ca.vertcat(ca.sin(x[0]) * p, x[1] ** 2), ca.SX(3)])
+    samples = np.random.default_rng(0).standard_normal((2, 1001))
+    whole = on_arrays(f)([2.0], samples)
+    monkeypatch.setattr(arrays, "WORK", 1)
+    monkeypatch.setattr(arrays, "FEWEST", 100)
+    for one, other in zip(on_arrays(f)([2.0], samples), whole, strict=True):
+        np.testing.assert_array_equal(one, other, strict=True)

@@ -357,7 +357,7 @@ def _points(path: str) -> list[list[tuple[int, int]]]:
 
 
 def _first_run(series):
-    return runs([series]).script["runs"][0]
+    return runs([series]).data["runs"][0]
 
 
 def test_a_series_keeps_its_peaks_and_gaps():
@@ -385,11 +385,11 @@ def test_runs_beside_the_first_are_coarser_and_keep_their_peaks():
     peaked = error.copy()
     peaked[0, 12_345] = -9e-6
     several = [run_series(f"run {k}", ("x_m",), time, {"decoded": e}) for k, e in enumerate((error, peaked))]
-    fine, coarse = runs([*several, *[several[1]] * 58]).script["runs"][:2]
+    fine, coarse = runs([*several, *[several[1]] * 58]).data["runs"][:2]
     assert len(coarse["lines"][0][0]) < 0.6 * len(fine["lines"][0][0])
     assert max(y for _, y in _points(coarse["lines"][0][0])[0]) == UP
     assert coarse["reach"] == [9]
-    total = sum(len(run["lines"][0][0]) for run in runs([several[0]] * 60).script["runs"])
+    total = sum(len(run["lines"][0][0]) for run in runs([several[0]] * 60).data["runs"])
     assert total < 700_000
 
 

@@ -36,7 +36,7 @@ ZOOM = """
   const figure = document.querySelector('figure.series'), view = figure.querySelector('.view');
   const state = () => [view.getAttribute('viewBox').split(' ').map(Number),
     figure.querySelector('output').textContent,
-    [...figure.querySelector('.ticksx').querySelectorAll('text')].map((t) => t.textContent)];
+    [...figure.querySelector('.across').querySelectorAll('text')].map((t) => t.textContent)];
   const press = (key) => figure.dispatchEvent(
     new KeyboardEvent('keydown', { key, bubbles: true, cancelable: true }));
   const seen = [state()];
@@ -69,12 +69,14 @@ DO = """
   point('pointermove'); out.hover = figure.querySelector('.readout').textContent;
   out.cursors = cursors().filter(Boolean).length;
   point('pointerleave'); out.left = cursors();
-  const planes = document.querySelector('.planes'), [across, up] = planes.querySelectorAll('select');
-  out.coordinates = [...across.options].map((o) => o.textContent);
+  const planes = document.querySelector('.planes'), over = planes.querySelector('select');
+  out.maps = [...over.options].map((o) => o.textContent);
   const plane = planes.querySelector('svg.plane');
-  change(across, 1); change(up, 2); out.map = plane.querySelector('.soft').textContent;
-  out.cells = plane.querySelectorAll('rect').length;
-  change(across, 2); out.same = [across, up].map((s) => s.options[s.selectedIndex].textContent);
+  out.cells = []; out.titles = [];
+  for (const k of [over.options.length - 1, 0]) {
+    change(over, k); out.titles.push(plane.querySelector('.soft').textContent);
+    out.cells.push(plane.querySelectorAll('rect').length);
+  }
   const table = document.querySelector('table.sortable'), head = table.tHead.rows[0].cells[0];
   const names = () => [...table.tBodies[0].rows].map((r) => r.cells[0].textContent);
   out.sorted = []; out.aria = [];
@@ -141,7 +143,7 @@ def test_a_script_that_is_not_its_own_is_refused_and_the_charts_stay_without_it(
     shown = chromium.dom(changed)
     assert "<title>changed" not in shown
     assert "<button" not in shown
-    assert len(re.findall(r'<path d="m[^"]{300,}" class="line line0">', shown)) == 3
+    assert len(re.findall(r'<path d="m[^"]{300,}" class="line median">', shown)) == 3
     assert shown.count('class="plane"') == 6
 
 
@@ -164,7 +166,7 @@ def test_buttons_keys_and_mouse_zoom(chromium, pages):
     assert halved[2] == ["6", "8", "10", "12", "14"]
     assert (moved[0][0], moved[0][2]) == (9000, 10000)
     assert (out[0][0], out[0][2]) == (0, 20000)
-    left, width = 46 / 740, (740 - 46 - 8) / 740
+    left, width = 54 / 740, (740 - 54 - 14) / 740
     first, last = ((part - left) / width * 20000 for part in (0.3, 0.5))
     assert dragged[0][0] == pytest.approx(first, abs=30)
     assert dragged[0][2] == pytest.approx(last - first, abs=30)
@@ -184,10 +186,10 @@ def test_picker_hover_maps_sorting_and_copying(chromium, pages):
     assert re.fullmatch(r"at 0\.\S+ s: x \S+ µm; y \S+ µm; Rz \S+ µrad", found["hover"])
     assert found["cursors"] == 3
     assert found["left"] == ["", "", ""]
-    assert found["coordinates"][:3] == ["x [µm]", "y [µm]", "Rz [µrad]"]
-    assert found["map"] == "y [µm], upwards Rz [µrad]"
-    assert found["same"] == ["Rz [µrad]", "Z [µm]"]  # no coordinate over itself
-    assert found["cells"] > 5
+    assert found["maps"][:2] == ["x [µm], upwards y [µm]", "x [µm], upwards Rz [µrad]"]
+    assert len(found["maps"]) == len(set(found["maps"])) == 15  # every two of six coordinates
+    assert found["titles"] == [found["maps"][-1], found["maps"][0]]
+    assert min(found["cells"]) > 5
     ordered = found["sorted"]
     assert ordered[0] == sorted(ordered[0], key=str.lower)
     assert ordered[1] == ordered[0][::-1]
@@ -196,6 +198,8 @@ def test_picker_hover_maps_sorting_and_copying(chromium, pages):
     assert found["button"] == "copy"
 
 
+A4 = 688
+"""Width of an A4 page within its margins of 14 mm [px]."""
 AUDIT = """axe.run(document, { resultTypes: ['violations'] }).then((found) => tell(JSON.stringify(
   found.violations.map((v) => [v.id, v.help, v.nodes.slice(0, 3).map((n) => n.html.slice(0, 200))]))),
   (error) => tell(String(error)))"""
@@ -222,6 +226,20 @@ def axe() -> str:
 def test_axe_finds_nothing(chromium, pages, axe, name, width, dark):
     scheme = f"--blink-settings=preferredColorScheme={0 if dark else 1}"
     answer = chromium.framed(pages[name], width, axe + ";" + AUDIT, scheme)
+    assert json.loads(answer) == []
+
+
+@pytest.mark.parametrize("name", ["fit", pytest.param("diagnosis", marks=pytest.mark.slow)])
+def test_axe_finds_nothing_on_paper(chromium, pages, axe, name, tmp_path):
+    """Chromium has no option for the media type, so the rules for print are made those of the window."""
+    text = pages[name].read_text(encoding="utf-8")
+    for media, instead in (("@media print", "@media all"), ("@media screen", "@media print")):
+        assert media in text
+        text = text.replace(media, instead)
+    printed = tmp_path / "printed.html"
+    printed.write_text(text, encoding="utf-8")
+    shown = "getComputedStyle(document.querySelector('nav')).display === 'none'"
+    answer = chromium.framed(printed, A4, f"{axe};if ({shown}) {AUDIT}; else tell('shown as on a screen')")
     assert json.loads(answer) == []
 
 

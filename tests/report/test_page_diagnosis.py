@@ -241,7 +241,7 @@ def test_maps_and_series_are_optional_and_shown():
     outline = Outline(page)
     assert {"maps", "series"} <= {a["id"] for a in outline.all("section")}
     assert "3 samples" in page
-    assert page.count('class="line line1"') == 3
+    assert page.count('class="line median"') == 3
     assert "nan" not in page.partition("<body>")[2].partition("<script>")[0]
 
 

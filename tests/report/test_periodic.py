@@ -51,6 +51,19 @@ def test_a_table_of_knots_is_split_into_encoder_reference_and_noise():
     assert "2 per turn may come from gain_mismatch" in text
 
 
+def test_voltages_about_half_the_supply_are_not_split_by_a_nominal_centre_of_zero():
+    angle = 2 * np.pi * np.arange(2000) / 400
+    noise = np.random.default_rng(2).normal(0, 0.004, (2, angle.size))
+    columns = {"v_sin_v": 2.5 + np.sin(angle) + noise[0], "v_cos_v": 2.5 + np.cos(angle) + noise[1]}
+    fit, found = of(columns | {"angle_ref_rad": angle})
+    assert found.rest_calibrated == pytest.approx(0.004, rel=0.1)
+    assert found.rest > 10 * found.rest_calibrated
+    text = fit.summary()
+    assert "the nominal parameters do not decode these readings" in text
+    assert f"rms {found.rest_calibrated / DEG:.3g} deg" in text
+    assert "mounted anew" not in text
+
+
 def test_noise_alone_is_no_error_of_the_encoder():
     fit, found = of(table({1: 0.0}, sigma=0.02))
     assert (found.machine.rms, found.pattern.rms) == (0.0, 0.0)

@@ -25,9 +25,8 @@ FIT = {
     "parameters": lambda log, found, survey: plots.parameters(found),
 }
 WHICH = ("full", "level", "odd")
-TOO_HIGH = {"measured", "intervals odd", *(f"{p} {w}" for p in ("effects", "profiles") for w in WHICH)}
-"""Higher than a page where stacked: three runs of four panels, 21 parameters on three coordinates, and
-others."""
+PAGE = 247 / 25.4
+"""Inches: an A4 page with margins of 25 mm."""
 
 
 @cache
@@ -58,17 +57,53 @@ def test_words_stand_apart_and_on_the_canvas(name: str, columns: int, tmp_path: 
         return drawn[-1]
 
     place = plots.Place(tmp_path, ("svg",), told=said.append, columns=(columns,))
-    plots.save_figures({"picture": draw}, place)
-    expected = 2 if name in TOO_HIGH else columns
-    note = "The picture picture has no room in one column; it is drawn for two."
-    assert said == ([note] if expected != columns else [])
-    figure = drawn[-1]
-    with style.context(["default", plots.STYLE]):
-        FigureCanvasAgg(figure).draw()
-        reports.inside(figure, plots.WIDTHS[expected])
-        apart(figure)
-    assert figure.get_size_inches()[1] <= 247 / 25.4 or expected == 2
-    assert min(t.get_fontsize() for t in figure.findobj(Text) if t.get_text()) >= 7.0
+    files = plots.save_figures({"picture": draw}, place)
+    assert said == []
+    assert columns == 1 or len(files) == 1
+    for figure in drawn[-len(files) :]:
+        with style.context(["default", plots.STYLE]):
+            FigureCanvasAgg(figure).draw()
+            reports.inside(figure, plots.WIDTHS[columns])
+            apart(figure)
+        assert figure.get_size_inches()[1] <= PAGE or columns == 2
+        assert min(t.get_fontsize() for t in figure.findobj(Text) if t.get_text()) >= 7.0
+
+
+def test_a_picture_higher_than_a_page_is_several_files_that_share_what_it_repeats(tmp_path: Path) -> None:
+    report = reports.full()
+    drawn: list[Figure] = []
+
+    def draw() -> Figure:
+        drawn.append(plots.profiles(report))
+        return drawn[-1]
+
+    place = plots.Place(tmp_path, ("svg",), columns=(1, 2))
+    files = plots.save_figures({"profiles": draw}, place)
+    several = [f"profiles_1column_{k + 1}.svg" for k in range(len(files) - 1)]
+    assert [p.name for p in files] == ["profiles.svg", *several]
+    assert len(several) > 1
+    shown = [len(figure.axes) for figure in drawn[-len(several) :]]
+    assert sum(shown) == len(report.intervals.profiles)
+    assert max(shown) - min(shown) <= 1
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_a_legend_of_several_lines_lies_below_the_axis_label(columns: int) -> None:
+    with style.context(["default", plots.STYLE]), plots.laid_out(columns):
+        figure = Figure(figsize=(plots.WIDTHS[columns], 2.0))
+        ax = figure.add_axes((0.2, 0.62 / 2, 0.7, 0.5))
+        lines = [ax.plot([0, 1], [0, k], label=f"col {k}")[0] for k in range(9)]
+        label = ax.set_xlabel("time in the run [s]")
+        ax.xaxis.set_label_coords(0.5, -0.24)  # 0.24 inches below an axis 1 inch high
+        plots.legend(figure, lines, "lower center", ncols=6)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        top = figure.legends[0].get_window_extent(canvas.get_renderer()).y1
+        assert top <= label.get_window_extent(canvas.get_renderer()).y0
+
+
+def test_a_number_of_six_digits_has_the_room_that_ticks_leave_it() -> None:
+    assert plots.text_width("123456") <= plots.NUMBER
 
 
 def test_both_widths_have_names_of_their_own_and_the_same_bytes(tmp_path: Path) -> None:

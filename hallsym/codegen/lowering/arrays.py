@@ -7,9 +7,8 @@ own readings (`lowering.wave_groups`, `lowering.arrays_fit`). No iteration, no b
 a step.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import pi
 
 import casadi as ca
 import numpy as np
@@ -18,6 +17,7 @@ from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
 from hallsym.codegen.fixed_point import Program
+from hallsym.codegen.intervals import Enclosure
 from hallsym.codegen.lowering.arrays_bounds import Rounding
 from hallsym.codegen.lowering.arrays_fit import Arrays
 from hallsym.codegen.lowering.arrays_steps import Pieces
@@ -46,24 +46,31 @@ def decoupler(
     model: Model, p: np.ndarray, weight: np.ndarray, box: Box, accuracy: float | None = None
 ) -> Decoupler:
     """Return the decoupler of several arrays at parameters `p` over a box; see `lowering.wave.decoupler`."""
-    aim = ENOUGH if accuracy is None else accuracy
-    ends = np.array([box.ends[c] for c in model.pose])
-    middle, half = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2
+    middle, half, leaves = ends_and_leaves(model, box, accuracy)
+    aim = float(leaves[0])
     own = replace(model, period={c: v for c, v in model.period.items() if c not in model.pose})
-    groups, level = groups_of(own, p, weight, middle, (ends[2, 0], ends[2, 1]))
+    groups, level = groups_of(own, p, weight, middle, box.ends[model.pose[2]])
     half, middle = half + np.abs(level - middle), level
-    arm = model.family.pose_metric.arm_m
-    leaves = np.array([aim if c.endswith("_m") else aim / arm for c in model.pose])
-    found = Arrays(own, np.asarray(p, dtype=float), weight, groups, middle, half, leaves)
-    made = _Assembly(found, _waves(found, aim), given=box).make()
+    found = Arrays(own, np.asarray(p, dtype=float), weight, middle, half, leaves, groups)
+    made = Assembly(found, _waves(found, aim), given=box).make()
 
     def integers(accuracy: float = aim, plan: Sequence[int] | None = None) -> Program:
         waves = _waves(found, accuracy, radial=False)
-        native = _Assembly(found, waves, Collected(native=True), given=box)
+        native = Assembly(found, waves, Collected(native=True), given=box)
         share = FUNCTIONS * accuracy / max(g.phasor.lc for g in groups)
         return program(native.make(), native.made.least, share, plan)
 
     return replace(made, integers=integers)
+
+
+def ends_and_leaves(
+    model: Model, box: Box, accuracy: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return middle and half of the box (6,), and what terms may leave of each coordinate (6,)."""
+    ends = np.array([box.ends[c] for c in model.pose])
+    aim, arm = ENOUGH if accuracy is None else accuracy, model.family.pose_metric.arm_m
+    leaves = np.array([aim if c.endswith("_m") else aim / arm for c in model.pose])
+    return ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2, leaves
 
 
 def _waves(found: Arrays, aim: float, radial: bool = True) -> tuple[Wave, ...]:
@@ -83,7 +90,7 @@ def _waves(found: Arrays, aim: float, radial: bool = True) -> tuple[Wave, ...]:
 
 
 @dataclass(eq=False)
-class _Assembly(Pieces):
+class Assembly(Pieces):
     """Collects the decoupler of one calibration over a box."""
 
     given: Box = field(default_factory=lambda: Box({}))
@@ -91,6 +98,7 @@ class _Assembly(Pieces):
     # -- the whole -----------------------------------------------------------------------------------------
 
     def make(self) -> Decoupler:
+        """Return the decoupler."""
         found, made, model = self.found, self.made, self.found.model
         near = [c for c, a in (("x", 0), ("y", 1)) if self.wide(a)]
         nears = tuple(f"{short(model.pose['xy'.index(c)])}_near_m" for c in near)
@@ -102,33 +110,54 @@ class _Assembly(Pieces):
         )
         made.symbols |= {z.name: ca.SX.sym(z.name) for z in zeros}
         ends = self._ends(nears)
-        vectors = [self.vector(k) for k in range(len(self.waves))]
-        logs = [
-            logarithm_steps(made, w, u, f"_{n}")
-            for w, u, n in zip(self.waves, vectors, self.names, strict=True)
-        ]
-        inside = self.least_inside()
-        seen = [*self.places(vectors), *self.heights(logs)]
-        pose = self.bent(self.pose(seen, self.turning(vectors)))
+        pose = self.bent(self.linear(nears))
         for column, value in zip(model.pose, pose, strict=True):
             made.step(short(column), made.symbols[f"zero_{short(column)}"] + value, f"[{unit(column)}]")
-        made.keep((*(short(c) for c in model.pose), inside, "turns"))
+        made.keep((*(short(c) for c in model.pose), *(flag.step for flag in self.flags)))
         values: dict[str, float | tuple[float, float]] = {e.name: e.value for e in made.table}
         values |= {short(c): ends.ends[c] for c in inputs}
-        leaves = self._leaves()
+        leaves = self.leaves()
         return Decoupler(
             model=model, inputs=inputs, table=tuple(made.table), limits=limits(inputs, ends), zeros=zeros,
-            steps=tuple(made.steps), at_pose=(), margins=(Margin(inputs[0], f"lc_{self.names[0]}"),),
-            box=ends, exact=self._exact, symbols=made.symbols,
-            flags=(
-                Flag("FIELD", inside, "least_inside", FIELD),
-                Flag("TILT", "turns", "least_turns", TILTED),
-            ),
-            approximation=max(leaves.values()), leaves=leaves,
-            bounded=Rounding(found, self.waves, self.names, tuple(made.steps), values, nears, self._drawn),
+            steps=tuple(made.steps), at_pose=(), margins=(Margin(inputs[0], self.never_zero),),
+            box=ends, exact=self.exact, symbols=made.symbols,
+            flags=self.flags, approximation=max(leaves.values()), leaves=leaves,
+            bounded=self.bounded(values, nears),
             rest=tuple(self.drawn(found.middle[:, None], np.zeros((2, 1)))[:, 0].tolist()),
-            drawn=self._drawn, said=self._said(leaves), evident=made.native,
+            drawn=self.drawn_of_box, said=self.said(leaves), evident=made.native,
         )  # fmt: skip
+
+    def linear(self, nears: Sequence[str]) -> list[ca.SX]:
+        """Add the steps from the readings to the linear pose; returns its displacements from the middle."""
+        vectors = [self.vector(k) for k in range(len(self.waves))]
+        logs = [
+            logarithm_steps(self.made, w, u, f"_{n}")
+            for w, u, n in zip(self.waves, vectors, self.names, strict=True)
+        ]
+        self.least_inside()
+        seen = [*self.places(vectors), *self.heights(logs)]
+        return self.pose(seen, self.turning(vectors))
+
+    @property
+    def never_zero(self) -> str:
+        """An entry that decoupler_check() looks at: a wavelength over 2 pi."""
+        return f"lc_{self.names[0]}"
+
+    @property
+    def flags(self) -> tuple[Flag, ...]:
+        """Status bits beyond the ranges."""
+        return (
+            Flag("FIELD", f"least_to_{self.names[-1]}", "least_inside", FIELD),
+            Flag("TILT", "turns", "least_turns", TILTED),
+        )
+
+    def bounded(
+        self, values: Mapping[str, float | tuple[float, float]], nears: tuple[str, ...]
+    ) -> Callable[[int], Mapping[str, Enclosure]]:
+        """Return what bounds the rounding."""
+        return Rounding(
+            self.found, self.waves, self.names, tuple(self.made.steps), values, nears, self.drawn_of_box
+        )
 
     # -- ranges, trials, what is said ----------------------------------------------------------------------
 
@@ -143,22 +172,18 @@ class _Assembly(Pieces):
             ends[c] = self.given.ends.get(c, (-end, end))
         for c in nears:
             axis = 0 if short(found.model.pose[0]) == c.removesuffix("_near_m") else 1
-            wave = 2 * pi * found.groups[found.axes[axis][0]].phasor.lc
-            most = float(np.abs(found.middle[axis]) + found.half[axis] + NEAR * wave)
+            most = float(np.abs(found.middle[axis]) + found.half[axis] + NEAR * found.wave_of(axis))
             ends[c] = (-most, most)
         return self.given.over(ends)
 
     def drawn(self, pose: np.ndarray, off: np.ndarray) -> np.ndarray:
         """Return inputs (n, s) of poses (6, s); `off` (2, s): of what says the period, in periods."""
         found = self.found
-        nears = [
-            pose[axis] + off[axis] * 2 * pi * found.groups[found.axes[axis][0]].phasor.lc
-            for axis in (0, 1)
-            if self.wide(axis)
-        ]
+        nears = [pose[axis] + off[axis] * found.wave_of(axis) for axis in (0, 1) if self.wide(axis)]
         return np.vstack([found.readings(pose), *nears])
 
-    def _drawn(self, rng: np.random.Generator, count: int) -> np.ndarray:
+    def drawn_of_box(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return random inputs (n, s) of poses of the box."""
         pose = self.found.poses(rng, count)
         return self.drawn(pose, rng.uniform(-NEAR, NEAR, (2, count)))
 
@@ -173,12 +198,13 @@ class _Assembly(Pieces):
             ]
         )
 
-    def _exact(self, inputs: np.ndarray) -> np.ndarray:
+    def exact(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the poses (6, s) of inputs (n, s) by the reference decoder."""
         given = np.asarray(inputs, dtype=float)
         n = len(self.found.model.channels)
         return self.found.solved(given[:n], self._near(given))
 
-    def _leaves(self) -> dict[str, float]:
+    def leaves(self) -> dict[str, float]:
         """What is left of each coordinate: met over trial poses by exact functions, and what these leave."""
         found = self.found
         pose = found.poses(np.random.default_rng(5), TRIALS)
@@ -186,10 +212,15 @@ class _Assembly(Pieces):
         n = len(found.groups)
         native = self.made.native  # the errors of its functions are counted where they are computed
         each = np.array([(w.left if native else w.error) * w.phasor.lc for w in self.waves])
-        functions = np.abs(found.inverse) @ np.concatenate([each, each]) * SAFE
+        turned = np.zeros(n)
+        for first, *others in () if native else found.axes.values():
+            for k in others:
+                turned[k] = self.series(first, k).error * found.groups[k].phasor.lc
+        functions = np.abs(found.inverse) @ np.concatenate([each + turned, each]) * SAFE
         return dict(zip(found.model.pose, (SAFE * met + functions).tolist(), strict=True)) if n else {}
 
-    def _said(self, leaves: dict[str, float]) -> tuple[str, ...]:
+    def said(self, leaves: dict[str, float]) -> tuple[str, ...]:
+        """Return sentences for header and report."""
         found = self.found
         sizes = ", ".join(
             f"{n} from {counted(len(g.channels), 'reading')}"

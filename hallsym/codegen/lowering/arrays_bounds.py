@@ -18,6 +18,7 @@ from hallsym.codegen.lowering.angle_bounds import half_ulp
 from hallsym.codegen.lowering.arrays_fit import Arrays
 from hallsym.codegen.lowering.wave_bounds import SHORT, Values, height_error, place_error, vector_error
 from hallsym.codegen.lowering.wave_steps import Wave
+from hallsym.codegen.operations import TESTS, graph
 from hallsym.model.arrays import on_arrays
 
 ROOM = 1.5
@@ -69,7 +70,7 @@ class Rounding:
                 low, high = ranges[step.name]
                 known[step.name] = Enclosure(low, high)
                 continue
-            if step.name.startswith(CHOSEN):
+            if step.name.startswith(CHOSEN) and _branches(step):
                 known[step.name] = _chosen(step, known, ranges[step.name], digits)
                 continue
             needs = {s.name(): known[s.name()] for s in ca.symvar(step.expression)}
@@ -152,6 +153,10 @@ def ranges_of(
         room = (ROOM - 1) * max(high - low, 1e-3 * max(abs(low), abs(high)))
         out[step.name] = low - room, high + room
     return out
+
+
+def _branches(step: Step) -> bool:
+    return any(operation.op in TESTS for operation in graph([step.expression]).operations)
 
 
 def _chosen(step: Step, known: Mapping[str, Enclosure], ends: tuple[float, float], digits: int) -> Enclosure:

@@ -7,18 +7,16 @@ times rotations. And rotations multiply displacements. Both are found by regress
 few terms as leave at most an accuracy, largest first.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement as combined
 from math import pi
 
-import casadi as ca
 import numpy as np
 
+from hallsym.codegen.lowering.reference import Reference
 from hallsym.codegen.lowering.wave_groups import Group
-from hallsym.model import Model
-from hallsym.model.arrays import on_arrays
 
 SAMPLES = 6000
 """Poses in the box that terms are fitted to, and as many others that they are judged on."""
@@ -33,10 +31,6 @@ HARDLY = 1.1
 """Times what all terms leave: those after the first that leave no more than this are not worth their code."""
 NEGLIGIBLE = 0.01
 """Share of an accuracy below which an entry of a matrix is left out."""
-BATCH = 2048
-"""Samples that the reference decoder takes at a time."""
-NEWTON = 3
-"""Steps from the closed form: each leaves a thousandth of what the one before did, or less."""
 
 Term = tuple[str, tuple[int, ...], int]
 """Kind, numbers of the rotations that it is multiplied by, and 0 for its real or 1 for its imaginary part."""
@@ -58,67 +52,14 @@ class Terms:
 
 
 @dataclass(frozen=True, eq=False)
-class Arrays:
+class Arrays(Reference):
     """Arrays of a model at parameters `p`, over poses `middle` +- `half` (6,)."""
 
-    model: Model
-    p: np.ndarray
-    weight: np.ndarray
     groups: tuple[Group, ...]
-    middle: np.ndarray
-    half: np.ndarray
-    accuracy: np.ndarray
-    """What terms may leave of each coordinate (6,)."""
 
-    # -- the model itself ------------------------------------------------------------------------------------
-
-    @cached_property
-    def _run(self) -> Callable[..., list[np.ndarray]]:
-        return on_arrays(self.model.reading)
-
-    @cached_property
-    def _slopes(self) -> Callable[..., list[np.ndarray]]:
-        """Poses -> d readings / d pose, column by column."""
-        pose = ca.SX.sym("pose", 6)
-        readings = self.model.reading(self.p, np.zeros(len(self.model.zeros)), pose, [])
-        return on_arrays(ca.Function("slopes", [pose], [ca.densify(ca.vec(ca.jacobian(readings, pose)))]))
-
-    def readings(self, pose: np.ndarray) -> np.ndarray:
-        """Return readings (n, s) at poses (6, s)."""
-        return np.asarray(self._run(self.p, np.zeros(len(self.model.zeros)), list(pose), [])[0])
-
-    def poses(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Return random poses of the box, corners among them."""
-        share = rng.uniform(-1, 1, (6, count))
-        share[:, : count // 20] = np.sign(share[:, : count // 20])
-        return np.asarray(self.middle[:, None] + self.half[:, None] * share)
-
-    def solved(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
-        """Return the poses (6, s) of weighted least squares over all channels: the reference decoder.
-
-        `near` (2, s): places in the period that is meant; the middle of the box without it.
-        """
-        parts = []
-        for first in range(0, readings.shape[1], BATCH):
-            part = slice(first, first + BATCH)
-            parts.append(self._solved(readings[:, part], None if near is None else near[:, part]))
-        return np.hstack(parts)
-
-    def _solved(self, readings: np.ndarray, near: np.ndarray | None) -> np.ndarray:
-        """Steps with the slopes at the closed form, which is within some um of the solution."""
-        n, root = len(self.model.channels), np.sqrt(self.weight)[:, None]
-        with np.errstate(all="ignore"):
-            pose = np.clip(np.nan_to_num(self.decoded(readings, near)), -1e3, 1e3)
-            scaled = (np.asarray(self._slopes(list(pose))[0]).reshape(6, n, -1) * root).transpose(2, 0, 1)
-            left = scaled @ scaled.transpose(0, 2, 1)  # s, 6, 6
-            bad = ~np.isfinite(left).all(axis=(1, 2))
-            left[bad], scaled[bad] = np.eye(6), 0.0
-            left = left + np.eye(6) * 1e-14 * np.trace(left, axis1=1, axis2=2)[:, None, None]
-            inverse = np.linalg.inv(left) @ scaled  # s, 6, n
-            for _ in range(NEWTON):
-                off = np.nan_to_num(readings - self.readings(pose), posinf=0.0, neginf=0.0)
-                pose = pose + (inverse @ (root * off).T[..., None])[..., 0].T
-        return np.asarray(pose)
+    def wave_of(self, axis: int) -> float:
+        """Wavelength along a coordinate [m]."""
+        return 2 * pi * self.groups[self.axes[axis][0]].phasor.lc
 
     # -- places and heights ----------------------------------------------------------------------------------
 
@@ -219,7 +160,7 @@ class Arrays:
             columns = np.array([turning_of(u, rotations, term) for term in terms])
             free = columns - (columns @ basis) @ basis.T
             target = seen[row] - (seen[row] @ basis) @ basis.T
-            out.append(_fewest(terms, free, target, 1 / (2 * share[row])))
+            out.append(fewest(terms, free, target, 1 / (2 * share[row])))
         return tuple(out)
 
     def straightened(self, phasors: Sequence[np.ndarray], seen: np.ndarray) -> np.ndarray:
@@ -240,9 +181,7 @@ class Arrays:
         v = near - self.middle[:, None]
         terms = [c for degree in range(4) for c in combined(range(6), degree)]
         columns = np.array([np.prod(v[list(c)], axis=0) for c in terms])
-        return tuple(
-            _fewest(terms, columns, pose[k] - near[k], float(self.accuracy[k]) / 2) for k in range(6)
-        )
+        return tuple(fewest(terms, columns, pose[k] - near[k], float(self.accuracy[k]) / 2) for k in range(6))
 
     def decoded(self, readings: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         """Return the poses (6, s) as the generated code computes them, functions and phasors exact."""
@@ -262,7 +201,7 @@ def turning_of(u: np.ndarray, rotations: np.ndarray, term: Term) -> np.ndarray:
     return np.asarray((value.imag if part else value.real) * np.prod(rotations[list(turns)], axis=0))
 
 
-def _fewest(terms: Sequence[tuple], columns: np.ndarray, target: np.ndarray, enough: float) -> Terms:
+def fewest(terms: Sequence[tuple], columns: np.ndarray, target: np.ndarray, enough: float) -> Terms:
     """Return terms whose sum leaves at most `enough` of a target: that which explains most first."""
     sizes = np.sqrt((columns * columns).sum(axis=1)) + 1e-300
     unit, rest = columns / sizes[:, None], target

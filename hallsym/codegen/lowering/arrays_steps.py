@@ -3,22 +3,18 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import pi, tan
+from math import pi
 
 import casadi as ca
 import numpy as np
 
 from hallsym.codegen.decoupler import Whole
 from hallsym.codegen.entries import short, unit
-from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE, Arrays
-from hallsym.codegen.lowering.odd_series import Odd, shortest
-from hallsym.codegen.lowering.trigonometry import odd
+from hallsym.codegen.lowering.arrays_fit import KINDS, NEGLIGIBLE
+from hallsym.codegen.lowering.arrays_turns import Turns
 from hallsym.codegen.lowering.wave_steps import (
-    POLYNOMIALS,
-    Collected,
     Pair,
     Powers,
-    Wave,
     arctangent_steps,
     least_inside,
     phasor_steps,
@@ -29,35 +25,43 @@ TILT = 1.1
 """Times the largest rotation of the box beyond which the flag of the pose is set."""
 WITHIN = 0.98
 """Share of a period that a box may span where no input says which period it is."""
-ROOMY = 1.1
-"""Times the largest tangent of the box: end of the polynomial of a turn."""
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
 ONCE = 1.01
 """Times the largest power of a phasor where no flag is set: end of what integers hold it in."""
 LOST = 1e-12
 """Displacement [m] that is rounding of the analysis."""
+LEAST_SHARE = 1e-6
+"""Share of the largest below which what a rotation does to labels is rounding of the analysis."""
 ONE = 1e-9
 """Distance from 1 of an entry that is 1 but for rounding of the analysis."""
 
 
 @dataclass(eq=False)
-class Pieces:
+class Pieces(Turns):
     """Adds the steps of one calibration, one after the other."""
 
-    found: Arrays
-    waves: tuple[Wave, ...]
-    made: Collected = field(default_factory=Collected)
-
-    def __post_init__(self) -> None:
-        """Name the arrays: x_1, x_2, y_1, y_2."""
-        pose = self.found.model.pose
-        self.names = [f"{short(pose[a])}_{k + 1}" for a, m in self.found.axes.items() for k in range(len(m))]
+    _unwrapped: dict[int, bool] = field(default_factory=dict, init=False)
 
     def wide(self, axis: int) -> bool:
         """Whether the box spans more than the period that readings resolve."""
-        lc = self.found.groups[self.found.axes[axis][0]].phasor.lc
-        return bool(2 * self.found.half[axis] > WITHIN * 2 * pi * lc)
+        return bool(2 * self.found.half[axis] > WITHIN * self.found.wave_of(axis))
+
+    def unwrapped(self, axis: int) -> bool:
+        """Whether no pose of the box brings the phase of the first array of an axis near half a turn.
+
+        Then the place is that phase times lc: nothing to wrap, and no mean of the arrays is needed for it.
+        """
+        if axis not in self._unwrapped:
+            self._unwrapped[axis] = not (self.made.native or self.wide(axis)) and self._far_from_half(axis)
+        return self._unwrapped[axis]
+
+    def _far_from_half(self, axis: int) -> bool:
+        found = self.found
+        pose = found.poses(np.random.default_rng(2), 2000)
+        first = found.axes[axis][0]
+        phase = np.angle(found.phasors(found.readings(pose))[first])
+        return bool(np.abs(phase).max() < WITHIN * pi and abs(found.at_middle[first, 0]) < LOST)
 
     def vector(self, k: int) -> Pair:
         """Add the steps from the readings of an array to its phasor."""
@@ -69,14 +73,23 @@ class Pieces:
 
     def least_inside(self) -> str:
         """The least of what the flag of the field looks at, over the arrays, each over its own least."""
-        made = self.made
-        least_inside(made, self.waves)
-        value = made.symbols[f"inside_{self.names[0]}"]
-        for name in self.names[1:]:
-            other = made.symbols[f"inside_{name}"]
-            least = ca.fmin(value, other) if made.native else ca.if_else(value < other, value, other)
-            value = made.step(f"least_to_{name}", least)
-        return f"least_to_{self.names[-1]}"
+        least_inside(self.made, self.waves)
+        return self.least()
+
+    def least(self) -> str:
+        """The least of these steps of all arrays."""
+        made, names = self.made, self.names
+        if made.native:
+            value = made.symbols[f"inside_{names[0]}"]
+            for name in names[1:]:
+                value = made.step(f"least_to_{name}", ca.fmin(value, made.symbols[f"inside_{name}"]))
+            return f"least_to_{names[-1]}"
+        value = made.symbols[f"tangent_square_{names[0]}"]
+        for name in names[1:]:
+            other = made.symbols[f"tangent_square_{name}"]
+            value = made.step(f"most_to_{name}", ca.if_else(value > other, value, other))
+        made.step(f"least_to_{names[-1]}", 1.0 - value)  # the least of 1 - t^2, to the last bit
+        return f"least_to_{names[-1]}"
 
     # -- places and heights --------------------------------------------------------------------------------
 
@@ -112,13 +125,16 @@ class Pieces:
         for axis, members in self.found.axes.items():
             first = members[0]
             phase = arctangent_steps(made, self.waves[first], vectors[first], f"_{self.names[first]}")
-            turns = [self._turn(first, k, vectors) for k in members[1:]]
+            turns = [self.turn(first, k, vectors) for k in members[1:]]
             total = phase
-            if turns:
+            if turns and not self.unwrapped(axis):
                 total = phase + sum(turns[1:], start=turns[0]) * (1.0 / len(members))
             lc = self.found.groups[first].phasor.lc
             name = self.names[first]
             entry = made.entry(f"lc_{name}", lc, "m", "wavelength over 2 pi")
+            if self.unwrapped(axis):
+                out += [made.step(f"along_{name}", entry * total, "[m] from the middle"), *turns]
+                continue
             place = made.step(f"place_{name}", entry * total, "[m] mean of the axis")
             out += [self._in_period(axis, name, place, lc), *turns]
         return out
@@ -153,55 +169,10 @@ class Pieces:
         number = made.symbols.setdefault(f"whole_{name}", ca.SX.sym(f"whole_{name}"))
         return made.step(f"along_{name}", from_middle + whole * (number - float(PERIODS)), "[m]")
 
-    def _turn(self, first: int, k: int, vectors: Sequence[Pair]) -> ca.SX:
-        """Angle of one phasor from the first of its axis: small, so one polynomial without quadrants."""
-        made, (a, b), (c, d), name = self.made, vectors[first], vectors[k], self.names[k]
-        real = made.step(f"cross_real_{name}", c * a + d * b)
-        imaginary = made.step(f"cross_imaginary_{name}", d * a - c * b)
-        if made.native:
-            made.least[f"turn_{name}"] = self.waves[first].least * self.waves[k].least
-            return made.step(f"turn_{name}", ca.atan2(imaginary, real), "[rad]")
-        steep, floor = self._cone(first, k)
-        cone = made.entry(f"cone_{name}", steep, "1", "cotangent of the largest turn of two phasors")
-        least = made.entry(f"least_cross_{name}", floor, "1", "least product of two phasors of the box")
-        bound = made.step(f"bound_{name}", cone * ca.fabs(imaginary) + least)
-        held = made.step(f"held_cross_{name}", ca.if_else(real > bound, real, bound))
-        tangent = made.step(f"cross_{name}", imaginary / held)
-        square = made.step(f"cross_square_{name}", tangent * tangent)
-        return made.step(f"turn_{name}", odd(self.series(first, k).coefficients, tangent, square), "[rad]")
-
-    def _cone(self, first: int, k: int) -> tuple[float, float]:
-        """Cotangent of the end of the polynomial, and the least that real - cotangent |imaginary| is, halved.
-
-        So no reading whatever turns two phasors beyond that end.
-        """
-        angle, steep = self._angle(first, k), 1.0 / self.series(first, k).end
-        least = self.waves[first].least * self.waves[k].least
-        return steep, 0.5 * least * (float(np.cos(angle)) - steep * float(np.sin(angle)))
-
-    def _angle(self, first: int, k: int) -> float:
-        """Largest turn of two phasors of an axis over the box [rad]."""
-        pose = self.found.poses(np.random.default_rng(3), 2000)
-        u = self.found.phasors(self.found.readings(pose))
-        return float(np.abs(np.angle(u[k] * u[first].conj())).max()) * 1.05
-
-    def series(self, first: int, k: int) -> Odd:
-        """Return the polynomial of that angle."""
-        end = np.ceil(20 * ROOMY * tan(min(self._angle(first, k), 1.4))) / 20
-        share = POLYNOMIALS * float(self.found.accuracy[0]) / self.found.groups[k].phasor.lc
-        series = shortest("atan", float(end), share)
-        if series is None:
-            raise InputError(
-                "Rotations of the box turn two arrays of an axis by most of a period against each other; "
-                "give a "
-                "smaller range of rotations with --range."
-            )
-        return series
-
     # -- the pose ------------------------------------------------------------------------------------------
 
     @property
-    def _labels(self) -> list[str]:
+    def labels(self) -> list[str]:
         """Of what the pose is linear in: mean place and turns by axis, then logarithms."""
         out = []
         for members in self.found.axes.values():
@@ -209,7 +180,7 @@ class Pieces:
         return [*out, *(f"deep_{n}" for n in self.names)]
 
     @property
-    def _matrix(self) -> np.ndarray:
+    def matrix(self) -> np.ndarray:
         """Pose per label (6, labels), from the inverse per place and height."""
         groups, n = self.found.groups, len(self.found.groups)
         back = np.zeros((2 * n, 2 * n))  # places and heights per label
@@ -218,7 +189,8 @@ class Pieces:
             back[members, row] = 1.0
             for j, k in enumerate(members[1:], 1):
                 lc = groups[k].phasor.lc
-                back[members, row + j] = -lc / len(members)
+                if not self.unwrapped(groups[members[0]].axis):
+                    back[members, row + j] = -lc / len(members)
                 back[k, row + j] += lc
             row += len(members)
         for k, group in enumerate(groups):
@@ -232,15 +204,18 @@ class Pieces:
         A displacement is the mean place of its axis less what rotations move it by: fewer entries than all
         labels.
         """
-        found, matrix, labels = self.found, self._matrix, self._labels
+        found, matrix, labels = self.found, self.matrix, self.labels
         _, _, seen = found.sample
         spread = np.abs(np.linalg.pinv(matrix) @ (found.inverse @ (seen - found.at_middle))).max(axis=1)
-        deep = [k for k, label in enumerate(labels) if label.startswith("deep_")]
         out: dict[int, dict[str, float]] = {}
         for i, column in enumerate(found.model.pose):
             row, turns = matrix[i], np.zeros(3)
             if i < len(self.found.axes):
-                turns, *_ = np.linalg.lstsq(matrix[3:][:, deep].T, row[deep], rcond=None)
+                own = [self.names[k] for k in self.found.axes[i]]
+                other = [k for k, label in enumerate(labels)
+                         if label.startswith("deep_") or label.partition("_")[2] not in own]  # fmt: skip
+                seen_by = matrix[:, other] * spread[other]  # of labels that other axes, or heights, say
+                turns, *_ = np.linalg.lstsq(seen_by[3:].T, seen_by[i], rcond=LEAST_SHARE)
                 row = row - turns @ matrix[3:]
             most = NEGLIGIBLE * found.accuracy[i]
             out[i] = {n: float(v) for n, v, s in zip(labels, row, spread, strict=True) if abs(v) * s > most}
@@ -251,7 +226,7 @@ class Pieces:
                 raise InputError(f"No array of {found.model.name} tells {column}; it cannot be decoded.")
         return out
 
-    def _sum(self, i: int, values: Mapping[str, ca.SX]) -> ca.SX:
+    def total(self, i: int, values: Mapping[str, ca.SX]) -> ca.SX:
         """Sum of the entries of a row times labels; the entry 1 is left out."""
         column, terms = self.found.model.pose[i], []
         for label, value in self._rows[i].items():
@@ -274,7 +249,7 @@ class Pieces:
         rotations = {}
         for k in sorted(used):
             name = f"first_{short(found.model.pose[3 + k])}"
-            rotations[k] = made.step(name, self._sum(3 + k, made.symbols), "[rad] first estimate")
+            rotations[k] = made.step(name, self.total(3 + k, made.symbols), "[rad] first estimate")
         sums: list[ca.SX] = []
         n = len(found.groups)
         for row_, part in enumerate(terms):
@@ -299,6 +274,8 @@ class Pieces:
             places = [made.step(f"tilted_{self.names[k]}", sums[k], "[rad] of a tilt") for k in members]
             lc = made.symbols[f"lc_{self.names[members[0]]}"]
             mean = sum(places[1:], start=places[0]) * (1.0 / len(members))
+            if self.unwrapped(found.groups[members[0]].axis):
+                mean = places[0]
             out[f"along_{self.names[members[0]]}"] = lc * mean
             for k, place in zip(members[1:], places[1:], strict=True):
                 out[f"turn_{self.names[k]}"] = place - places[0]
@@ -374,14 +351,16 @@ class Pieces:
 
     def pose(self, seen: Sequence[ca.SX], off: dict[str, ca.SX]) -> list[ca.SX]:
         """Add the pose from the middle of the box, linear in places and heights without what tilt adds."""
-        made, labels = self.made, self._labels
+        made, labels = self.made, self.labels
         straight = {}
         for label, value in zip(labels, seen, strict=True):
             straight[label] = made.step(f"straight_{label}", value - off[label]) if label in off else value
         linear: dict[int, ca.SX] = {}
         for i in (3, 4, 5, 0, 1, 2):
             name = f"linear_{short(self.found.model.pose[i])}"
-            straight[name] = linear[i] = made.step(name, self._sum(i, straight), "from the middle of the box")
+            straight[name] = linear[i] = made.step(
+                name, self.total(i, straight), "from the middle of the box"
+            )
         out = [linear[i] for i in range(6)]
         most = float(((TILT * self.found.half[3:]) ** 2).sum())
         made.entry("least_turns", -most, "rad2", "less the largest sum of the squares of the rotations")

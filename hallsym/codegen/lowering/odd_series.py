@@ -39,9 +39,12 @@ class Odd:
 
 
 @cache
-def shortest(function: str, end: float, accuracy: float) -> Odd | None:
-    """Return the shortest polynomial of one of `FUNCTIONS` that is off by at most `accuracy`, or None."""
-    for terms in range(2, MOST_TERMS + 1):
+def shortest(function: str, end: float, accuracy: float, fewest: int = 2) -> Odd | None:
+    """Return the shortest polynomial of one of `FUNCTIONS` that is off by at most `accuracy`, or None.
+
+    `fewest`: terms that it has at least.
+    """
+    for terms in range(fewest, MOST_TERMS + 1):
         found = Odd(tuple(_minimax(function, end, terms)), end, 0.0)
         error = _largest(function, found)
         if error <= accuracy:

@@ -145,6 +145,8 @@ class _Assembly:
             f"{1e3 * row.wavelength:.6g} mm: {row.model.pose[0]} is absolute, from the readings of one "
             f"sample. A sensor counts from {1e3 * row.margin * row.wavelength:.3g} mm inside the ends of the "
             "array on, and fully half a wavelength further.",
+            "Give all readings at every sample, also of sensors that the array is not over: the code weights "
+            "them.",
             f"Against least squares over all readings, converged, in double it leaves at most {listed}: "
             f"{SAFE:g} times what {TRIALS} poses of the box met, and what polynomials leave (measured, not "
             "proved for every pose).",

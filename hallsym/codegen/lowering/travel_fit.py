@@ -7,18 +7,13 @@ from functools import cached_property
 from math import pi
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from hallsym.codegen.box import Box
-from hallsym.codegen.lowering.phasors import HARMONICS, HEIGHTS, Phasor, Sample
-from hallsym.errors import InputError
+from hallsym.codegen.lowering.passing import passes
+from hallsym.codegen.lowering.phasors import HARMONICS, Phasor, Sample
 from hallsym.model import Model
 from hallsym.model.arrays import on_arrays
 
-STEPS = 16
-"""Samples per wavelength of what is seen as the wave passes a sensor."""
-BEYOND = 0.02
-"""Share of the largest energy that a sensor may see where the wave has passed."""
 COUNTS = 1.0
 """Change of a place, over a micrometre, above which a higher harmonic counts."""
 MICRON = 1e-6
@@ -29,14 +24,6 @@ RAMP = 0.5
 NO_COVER = 1e-9
 """Determinant of the normal matrix [V4] of no sensors."""
 BATCH = 1000
-FROM_END = 0.75
-"""Wavelengths from the ends of the wave from which on what a sensor reads is fitted."""
-WINDOW = 96
-"""Places of a sensor under the wave that its reading is fitted to."""
-LOOKED_AT = 3
-"""Sensors that the wavelength is fitted to."""
-OFF = 0.1
-"""Share by which a first wavelength, from the decay with the height, may be off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,76 +171,9 @@ def row_of(model: Model, p: np.ndarray, weight: np.ndarray, box: Box) -> Row:
     """Return the row of sensors of a model. Raises `InputError` where no sensor sees the wave come and go."""
     low, high = np.array([box.ends[c] for c in model.pose]).T
     sample = Sample(model, p, np.array([(low[0] + high[0]) / 2, 0.0]), (low[1], high[1]), 1)
-    rough = sample.lc(0)
-    for _ in range(2):  # what is seen of the pass depends little on the wavelength
-        passed = _Pass(sample, low, high, 2 * pi * rough)
-        window = _Window(sample, passed, rough)
-        rough = window.lc(rough)
-    fitted = [window.fitted(k, rough)[0] for k in range(len(model.channels))]
+    rough, every = sample.lc(0), range(len(model.channels))
+    reach = 1.5 * (high[0] - low[0]) + 2 * 2 * pi * rough
+    passed, window, lc = passes(sample, 0, every, reach, rough)
+    fitted = [window.fitted(k, lc)[0] for k in every]
     offset, factor = np.array([f[0].real for f in fitted]), np.array([f[1:] for f in fitted])
-    return Row(
-        model, p, weight, low, high, rough, sample.rising(0), passed.length, passed.place, offset, factor
-    )
-
-
-class _Pass:
-    """What each sensor sees as the wave passes it: place, offset, and the length of the wave."""
-
-    def __init__(self, sample: Sample, low: np.ndarray, high: np.ndarray, wavelength: float) -> None:
-        step, reach = wavelength / STEPS, 1.5 * (high[0] - low[0]) + 2 * wavelength
-        count = int(reach / step)
-        x = step * np.arange(-count, count + 1)
-        model, run = sample.model, sample.run
-        pose = [x + sample.at[0], np.full(len(x), sample.middle)]
-        seen = np.asarray(run(sample.p, np.zeros(len(model.zeros)), pose, [])[0])
-        self.offset = seen[:, [0, -1]].mean(axis=1)
-        field = (seen - self.offset[:, None]) ** 2
-        pair = STEPS // 8  # an eighth of a wavelength to both sides: squares of a cosine and a sine
-        energy = np.zeros_like(field)
-        energy[:, pair:-pair] = field[:, : -2 * pair] + field[:, 2 * pair :]
-        total = energy.sum(axis=1)
-        self.place = (energy * x).sum(axis=1) / total + sample.at[0]
-        level = np.array([e[np.abs(x + sample.at[0] - at) < wavelength].mean()
-                          for e, at in zip(energy, self.place, strict=True)])  # fmt: skip
-        ends = energy[:, [pair, -pair - 1]].max(axis=1)
-        if not (np.isfinite(self.place).all() and (ends < BEYOND * level).all()):
-            raise InputError(
-                "C of decaying waves is generated for one coordinate that repeats and one height, or for an "
-                f"array shorter than the board; what {model.name} reads does not end where the array has "
-                "passed."
-            )
-        self.length = float(np.median(total * step / level))
-
-
-class _Window:
-    """What a sensor reads while it is well under the wave, as an offset and powers of u."""
-
-    def __init__(self, sample: Sample, passed: _Pass, lc: float) -> None:
-        self.sample, self.place = sample, passed.place
-        reach = max(passed.length / 2 - FROM_END * 2 * pi * lc, pi * lc)
-        self.x = np.repeat(np.linspace(-reach, reach, WINDOW), HEIGHTS)
-        self.z = np.tile(sample.z[:HEIGHTS], WINDOW)
-
-    def fitted(self, k: int, lc: float) -> tuple[np.ndarray, float]:
-        """Return offset and factors (1 + HARMONICS,) of sensor k, of absolute places, and the sum of squares
-        left."""
-        sample, at, n = self.sample, self.place[k], np.arange(1, HARMONICS + 1)[:, None]
-        zeros = np.zeros(len(sample.model.zeros))
-        seen = np.asarray(sample.run(sample.p, zeros, [self.x + at, self.z], [])[0])[k]
-        half = sample.half / lc
-        high = (self.z - sample.middle) * sample.rising(0) / lc - half
-        powers = np.exp(n * (high + 1j * (self.x + at) / lc))
-        design = np.vstack([np.ones_like(self.x), powers.real, -powers.imag]).T
-        found, *_ = np.linalg.lstsq(design, seen, rcond=None)
-        rest = seen - design @ found
-        factor = (found[1 : HARMONICS + 1] + 1j * found[HARMONICS + 1 :]) * np.exp(-n[:, 0] * half)
-        return np.concatenate([[found[0]], factor]), float(rest @ rest)
-
-    def lc(self, rough: float) -> float:
-        """Return the wavelength over 2 pi that leaves least of what some sensors read."""
-        some = np.linspace(0, len(self.place) - 1, min(LOOKED_AT, len(self.place))).astype(int)
-        found = minimize_scalar(
-            lambda lc: sum(self.fitted(int(k), lc)[1] for k in some),
-            bounds=(rough * (1 - OFF), rough * (1 + OFF)), method="bounded", options={"xatol": 1e-9 * rough},
-        )  # fmt: skip
-        return float(found.x)
+    return Row(model, p, weight, low, high, lc, sample.rising(0), passed.length, passed.place, offset, factor)

@@ -17,7 +17,7 @@ from hallsym.codegen.box import Box, limits
 from hallsym.codegen.decoupler import Decoupler, Flag, Margin
 from hallsym.codegen.entries import Entry, short, unit
 from hallsym.codegen.fixed_point import Program
-from hallsym.codegen.lowering import arrays, travel
+from hallsym.codegen.lowering import arrays, mover, travel
 from hallsym.codegen.lowering.phasors import Phasor, phasor
 from hallsym.codegen.lowering.wave_bounds import Rounding
 from hallsym.codegen.lowering.wave_integers import program
@@ -59,7 +59,8 @@ def decoupler(
     """
     refuse(model)
     if len(model.pose) == SIX:
-        return arrays.decoupler(model, p, weight, box, accuracy)
+        longer = mover.decoupler(model, p, weight, box, accuracy)
+        return longer or arrays.decoupler(model, p, weight, box, accuracy)
     aim = ENOUGH if accuracy is None else accuracy
     if len(model.pose) == TWO and not model.period:
         return travel.decoupler(model, p, weight, box, aim)

@@ -44,7 +44,7 @@ def groups_of(
             continue
         places = np.array([_lever(sample, own, axis, turn) for turn in (3, 4, 5)]).T
         lc = sample.analysed(own, axis, np.zeros(6))[0]
-        for members in _together(places, APART * 2 * pi * lc):
+        for members in together(places, APART * 2 * pi * lc):
             channels = tuple(own[k] for k in members)
             found.append(Group(channels, axis, phasor_of(sample, channels, axis, weight, exact=False)))
     along = [sum(group.axis == axis for group in found) for axis in (0, 1)]
@@ -69,7 +69,7 @@ def _lever(sample: Sample, own: Sequence[int], axis: int, turn: int) -> np.ndarr
     )
 
 
-def _together(places: np.ndarray, apart: float) -> list[list[int]]:
+def together(places: np.ndarray, apart: float) -> list[list[int]]:
     """Return the numbers of places (n, 3) that are nearer than `apart` to another of their kind."""
     left, out = list(range(len(places))), []
     while left:

@@ -328,20 +328,20 @@ def logarithm_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.S
     total = odd(wave.logarithm.coefficients, t, square)
     if wave.last == "radial":
         seen = [made.symbols[f"{axis}_seen{tag}"] for axis in AXES]
-        power = {1: made.step(f"size_seen{tag}", seen[0] * seen[0] + seen[1] * seen[1])}
+        known = {1: made.step(f"size_seen{tag}", seen[0] * seen[0] + seen[1] * seen[1])}
         for n in wave.harmonics:
             value = radial_of(wave.phasor)[n]
             entry = made.entry(
                 f"radial_{n}{tag}", value, "1", f"second order of harmonic {n} in the logarithm"
             )
-            total = total + entry * _power(made, power, n - 1, f"size_seen{tag}")
+            total = total + entry * power(made, known, n - 1, f"size_seen{tag}")
     return made.step(f"log{tag}", total, "[1] logarithm, a polynomial")
 
 
-def _power(made: Collected, known: dict[int, ca.SX], n: int, name: str) -> ca.SX:
+def power(made: Collected, known: dict[int, ca.SX], n: int, name: str) -> ca.SX:
     """Return the n-th power of a number, one step for each product."""
     if n not in known:
-        a, b = _power(made, known, n // 2, name), _power(made, known, n - n // 2, name)
+        a, b = power(made, known, n // 2, name), power(made, known, n - n // 2, name)
         known[n] = made.step(f"{name}_{n}", a * b)
     return known[n]
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from hallsym.log.phase import unwrapped
 from hallsym.model import Model
 
 BINS = 72
@@ -35,11 +36,11 @@ class Straight:
     sums: dict[int, np.ndarray] = field(default_factory=dict)
     ends: dict[int, tuple[float, float]] = field(default_factory=dict)
 
-    def add(self, run: int, angle: np.ndarray, reference: np.ndarray, sign: float) -> None:
-        """Take a block of a run, angles (n,) [rad] in either form."""
-        if not len(angle):
+    def add(self, run: int, apart: np.ndarray, reference: np.ndarray) -> None:
+        """Take a block of a run (n,) [rad]: angle - sign * reference in any form, the reference unwrapped."""
+        if not len(apart):
             return
-        r, d = np.unwrap(reference), np.unwrap(angle - sign * reference)
+        r, d = reference, unwrapped(apart, 2 * np.pi)
         if self.last and self.last[0] == run:  # go on from the block before
             r = r + 2 * np.pi * np.round((self.last[1] - r[0]) / (2 * np.pi))
             d = d + 2 * np.pi * np.round((self.last[2] - d[0]) / (2 * np.pi))
@@ -92,21 +93,29 @@ class Plates:
         return np.asarray(made / np.maximum(whole, 1e-300))
 
 
-@dataclass
 class Some:
     """Evenly taken numbers (..., n) of a stream, at most MANY of them; `count` went by."""
 
-    values: np.ndarray
-    count: int = 0
-    every: int = 1
+    def __init__(self, none: np.ndarray) -> None:
+        """Begin with no number: `none` is (..., 0)."""
+        self.count, self.every = 0, 1
+        self._taken, self._size = [none], 0
+
+    @property
+    def values(self) -> np.ndarray:
+        """The numbers that were taken."""
+        if len(self._taken) > 1:
+            self._taken = [np.concatenate(self._taken, axis=-1)]
+        return self._taken[0]
 
     def add(self, new: np.ndarray) -> None:
         """Take more of the stream."""
         kept = new[..., -self.count % self.every :: self.every]
-        self.values = np.concatenate([self.values, kept], axis=-1)
-        self.count += new.shape[-1]
-        while self.values.shape[-1] > MANY:
-            self.values, self.every = self.values[..., ::2], 2 * self.every
+        self._taken.append(kept)
+        self._size, self.count = self._size + kept.shape[-1], self.count + new.shape[-1]
+        while self._size > MANY:
+            self._taken, self.every = [self.values[..., ::2]], 2 * self.every
+            self._size = self._taken[0].shape[-1]
 
 
 @dataclass
@@ -120,10 +129,13 @@ class Jumps:
 
     def add(self, values: np.ndarray, angle: np.ndarray, reference: np.ndarray) -> None:
         """Take a block of a run (n,) [rad]; `values` is one of the other two."""
-        step = np.diff(values)
-        wraps = np.abs(step) > np.pi
-        self.wraps.add(np.abs(step[wraps]))
-        self.steps.add(np.abs(step[~wraps]))
+        size = np.abs(np.diff(values))
+        wraps = size > np.pi
+        if not wraps.any():
+            self.steps.add(size)
+            return
+        self.wraps.add(size[wraps])
+        self.steps.add(size[~wraps])
         both = np.array([np.diff(angle - reference), np.diff(angle + reference)])[:, wraps]
         self.apart.add(np.abs(both - 2 * np.pi * np.round(both / (2 * np.pi))))
 
@@ -170,16 +182,18 @@ class Seen:
         self.samples += len(angle)
         self.counts[run] = self.counts.get(run, 0) + len(angle)
         self.some.add(np.array([np.full(len(angle), run), angle, reference]))
-        own = self.runs.setdefault(run, {})
+        own, along = self.runs.setdefault(run, {}), unwrapped(reference, 2 * np.pi)
         for k, line in self.lines.items():
-            own[k] = own.get(k, 0j) + np.exp(1j * (angle - k * reference)).sum()
-            line.add(run, angle, reference, k)
+            apart = angle - k * reference
+            own[k] = own.get(k, 0j) + complex(np.cos(apart).sum(), np.sin(apart).sum())
+            line.add(run, apart, along)
         for bins, values in ((self.reference, reference), (self.angle, angle)):
             bins[(np.mod(values, 2 * np.pi) / (2 * np.pi) * BINS).astype(int) % BINS] = True
         for jumps, values in zip(self.jumps, (angle, reference), strict=True):
             jumps.add(values, angle, reference)
-        moved = np.diff(np.unwrap(reference))
-        self.even += np.exp(2j * np.abs(moved)).sum()
+        moved = np.diff(along)
+        twice = 2 * np.abs(moved)
+        self.even += complex(np.cos(twice).sum(), np.sin(twice).sum())
         self.up += float(moved[moved > 0].sum())
         self.down -= float(moved[moved < 0].sum())
 

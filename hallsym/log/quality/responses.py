@@ -13,7 +13,8 @@ from hallsym.model import Model
 class Responses:
     """Slopes d reading / d reference of each run, by linear least squares, and what they leave.
 
-    `slopes`, `std`: (runs, n_pose, n_channels), 0 for a reference that did not move. `moved`: (runs, n_pose).
+    `slopes`, `std`: (runs, n_pose, n_channels), 0 for a reference that did not move, or only along with others.
+    `moved`: (runs, n_pose). `together`: the slopes with all references, each of which may mean nothing alone.
     `unexplained`: (runs, n_channels) share of a reading's variance that the references leave, 0 where a
     channel hears only noise. `signal`: (runs, n_channels) variance of a reading over that of its noise.
     `products`: (runs, n_pose, n_pose) of the references, `total`: (runs, n_channels) sums of squares of the
@@ -29,13 +30,14 @@ class Responses:
     signal: np.ndarray
     products: np.ndarray
     total: np.ndarray
+    together: np.ndarray
 
     def misfit(self, slopes: np.ndarray) -> np.ndarray:
         """Return what other slopes (n_pose, n_channels) leave of each run's readings, (runs, n_channels).
 
         As a share of their variance, beside what the run's own slopes leave.
         """
-        off = np.where(self.moved[:, :, None], self.slopes - slopes, 0.0)
+        off = self.together - slopes
         left = np.einsum("rjk,rjl,rlk->rk", off, self.products, off)
         return np.asarray(left / np.maximum(self.total, 1e-300))
 

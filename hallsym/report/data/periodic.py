@@ -65,8 +65,9 @@ class PeriodicError:
 
     `machine`: what belongs to the machine. `mounted`: without `mount_orders`, which mounting the parts anew
     can remove. `calibrated`: with the fitted parameters. `pattern`: what belongs to the reference, at
-    `pattern_orders`. `rest`: rms of what does not repeat, which no table removes. `elsewhere`: by order that
-    mounting can make, the effects that make it too and that mounting does not remove.
+    `pattern_orders`. `rest`, `rest_calibrated`: rms of what does not repeat with the nominal and with the
+    fitted parameters, which no table removes. `elsewhere`: by order that mounting can make, the effects that
+    make it too and that mounting does not remove.
     """
 
     coordinate: str
@@ -77,6 +78,7 @@ class PeriodicError:
     calibrated: Size
     pattern: Size
     rest: float
+    rest_calibrated: float
     mount_orders: tuple[int, ...]
     pattern_orders: tuple[int, ...]
     elsewhere: Mapping[int, tuple[str, ...]]
@@ -91,6 +93,7 @@ class PeriodicError:
             "period": self.period,
             **sizes,
             "rest": self.rest,
+            "rest_calibrated": self.rest_calibrated,
             "harmonics": [vars(h) for h in self.harmonics],
             "mount_orders": list(self.mount_orders),
             "pattern_orders": list(self.pattern_orders),
@@ -125,8 +128,8 @@ def periodic_error(log: Log, fit: Fit, keep: Weigh | None = None) -> PeriodicErr
     }.items()}  # fmt: skip
     return PeriodicError(
         coordinate, period, tuple(before.harmonics), size["machine"], size["mounted"],
-        after.size([n for n in orders if n not in pattern]), size["pattern"], before.rest, mount, pattern,
-        elsewhere, before.slope,
+        after.size([n for n in orders if n not in pattern]), size["pattern"], before.rest, after.rest,
+        mount, pattern, elsewhere, before.slope,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from hallsym.report.figures.errors import errors_before_after
 from hallsym.report.figures.estimates import COVERAGE, parameters
 from hallsym.report.figures.evaluation import save_evaluation
 from hallsym.report.figures.intervals import intervals
-from hallsym.report.figures.layout import WIDTH, WIDTHS, laid_out
+from hallsym.report.figures.layout import NUMBER, WIDTH, WIDTHS, laid_out
 from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
 from hallsym.report.figures.profiles import ends_in_words, profiles
@@ -34,7 +34,7 @@ from hallsym.report.figures.saving import SUFFIXES, Place, save_figures
 from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
 from hallsym.report.figures.sorting import save_sorting
 from hallsym.report.figures.spectrum import sorts, spectrum
-from hallsym.report.figures.style import DPI, STYLE, broken, text_width
+from hallsym.report.figures.style import DPI, STYLE, broken, legend, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
 from hallsym.report.figures.uncertainty import budget_bars, save_budget_pictures, uncertainty_picture
 from hallsym.report.figures.verdicts import LOOKS
@@ -44,6 +44,7 @@ __all__ = [
     "COVERAGE",
     "DPI",
     "LOOKS",
+    "NUMBER",
     "STYLE",
     "SUFFIXES",
     "WIDTH",
@@ -65,6 +66,7 @@ __all__ = [
     "gap",
     "intervals",
     "laid_out",
+    "legend",
     "measured",
     "parameters",
     "profiles",

@@ -9,6 +9,7 @@ import numpy as np
 
 from hallsym.estimation import ErrorTable, Fit
 from hallsym.report.data import MOST_SETTINGS, Group, Survey, held_out, settings
+from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -41,9 +42,10 @@ def errors_by_setting(fit: Fit, survey: Survey, steps: Mapping[str, ErrorTable] 
     groups, title = settings(fit, survey)
     series = _series(fit, survey, steps or {}, groups)
     ticks, below = _tick_words(groups)
-    n, lines = len(fit.model.pose), -(-(len(series) + 1) // PER_ROW)
+    coordinates = layout().share([*enumerate(fit.model.pose)])
+    n, lines = len(coordinates), -(-(len(series) + 1) // PER_ROW)
     figure, axes = panels(n, 1, 1.35, top=LINE * lines + 0.12, bottom=below + 0.24, sharex=True)
-    for k, (ax, coordinate) in enumerate(zip(axes[:, 0], fit.model.pose, strict=True)):
+    for ax, (k, coordinate) in zip(axes[:, 0], coordinates, strict=True):
         values = np.array([[_rmse(table, runs, k) for runs in sets] for _, table, sets, _, _ in series])
         floor = float(fit.noise_floor.get(coordinate, 0.0))
         factor, shown = scale(coordinate, largest(values), fit.model.period)

@@ -40,7 +40,7 @@ def effects(report: Identifiability) -> Figure:
     Upper bar of a row: one standard uncertainty of the parameter, in the look of its verdict. Lower bar: 1 %
     of its value. Everything else is held.
     """
-    entries, pose = shown(report), report.model.pose
+    entries, pose = shown(report), layout().share(report.model.pose)
     words = [entry.verdict.word for entry in entries]
     figure, axes = row_panels(
         [entry.name for entry in entries], len(pose), ROW, right=BESIDE + 0.06 + max(map(text_width, words)),

@@ -9,6 +9,7 @@ import numpy as np
 
 from hallsym.estimation import ErrorTable, Fit
 from hallsym.report.data import Survey, Trace, held_out
+from hallsym.report.figures.layout import layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -51,17 +52,18 @@ def errors_before_after(fit: Fit, survey: Survey, titles: tuple[str, str] | None
     how much it is finer.
     """
     model = fit.model
-    n = len(model.pose)
+    coordinates = layout().share([*enumerate(model.pose)])
+    n = len(coordinates)
     figure, axes = panels(n, 2, 1.17, top=0.45, bottom=0.62, gaps=(LEFT + 0.06, 0.28), sharex=True)
     tables, highest = (survey.nominal, survey.fitted), np.zeros((n, 2))
     solid = False
     for column, (trace, table) in enumerate(zip(survey.errors, tables, strict=True)):
-        for k, coordinate in enumerate(model.pose):
+        for row, (k, coordinate) in enumerate(coordinates):
             floor = float(fit.noise_floor.get(coordinate, 0.0))
             peak = max(float(table.peak[:, k].max()), largest(trace.low[k]), largest(trace.high[k]))
-            highest[k, column] = max(peak, 1.15 * BAND * floor) or 1e-12
-            factor, unit = scale(coordinate, highest[k, column], model.period)
-            ax = axes[k, column]
+            highest[row, column] = max(peak, 1.15 * BAND * floor) or 1e-12
+            factor, unit = scale(coordinate, highest[row, column], model.period)
+            ax = axes[row, column]
             _campaign_axis(ax, fit, survey)
             x, y = trace.line(k, _campaign_x(survey, trace), survey.edges[1:-1])
             ax.plot(x, factor * y, color=(BEFORE, AFTER)[column], lw=(0.8, 0.5)[column], zorder=2)
@@ -70,7 +72,7 @@ def errors_before_after(fit: Fit, survey: Survey, titles: tuple[str, str] | None
             ax.hlines(
                 band, 0, 1, transform=ax.get_yaxis_transform(), color=BLACK, lw=0.7, ls=DASHED, zorder=3
             )
-            limit = 1.08 * factor * highest[k, column]
+            limit = 1.08 * factor * highest[row, column]
             ax.ticklabel_format(axis="y", style="plain", useOffset=False)
             ax.set_ylim(-limit * (1.1 if survey.n_rejected else 1.0), limit)
             label_y(ax, f"error in {name(coordinate)} [{unit}]")

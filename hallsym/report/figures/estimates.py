@@ -44,18 +44,20 @@ def parameters(fit: Fit) -> Figure:
     determine instead stand below.
     """
     model, n = fit.model, len(fit.model.parameters)
-    words = [_number_words(fit, row) for row in range(n)]
+    rows = layout().share(range(n))
+    words = [_number_words(fit, row) for row in rows]
     instead = [plus_minus(c.value, c.half_width, c.unit) for c in fit.combinations]
     header = "estimate ± 95 %"
     right = 0.14 + max(map(text_width, (*words, *instead, header)))
     letters = layout().letters(84, right)
-    below = [(textwrap.wrap(typeset(c.expression), letters), c) for c in fit.combinations]
+    told = fit.combinations if layout().last else ()
+    below = [(textwrap.wrap(typeset(c.expression), letters), c) for c in told]
     extra = sum(len(lines) for lines, _ in below) + 1.5 if below else 0.0
     figure, (place, sharp) = row_panels(
-        model.names, 2, ROW, right=right, gap=0.34, top=0.4, bottom=0.52 + ROW * extra,
+        [model.names[row] for row in rows], 2, ROW, right=right, gap=0.34, top=0.4, bottom=0.52 + ROW * extra,
         gridspec_kw={"width_ratios": (3, 2)},
     )  # fmt: skip
-    _values(place, sharp, fit)
+    _values(place, sharp, fit, rows)
     for row, text in enumerate(words):
         beside(sharp, row, text)
     beside(sharp, -1.1, header)
@@ -69,32 +71,34 @@ def parameters(fit: Fit) -> Figure:
     return figure
 
 
-def _values(place: Axes, sharp: Axes, fit: Fit) -> None:
-    """Draw nominal values, estimates and intervals of all parameters."""
+def _values(place: Axes, sharp: Axes, fit: Fit, shown: Sequence[int]) -> None:
+    """Draw nominal values, estimates and intervals of the parameters that are `shown`."""
     lower, upper = fit.model.bounds
     width = np.asarray(upper, dtype=float) - lower
-    for row in np.flatnonzero(~(np.isfinite(width) & (width > 0))):
-        word = "fixed" if width[row] == 0 else "no bounds"
-        place.text(0.5, float(row), word, ha="center", va="center_baseline", color=GREY)
-    rows = np.flatnonzero(np.isfinite(width) & (width > 0))
-    nominal = (np.asarray(fit.model.nominal)[rows] - lower[rows]) / width[rows]
-    at, known = (fit.values[rows] - lower[rows]) / width[rows], np.asarray(fit.determined)[rows]
-    edge = np.isin(np.array(fit.model.names)[rows], fit.at_bound)
-    shown = np.clip(nominal, -0.03, 1.03)
-    place.hlines(rows, shown, at, color=FAINT, lw=0.8, zorder=1)
+    bounded, these = np.isfinite(width) & (width > 0), np.asarray(shown)
+    for k in these[~bounded[these]]:
+        word = "fixed" if width[k] == 0 else "no bounds"
+        place.text(0.5, float(k - these[0]), word, ha="center", va="center_baseline", color=GREY)
+    every = these[bounded[these]]
+    rows = every - these[0]
+    nominal = (np.asarray(fit.model.nominal)[every] - lower[every]) / width[every]
+    at, known = (fit.values[every] - lower[every]) / width[every], np.asarray(fit.determined)[every]
+    edge = np.isin(np.array(fit.model.names)[every], fit.at_bound)
+    drawn = np.clip(nominal, -0.03, 1.03)
+    place.hlines(rows, drawn, at, color=FAINT, lw=0.8, zorder=1)
     for marker, size, pick in (
-        ("|", 6, shown == nominal),
-        (">", 4, shown < nominal),
-        ("<", 4, shown > nominal),
+        ("|", 6, drawn == nominal),
+        (">", 4, drawn < nominal),
+        ("<", 4, drawn > nominal),
     ):
-        place.plot(shown[pick], rows[pick], marker=marker, ms=size, **NOMINAL, zorder=2)
+        place.plot(drawn[pick], rows[pick], marker=marker, ms=size, **NOMINAL, zorder=2)
     for marker, face, pick in (
         ("s", AFTER, edge),
         ("o", AFTER, known & ~edge),
         ("o", "white", ~known & ~edge),
     ):
         place.plot(at[pick], rows[pick], marker=marker, mfc=face, **POINT, zorder=3)
-    half = np.where(known, fit.half_width[rows], np.nan) / width[rows]
+    half = np.where(known, fit.half_width[every], np.nan) / width[every]
     ends = at[known] - half[known], at[known] + half[known]
     place.hlines(rows[known], *ends, color=AFTER, lw=1.4, zorder=2, capstyle="butt")
     sharp.plot(100 * half[half > 0], rows[half > 0], marker="o", **POINT, zorder=3)
@@ -112,9 +116,9 @@ def _number_words(fit: Fit, row: int) -> str:
     return "not identifiable, fixed" if p.name in fit.held else "not identifiable"
 
 
-def beside(ax: Axes, row: float, text: str) -> None:
-    """Write to the right of a row."""
-    ax.text(1.03, row, text, transform=ax.get_yaxis_transform(), va="center_baseline")
+def beside(ax: Axes, row: float, text: str, *, inside: bool = False) -> None:
+    """Write to the right of a row, or in it."""
+    ax.text(0.03 if inside else 1.03, row, text, transform=ax.get_yaxis_transform(), va="center_baseline")
 
 
 def _combinations(

@@ -9,10 +9,11 @@ import numpy as np
 from hallsym.inference.verdict import WEAK
 from hallsym.report.figures.captions import caption, height
 from hallsym.report.figures.estimates import ROW, beside, typeset
-from hallsym.report.figures.layout import layout
+from hallsym.report.figures.layout import HEAD, TIGHT, layout
 from hallsym.report.figures.style import (
     BLACK,
     DASHED,
+    EDGE,
     GREY,
     LINE,
     broken,
@@ -47,22 +48,30 @@ END = {
 def intervals(report: Identifiability) -> Figure:
     """Draw where each 95 % interval lies within the bounds (left) and its width as a share of them (middle).
 
-    The numbers stand on the right, with how the interval was found unless it is a normal one; combinations
-    that are identifiable where parameters are not stand below.
+    The numbers stand on the right, in a panel of their own where they leave no room for the others, with how
+    the interval was found unless it is a normal one; combinations that are identifiable where parameters are
+    not stand below.
     """
-    entries = shown(report)
+    entries = layout().share(shown(report))
     words, header = [in_words(entry) for entry in entries], "95 % interval"
     lines, handles = _instead(report), _handles(entries)
-    figure, (place, share) = row_panels(
-        [entry.name for entry in entries], 2, ROW, right=0.16 + max(map(text_width, (*words, header))),
+    names, right = [entry.name for entry in entries], 0.16 + max(map(text_width, (*words, header)))
+    room = layout().width - max(map(text_width, names)) - 4 * EDGE
+    apart = layout().stacked and room < TIGHT + right
+    words = ["\n".join(broken(text, room, "")) for text in words] if apart else words
+    rows = max(text.count("\n") for text in words) + 1
+    figure, (place, share, *told) = row_panels(
+        names, 3 if apart else 2, ROW * rows, right=EDGE if apart else right, lines=rows, head=HEAD,
         gap=0.2, top=0.4 + LINE * ((len(handles) - 1) // ACROSS), bottom=0.52 + height(lines),
         gridspec_kw={"width_ratios": (2, 3)},
     )  # fmt: skip
     _places(place, entries, report)
     _shares(share, entries)
-    for row, text in enumerate(words):
-        beside(share, row, text)
-    beside(share, -1.1, header)
+    for ax in told:
+        ax.xaxis.set_visible(False)
+        ax.spines["bottom"].set_visible(False)
+    for row, text in ((-0.5 - 0.6 / rows, header), *enumerate(words)):
+        beside(told[0] if told else share, row, text, inside=apart)
     caption(figure, lines)
     legend(figure, handles, "upper left", ncols=min(len(handles), ACROSS), columnspacing=1.4)
     return figure
@@ -129,7 +138,7 @@ def _shares(ax: Axes, entries: list[ParameterReport]) -> None:
 
 
 def _instead(report: Identifiability) -> list[str]:
-    if not report.combinations:
+    if not (report.combinations and layout().last):
         return []
     lines = ["Identifiable combinations"]
     for c in report.combinations:

@@ -1,7 +1,8 @@
 """How wide a picture is, and what follows from it: panels side by side or stacked, lines of a legend.
 
-The drawing functions ask the layout that is in force, they never decide by the width themselves. A picture
-that has no room at a width raises `NoRoomError`.
+The drawing functions ask the layout that is in force, they never decide by the width themselves. What would
+be higher than a page is drawn in several files, each with its share of what the picture repeats (runs,
+coordinates, rows). A picture that has no room at a width raises `NoRoomError`.
 """
 
 from __future__ import annotations
@@ -9,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -31,10 +32,13 @@ LATER = 0.8
 """Inches kept for lines by which labels and legends make a picture grow."""
 HEAD = 0.42
 """Most inches above a stacked panel: a title of two lines."""
-NUMBER = 0.42
+NUMBER = 0.43
 """Inches of an x axis that a number of six digits takes."""
 TIGHT = 0.5
 """Least width of axes in which anything can be read [inches]."""
+
+
+T = TypeVar("T")
 
 
 class NoRoomError(Exception):
@@ -43,9 +47,13 @@ class NoRoomError(Exception):
 
 @dataclass(frozen=True)
 class Layout:
-    """Width of a picture, by the columns of a journal page that it takes (1 or 2)."""
+    """Width of a picture, by the columns of a journal page that it takes (1 or 2); which file of how many."""
 
     columns: int = 2
+    part: int = 0
+    parts: int = 1
+    repeats: list[int] = field(default_factory=list, compare=False)
+    """How many items a picture that was drawn repeats, where it does."""
 
     @property
     def width(self) -> float:
@@ -56,6 +64,18 @@ class Layout:
     def stacked(self) -> bool:
         """Whether panels that belong side by side stand below each other."""
         return self.width < WIDTH
+
+    @property
+    def last(self) -> bool:
+        """Whether this is the last file of the picture, which holds what stands once below it."""
+        return self.part == self.parts - 1
+
+    def share(self, items: Sequence[T]) -> list[T]:
+        """Return what this file draws of the items that a picture repeats, one or more of them a file."""
+        self.repeats.append(len(items))
+        size, more = divmod(len(items), self.parts)
+        start = self.part * size + min(self.part, more)
+        return list(items[start : start + size + (self.part < more)])
 
     def across(self, most: int) -> int:
         """Return how many of `most` equal panels in a row of the full width stand in a row."""
@@ -85,11 +105,11 @@ def layout() -> Layout:
 
 
 @contextmanager
-def laid_out(columns: int) -> Iterator[None]:
-    """Draw pictures for so many columns of a page (1 or 2)."""
-    token = _current.set(Layout(columns))
+def laid_out(columns: int, part: int = 0, parts: int = 1) -> Iterator[Layout]:
+    """Draw pictures for so many columns of a page (1 or 2), as file `part` of `parts`."""
+    token = _current.set(Layout(columns, part, parts))
     try:
-        yield
+        yield layout()
     finally:
         _current.reset(token)
 

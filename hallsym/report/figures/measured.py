@@ -10,7 +10,7 @@ import numpy as np
 from hallsym.estimation import Fit
 from hallsym.log import Log, Weigh
 from hallsym.report.data import COLUMNS, Survey, Trace, decoded, held_out, representative
-from hallsym.report.figures.layout import leftmost
+from hallsym.report.figures.layout import layout, leftmost
 from hallsym.report.figures.style import (
     AFTER,
     BLACK,
@@ -39,7 +39,7 @@ SHORT = 0.6
 def measured(log: Log, fit: Fit, survey: Survey, keep: Weigh | None = None) -> Figure:
     """Draw reference, decoded pose and readings of the runs in which each pose coordinate moves most."""
     model = fit.model
-    chosen = representative(survey)
+    chosen = layout().share(representative(survey))
     traces = _run_traces(log, fit, survey, chosen, keep)
     n, rows = len(model.pose), len(model.pose) + 1
     figure, axes = panels(

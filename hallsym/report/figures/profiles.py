@@ -50,7 +50,7 @@ def profiles(report: Identifiability) -> Figure:
     Where the curve meets 1 the interval ends; the dashed parabola is the normal approximation with the stated
     standard uncertainty. The bar below 0 is the interval that the report states.
     """
-    found = report.intervals.profiles
+    found = layout().share(report.intervals.profiles)
     across = layout().across(ACROSS)
     wide = (layout().width - BESIDE - 0.1 - (across - 1) * GAP) / across
     titles = [_title(profile, wide) for profile in found]

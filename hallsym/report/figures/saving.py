@@ -29,8 +29,9 @@ class Place:
     """Where pictures are written, as which kinds of file (any of png, pdf, svg), and what each of them names.
 
     `source`: file and model, below each picture. `columns`: of a journal page that a picture takes, 1 or 2;
-    of both, the narrow ones are `NAME_1column`. `told(sentence)` hears of a picture that is not drawn because
-    it would be a straight line or a dot, and of one that has no room in one column and is drawn for two.
+    of both, the narrow ones are `NAME_1column`. A picture that is higher than a page in one column is several
+    files, `NAME_1`, `NAME_2`, ... `told(sentence)` hears of a picture that is not drawn because it would be a
+    straight line or a dot, and of one that has no room in one column and is drawn for two.
     """
 
     folder: Path
@@ -70,35 +71,48 @@ def save_figures(
     with style.context(["default", STYLE]):  # whatever style the caller has set
         for name, make in draw.items():
             figures = _drawn(make, name, place)
-            if any(map(is_bare, figures.values())):
+            if all(is_bare(figure) for parts in figures.values() for figure in parts):
                 place.told(f"The picture {name} would be a straight line or a dot; it is left out.")
                 continue
-            for columns, figure in figures.items():
+            for columns, parts in figures.items():
                 stem = f"{name}_1column" if columns == 1 and len(place.columns) > 1 else name
-                for suffix in place.suffixes:
-                    path = place.folder / f"{stem}.{suffix}"
-                    atomic_write(path, partial(_write, figure, suffix))
-                    written.append(path)
+                for k, figure in enumerate(parts):
+                    own = f"{stem}_{k + 1}" if len(parts) > 1 else stem
+                    for suffix in place.suffixes:
+                        path = place.folder / f"{own}.{suffix}"
+                        atomic_write(path, partial(_write, figure, suffix))
+                        written.append(path)
     return written
 
 
-def _drawn(make: Callable[[], Figure], name: str, place: Place) -> dict[int, Figure]:
+def _drawn(make: Callable[[], Figure], name: str, place: Place) -> dict[int, list[Figure]]:
     """Draw a picture at the widths asked for, for two columns where it has no room in one."""
-    found: dict[int, Figure] = {}
+    found: dict[int, list[Figure]] = {}
     for columns in sorted(set(place.columns), reverse=True):
         try:
-            with laid_out(columns):
-                figure = make()
-                if layout().stacked and clashes(figure):
-                    raise NoRoomError
-                _name(figure, place.source)
+            found[columns] = _in_parts(make, columns, place.source)
         except NoRoomError:
             place.told(f"The picture {name} has no room in one column; it is drawn for two.")
-            if 2 in found:
-                continue
-            columns, figure = 2, make()
-            _name(figure, place.source)
-        found[columns] = figure
+            found[2] = found.get(2) or _in_parts(make, 2, place.source)
+    return found
+
+
+def _in_parts(make: Callable[[], Figure], columns: int, source: str) -> list[Figure]:
+    """Draw a picture in as few files as have room; `NoRoomError` where there are no more parts to make."""
+    parts = 1
+    found: list[Figure] = []
+    while len(found) < parts:
+        with laid_out(columns, len(found), parts) as used:
+            try:
+                figure = make()
+                if used.stacked and clashes(figure):
+                    raise NoRoomError
+                _name(figure, source)
+                found.append(figure)
+            except NoRoomError:
+                if parts >= max(used.repeats, default=1):
+                    raise
+                found, parts = [], parts + 1
     return found
 
 

@@ -23,7 +23,7 @@ FONT = 8.0  # points
 LEFT = 0.64  # inches: an upright label and six digits
 LINE = 0.165  # inches: a line of text
 EDGE = 0.1  # inches: beside a caption
-TEXT = 0.117  # inches: the least from a line of text to the next
+TEXT = 1.2 * FONT / 72  # inches: the least from a line of text to the next, the usual line spacing
 ENTRY = 0.18  # inches: a line of a legend
 BLACK, GREY, FAINT, SHADE, STRIPE = "#000000", "#777777", "#bbbbbb", "#e6e6e6", "#f4f4f4"
 BEFORE, AFTER, LIGHT, GREEN = "#d55e00", "#0072b2", "#f0b070", "#009e73"  # Okabe and Ito's palette
@@ -105,12 +105,16 @@ def panels(
 
 
 def row_panels(
-    names: Sequence[str], columns: int, row: float, *, right: float, gap: float, **options: Any
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `columns` axes side by side with one row per name, `row` high; inches."""
+    names: Sequence[str], columns: int, row: float, *, right: float, gap: float, lines: int = 1,
+    head: float = 0.2, **options: Any,
+) -> tuple[Figure, list[Axes]]:  # fmt: skip
+    """Return a figure of `columns` axes side by side with one row per name, `row` high; inches.
+
+    `lines` of text in a row; `head`: for the title of axes that stand below others.
+    """
     figure, axes = panels(
         1, columns, row * len(names), left=0.1 + max(map(text_width, names)), right=right, gaps=(gap, 0),
-        sharey=True, least=TEXT * len(names), head=0.2, **options,
+        sharey=True, least=TEXT * lines * len(names), head=head, **options,
     )  # fmt: skip
     for ax in axes[0]:
         bands(ax, [(k - 0.5, k + 0.5) for k in range(0, len(names), 2)], STRIPE, upright=False)
@@ -155,11 +159,9 @@ def _inches(ax: Axes) -> tuple[float, float]:
 def legend(figure: Figure, handles: Sequence[Any], where: str, **options: Any) -> None:
     """Draw a legend at the upper or lower edge of the figure.
 
-    Where the layout is narrower than the full width, entries that have no room in a line make more lines,
-    and the figure grows by them.
+    Entries that have no room in a line make more lines, and the figure grows by them.
     """
-    if layout().stacked:
-        _fold(figure, handles, where, options)
+    _fold(figure, handles, where, options)
     edge = 0.03 / figure.get_size_inches()[1]
     x, y = {"left": 0.0, "center": 0.5}[where.split()[1]], 1 - edge if where.startswith("upper") else edge
     options |= {"loc": where, "bbox_to_anchor": (x, y)}

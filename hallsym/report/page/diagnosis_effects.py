@@ -26,8 +26,8 @@ def _ranking(d: Diagnosis) -> Figure | None:
     rows = [(e.name, e.shrinkage, e.interval) for e in d.effects if math.isfinite(e.shrinkage)]
     if not rows:
         return None
-    title = "decrease of the gap by the effect [%], with its 95 % interval"
-    return Figure([bars.intervals(rows, title)], look="two")
+    how = "With the 95 % interval of each effect"
+    return Figure([bars.shares(rows, "decrease of the gap [%]", 1)], how, look="two")
 
 
 def _ranked(d: Diagnosis) -> Table:

@@ -56,7 +56,7 @@ def rest_section(d: Diagnosis) -> Section:
     elif rest:
         said.append(Words(f"{typeset(rest.text).capitalize()}."))
     if rest and rest.curve:
-        how, charts = curves.curve(rest.curve)
+        how, charts = curves.curves(rest.curve)
         said.append(Figure(charts, how, look="shape"))
     return Section("rest", "What no effect explains", said)
 
@@ -71,7 +71,11 @@ def _statements(statements: Sequence[Statement], title: str) -> list[Any]:
         ]
         for s in statements
     ]
-    chart = [bars.shares([(_place(s), s.share) for s in drawn[:MOST]], title)] if drawn else []
+    chart = (
+        [bars.shares([(_place(s), s.share, None) for s in drawn[:MOST]], title, look="before")]
+        if drawn
+        else []
+    )
     head = ["statement (fitted runs)", "on holdout runs", "p"]
     found = [Figure(chart, look="two"), Table(head, rows, "statements on the places")]
     return found if statements else []

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from hallsym.report.words import MINUS
+from hallsym.report.words import MINUS, thinned
 
-HALF, NARROW = 360.0, 240.0
-"""Width of a picture of which two stand side by side, a phone's width, and of one of three [px]."""
-RIM = 14.0
-"""What half a number at the right end of an axis needs [px]."""
+LETTER = 6.4
+"""Width of a letter [px], with room to spare."""
+LONG = 4
+"""Names with more characters stand upright below an axis."""
 
 
 class Mark(NamedTuple):
@@ -24,7 +24,7 @@ class Mark(NamedTuple):
     attributes: Mapping[str, str | float | None]
     words: str = ""
     title: str = ""
-    parts: tuple[Mark, ...] = ()
+    parts: Sequence[Mark] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Chart:
     width: float
     height: float
     says: str
-    marks: list[Mark]
+    marks: Sequence[Mark]
     attributes: Mapping[str, str | float | None] = field(default_factory=dict)
 
     @property
@@ -45,13 +45,20 @@ class Chart:
 
 @dataclass(frozen=True)
 class Scale:
-    """Values `low` to `high` drawn at px `start` to `end`; values beyond stay at the end."""
+    """Values `low` to `high` drawn at px `start` to `end`; values beyond stay at the end.
+
+    Its axis has a `title` and about `most` numbers, or `names`, each in the middle of a cell, 1 wide, from
+    `low` on.
+    """
 
     low: float
     high: float
-    start: float
-    end: float
+    start: float = 0.0
+    end: float = 1.0
     log: bool = False
+    title: str = ""
+    most: int = 4
+    names: Sequence[str] = ()
 
     def __call__(self, value: float) -> float:
         """Return the px of a value."""
@@ -62,9 +69,23 @@ class Scale:
             part = (value - self.low) / (self.high - self.low)
         return self.start + min(max(part, 0.0), 1.0) * (self.end - self.start)
 
-    def ticks(self, most: int = 4) -> list[float]:
-        """Return round values inside, about `most` of them."""
-        return decades(self.low, self.high, most) if self.log else ticks(self.low, self.high, most)
+    def between(self, start: float, end: float) -> Scale:
+        """Return the scale drawn elsewhere."""
+        return replace(self, start=start, end=end)
+
+    def ticks(self) -> list[float]:
+        """Return round values inside."""
+        return (decades if self.log else ticks)(self.low, self.high, self.most)
+
+    @property
+    def upright(self) -> bool:
+        """Whether the names stand upright."""
+        return max(map(len, self.names), default=0) > LONG
+
+    @property
+    def depth(self) -> float:
+        """The px that numbers or names and title take below an x axis."""
+        return (LETTER * max(map(len, self.names)) + 12 if self.upright else 20) + (14 if self.title else 0)
 
 
 def ticks(low: float, high: float, most: int = 4) -> list[float]:
@@ -103,14 +124,19 @@ def px(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-def text(x: float, y: float, words: str, anchor: str | None = None, look: str | None = None) -> Mark:
+def text(
+    x: float,
+    y: float,
+    words: str,
+    anchor: str | None = None,
+    look: str | None = None,
+    *,
+    upright: bool = False,
+) -> Mark:
     """Return words whose baseline starts, ends or is centred (`middle`) at (x, y)."""
-    return Mark("text", {"x": px(x), "y": px(y), "text-anchor": anchor, "class": look}, words)
-
-
-def line(x1: float, y1: float, x2: float, y2: float, look: str) -> Mark:
-    """Return a straight line."""
-    return path(f"M{px(x1)} {px(y1)}L{px(x2)} {px(y2)}", look)
+    turn = f"rotate(-90 {px(x)} {px(y)})" if upright else None
+    place = {"x": px(x), "y": px(y), "text-anchor": anchor, "class": look, "transform": turn}
+    return Mark("text", place, words)
 
 
 def path(steps: str, look: str) -> Mark:
@@ -118,57 +144,60 @@ def path(steps: str, look: str) -> Mark:
     return Mark("path", {"d": steps, "class": look})
 
 
-def rect(
-    x: float, y: float, width: float, height: float, look: str, title: str = "", part: float | None = None
-) -> Mark:
-    """Return a rectangle; `part`: how opaque its fill is."""
-    place: dict[str, str | None] = {
-        "x": px(x),
-        "y": px(y),
-        "width": px(max(width, 0.0)),
-        "height": px(height),
-        "class": look,
-    }
-    place["fill-opacity"] = None if part is None else px(part)
-    return Mark("rect", place, title=title)
-
-
-def dot(x: float, y: float, radius: float, look: str, title: str = "") -> Mark:
-    """Return a disc."""
-    return Mark("circle", {"cx": px(x), "cy": px(y), "r": px(radius), "class": look}, title=title)
+def line(x1: float, y1: float, x2: float, y2: float, look: str) -> Mark:
+    """Return a straight line."""
+    return path(f"M{px(x1)} {px(y1)}L{px(x2)} {px(y2)}", look)
 
 
 def polyline(points: Sequence[tuple[float, float]], look: str) -> Mark:
     """Return a line through points, interrupted where a coordinate is nan."""
-    parts, pen = [], "M"
+    steps, pen = "", "M"
     for x, y in points:
-        if math.isnan(x) or math.isnan(y):
-            pen = "M"
-            continue
-        parts.append(f"{pen}{px(x)} {px(y)}")
-        pen = "L"
-    return path("".join(parts), look)
+        known = not (math.isnan(x) or math.isnan(y))
+        steps += f"{pen}{px(x)} {px(y)}" if known else ""
+        pen = "L" if known else "M"
+    return path(steps, look)
 
 
-def below(scale: Scale, y: float, title: str = "", most: int = 4, top: float | None = None) -> list[Mark]:
-    """Return the x axis at `y`: line, ticks, numbers, title, and grid lines up to `top`."""
-    parts = [line(scale.start, y, scale.end, y, "axis")]
-    for value in scale.ticks(most):
-        at = scale(value)
-        if top is not None:
-            parts.append(line(at, y, at, top, "gridline"))
-        parts += [line(at, y, at, y + 4, "tick"), text(at, y + 15, label(value), "middle")]
-    if title:
-        parts.append(text((scale.start + scale.end) / 2, y + 29, title, "middle", "soft"))
-    return parts
+def rect(x: float, y: float, width: float, height: float, look: str, title: str = "") -> Mark:
+    """Return a rectangle."""
+    place = {"x": px(x), "y": px(y), "width": px(max(width, 0.0)), "height": px(height), "class": look}
+    return Mark("rect", place, title=title)
 
 
-def beside(scale: Scale, x: float, right: float, most: int = 6) -> list[Mark]:
-    """Return the y axis at `x`: line, ticks, numbers, and grid lines up to `right`."""
-    parts = [line(x, scale.start, x, scale.end, "axis")]
-    for value in scale.ticks(most):
-        at = scale(value)
-        look = "zero" if value == 0 else "gridline"
-        parts += [line(x, at, right, at, look), line(x - 4, at, x, at, "tick")]
-        parts.append(text(x - 6, at + 4, label(value), "end"))
-    return parts
+def dot(x: float, y: float, radius: float, look: str) -> Mark:
+    """Return a disc."""
+    return Mark("circle", {"cx": px(x), "cy": px(y), "r": px(radius), "class": look})
+
+
+def tile(x: float, y: float, width: float, height: float, part: float, title: str) -> list[Mark]:
+    """Return a cell of a map, fuller the larger `part` (-1 to 1), with a dash where it is negative."""
+    fill = rect(x, y, width, height, "neg" if part < 0 else "pos", title)
+    full = fill._replace(attributes={**fill.attributes, "fill-opacity": px(min(abs(part), 1.0))})
+    middle = y + 0.5 * height
+    return [full, *([line(x + 0.3 * width, middle, x + 0.7 * width, middle, "dash")] if part < -0.1 else [])]
+
+
+def axis(scale: Scale, at: float, grid: float | None = None, *, up: bool = False) -> Mark:
+    """Return an axis at y = `at`, or `up` one at x = `at`: numbers or names, title, grid lines to `grid`."""
+
+    def stroke(a: float, b: float, c: float, d: float, look: str = "axis") -> Mark:
+        return line(b, a, d, c, look) if up else line(a, b, c, d, look)
+
+    parts = [stroke(scale.start, at, scale.end, at)]
+    names = thinned(len(scale.names), 22 if scale.upright else 14) if scale.names else []
+    for k in names:
+        x, y = scale(scale.low + k + 0.5), at + (8 if scale.upright else 14)
+        mark = text(x + 4, y, scale.names[k], "end", upright=True)
+        parts.append(mark if scale.upright else text(x, y, scale.names[k], "middle"))
+    for value in scale.ticks() if not scale.names else []:
+        v = scale(value)
+        if grid is not None:
+            parts.append(stroke(v, at, v, grid, "axis" if value == 0 else "gridline"))
+        parts.append(stroke(v, at - 4 if up else at + 4, v, at))
+        words = label(value)
+        parts.append(text(at - 6, v + 4, words, "end") if up else text(v, at + 15, words, "middle"))
+    if scale.title:
+        middle = (scale.start + scale.end) / 2
+        parts.append(text(middle, at + scale.depth - 5, scale.title, "middle", "soft"))
+    return Mark("g", {"class": "up" if up else "across"}, parts=parts)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from hallsym.report.data import (
     parameter_rows,
 )
 from hallsym.report.page import bars, maps, residuals, series
-from hallsym.report.page.content import Facts, Figure, Fold, Heading, Planes, Runs, Section, Table, Words
+from hallsym.report.page.content import Facts, Figure, Fold, Heading, Planes, Section, Table, Words
 from hallsym.report.tables import concise
 from hallsym.report.words import MINUS, amount, largest, name, scale, three
 
@@ -137,7 +136,7 @@ def _planes(versions: Mapping[str, Sequence[Cells]], floor: Mapping[str, float])
     ]
     more = " Before and after have one scale." if len(versions) > 1 else ""
     note = Words(f"Over two coordinates. {COLOURS}{more}", note=True)
-    return [note, Planes(figures, {"titles": titles, "planes": [asdict(p) for p in every]})]
+    return [note, Planes(figures, {"titles": titles, "planes": every})]
 
 
 def _profiles(
@@ -188,11 +187,7 @@ def _signed(value: float) -> str:
 def runs_section(found: Sequence[RunSeries]) -> Section:
     """Return the errors over time of the worst run, with those of others for the script."""
     shown = series.runs(found)
-    key = ""
-    if shown and len(shown.script["names"]) > 1:
-        key = "; light: " + "; dark, drawn over it: ".join(shown.script["names"])
-    content = [Runs(shown.title, shown.notes, shown.charts, key, shown.script)] if shown else []
-    return Section("series", "Decoded minus reference over time", content)
+    return Section("series", "Decoded minus reference over time", [shown] if shown else [])
 
 
 def residuals_section(found: Mapping[str, Residuals]) -> Section:

@@ -1,9 +1,17 @@
 """What the maker of a sensor that repeats asks: how large its own error is, and what would remove it."""
 
+from __future__ import annotations
+
+from math import hypot
+
 from hallsym.model import Family
 from hallsym.report.data.periodic import PeriodicError, Size
 from hallsym.report.tables import grid
 from hallsym.units import readable
+
+LOST = 2.0
+"""Where calibration makes what does not repeat smaller by more than this factor, that is no noise: the
+nominal parameters do not decode the readings (their circle does not go round the nominal centre, say)."""
 
 
 def periodic_text(found: PeriodicError, family: Family) -> str:
@@ -11,6 +19,13 @@ def periodic_text(found: PeriodicError, family: Family) -> str:
     factor, unit, name = readable(found.coordinate, {found.coordinate})
     noun = family.noun or "machine"
     over = "turn" if unit == "deg" else f"period of {name}"
+    if found.rest > LOST * found.rest_calibrated:
+        rest = found.rest_calibrated
+        return (
+            f"error of the {noun}: not split by cause, the nominal parameters do not decode these readings; "
+            f"with this calibration rms {factor * hypot(found.calibrated.rms, rest):.3g} {unit}, of which "
+            f"{factor * rest:.3g} {unit} do not repeat (noise)"
+        )
     rows = [
         [
             f"error of the {noun}, by remedy",
@@ -19,23 +34,21 @@ def periodic_text(found: PeriodicError, family: Family) -> str:
             f"repeating, peak [{unit}]",
         ]
     ]
-    remedies = [("nothing done", found.machine)]
+    remedies = [("nothing done", found.machine, found.rest)]
     if found.mount_orders:
-        remedies.append((f"mounted anew, at best: no {_per(found.mount_orders, over)}", found.mounted))
+        remedies.append(
+            (f"mounted anew, at best: no {_per(found.mount_orders, over)}", found.mounted, found.rest)
+        )
     remedies += [
-        ("with this calibration", found.calibrated),
-        (f"with a correction table over the {over}", Size(0, 0)),
+        ("with this calibration", found.calibrated, found.rest_calibrated),
+        (f"with a correction table over the {over}", Size(0, 0), found.rest),
     ]
-    before = _with_rest(found.machine, found)
-    for label, size in remedies:
-        left = _with_rest(size, found)
+    before = hypot(found.machine.rms, found.rest)
+    for label, size, rest in remedies:
+        left = hypot(size.rms, rest)
         bought = "" if size is found.machine else f"{factor * (before - left):.2g}"
         rows.append([label, f"{factor * left:.3g}", bought, f"{factor * size.peak:.3g}"])
     return "\n".join([grid(rows), *_sentences(found, noun, factor, unit, over)])
-
-
-def _with_rest(size: Size, found: PeriodicError) -> float:
-    return float((size.rms**2 + found.rest**2) ** 0.5)
 
 
 def _per(orders: tuple[int, ...], over: str) -> str:

@@ -87,7 +87,7 @@ def _legend(s: SelfTest) -> str:
         f"columns {', '.join(f'{r:g} x' for r in s.ratios)}: gap over noise floor; yes: named first; "
         "group: in one group with the effect named first; second: named beside another;",
         "wrong: only another effect was named; unexplained: a gap without a name; no gap: not detected; -: "
-        "cannot be made that large here",
+        "cannot be made that large here, or was not reached",
         "found from: gap above the floor from which on it is found, and the largest parameters at that size",
     ]
     if s.repeats > 1:

@@ -8,7 +8,7 @@ from hallsym.families.halbach.layout import arrays, sensors
 from hallsym.families.halbach.links import rotation
 from hallsym.families.mechanisms import P, free
 from hallsym.model import Facts, Model, Signals, Way, effect
-from hallsym.model.arguments import Try, found, one_of
+from hallsym.model.arguments import Try, beside, found, one_of
 from hallsym.model.derived import rate
 
 MOST_OFF_M, MOST_TILT_RAD, MOST_TURN_RAD, MOST_DELAY_S = 3e-3, 0.3, 0.1, 0.05
@@ -60,11 +60,18 @@ def sensor_tilt(model: Model) -> Model:
     return model.with_step("mechanics", step, effect="sensor_tilt", parameters=new)
 
 
+PLACE, HEIGHT = "place", "height"
+"""What of an array may be off: its place and turn, or only its height."""
+
+
 def each_array(model: Model, facts: Facts) -> list[Try]:
-    """Return one array after the other, then all."""
+    """Return one array after the other, the height of one after the other, then all."""
     names = list(arrays(model.layout))
     one = [Try({"array": name}, f"array {name}", tried=len(names)) for name in names]
-    return [*one, Try({"array": "all"}, "all arrays")]
+    heights = [
+        Try({"array": name, "only": HEIGHT}, f"height of array {name}", tried=len(names)) for name in names
+    ]
+    return [*one, *heights, Try({"array": "all"}, "all arrays")]
 
 
 @effect(
@@ -72,7 +79,9 @@ def each_array(model: Model, facts: Facts) -> list[Try]:
     separate=Way("the mover turned half round about z", "arrays turn with it, sensors do not"),
 )
 def array_geometry_error(
-    model: Model, array: str = found(each_array, "name of the array that is off, or all")
+    model: Model,
+    array: str = found(each_array, "name of the array that is off, or all"),
+    only: str = beside(f"{PLACE}: place and turn, or {HEIGHT} only", default=PLACE),
 ) -> Model:
     """An array is displaced or turned on the mover against its nominal place (mover-fixed)."""
     known = list(arrays(model.layout))
@@ -80,14 +89,18 @@ def array_geometry_error(
         raise InputError(
             f"Array of array_geometry_error must be one of {', '.join(known)} or all; it is {array!r}."
         )
+    if only not in (PLACE, HEIGHT):
+        raise InputError(f"What is off in array_geometry_error must be {PLACE} or {HEIGHT}; it is {only!r}.")
     which = known if array == "all" else [array]
-    shifts = {f"d{a}_{n}": f"{a} of array {n} on the mover beyond its place" for n in which for a in "xyz"}
-    turns = {f"r{a}_{n}": f"turn of array {n} on the mover about {a}" for n in which for a in "xyz"}
+    off, turned = ("xyz", "xyz") if only == PLACE else ("z", "")
+    shifts = {f"d{a}_{n}": f"{a} of array {n} on the mover beyond its place" for n in which for a in off}
+    turns = {f"r{a}_{n}": f"turn of array {n} on the mover about {a}" for n in which for a in turned}
 
     def step(s: Signals, p: P) -> None:
+        own = {n: p[n] for n in (*shifts, *turns)}
         for n in which:
-            shift = ca.vertcat(*(p[f"d{a}_{n}"] for a in "xyz"))
-            s["mounted"][n] = shift, rotation(*(p[f"r{a}_{n}"] for a in "xyz"))
+            shift, angles = ([own.get(f"{k}{a}_{n}", ca.SX(0)) for a in "xyz"] for k in "dr")
+            s["mounted"][n] = ca.vertcat(*shift), rotation(*angles)
 
     new = (*free(shifts, MOST_OFF_M, "m"), *free(turns, MOST_TURN_RAD, "rad"))
     return model.with_step("mechanics", step, effect="array_geometry_error", parameters=new)

@@ -2,7 +2,9 @@
 
 import casadi as ca
 
+from hallsym.errors import InputError
 from hallsym.families.halbach import links
+from hallsym.families.halbach.layout import arrays, sensors
 from hallsym.families.halbach.links import FIELD, LATER
 from hallsym.families.mechanisms import (
     EVEN,
@@ -16,8 +18,8 @@ from hallsym.families.mechanisms import (
     temperature_drift,
     time_drift,
 )
-from hallsym.model import Model, Parameter, Signals, Way, effect
-from hallsym.model.arguments import one_of
+from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
+from hallsym.model.arguments import Try, found, one_of
 from hallsym.model.derived import rate
 
 WARM = "warm up and cool down, so that temperature is not a function of time"
@@ -41,13 +43,39 @@ def offset_error(model: Model) -> Model:
     return constant(model, "offset_error")
 
 
-@effect(link="transducer", label="each channel", separate=HEIGHTS, waves=(2,))
-def gain_mismatch(model: Model) -> Model:
-    """Channels have different gains."""
-    one = Functions(["beside the others"], lambda s: [ca.SX(1)])
+EACH = "each"
+"""Channels of which every one is off by itself."""
+
+
+def each_patch(model: Model, facts: Facts) -> list[Try]:
+    """Return each channel by itself, then all channels under one of several arrays."""
+    known = list(arrays(model.layout))
+    patches = known if len(known) > 1 else []  # a gain that all channels share is the amplitude
+    common = [Try({"of": name}, f"all under array {name}", tried=len(known)) for name in patches]
+    return [Try({"of": EACH}, "each channel"), *common]
+
+
+@effect(link="transducer", separate=HEIGHTS, waves=(2,))
+def gain_mismatch(
+    model: Model,
+    of: str = found(each_patch, "each, or the array whose channels share one gain", default=EACH),
+) -> Model:
+    """Channels have different gains: each its own, or those under one array, which share a supply, one."""
+    only, name, beside = None, "gain_{k}", "beside the others"
+    if of != EACH:
+        known = list(arrays(model.layout))
+        if of not in known:
+            raise InputError(
+                f"Channels of gain_mismatch must be {EACH} or those under array {', '.join(known)}; "
+                f"instead received {of!r}."
+            )
+        labels = zip(links.labels(model), sensors(model.layout), strict=True)
+        only, name, beside = [k for k, s in labels if s.array == of], f"gain_{of}", f"under array {of}"
+    one = Functions([beside], lambda s: [ca.SX(1)])
     return following(
-        model, "gain_mismatch", "transducer", FIELD, one, 1.0, "1", gain=True, names=["gain_{k}"]
-    )
+        model, "gain_mismatch", "transducer", FIELD, one, 1.0, "1", gain=True, names=[name], only=only,
+        shared=of != EACH,
+    )  # fmt: skip
 
 
 def _bent(model: Model, effect: str, order: int) -> Model:

@@ -1,61 +1,52 @@
 "use strict";
 (function () {
-  const NS = "http://www.w3.org/2000/svg", ACROSS = 20000, UP = 5000;
+  const NS = "http://www.w3.org/2000/svg", ACROSS = 20000, UP = 5000, LEFT = 54, TOP = 22, RIM = 14;
   const all = (root, selector) => [...root.querySelectorAll(selector)];
   let printed = false;
   addEventListener("beforeprint", () => { printed = true; for (const d of all(document, "details")) d.open = true; });
   addEventListener("afterprint", () => { printed = false; });
-  function put(parent, name, attributes, words) {
+  function put(parent, name, attributes, words = "") {
     const element = document.createElementNS(NS, name);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-    if (words !== undefined) element.textContent = words;
-    parent.append(element);
-    return element;
+    element.textContent = words;
+    return parent.appendChild(element);
   }
   function make(name, properties, ...children) {
     const element = Object.assign(document.createElement(name), properties);
     element.append(...children);
     return element;
   }
-  function select(name, options, chosen, act) {
-    const element = make("select", {}, ...options.map((o, k) => make("option", { value: k }, o)));
-    element.selectedIndex = chosen;
-    element.addEventListener("change", act);
-    return [make("label", {}, `${name} `, element), element];
+  const button = (words, act) => make("button", { type: "button", onclick: act }, words);
+  function choice(name, options, act) {
+    const select = make("select", {}, ...options.map((o) => make("option", {}, o)));
+    select.onchange = () => act(select.selectedIndex);
+    return make("label", {}, `${name} `, select);
   }
-  const say = (value, digits) => value.toFixed(digits).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "\u2212");
-  const three = (value) => String(Number(value.toPrecision(3))).replace("-", "\u2212");
-  function ticks(low, high, most) {
-    const unit = 10 ** Math.floor(Math.log10((high - low) / most)), found = [];
-    const range = (step) => [Math.ceil(low / step - 1e-9), Math.floor(high / step + 1e-9)];
-    const step = [0.5, 1, 2, 5, 10].map((s) => s * unit).find((s) => range(s)[1] - range(s)[0] <= most);
-    for (let k = range(step)[0]; k <= range(step)[1]; k++) found.push(k * step);
-    return { found, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
-  }
-  function axisX(g, low, high, from, to, y, most) {
-    put(g, "path", { d: `M${from} ${y}H${to}`, class: "axis" });
-    const { found, digits } = ticks(low, high, most);
-    for (const v of found) {
-      const at = from + ((v - low) / (high - low)) * (to - from);
-      put(g, "path", { d: `M${at} ${y}v4`, class: "tick" });
-      put(g, "text", { x: at, y: y + 15, "text-anchor": "middle" }, say(v, digits));
+  const minus = (words) => words.replace("-", "\u2212");
+  const three = (value) => minus(String(Number(value.toPrecision(3))));
+  function axis(g, [low, high], [from, to], at, grid, most, title) {
+    const up = g.classList.contains("up"), unit = 10 ** Math.floor(Math.log10((high - low) / most));
+    const first = (step) => Math.ceil(low / step - 1e-9), last = (step) => Math.floor(high / step + 1e-9);
+    const step = [0.5, 1, 2, 5, 10].map((s) => s * unit).find((s) => last(s) - first(s) <= most);
+    const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    const stroke = (a, b, c, d, look = "axis") =>
+      put(g, "path", { class: look, d: up ? `M${b} ${a}L${d} ${c}` : `M${a} ${b}L${c} ${d}` });
+    g.replaceChildren();
+    stroke(from, at, to, at);
+    for (let k = first(step); k <= last(step); k++) {
+      const p = from + ((k * step - low) / (high - low)) * (to - from);
+      if (grid !== null) stroke(p, at, p, grid, k ? "gridline" : "axis");
+      stroke(p, at + (up ? -4 : 4), p, at);
+      const place = up ? { x: at - 6, y: p + 4, "text-anchor": "end" } : { x: p, y: at + 15, "text-anchor": "middle" };
+      put(g, "text", place, minus((k * step).toFixed(k ? digits : 0)));
     }
-  }
-  function axisY(g, low, high, bottom, top, x, to, most) {
-    put(g, "path", { d: `M${x} ${top}V${bottom}`, class: "axis" });
-    const { found, digits } = ticks(low, high, most);
-    for (const v of found) {
-      const at = bottom - ((v - low) / (high - low)) * (bottom - top);
-      put(g, "path", { d: `M${x - 4} ${at}H${to}`, class: v === 0 ? "zero" : to > x ? "gridline" : "tick" });
-      put(g, "text", { x: x - 6, y: at + 4, "text-anchor": "end" }, say(v, digits));
-    }
+    if (title) put(g, "text", { x: (from + to) / 2, y: at + 29, "text-anchor": "middle", class: "soft" }, title);
   }
 
   function panel(svg, k) {
-    const view = svg.querySelector(".view"), gx = svg.querySelector(".ticksx"), gy = svg.querySelector(".ticksy");
-    const [left, top, height] = ["x", "y", "height"].map((n) => Number(view.getAttribute(n)));
-    const p = { svg, left, top, height, unit: svg.dataset.unit, width: 0 }, full = svg.viewBox.baseVal.height;
-    p.name = svg.querySelector(".title").textContent.replace(/^error in | \[.*$/g, "");
+    const [view, across, up] = [".view", ".across", ".up"].map((part) => svg.querySelector(part));
+    const height = Number(view.getAttribute("height")), title = across.querySelector(".soft")?.textContent;
+    const p = { svg, width: 0, name: svg.querySelector(".title").textContent.replace(/^error in | \[.*$/g, "") };
     p.load = (run) => {
       p.reach = run.reach[k];
       p.span = [run.from, run.to];
@@ -67,42 +58,40 @@
         return points;
       });
     };
-    p.fit = () => {
-      const room = printed ? 740 : svg.parentElement.clientWidth || 740, wide = Math.max(300, Math.min(740, room));
-      p.width = wide - left - 8;
-      svg.setAttribute("viewBox", `0 0 ${wide} ${full}`);
-      view.setAttribute("width", p.width);
-      for (const t of all(svg, ".middle")) t.setAttribute("x", left + p.width / 2);
-    };
     p.show = (a, b) => {
-      let low = Infinity, high = -Infinity;
-      for (const points of p.lines) for (const [x, y] of points)
-        if (x >= a && x <= b) { low = Math.min(low, y); high = Math.max(high, y); }
-      if (!(high >= low)) { low = -UP; high = UP; }
-      const margin = 0.05 * (high - low) || 0.02 * UP, time = (x) => p.span[0] + (x / ACROSS) * (p.span[1] - p.span[0]);
-      if (b - a >= ACROSS) { low = -1.05 * UP; high = 1.05 * UP; } else { low -= margin; high += margin; }
+      const room = printed ? 740 : svg.parentElement.clientWidth || 740, wide = Math.max(300, Math.min(740, room));
+      p.width = wide - LEFT - RIM;
+      svg.setAttribute("viewBox", `0 0 ${wide} ${svg.viewBox.baseVal.height}`);
+      view.setAttribute("width", p.width);
+      const seen = p.lines.flat().filter(([x]) => x >= a && x <= b).map(([, y]) => y);
+      const whole = b - a >= ACROSS || !seen.length;
+      let [low, high] = whole ? [-UP, UP] : seen.reduce(([l, h], y) => [Math.min(l, y), Math.max(h, y)], [UP, -UP]);
+      const margin = 0.05 * (whole ? UP : high - low) || 0.02 * UP;
+      [low, high] = [low - margin, high + margin];
       view.setAttribute("viewBox", `${a} ${low} ${b - a} ${high - low}`);
-      gx.replaceChildren();
-      gy.replaceChildren();
-      axisX(gx, time(a), time(b), left, left + p.width, top + height, p.width > 450 ? 7 : 4);
-      axisY(gy, (-high / UP) * p.reach, (-low / UP) * p.reach, top + height, top, left, left + p.width, 6);
+      const times = [a, b].map((x) => p.span[0] + (x / ACROSS) * (p.span[1] - p.span[0]));
+      const sizes = [high, low].map((y) => (-y / UP) * p.reach), bottom = TOP + height;
+      axis(across, times, [LEFT, LEFT + p.width], bottom, null, p.width > 450 ? 7 : 4, title);
+      axis(up, sizes, [bottom, TOP], LEFT, LEFT + p.width, 4);
     };
     p.read = (at) => p.lines.map((points) => {
-      let near = Infinity, x = 0;
-      for (const [px] of points) if (Math.abs(px - at) < near) { near = Math.abs(px - at); x = px; }
-      const here = points.filter(([px]) => px === x).map(([, y]) => (-y / UP) * p.reach);
-      const ends = [...new Set([Math.min(...here), Math.max(...here)].map(three))];
-      return here.length ? ends.join(" to ") : "none";
-    });
+      const near = points.reduce((best, [x]) => (Math.abs(x - at) < Math.abs(best - at) ? x : best), Infinity);
+      const here = points.filter(([x]) => x === near).map(([, y]) => (-y / UP) * p.reach);
+      return here.length ? [...new Set([Math.min(...here), Math.max(...here)].map(three))].join(" to ") : "none";
+    }).join(" | ");
     p.cursor = (part) => {
-      const d = part === null ? "" : `M${left + part * p.width} ${top}v${height}`;
+      const d = part === null ? "" : `M${LEFT + part * p.width} ${TOP}v${height}`;
       (svg.querySelector(".cursor") || put(svg, "path", { class: "cursor" })).setAttribute("d", d);
+    };
+    p.mark = (a, b) => {
+      all(svg, ".select").forEach((mark) => mark.remove());
+      if (b > a) put(svg, "rect", { class: "select", y: TOP, height, x: LEFT + a * p.width, width: (b - a) * p.width });
     };
     return p;
   }
   function series(figure) {
     const data = JSON.parse(figure.querySelector("script").textContent), panels = all(figure, "svg.panel").map(panel);
-    const output = make("output", {}), readout = make("span", { className: "readout" }), bar = make("div", { className: "zoom" });
+    const output = make("output", {}), readout = make("span", { className: "readout" });
     let from = 0, to = ACROSS, run = data.runs[0];
     const time = (x) => Number((run.from + (x / ACROSS) * (run.to - run.from)).toPrecision(4));
     function go(a, b) {
@@ -110,154 +99,121 @@
       from = Math.min(Math.max(0, (a + b - size) / 2), ACROSS - size);
       to = from + size;
       for (const p of panels) p.show(from, to);
-      output.textContent = `${time(from)} to ${time(to)} ${data.unit}`;
+      output.textContent = size < ACROSS ? `${time(from)} to ${time(to)} ${data.unit}` : "";
+    }
+    function hover(part) {
+      for (const p of panels) p.cursor(part);
+      const at = from + part * (to - from);
+      const values = () => panels.map((p) => `${p.name} ${p.read(at)} ${p.svg.dataset.unit}`).join("; ");
+      readout.textContent = part === null ? "" : `at ${time(at)} ${data.unit}: ${values()}`;
     }
     function load(next) {
       run = next;
-      for (const p of panels) { p.load(run); p.cursor(null); }
+      for (const p of panels) p.load(run);
       figure.querySelector(".run").textContent = run.title;
       figure.querySelector(".columns").textContent = run.note && `; ${run.note}`;
-      readout.textContent = "";
+      hover(null);
       go(0, ACROSS);
     }
     const by = (factor) => { const m = (from + to) / 2, h = ((to - from) / 2) * factor; go(m - h, m + h); };
     const move = (part) => { const d = (to - from) * part; go(from + d, to + d); };
     const actions = [["+", "zoom in", () => by(0.5)], ["\u2212", "zoom out", () => by(2)],
       ["\u2190", "earlier", () => move(-0.4)], ["\u2192", "later", () => move(0.4)], ["all", "show all", () => go(0, ACROSS)]];
+    const buttons = actions.map(([sign, ariaLabel, act]) => Object.assign(button(sign, act), { ariaLabel }));
     const titles = data.runs.map((r, k) => r.title + (k ? "" : " (worst)"));
-    const [label, pick] = select("run, worst first", titles, 0, () => load(data.runs[pick.selectedIndex]));
-    if (data.runs.length > 1) bar.append(label);
-    for (const [sign, title, act] of actions) {
-      const button = make("button", { type: "button" }, sign);
-      button.setAttribute("aria-label", title);
-      button.addEventListener("click", act);
-      bar.append(button);
-    }
-    bar.append(output, readout);
-    figure.querySelector("figcaption").after(bar);
+    const pick = titles.length > 1 ? [choice("run, worst first", titles, (k) => load(data.runs[k]))] : [];
+    figure.querySelector("figcaption").after(make("div", { className: "zoom" }, ...pick, ...buttons, output, readout));
     const keys = { "+": 0, "=": 0, "-": 1, ArrowLeft: 2, ArrowRight: 3, 0: 4, Escape: 4 };
     figure.addEventListener("keydown", (event) => {
-      if (!(event.key in keys) || event.ctrlKey || event.metaKey || event.altKey || event.target === pick) return;
+      if (!(event.key in keys) || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
       event.preventDefault();
       actions[keys[event.key]][2]();
     });
-    const hover = (part) => {
-      for (const p of panels) p.cursor(part);
-      if (part === null) return (readout.textContent = "");
-      const at = from + part * (to - from);
-      const values = panels.map((p) => `${p.name} ${p.read(at).join(" | ")} ${p.unit}`);
-      readout.textContent = `at ${time(at)} ${data.unit}: ${values.join("; ")}`;
-    };
     for (const p of panels) pointer(p, hover, (a, b) => go(from + a * (to - from), from + b * (to - from)));
-    const fit = () => { for (const p of panels) p.fit(); go(from, to); output.textContent = to - from < ACROSS ? output.textContent : ""; };
     load(run);
-    fit();
+    const fit = () => { hover(null); go(from, to); };
     new ResizeObserver(fit).observe(figure);
-    for (const name of ["beforeprint", "afterprint"]) addEventListener(name, () => { hover(null); fit(); });
+    for (const name of ["beforeprint", "afterprint"]) addEventListener(name, fit);
   }
-  function pointer(p, hover, done) {
-    let begin = null, mark = null;
-    const at = (event) => {
+  function pointer(p, hover, zoom) {
+    let begin = null;
+    const on = (name, act) => p.svg.addEventListener(name, (event) => {
       const box = p.svg.getBoundingClientRect(), x = ((event.clientX - box.left) / box.width) * p.svg.viewBox.baseVal.width;
-      return Math.min(1, Math.max(0, (x - p.left) / p.width));
-    };
+      act(Math.min(1, Math.max(0, (x - LEFT) / p.width)), event);
+    });
+    const sorted = (at) => [Math.min(begin, at), Math.max(begin, at)];
     p.svg.style.touchAction = "pan-x pan-y";
-    p.svg.addEventListener("pointerdown", (event) => {
-      if (event.pointerType !== "mouse" || event.button !== 0) return hover(at(event));
-      begin = at(event);
+    on("pointerdown", (at, event) => {
+      hover(at);
+      if (event.pointerType !== "mouse" || event.button !== 0) return;
+      begin = at;
       p.svg.setPointerCapture(event.pointerId);
-      mark = put(p.svg, "rect", { class: "select", y: p.top, height: p.height, x: 0, width: 0 });
       event.preventDefault();
       p.svg.closest("figure").focus({ preventScroll: true });
     });
-    p.svg.addEventListener("pointermove", (event) => {
-      const now = at(event);
-      hover(now);
+    on("pointermove", (at) => { hover(at); if (begin !== null) p.mark(...sorted(at)); });
+    on("pointerleave", () => { if (begin === null) hover(null); });
+    for (const name of ["pointerup", "pointercancel"]) on(name, (at) => {
       if (begin === null) return;
-      mark.setAttribute("x", p.left + Math.min(begin, now) * p.width);
-      mark.setAttribute("width", Math.abs(now - begin) * p.width);
-    });
-    p.svg.addEventListener("pointerleave", () => { if (begin === null) hover(null); });
-    for (const name of ["pointerup", "pointercancel"]) p.svg.addEventListener(name, (event) => {
-      if (begin === null) return;
-      const now = at(event), [a, b] = [Math.min(begin, now), Math.max(begin, now)];
-      mark.remove();
+      const [a, b] = sorted(at);
       begin = null;
-      if (name === "pointerup" && b - a > 0.01) done(a, b);
+      p.mark(0, 0);
+      if (name === "pointerup" && b - a > 0.01) zoom(a, b);
     });
   }
 
   function planes(box) {
-    const { titles, planes } = JSON.parse(box.querySelector("script").textContent);
-    const names = [...new Set(planes.flatMap((p) => [p.by, p.up]))];
-    function show(svg, x, y) {
-      const plane = planes.find((p) => (p.by === x && p.up === y) || (p.by === y && p.up === x)), turned = plane.by !== x;
+    const { titles, planes } = JSON.parse(box.querySelector("script").textContent), last = (list) => list[list.length - 1];
+    function show(svg, plane) {
       const { version, what, output } = svg.dataset, values = plane.values[version][what][output];
-      const full = plane.full[what][output], [quantity, unit] = titles[output];
-      const [ex, ey] = turned ? [plane.across, plane.edges] : [plane.edges, plane.across], n = plane.edges.length - 1;
-      const [left, right, top, bottom] = [54, 226, 22, 194], last = (e) => e[e.length - 1];
-      const px = (v) => left + ((v - ex[0]) / (last(ex) - ex[0])) * (right - left);
-      const py = (v) => bottom - ((v - ey[0]) / (last(ey) - ey[0])) * (bottom - top);
-      svg.replaceChildren();
-      put(svg, "text", { x: 0, y: 12, class: "title" }, `${what} ${quantity}, full: ${three(full)} ${unit}`);
-      axisY(svg, ey[0], last(ey), bottom, top, left, left, 4);
-      axisX(svg, ex[0], last(ex), left, right, bottom, 4);
-      put(svg, "text", { x: (left + right) / 2, y: bottom + 29, "text-anchor": "middle", class: "soft" }, `${x}, upwards ${y}`);
+      const full = plane.full[what][output], [quantity, unit] = titles[output], n = plane.edges.length - 1;
+      const frame = svg.viewBox.baseVal, right = frame.width - RIM, bottom = frame.height - 34, cells = svg.querySelector(".cells");
+      const x = (v) => LEFT + ((v - plane.edges[0]) / (last(plane.edges) - plane.edges[0])) * (right - LEFT);
+      const y = (v) => bottom - ((v - plane.across[0]) / (last(plane.across) - plane.across[0])) * (bottom - TOP);
+      const ends = (edges) => [edges[0], last(edges)], said = (edges, k) => `${three(edges[k])} to ${three(edges[k + 1])}`;
+      svg.querySelector(".title").textContent = `${what} ${quantity}, full: ${three(full)} ${unit}`;
+      axis(svg.querySelector(".up"), ends(plane.across), [bottom, TOP], LEFT, null, 4);
+      axis(svg.querySelector(".across"), ends(plane.edges), [LEFT, right], bottom, null, 4, `${plane.by}, upwards ${plane.up}`);
+      cells.replaceChildren();
       values.forEach((value, k) => {
         if (value === null) return;
-        const [i, j] = turned ? [Math.floor(k / n), k % n] : [k % n, Math.floor(k / n)];
-        const [x0, x1, y0, y1] = [px(ex[i]), px(ex[i + 1]), py(ey[j + 1]), py(ey[j])];
-        const cell = put(svg, "rect", { x: x0, y: y0, width: x1 - x0, height: y1 - y0, class: value < 0 ? "neg" : "pos",
+        const i = k % n, j = Math.floor(k / n), left = x(plane.edges[i]), top = y(plane.across[j + 1]);
+        const width = x(plane.edges[i + 1]) - left, height = y(plane.across[j]) - top;
+        const cell = put(cells, "rect", { x: left, y: top, width, height, class: value < 0 ? "neg" : "pos",
           "fill-opacity": Math.min(1, Math.abs(value) / full) });
-        put(cell, "title", {}, `${three(ex[i])} to ${three(ex[i + 1])}, ${three(ey[j])} to ${three(ey[j + 1])}: ${three(value)} ${unit}, ${plane.count[k]} samples`);
-        if (value < -0.1 * full) put(svg, "path", { class: "dash", d: `M${x0 + 0.3 * (x1 - x0)} ${(y0 + y1) / 2}H${x0 + 0.7 * (x1 - x0)}` });
+        put(cell, "title", {}, `${said(plane.edges, i)}, ${said(plane.across, j)}: ${three(value)} ${unit}, ${plane.count[k]} samples`);
+        if (value < -0.1 * full) put(cells, "path", { class: "dash", d: `M${left + 0.3 * width} ${top + height / 2}h${0.4 * width}` });
       });
-      const most = Math.max(...values.map((v) => Math.abs(v)));
-      svg.setAttribute("aria-label", `${what} error of ${quantity} over ${x} and ${y}: ${three(most)} ${unit} at most`);
+      const most = three(Math.max(...values.map(Math.abs)));
+      svg.setAttribute("aria-label", `${what} error of ${quantity} over ${plane.by} and ${plane.up}: ${most} ${unit} at most`);
     }
-    function change(event) {
-      if (across.value === up.value) {
-        const other = event.target === across ? up : across;
-        other.selectedIndex = (across.selectedIndex + 1) % names.length;
-      }
-      for (const svg of all(box, "svg.plane")) show(svg, names[across.selectedIndex], names[up.selectedIndex]);
-    }
-    const [first, across] = select("across", names, names.indexOf(planes[0].by), change);
-    const [second, up] = select("upwards", names, names.indexOf(planes[0].up), change);
-    if (names.length > 2) box.prepend(make("div", { className: "zoom" }, first, second));
+    const change = (k) => { for (const svg of all(box, "svg.plane")) show(svg, planes[k]); };
+    const pairs = planes.map((p) => `${p.by}, upwards ${p.up}`);
+    if (pairs.length > 1) box.prepend(make("div", { className: "zoom" }, choice("over", pairs, change)));
   }
 
   function sortable(table) {
     const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
     const key = (row, k) => row.cells[k].textContent.replace(/\u2212/g, "-").replace(/^[(<\s]+/, "");
-    heads.forEach((head, k) => {
-      const button = make("button", { type: "button" }, head.textContent);
-      head.replaceChildren(button);
-      button.addEventListener("click", () => {
-        const down = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
-        for (const h of heads) h.removeAttribute("aria-sort");
-        head.setAttribute("aria-sort", down > 0 ? "ascending" : "descending");
-        const order = (a, b) => {
-          const [p, q] = [key(a, k), key(b, k)], [m, n] = [parseFloat(p), parseFloat(q)];
-          return down * (Number.isNaN(m) || Number.isNaN(n) ? p.localeCompare(q, "en", { numeric: true }) : m - n);
-        };
-        body.append(...[...body.rows].sort(order));
-      });
-    });
+    heads.forEach((head, k) => head.replaceChildren(button(head.textContent, () => {
+      const down = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
+      for (const h of heads) h.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", down > 0 ? "ascending" : "descending");
+      const order = (a, b) => {
+        const [p, q] = [key(a, k), key(b, k)], [m, n] = [parseFloat(p), parseFloat(q)];
+        return down * (Number.isNaN(m) || Number.isNaN(n) ? p.localeCompare(q, "en", { numeric: true }) : m - n);
+      };
+      body.append(...[...body.rows].sort(order));
+    })));
   }
   function copy(pre) {
-    const words = pre.textContent, button = make("button", { type: "button" }, "copy");
-    button.addEventListener("click", async () => {
-      try {
-        await navigator.clipboard.writeText(words);
-      } catch {
-        getSelection().selectAllChildren(pre);
-        if (!document.execCommand("copy")) return (button.textContent = "selected: press Ctrl+C");
-      }
-      button.textContent = "copied";
+    const done = button("copy", async () => {
+      getSelection().selectAllChildren(pre);
+      try { await navigator.clipboard.writeText(pre.textContent); } catch { return (done.textContent = "press Ctrl+C"); }
+      done.textContent = "copied";
     });
-    button.setAttribute("aria-live", "polite");
-    pre.after(button);
+    done.ariaLive = "polite";
+    pre.after(done);
   }
   all(document, ".next pre").forEach(copy);
   all(document, "figure.series").forEach(series);

@@ -1,0 +1,184 @@
+"""C for a mover over rows of sensors longer than its arrays: six coordinates, sensors weighted smoothly.
+
+Independent facts: the finite field of magnetised rectangles at a known pose, exact rotations; a pose moves by
+as much as the mover does, also where sensors come and go; what says the period changes nothing else.
+"""
+
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from firmware import STRICT, need, ran
+from waves import LENGTH, SIX, calibrated
+
+import hallsym
+from hallsym.errors import InputError
+from hallsym.families.halbach.effects.planar_ends import array_edges
+from hallsym.families.halbach.layout import Array, Sensor
+from hallsym.families.halbach.planar import halbach_planar
+from hallsym.model import on_arrays
+
+VALUES = {"a1": 0.62, "a5": -6e-4, "edges": 1.0, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3}
+CENTRES = {"X1": (-0.06, 0.07), "X2": (0.06, -0.07), "Y1": (0.07, 0.06), "Y2": (-0.07, -0.06)}
+REACH, GAPS, TILT = 0.03, (0.004, 0.007), 0.005
+FIELD, TILTED, COVER = 0x40000000, 0x20000000, 0x10000000
+ARRAY = 3 * LENGTH
+
+
+def layout(length=ARRAY):
+    """Four arrays of three periods, each over a row of six sums at 20 mm: 100 mm, of which 90 are covered."""
+    arrays = [Array(n, LENGTH, n[0].lower(), c, length, 0.12, LENGTH / 4) for n, c in CENTRES.items()]
+    sums = []
+    for array in arrays:
+        for k in range(6):
+            at = [(k - 2.5) * 0.02 * (array.axis == j) + array.centre[j] for j in (0, 1)]
+            side = [(n - 1) * LENGTH / 3 for n in range(3)]
+            places = [(at[0] + s * array.axis, at[1] + s * (1 - array.axis)) for s in side]
+            sums.append(Sensor(f"{array.name.lower()}_{k}_v", tuple(places), array.name))
+    return (*sums, *arrays)
+
+
+def fit_of(length=ARRAY, reach=REACH):
+    fit = calibrated(array_edges(halbach_planar(layout(length))), VALUES, gaps=GAPS)
+    span = {"x_ref_m": [-reach, reach], "y_ref_m": [-reach, reach], "z_ref_m": list(GAPS)}
+    span |= {f"r{a}_ref_rad": [-TILT, TILT] for a in "xyz"}
+    return replace(fit, log={**fit.log, "span": span})
+
+
+@cache
+def made():
+    return hallsym.generate(fit_of(), accuracy=5e-6)
+
+
+def poses(count, seed=3):
+    rng = np.random.default_rng(seed)
+    half = np.array([REACH, REACH, (GAPS[1] - GAPS[0]) / 2, TILT, TILT, TILT])
+    middle = np.array([0, 0, sum(GAPS) / 2, 0, 0, 0])
+    return middle[:, None] + half[:, None] * rng.uniform(-1, 1, (6, count))
+
+
+def inputs_of(pose, near=0.0):
+    """Readings at poses (6, s), and what says the period, off by `near` [m]."""
+    fit = fit_of()
+    return np.vstack([on_arrays(fit.model.reading)(fit.values, [], list(pose), [])[0], pose[:2] + near])
+
+
+def stepped(inputs):
+    low, high = made().backend.ends
+    return made().backend.step(np.clip(inputs, low, high).astype(np.float32))
+
+
+def test_readings_give_six_coordinates_back_over_all_of_the_board():
+    pose = poses(4000)
+    near = LENGTH * np.random.default_rng(1).uniform(-0.25, 0.25, (2, 4000))
+    found, status = stepped(inputs_of(pose, near))
+    assert not status.any()
+    off = np.abs(found - pose)
+    assert (off.max(axis=1) <= [made().backend.error_bound[c] for c in SIX]).all()
+    rms = np.sqrt((off**2).mean(axis=1))
+    assert (rms[:3] < 6e-6).all()
+    assert (rms[3:] < 2.5e-5).all()
+
+
+def test_no_coordinate_steps_as_sensors_come_and_go():
+    """From end to end of the board along both axes, tilted: every sensor comes and goes."""
+    at = np.linspace(-REACH, REACH, 6001)
+    for axis in (0, 1):
+        pose = np.tile([[2e-3], [-1e-3], [5e-3], [3e-3], [-2e-3], [2e-3]], len(at))
+        pose[axis] = at
+        off = stepped(inputs_of(pose))[0] - pose
+        moved = np.abs(np.diff(off, axis=1)).max(axis=1)  # in 10 um of travel
+        assert (moved[:3] < 5e-7).all()
+        assert (moved[3:] < 5e-6).all()
+
+
+def test_what_says_the_period_changes_nothing_else():
+    pose = poses(500)
+    (a, _), (b, _) = (stepped(inputs_of(pose, near)) for near in (-0.2 * LENGTH, 0.2 * LENGTH))
+    assert (a == b).all()
+
+
+def test_the_reference_is_least_squares_over_all_readings():
+    pose = poses(200)
+    assert np.abs(made().decoupler.exact(inputs_of(pose)) - pose).max() < 1e-9
+
+
+def test_stated_errors_hold_and_rounding_is_small():
+    code = made()
+    for column, met in code.errors.items():
+        assert 0 < met <= code.backend.error_bound[column]
+        assert code.bounds.error[column] < (1e-7 if column.endswith("_m") else 1e-6)
+
+
+@pytest.mark.slow
+def test_rounding_stays_within_its_bound():
+    """The same arithmetic in float32 and in double."""
+    single, double = made().backend, hallsym.generate(fit_of(), accuracy=5e-6, double=True).backend
+    inputs = np.clip(inputs_of(poses(2000)).astype(np.float32), *single.ends)
+    off = np.abs(single.step(inputs)[0] - double.step(inputs.astype(float))[0]).max(axis=1)
+    assert (off <= list(made().bounds.error.values())).all()
+    assert (off > np.array(list(made().bounds.error.values())) / 30).all()
+
+
+def test_flags_say_no_array_an_array_off_the_board_and_too_much_tilt():
+    low, _ = made().backend.ends
+    nothing = np.zeros((len(low), 1))
+    assert stepped(nothing)[1] & FIELD
+    pose = poses(200)
+    for axis, value, bit in ((2, 0.012, FIELD), (3, 0.03, TILTED), (0, 0.045, COVER)):
+        moved = pose.copy()
+        moved[axis] = value
+        found, status = stepped(inputs_of(moved))
+        assert (status & bit == bit).all(), axis
+        assert np.isfinite(found).all()
+    pose[0] = 0.2  # nowhere near, and what says the period says so
+    assert (made().backend.step(inputs_of(pose).astype(np.float32))[1] != 0).all()
+
+
+def test_whatever_the_bits_the_pose_is_finite():
+    backend = made().backend
+    found, _ = backend.step(backend.sample(np.arange(20_000)))
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.slow
+def test_integers_are_refused_in_one_sentence():
+    with pytest.raises(InputError, match="use float"):
+        hallsym.generate(fit_of(), arithmetic="q31")
+
+
+TESTED = ("src/decoupler.c", "src/decoupler_check.c", "params/decoupler_params.c", "test/selftest.c",
+          "test/faults.c", "test/main.c")  # fmt: skip
+
+
+def test_the_folder_passes_its_self_test_without_undefined_behaviour(tmp_path):
+    need("gcc")
+    made().write(tmp_path / "fw")
+    out, include = str(tmp_path / "selftest"), ("-Iinclude", "-Iparams", "-Itest")
+    sanitize = ("-fsanitize=undefined,float-divide-by-zero,float-cast-overflow", "-fno-sanitize-recover=all")
+    ran(tmp_path / "fw", "gcc", *STRICT, "-pedantic", *sanitize, *include, *TESTED, "-o", out)
+    said = ran(tmp_path / "fw", out)
+    assert "table good, 0 of" in said
+    assert said.count("as stated") == 2
+    assert "0 faults of a table not found, 0 zeros wrong" in said
+
+
+MOST = 4000
+"""Instructions of any call, 24 sums."""
+
+
+@pytest.mark.slow
+def test_instructions_and_bits_on_a_cortex_m4f(tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm", "make")
+    made().write(tmp_path / "fw")
+    said = ran(tmp_path / "fw", "make", "count")
+    assert max(map(int, re.search(r"decoupler_step, \d+ bytes, .* call: (.*)", said)[1].split())) <= MOST
+    assert ran(tmp_path / "fw", "make", "qemu").count("as stated") == 2
+
+
+@pytest.mark.slow
+def test_arrays_that_end_beyond_all_sensors_are_decoded_as_fixed_patches():
+    code = hallsym.generate(fit_of(length=12 * LENGTH, reach=0.01), accuracy=2e-5)
+    assert "COVER" not in [flag.name for flag in code.decoupler.flags]

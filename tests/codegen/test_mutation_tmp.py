@@ -1,0 +1,137 @@
+"""The self-test that goes with generated C, tested: it must notice what is wrong with the code.
+
+Each mutant is the library with one operator, constant or statement changed. A mutant that compiles to the
+same instructions is none (trivial compiler equivalence, Papadakis et al., doi:10.1109/ICSE.2015.103), nor is
+`<=` for `<` where the comparison chooses between what it compares. Others that compute the same are counted
+as missed.
+"""
+
+import re
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from firmware import calibration, need
+from test_codegen_correction import fit_of
+from test_codegen_movers import made as made_of_mover
+from waves import VALUES, calibrated, sums
+
+from hallsym.codegen import generate
+
+LEAST = 0.95
+"""Share of the mutants that the self-test must notice."""
+SWAPS = {
+    "<=": "<", ">=": ">", "<": "<=", ">": ">=", "==": "!=", "!=": "==", "&&": "||", "||": "&&",
+    "+": "-", "-": "+", "*": "/", "/": "*", "&": "|", "|=": "=", "^=": "|=", "+=": "=", ">>": "<<",
+}  # fmt: skip
+OPERATOR = re.compile(r" (<=|>=|==|!=|&&|\|\||\|=|\^=|\+=|>>|<|>|\+|-|\*|/|&) (?!\*)")
+CONSTANT = re.compile(r"\b(0U|1U|8U|0xFFFFFFFFUL|0xEDB88320UL|0\.0f|0\.899999976f)\b")
+STATEMENT = re.compile(r"^    +(?:p->|found|result|status|bad|crc|out->|\*status)[^=]* [|+^]?= .*;$")
+
+
+def mutants(text):
+    """Yield a source once for each change; comments and preprocessor lines stay."""
+    lines = text.split("\n")
+    for k, line in enumerate(lines):
+        if line.startswith("#") or line.lstrip().startswith(("/*", "*", "//")):
+            continue
+        code = line.split("/*")[0]
+        changed = [
+            code[: m.start(1)] + SWAPS[m[1]] + code[m.end(1) :]
+            for m in OPERATOR.finditer(code)
+            if not _chooses_its_own(code, m)
+        ]
+        changed += [
+            code[: m.start(1)] + _other(m[1], code[: m.start(1)].endswith(("? ", ": "))) + code[m.end(1) :]
+            for m in CONSTANT.finditer(code)
+        ]
+        changed += [""] if STATEMENT.match(code.rstrip()) else []
+        for new in changed:
+            yield k, "\n".join([*lines[:k], new, *lines[k + 1 :]])
+
+
+def _chooses_its_own(code, operator):
+    """Whether a comparison chooses between what it compares: `<` and `<=` choose the same value."""
+    before = re.search(r"\(([\w.]+) $", code[: operator.start(1)])
+    after = re.match(r" ([\w.]+)\) \? ([\w.]+) : ([\w.]+)", code[operator.end(1) :])
+    return bool(before and after) and {before[1], after[1]} == {after[2], after[3]}
+
+
+def _other(constant, truth):
+    """Another constant; of a truth value the other one, because any number but 0 is true."""
+    if truth and constant in ("0U", "1U"):
+        return {"0U": "1U", "1U": "0U"}[constant]
+    return {"0U": "1U", "1U": "2U", "8U": "7U", "0.0f": "1.0f"}.get(
+        constant, constant.replace("8", "9").replace("F", "E")
+    )
+
+
+def machine_code(folder, source):
+    """The machine code of a source, optimized: a mutant with the same is no other program."""
+    command = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", "-w", "-Iinclude", "-S", "-xc", "-", "-o", "-"]
+    return subprocess.run(command, cwd=folder, input=source, capture_output=True, text=True).stdout
+
+
+def noticed(folder, number, name, source):
+    """Whether a mutant fails to compile or its self-test says that something is wrong."""
+    path, program = folder / "build" / f"{number}.c", folder / "build" / f"{number}"
+    path.write_text(source)
+    others = [p for p in ("src/decoupler.c", "src/decoupler_check.c") if p != name]
+    files = [*others, "params/decoupler_params.c", "test/selftest.c", "test/faults.c", "test/main.c"]
+    command = ["gcc", "-std=c99", "-O1", "-ffp-contract=off", "-w", "-Iinclude", "-Iparams", "-Itest"]
+    built = subprocess.run([*command, str(path), *files, "-o", str(program)], cwd=folder, capture_output=True)
+    if built.returncode:
+        return True
+    try:
+        ran = subprocess.run([str(program)], cwd=folder, capture_output=True, timeout=60)
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        program.unlink()
+    return ran.returncode != 0
+
+
+MOST = 90
+"""Mutants of a case: of more, as many are tried, evenly over the code."""
+
+CASES = {
+    "stage31": lambda: generate(calibration()),
+    "stage31 in integers": lambda: generate(calibration(), arithmetic="q31"),
+    "encoder of two voltages, table": lambda: generate(fit_of("clipped"), accuracy=5e-3),
+    "encoder of a decoded angle": lambda: generate(fit_of("meng angle")),
+    "encoder of two voltages in integers": lambda: generate(fit_of("meng volts"), arithmetic="q31"),
+    "magnet array": lambda: generate(calibrated(sums(3), VALUES)),
+    "mover over longer rows": made_of_mover,
+    "encoder of a decoded angle in integers": lambda: generate(fit_of("meng angle"), arithmetic="q31"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_the_self_test_notices_what_is_wrong_with_the_code(tmp_path, case):
+    need("gcc")
+    CASES[case]().write(tmp_path / "fw")
+    folder = tmp_path / "fw"
+    (folder / "build").mkdir()
+    names = ("src/decoupler.c", "src/decoupler_check.c")
+    original = {name: machine_code(folder, (folder / name).read_text()) for name in names}
+    changed = [
+        (number, name, line, source)
+        for name in names
+        for number, (line, source) in enumerate(mutants((folder / name).read_text()), 10_000 * len(name))
+    ]
+    tried = [
+        (number, name, line, source)
+        for number, name, line, source in changed[:: -(-len(changed) // MOST)]
+        if not (compiled := machine_code(folder, source)) or compiled != original[name]
+    ]
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda m: noticed(folder, m[0], m[1], m[3]), tried))
+    alive = [
+        f"{name}:{line + 1}: {source.splitlines()[line].strip()}"
+        for (_, name, line, source), ok in zip(tried, found, strict=True)
+        if not ok
+    ]
+    print(f"{sum(found)} of {len(found)} mutants noticed; alive:", *alive, sep="\n")
+    assert len(found) > 50
+    assert sum(found) >= LEAST * len(found), alive

@@ -1,0 +1,41 @@
+"""Logs without a gap: the rate of false findings is the one that p-values state, whatever the noise.
+
+The benchmark of null logs asks the same of many more. Bounds are those that a right diagnosis leaves with a
+probability of 0.1 %.
+"""
+
+import sys
+from pathlib import Path
+
+import pytest
+from scipy.stats import binomtest, kstest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from bench_diagnosis_nulls import settings, tried
+
+LOGS, FIRST, LEVEL, SELDOM = 160, 50_000, 0.05, 1e-3
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[dict]:
+    """White, coloured and heavy noise, stated and estimated, a stage and an encoder, 8 to 24 runs."""
+    return [tried(*setting) for setting in settings(LOGS, FIRST) if setting[2] < 57]
+
+
+@pytest.mark.slow
+def test_one_in_twenty_null_logs_has_a_p_value_below_five_per_cent(rows):
+    p = [row["p"] for row in rows]
+    below = sum(x < LEVEL for x in p)
+    assert binomtest(below, len(p), LEVEL).pvalue > SELDOM
+    assert kstest(p, "uniform").pvalue > SELDOM
+
+
+@pytest.mark.slow
+def test_no_effect_is_named_and_hardly_a_place(rows):
+    assert [row["effects"] for row in rows if row["effects"]] == []
+    for false in (
+        [row["where"] for row in rows if row["where"]],
+        [row["verdict"] for row in rows if row["verdict"] != "no gap"],
+    ):
+        assert binomtest(len(false), len(rows), LEVEL, alternative="greater").pvalue > SELDOM, false
