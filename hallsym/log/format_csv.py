@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
@@ -10,6 +9,7 @@ from typing import IO
 from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import array_of
 from hallsym.log.extras import load
+from hallsym.log.moments import TIME, only_time, said_of_times
 from hallsym.log.table import Source, label
 from hallsym.log.text import (
     MISSING,
@@ -26,8 +26,6 @@ from hallsym.log.text.numbers import Convention
 from hallsym.log.text.stream import INSIDE, decimal_of
 from hallsym.units import Array
 
-TIME = "t"
-"""What the log calls its time."""
 IN_MEMORY_BYTES = 250_000_000
 COMPRESSED = 8
 """What text of numbers becomes larger by when it is decompressed, at most."""
@@ -67,9 +65,9 @@ class CsvSource(Source):
 
     def _name_the_time(self) -> None:
         """Let the only column of times be the time of the log, in seconds from its first sample."""
-        if len(self.times) != 1 or any(re.fullmatch("t(_[a-z]+)?", name) for name in self.names):
+        at = only_time(self.names, self.times)
+        if at is None or self.names[at] == f"{TIME}_s":
             return
-        ((at, _),) = self.times.items()
         old = self.names[at]
         self.names = (*self.names[:at], TIME, *self.names[at + 1 :])
         self.units = {name: unit for name, unit in self.units.items() if name != old} | {TIME: "s"}
@@ -83,9 +81,7 @@ class CsvSource(Source):
 
     def _about_times(self) -> tuple[str, ...]:
         return tuple(
-            f"Column '{self.dialect.names[at]}' of {self.where} holds {form.said}; it is read in seconds "
-            "from its first sample on."
-            for at, form in self.times.items()
+            said_of_times(self.dialect.names[at], self.where, form.said) for at, form in self.times.items()
         )
 
     def _about_text(self) -> tuple[str, ...]:

@@ -7,42 +7,74 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hallsym.errors import InputError
+from hallsym.errors import InputError, quoted
 from hallsym.log.arrow import array_of, is_numeric
 from hallsym.log.extras import load
+from hallsym.log.moments import TIME, Moments, first_tick, is_time, only_time, said_of_times
 from hallsym.log.table import IN_MEMORY_ROWS, Source, label
 from hallsym.units import Array
 
 _BUFFER = 1 << 20
+_FIRST = 1024
+"""Rows in which the first moment of a column is looked for at once."""
 
 
 class ParquetSource(Source):
-    """Columns of one Parquet file; a large one is decoded batch by batch."""
+    """Columns of one Parquet file; a large one is decoded batch by batch. Times are in seconds."""
 
-    def __init__(self, path: Path, stream: Callable[[], Any] | None = None) -> None:
-        """Read the footer; `stream` opens a file that is not on a disk."""
+    def __init__(
+        self, path: Path, stream: Callable[[], Any] | None = None, origins: dict[str, int] | None = None
+    ) -> None:
+        """Read the footer; `stream` opens a file that is not on a disk.
+
+        `origins`: where columns of times begin; a column that is not there begins in this file, and is added.
+        """
         self.path, self._stream = path, stream
+        self.origins = {} if origins is None else origins
         with self._opened() as file:
-            self.names = tuple(file.schema_arrow.names)
+            schema = file.schema_arrow
+            own = list(schema.names)
             self.rows = int(file.metadata.num_rows)
+            times = [k for k, kind in enumerate(schema.types) if is_time(kind)]
+            for k in times:
+                if own[k] not in self.origins:
+                    self._begin(file, own[k])
         self.small = self.rows <= IN_MEMORY_ROWS
+        self.notes = tuple(said_of_times(own[k], quoted(path), "times") for k in times)
+        self._own = {name: name for name in own}
+        at = only_time(own, times)
+        if at is not None and own[at] != f"{TIME}_s":
+            self._own = {TIME if name == own[at] else name: name for name in own}
+            self.units, self.aliases = {TIME: "s"}, {own[at]: TIME} if own[at] != TIME else {}
+        self.names = tuple(self._own)
+
+    def _begin(self, file: Any, name: str) -> None:
+        """Keep the first moment of a column of times."""
+        for batch in file.iter_batches(batch_size=_FIRST, columns=[name], use_threads=False):
+            if (first := first_tick(batch.column(name))) is not None:
+                self.origins[name] = first
+                return
 
     def read(self, names: Sequence[str]) -> Mapping[str, Array]:
         """Return whole columns."""
         with self._opened() as file:
-            table = file.read(columns=list(names))
-            return {name: self._numbers(name, table.column(name)) for name in names}
+            table = file.read(columns=[self._own[name] for name in names])
+            readers = self._readers(names, table.schema)
+            return {name: readers[name](table.column(self._own[name])) for name in names}
 
     def labels(self, name: str) -> list[str]:
         """Return one column of text or numbers as text."""
         with self._opened() as file:
-            return [label(value) for value in file.read(columns=[name]).column(name).to_pylist()]
+            own = self._own[name]
+            return [label(value) for value in file.read(columns=[own]).column(own).to_pylist()]
 
     def chunks(self, names: Sequence[str], size: int) -> Iterator[Mapping[str, Array]]:
         """Yield batches of at most `size` rows."""
         with self._opened(buffer_size=_BUFFER, pre_buffer=False) as file:
-            for batch in file.iter_batches(batch_size=size, columns=list(names), use_threads=False):
-                yield {name: self._numbers(name, batch.column(name)) for name in names}
+            readers = self._readers(names, file.schema_arrow)
+            columns = [self._own[name] for name in names]
+            for batch in file.iter_batches(batch_size=size, columns=columns, use_threads=False):
+                yield {name: readers[name](batch.column(self._own[name])) for name in names}
 
     @contextmanager
     def _opened(self, **options: Any) -> Iterator[Any]:
@@ -51,10 +83,19 @@ class ParquetSource(Source):
         with parquet.ParquetFile(where, page_checksum_verification=True, **options) as file:
             yield file
 
-    def _numbers(self, name: str, column: Any) -> Array:
-        if not is_numeric(column.type):
-            raise InputError(f"Column '{name}' of {self.path} must hold numbers; it holds {column.type}.")
-        return array_of(column)
+    def _readers(self, names: Sequence[str], schema: Any) -> dict[str, Callable[[Any], Array]]:
+        """Return what turns the chunks of each column into an array, in one pass."""
+        found: dict[str, Callable[[Any], Array]] = {}
+        for name in names:
+            own = self._own[name]
+            kind = schema.field(own).type
+            if is_time(kind):
+                found[name] = Moments(kind, self.origins.get(own))
+            elif is_numeric(kind):
+                found[name] = array_of
+            else:
+                raise InputError(f"Column '{own}' of {self.path} must hold numbers; it holds {kind}.")
+        return found
 
 
 class ParquetWriter:

@@ -75,7 +75,8 @@ def open_parts(folder: Path) -> Source:
     """Return the columns of a folder of Parquet files. Raises `InputError` where a part is missing."""
     files = part_files(folder)
     _check_numbers([p.name for p in files], quoted(folder))
-    sources = [Guarded(file, ParquetSource, FAULT, REMEDY) for file in files]
+    origins: dict[str, int] = {}  # times of all parts count from those of the first
+    sources = [Guarded(file, partial(ParquetSource, origins=origins), FAULT, REMEDY) for file in files]
     return Parts(sources, [p.name for p in files], quoted(folder))
 
 
@@ -92,7 +93,8 @@ def open_url(url: str) -> Source:
     names = [PurePosixPath(f).name for f in files]
     _check_numbers(names, url)
     try:
-        sources = [ParquetSource(Path(f), partial(system.open, f, "rb")) for f in files]
+        origins: dict[str, int] = {}
+        sources = [ParquetSource(Path(f), partial(system.open, f, "rb"), origins) for f in files]
     except (OSError, ValueError) as error:
         raise InputError(f"A part of {url} {FAULT} ({' '.join(str(error).split())[:80]}).") from error
     return Parts(sources, names, url)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,6 +13,8 @@ from hypothesis import strategies as st
 import hallsym
 from hallsym import InputError, fit, load_fit, read_log
 from hallsym.cli.main import main
+from hallsym.log.format_parquet import ParquetSource
+from hallsym.log.moments import Moments, first_tick
 from hallsym.log.text import Seconds
 from hallsym.log.text.times import time_form
 
@@ -159,3 +162,68 @@ def test_a_sheet_is_remembered(tmp_path):
     found = fit(read_log(tmp_path / "a.xlsx", sheet="Data"), "rotary", solver="direct")
     assert dict(found.read_with) == {"sheet": "Data"}
     assert hallsym.evaluate(found, tmp_path / "b.xlsx").table.count.sum() == 120
+
+
+# -- columns that are typed as times ---------------------------------------------------------------------
+
+TYPES = {
+    "timestamp ns": pa.timestamp("ns"),
+    "timestamp ms, zoned": pa.timestamp("ms", "Europe/Berlin"),
+    "duration us": pa.duration("us"),
+    "time of day us": pa.time64("us"),
+    "time of day ms": pa.time32("ms"),
+}
+
+
+def typed(kind, name="Stamp", count=200) -> pa.Table:
+    """An encoder's log with a sample each quarter of a second; its time has an Arrow type, from 23:59:50."""
+    ms = 7000 + 250 * np.arange(count)
+    if pa.types.is_timestamp(kind):
+        ms = ms + 1_769_817_583_000
+    elif pa.types.is_time(kind):
+        ms = (ms + 86_383_000) % 86_400_000
+    ticks = ms * {"ms": 1, "us": 1000, "ns": 1_000_000}[kind.unit]
+    column = pa.array(ticks, pa.int32() if pa.types.is_time32(kind) else pa.int64()).cast(kind)
+    turn = np.linspace(0, 6, count)
+    return pa.table({name: column, "angle_rad": turn + 1e-3 * np.sin(turn), "angle_ref_rad": turn})
+
+
+@pytest.mark.parametrize("name", ["Stamp", "t_s", "t", "t_ms"])
+@pytest.mark.parametrize("kind", TYPES.values(), ids=TYPES)
+def test_a_typed_time_is_seconds_in_a_file_and_in_a_table(tmp_path, kind, name):
+    table = typed(kind, name)
+    pq.write_table(table, tmp_path / "log.parquet")
+    for log in (read_log(tmp_path / "log.parquet"), read_log(table)):
+        assert log.array("t_s") == pytest.approx(0.25 * np.arange(200), abs=1e-9)
+        assert any(f"Column '{name}'" in note and "in seconds from its first" in note for note in log.notes)
+
+
+def test_a_typed_time_in_parts_goes_on_and_chunks_are_as_the_whole(tmp_path):
+    table = typed(TYPES["timestamp ns"])
+    for k in range(2):
+        pq.write_table(table[100 * k : 100 * (k + 1)], tmp_path / f"part-{k}.parquet", row_group_size=30)
+    assert read_log(tmp_path).array("t_s") == pytest.approx(0.25 * np.arange(200))
+    pq.write_table(typed(TYPES["time of day us"]), tmp_path / "day.parq")
+    source = ParquetSource(tmp_path / "day.parq")
+    parts = [chunk["t"] for chunk in source.chunks(["t"], 7)]
+    assert np.concatenate(parts) == pytest.approx(0.25 * np.arange(200))
+
+
+def test_a_missing_moment_is_no_number_and_numpy_has_times_too():
+    stamps = np.datetime64("2026-01-30T23:59:58", "us") + (250_000 * np.arange(200)).astype("m8[us]")
+    turn = np.linspace(0, 6, 200)
+    columns = {"angle_rad": turn, "angle_ref_rad": turn + 1e-4}
+    assert read_log({"when": stamps, **columns}).array("t_s") == pytest.approx(0.25 * np.arange(200))
+    gone = typed(TYPES["timestamp ns"])["Stamp"].to_pylist()
+    column = pa.array([None, *gone[1:100], None, *gone[101:]], pa.timestamp("ns"))
+    seconds = Moments(column.type, first_tick(column))(column)
+    assert np.flatnonzero(np.isnan(seconds)).tolist() == [0, 100]
+    assert seconds[1] == 0.0
+    assert seconds[-1] == pytest.approx(0.25 * 198)
+
+
+def test_a_number_for_the_time_stays_the_time_beside_a_typed_one(tmp_path):
+    table = typed(TYPES["timestamp ns"]).append_column("t_s", pa.array(0.1 * np.arange(200)))
+    pq.write_table(table, tmp_path / "log.parquet")
+    assert read_log(tmp_path / "log.parquet").array("t_s")[1] == pytest.approx(0.1)
+    assert read_log(tmp_path / "log.parquet", columns={"t_s": "Stamp"}).array("t_s")[1] == 0.25

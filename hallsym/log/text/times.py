@@ -11,8 +11,8 @@ import numpy as np
 
 from hallsym.errors import InputError
 from hallsym.log.extras import load
+from hallsym.log.moments import Onward
 
-DAY_S = 86_400.0
 _CLOCK = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d{1,9})?"
 _ZONE = r"(?:Z|[+-]\d{2}:?\d{2})"
 _DATES = {
@@ -59,8 +59,7 @@ class Seconds:
         self.form, self.what = form, what
         self.order = order
         self._first: int | None = None
-        self._last = 0.0
-        self._days = 0.0
+        self._onward = Onward()
         self._dates: set[str] = set()
 
     def __call__(self, cells: Any) -> np.ndarray:
@@ -92,15 +91,6 @@ class Seconds:
         seconds = (values - (self._first or 0)) * 1e-9
         seconds[missing] = np.nan
         return seconds
-
-    def _onward(self, seconds: np.ndarray) -> np.ndarray:
-        """Let a time of day go on after midnight."""
-        steps = np.diff(seconds, prepend=self._last)
-        days = self._days + DAY_S * np.cumsum(np.nan_to_num(steps) < -DAY_S / 2)
-        good = np.flatnonzero(np.isfinite(seconds))
-        if len(good):
-            self._last, self._days = float(seconds[good[-1]]), float(days[-1])
-        return seconds + days
 
     def _decide(self, text: Any, compute: Any) -> None:
         """Ask which number of a date is the day, where that matters: not while all dates are the same."""

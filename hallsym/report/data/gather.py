@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hallsym.diagnosis import Base, errors_of
 from hallsym.estimation import ErrorTable, Fit, columns_of
 from hallsym.log import Block, Log, extended
 from hallsym.log.batches import SIZE, Weigh
@@ -21,6 +20,9 @@ from hallsym.report.data.survey import Group, Survey, held_out, look_over, setti
 from hallsym.report.data.trace import Trace
 from hallsym.report.words import LEVEL, name, scale
 from hallsym.units import si_unit
+
+if TYPE_CHECKING:
+    from hallsym.diagnosis import Base
 
 ALONG, PLANE, MOST = 15, 11, 60
 """Cells along a coordinate, along each side of a map, and of runs (neighbours are taken together). As many
@@ -72,6 +74,8 @@ class Version:
 
 def version_of(base: Base, label: str) -> Version:
     """Return a model of a diagnosis, without or with the effects found, as a version of the one diagnosed."""
+    from hallsym.diagnosis import errors_of
+
     log = extended(base.log, base.model, base.sigma, base.values)
     return Version(label, log, columns_of(base.model), errors_of(base), base.keep)
 

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hallsym.diagnosis import POLICY
 from hallsym.report.data import Survey, compared, look_over, version_of
 from hallsym.report.figures.errors import errors_before_after
 from hallsym.report.figures.layout import layout
@@ -40,8 +39,6 @@ MOST = 30
 """Shares that are drawn, the largest first."""
 LEAST = 5e-3
 """Least share that is drawn: what rounds to 0 % has no bar."""
-EVIDENCE = POLICY.certain
-"""p-value above which a share is no evidence."""
 
 
 def gap(found: Diagnosis, period: Collection[str] | None = None) -> Figure:
@@ -72,17 +69,19 @@ def shares(found: Diagnosis) -> Figure:
     """Draw what share of the excess goes with each coordinate, link, output, sensor, frequency or run."""
     from matplotlib.patches import Patch
 
+    from hallsym.diagnosis import POLICY
+
     told = [(s.share, s) for s in found.shares if s.share is not None and s.share >= LEAST]
     told.sort(key=lambda pair: -pair[0])
     told = told[:MOST]
     names = [s.name if s.name.startswith(s.kind) else f"{s.kind} {s.name}" for _, s in told]
     figure, (ax,) = row_panels(names, 1, ROW, right=0.1, gap=0.0, top=0.3, bottom=0.42)
-    sure = [s.p_value is not None and s.p_value <= EVIDENCE for _, s in told]
+    sure = [s.p_value is not None and s.p_value <= POLICY.certain for _, s in told]
     values = [100 * share for share, _ in told]
     ax.barh(range(len(told)), values, 0.6, color=[AFTER if known else FAINT for known in sure], zorder=2)
     ax.set_xlim(0, 100)
     label_x(ax, "share of what exceeds the noise [%]; rows overlap")
-    handles = [Patch(color=AFTER, label=f"p ≤ {EVIDENCE:g}"), Patch(color=FAINT, label="no evidence")]
+    handles = [Patch(color=AFTER, label=f"p ≤ {POLICY.certain:g}"), Patch(color=FAINT, label="no evidence")]
     legend(figure, handles, "upper left", ncols=2)
     return figure
 
