@@ -245,12 +245,13 @@ def test_runs_without_time_are_held_out_as_runs():
 
 
 def test_a_smooth_recording_has_no_spikes_and_its_scale_is_found():
-    """Undulator: the period is 52.5186 mm where 52.5 was said, 355 ppm."""
+    """Undulator: the period is 52.5186 mm where 52.5 was said, 355 ppm; harmonics and 0.3 deg of errors of the
+    magnets are left."""
     file = REAL / "linear-hall-undulators" / "delta_sabia_phase04_raw_x0.csv"
     if not file.is_file():
         pytest.skip("no folder of recorded undulators beside the repository")
     found = diagnose(read_log(file, columns={"angle_ref_deg": "ref_deg"}), "rotary")
-    assert found.verdict == "explained"
+    assert found.verdict == "partly explained"
     scale = next(e for e in found.effects if e.name == "reference_scale_error")
     assert scale.parameters["scale"].value == pytest.approx(355e-6, rel=0.05)
     assert not any("left out" in note and "5" in note.split()[0] for note in found.notes)
