@@ -309,7 +309,7 @@ class Diagnosis(Shown):
     """The answer of `diagnose`: verdict, where, which effect, how far the gap shrinks. SI units throughout.
 
     `verdict`: "no gap", "explained", "behaves like" (what is named closes the gap, but a flexible alternative
-    beats one of these effects), "partly explained" (what is named closes most of the gap, and
+    beats the effect that closes most of it), "partly explained" (what is named closes most of the gap, and
     the rest has a shape), "unexplained", or "noise larger than stated" where what exceeds the stated noise is
     noise.
     `ranked`: names that carry evidence, best first. `groups`: names that this log cannot tell apart. `where`:

@@ -30,9 +30,9 @@ def decide(
 ) -> Verdict:
     """Return "explained" if what is named closes the gap, "no gap" if nothing is named and nothing is left.
 
-    `resembled`: effects that a flexible alternative beats. Where any of those named is one, or the parameters
-    of the effect that closes most of the gap ended at their bounds, the machine behaves like them, and the
-    cause is not known: effects together may follow what none of them is.
+    `resembled`: effects that a flexible alternative beats. Where the effect that closes most of the gap is
+    one of them, or its parameters ended at their bounds, the machine behaves like it, and the cause is not
+    known.
 
     What is named must lower the gap by the threshold, and be certain by a score or hold on all judging runs.
     A residual that is a gap by itself (`gap.remains`) makes the verdict "unexplained", unless what is named
@@ -57,8 +57,7 @@ def decide(
     share = closed(before, after, found.floor.metric)
     main = max(found.effects, key=lambda h: h.errors.metric, default=None)
     ended = {found.base.model.names[k] for k in found.fit.at_bound()}
-    beaten = any(e.selected.name in resembled for e in found.effects)
-    only_like = beaten or (main is not None and bool(ended & set(main.added)))
+    only_like = main is not None and (main.selected.name in resembled or bool(ended & set(main.added)))
     if gap and (stepped or share < setup.policy.closes):
         structured = stepped or shaped(rest, setup.threshold, setup.policy)
         most = share >= setup.policy.partly and structured and not only_like

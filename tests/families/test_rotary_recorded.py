@@ -245,8 +245,8 @@ def test_runs_without_time_are_held_out_as_runs():
 
 
 def test_a_smooth_recording_has_no_spikes_and_its_scale_is_found():
-    """Undulator: the period is 52.5186 mm where 52.5 was said, 355 ppm; what is left are harmonics and 0.3 deg of
-    errors of the magnets."""
+    """Undulator: the period is 52.5186 mm where 52.5 was said, 355 ppm; harmonics and errors of the magnets
+    are left, 0.3 deg."""
     file = REAL / "linear-hall-undulators" / "delta_sabia_phase04_raw_x0.csv"
     if not file.is_file():
         pytest.skip("no folder of recorded undulators beside the repository")
