@@ -7,6 +7,7 @@ what ends a process twice is named instead of tried again.
 """
 
 import os
+import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -165,11 +166,14 @@ def _cluster(address: str) -> Iterator[Executor]:
     """The executor of a Dask scheduler."""
     try:
         from distributed import Client
+        from distributed.comm import get_address_host_port
     except ImportError as error:
         raise InputError(
             "A scheduler needs dask, which is not installed; run: pip install 'hallsym[cluster]'."
         ) from error
     try:
+        # asked first, since a client that fails leaves its loop running
+        socket.create_connection(get_address_host_port(address), timeout=ANSWERS).close()
         client = Client(address, timeout=ANSWERS, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(

@@ -246,7 +246,8 @@ def test_the_plainest_recording_is_proposed_if_it_separates_nearly_as_well(monke
     monkeypatch.setattr(
         sys.modules["hallsym.diagnosis.confusable"], "simulated", lambda _: (tried, np.array([16.0, 25.0]))
     )
-    fits = [SimpleNamespace(base=SimpleNamespace(timed=True))]
+    model = SimpleNamespace(family=SimpleNamespace(further=()))
+    fits = [SimpleNamespace(base=SimpleNamespace(timed=True, model=model))]
 
     def proposed(policy: Policy) -> tuple[str, int | None]:
         s = separation(("a", "b"), fits, 0.0, 1.0, "advice", policy)
