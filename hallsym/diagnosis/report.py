@@ -226,8 +226,8 @@ def sentence(
 ) -> str:
     """Return the diagnosis in one or two sentences; gaps in `unit`, the factor and name a person reads.
 
-    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges. `noise`: that is left,
-    which a verdict of noise tells of; `left`: what has no cause.
+    `instead_of`: effect -> what the log cannot tell from it. `held_out`: what judges. `noise`: that is left;
+    `left`: what has no cause.
     """
     judges = f"{held_out}s"
     before, after, floor = (gap_text(v, unit) for v in (gap.before, gap.after, gap.floor))
@@ -259,6 +259,9 @@ def sentence(
         remains = f"{percent(left.share)} of the excess over the noise"
         return f"{said}. With {named} it falls to {after}; {remains} has no known cause: {left.text}."
     rest = "" if verdict == "explained" else "; the rest has no known cause"
+    open_ = closed(gap.before, gap.after, gap.floor) < POLICY.closes
+    if verdict == "explained" and open_ and noise is not None and noise.larger:
+        rest = f"; what is left follows nothing that is logged: noise, {noise.ratio:.3g} x the noise floor"
     return f"{said}. With {named} it falls to {after}{rest}."
 
 

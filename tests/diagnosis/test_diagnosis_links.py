@@ -165,3 +165,17 @@ def test_links_are_told_of_what_is_left_beside_an_effect_that_computes_columns()
     assert found.effects[0].name == "first_order_lag"
     assert "clock" in {s.name for s in found.shares if s.kind == "link"}
     assert found.remaining
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(unlisted(np.random.default_rng(0))))
+def test_a_backlash_beside_what_no_catalogue_lists_is_not_the_whole_of_it(name: str) -> None:
+    """Play of a drive needs columns that a model computes; beside it every other gap is still told."""
+    seed = 100 + list(unlisted(np.random.default_rng(0))).index(name)
+    listing, others = (make(np.random.default_rng(seed)) for make in (listed, unlisted))
+    found = diagnose(machine("raster", (listing["hysteresis"], others[name]), seed=seed, thin=3))
+    as_noise = (
+        found.verdict == "explained" and "what is left follows nothing that is logged" in found.sentence
+    )
+    assert "hysteresis" in {*found.ranked, *(n for g in found.groups for n in g)}
+    assert found.verdict in ("unexplained", "partly explained", "behaves like") or as_noise
