@@ -73,10 +73,11 @@ def separation(
     runs = max(int(np.ceil(max(needed - distance, 0.0) / gain)), 1) if gain > 0 else policy.most_runs + 1
     if runs > policy.most_runs:
         return plain
-    each = tried[best].run.duration_s
+    each, text = tried[best].run.duration_s, tried[best].text
+    changed = best >= len(tried) - len(more)  # of the machine: what else the catalogue advises may be simpler
     return replace(
         plain,
-        recording=tried[best].text,
+        recording=f"{text}; also {advice}" if changed else text,
         simulated=True,
         sigma=float(sigma[best]),
         run_s=each,

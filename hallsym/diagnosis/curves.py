@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hallsym.diagnosis.coordinates import Coordinate, hats, knots
-from hallsym.diagnosis.regression import RIDGE, regression, ridge
+from hallsym.diagnosis.regression import NIL, RIDGE, regression, ridge
 from hallsym.diagnosis.residual_table import PARTS, ResidualTable
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
 from hallsym.families.play import stop_operator
@@ -258,10 +258,14 @@ def run_gains(r: ResidualTable, residual: np.ndarray) -> tuple[float, np.ndarray
 
 
 def level_weights(r: ResidualTable, residual: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Return 1 / rms of the whitened residual in each group: a few wild blocks do not decide on their own."""
+    """Return 1 / rms of the whitened residual in each group: a few wild blocks do not decide on their own.
+
+    It is 0 for a group that is fitted exactly, such as a single knot with a zero of its own.
+    """
     squares = np.einsum("kn,kl,ln->n", residual, r.precision, residual)
     means = np.array([squares[s].mean() for s in _slices(group)])
-    return np.asarray(1.0 / np.sqrt(np.maximum(means, 1e-300)))
+    some = means > NIL * means.mean()
+    return np.where(some, 1.0 / np.sqrt(np.where(some, means, 1.0)), 0.0)
 
 
 def _features_at(

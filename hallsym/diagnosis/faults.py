@@ -22,7 +22,7 @@ from hallsym.log.batches import Weigh
 
 TAILS = ("outliers", "dropped_samples")
 """Faults of few samples, which can be left out."""
-OF_VALUES = ("cordic_steps", "adc_quantisation")
+OF_VALUES = ("cordic_steps",)
 """Faults that the values of the readings tell, whatever a model leaves: their error is known."""
 FAR = 42.0
 """Squared whitened distance of a sample, over its typical one, from which on it is left out.
