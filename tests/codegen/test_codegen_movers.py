@@ -70,6 +70,7 @@ def stepped(inputs):
     return made().backend.step(np.clip(inputs, low, high).astype(np.float32))
 
 
+@pytest.mark.slow
 def test_readings_give_six_coordinates_back_over_all_of_the_board():
     pose = poses(4000)
     near = LENGTH * np.random.default_rng(1).uniform(-0.25, 0.25, (2, 4000))
@@ -105,6 +106,7 @@ def test_the_reference_is_least_squares_over_all_readings():
     assert np.abs(made().decoupler.exact(inputs_of(pose)) - pose).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_the_decoder_of_the_model_gives_the_same():
     """hallsym's own decoder: weighted least squares of the finite field, from its own start."""
     fit, pose = fit_of(), poses(150)

@@ -18,6 +18,7 @@ from hallsym.codegen.lowering.adjoints import rounding
 from hallsym.codegen.lowering.arrays import FIELD, NEAR, SAFE, TILTED, TRIALS, Assembly, ends_and_leaves
 from hallsym.codegen.lowering.mover_fit import Mover, ends, mover_of
 from hallsym.codegen.lowering.mover_steps import MoverPieces
+from hallsym.codegen.lowering.passing import NeverEnds
 from hallsym.codegen.lowering.travel import COVERED, MARGINS
 from hallsym.codegen.lowering.wave_bounds import Values
 from hallsym.codegen.lowering.wave_steps import wave_of
@@ -39,14 +40,17 @@ def decoupler(
 ) -> Decoupler | None:
     """Return the decoupler of a mover over longer rows over a box; see `lowering.wave.decoupler`.
 
-    None where arrays do not end, or no sensor is ever beyond the end of its array.
+    None where arrays do not end near the box, or no sensor is ever beyond the end of its array.
     """
     middle, half, leaves = ends_and_leaves(model, box, accuracy)
     p = np.asarray(p, dtype=float)
     if not ends(model, p, middle, (middle[2] - half[2], middle[2] + half[2])):
         return None
     own = replace(model, period={c: v for c, v in model.period.items() if c not in model.pose})
-    found = replace(mover_of(model, p, weight, middle, half, leaves), model=own)
+    try:
+        found = replace(mover_of(model, p, weight, middle, half, leaves), model=own)
+    except NeverEnds:
+        return None
     if not found.travels():
         return None
     found = _best(found)

@@ -27,6 +27,10 @@ OFF = 0.1
 """Share by which a first wavelength, from the decay with the height, may be off."""
 
 
+class NeverEnds(InputError):
+    """The wave does not end within what is looked at of it."""
+
+
 class Pass:
     """What sensors see as a wave passes them: their places, offsets, and the length of the wave."""
 
@@ -51,9 +55,9 @@ class Pass:
         self.length = float(np.median(total * step / level))
 
     def refuse(self, name: str) -> None:
-        """Raise `InputError` where the wave never ends."""
+        """Raise `NeverEnds` where the wave never ends."""
         if not self.ended:
-            raise InputError(
+            raise NeverEnds(
                 "C of decaying waves is generated for one coordinate that repeats and one height, or for an "
                 f"array shorter than the board; what {name} reads does not end where the array has passed."
             )
