@@ -20,8 +20,6 @@ from hallsym.codegen.lowering.wave_steps import (
     power,
 )
 
-TERMS = 3
-"""Of a sum in one statement."""
 TRIALS = 2000
 COVER = 0.5
 """Share of the least cover of the box below which the flag is set."""
@@ -34,15 +32,6 @@ class MoverPieces(Pieces):
     found: Mover  # type: ignore[assignment]
 
     # -- sums ----------------------------------------------------------------------------------------------
-
-    def _added(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
-        """Add a sum, some terms at a time: compilers take it as one, and readers can read it."""
-        total, rest, k = terms[0], list(terms[1:]), 0
-        while len(rest) > TERMS:
-            k += 1
-            total = self.made.step(f"{name}_part_{k}", sum(rest[:TERMS], start=total))
-            rest = rest[TERMS:]
-        return self.made.step(name, sum(rest, start=total), remark)
 
     def _channels(self, row: Row) -> list[str]:
         return [short(self.found.model.channels[k]) for k in row.channels]
@@ -80,7 +69,7 @@ class MoverPieces(Pieces):
                 sin.append(
                     field * made.entry(f"sin_{name}", design[1, j], "V", f"read by {name} of the sine")
                 )
-        u = self._added(f"cos_all_{column}", cos, "all alike"), self._added(f"sin_all_{column}", sin)
+        u = self.made.total(f"cos_all_{column}", cos, "all alike"), self.made.total(f"sin_all_{column}", sin)
         made.entry(f"{column}_middle", float(self.found.middle[axis]), "m", "middle of the box")
         near = made.symbols[f"{column}_near_m" if self.wide(axis) else f"{column}_middle"]
         return self._place(u, near, f"_{column}")
@@ -165,7 +154,7 @@ class MoverPieces(Pieces):
         ws = [made.step(f"wsin_{s}{tag}", w * c) for s, w, c in zip(sensors, weight, sin, strict=True)]
 
         def product(label: str, a: Sequence[ca.SX], b: Sequence[ca.SX]) -> ca.SX:
-            return self._added(f"{label}_{name}{tag}", [x * y for x, y in zip(a, b, strict=True)])
+            return self.made.total(f"{label}_{name}{tag}", [x * y for x, y in zip(a, b, strict=True)])
 
         cc, cs, ss = product("cos_cos", wc, cos), product("cos_sin", wc, sin), product("sin_sin", ws, sin)
         re, im = product("cos_seen", wc, field), product("sin_seen", ws, field)

@@ -21,8 +21,6 @@ from hallsym.codegen.lowering.wave_steps import (
 
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
-TERMS = 3
-"""Of a sum in one statement."""
 TRIALS = 2000
 
 
@@ -69,29 +67,20 @@ class Pieces:
     def _fields(self) -> list[ca.SX]:
         return [self.made.symbols[f"field_{n}"] for n in self.names]
 
-    def _total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
-        """Add a sum, some terms at a time: compilers take it as one, and readers can read it."""
-        total, rest, k = terms[0], list(terms[1:]), 0
-        while len(rest) > TERMS:
-            k += 1
-            total = self.made.step(f"{name}_part_{k}", sum(rest[:TERMS], start=total))
-            rest = rest[TERMS:]
-        return self.made.step(name, sum(rest, start=total), remark)
-
     def _all(self) -> Pair:
         """Cosine and sine of all sensors alike."""
         fields = self._fields()
         return (
-            self._total("cos_all", [a * f for a, f in zip(self.cos, fields, strict=True)], "all alike"),
-            self._total("sin_all", [a * f for a, f in zip(self.sin, fields, strict=True)]),
+            self.made.total("cos_all", [a * f for a, f in zip(self.cos, fields, strict=True)], "all alike"),
+            self.made.total("sin_all", [a * f for a, f in zip(self.sin, fields, strict=True)]),
         )
 
     def _middle(self) -> ca.SX:
         """The middle of the wave as far as the squares of the readings say it."""
         made, row = self.made, self.row
         energy = [made.step(f"energy_{n}", f * f) for n, f in zip(self.names, self._fields(), strict=True)]
-        total = self._total("energy", energy, "[V2] of all sensors")
-        first = self._total("energy_first", [a * e for a, e in zip(self.places, energy, strict=True)])
+        total = self.made.total("energy", energy, "[V2] of all sensors")
+        first = self.made.total("energy_first", [a * e for a, e in zip(self.places, energy, strict=True)])
         at = made.step("energy_middle", first / (total + TINY), "[m] middle of what is read, squared")
         low, high = row.whole
         if not low < high:
@@ -143,12 +132,12 @@ class Pieces:
 
         def sums(name: str, other: Sequence[ca.SX]) -> Pair:
             return (
-                self._total(f"cos_{name}", [c * o for (c, _), o in zip(both, other, strict=True)]),
-                self._total(f"sin_{name}", [s * o for (_, s), o in zip(both, other, strict=True)]),
+                self.made.total(f"cos_{name}", [c * o for (c, _), o in zip(both, other, strict=True)]),
+                self.made.total(f"sin_{name}", [s * o for (_, s), o in zip(both, other, strict=True)]),
             )
 
         cc, cs = sums("by_cos", self.cos)
-        ss = self._total("sin_by_sin", [s * o for s, o in zip(ws, self.sin, strict=True)])
+        ss = self.made.total("sin_by_sin", [s * o for s, o in zip(ws, self.sin, strict=True)])
         seen = sums("seen", self._fields())
         cover = made.step("cover", cc * ss - cs * cs, "[V4] how well the sensors tell cosine from sine")
         made.entry("least_cover", self.covered * self._least_cover(), "V4", "share of the least of the box")

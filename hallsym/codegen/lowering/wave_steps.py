@@ -41,6 +41,9 @@ TINY = 1e-30
 QUARTER_PI = PI / 4
 AXES = {"cos": "cosine", "sin": "sine"}
 
+TERMS = 3
+"""Terms of a sum that one step adds."""
+
 
 @dataclass(frozen=True, eq=False)
 class Wave:
@@ -195,6 +198,15 @@ class Collected:
         """Add a step; returns its symbol."""
         self.steps.append(Step(name, expression, remark))
         return self.symbols.setdefault(name, ca.SX.sym(name))
+
+    def total(self, name: str, terms: Sequence[ca.SX], remark: str = "") -> ca.SX:
+        """Add a sum, some terms at a time: compilers take it as one, and readers can read it."""
+        total, rest, k = terms[0], list(terms[1:]), 0
+        while len(rest) > TERMS:
+            k += 1
+            total = self.step(f"{name}_part_{k}", sum(rest[:TERMS], start=total))
+            rest = rest[TERMS:]
+        return self.step(name, sum(rest, start=total), remark)
 
     def held(self, value: ca.SX, name: str, most: float, unit: str, meaning: str) -> ca.SX:
         """Return a value, of integers held within +- `most`, an entry, so that they need no more room.
