@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.signal.windows import parzen
 
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.residuals import Base
@@ -35,11 +34,15 @@ WHITE = np.array([1.0, 0.0])
 
 
 class _Moved:
-    """A log with some columns moved by noise of standard deviation `sizes`; `colour`: autocorrelation."""
+    """A log with some columns moved by noise of standard deviation `sizes`; `colour`: autocorrelation.
+
+    Its last half is tapered (the flat-top window of Politis and Romano 1995), so that a resonance keeps its
+    width: what a computed acceleration has of it depends on how sharp it is.
+    """
 
     def __init__(self, log: Any, sizes: Mapping[str, float], colour: np.ndarray) -> None:
         self.log, self.sizes, n = log, sizes, len(colour)
-        tapered = colour * parzen(2 * n - 1)[n - 1 :]
+        tapered = colour * np.minimum(1.0, 2 * (1 - np.arange(n) / n))
         spectrum = np.maximum(np.fft.rfft(np.append(tapered, tapered[:0:-1])).real, 0.0)
         weights = np.fft.fftshift(np.fft.irfft(np.sqrt(spectrum), 2 * n - 1))
         self.weights = weights / np.sqrt((weights**2).sum())

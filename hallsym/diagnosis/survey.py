@@ -43,6 +43,10 @@ SPIKE = 6.0
 """Standard deviations beyond which a sample counts as a spike: 2e-9 of Gaussian samples do.
 
 That it is more than the noise's own tails is tested beside it."""
+TAIL_KNOWN = 2.0
+"""Factor to which the body of noise with heavy tails tells how many samples lie beyond that.
+
+Student's t of 3 degrees of freedom in every reading and reference has up to 1.5 times as many."""
 QUARTILE_ERROR = 2.4
 """Standard error of that quartile, over the quartile, of one sample: 2.4 / sqrt(n) of n."""
 BINS = 12
@@ -62,7 +66,7 @@ class Survey:
 
     `inflation`: variance of a slow average of the residual over that of white noise of the same size.
     `variance`: of the whitened residual (1: the stated noise). `fast`: the same from second differences.
-    `colour`: autocorrelation of the residual at lags 0, 1, ...
+    `colour`: autocorrelation of the residual at lags 0, 1, ... `kurtosis`: of it, 3 for Gaussian noise.
     `jitter_s`: rms sampling-instant error that explains residual growing with speed. `stale_share`,
     `spike_share`: share of samples, `smooth` the correlation of neighbouring time shifts (0 for jitter),
     `bursts` the share of spikes and stale samples that are within one of many. `adc_step`: (K,) step seen, 0
@@ -74,6 +78,7 @@ class Survey:
     variance: float = 1.0
     fast: float = 1.0
     colour: np.ndarray = field(default_factory=lambda: np.array([1.0, 0.0]))
+    kurtosis: float = 3.0
     inflation: float = 1.0
     jitter_s: float = 0.0
     jitter_power: float = 0.0
@@ -104,7 +109,7 @@ class _Work:
     def __init__(self, channels: int) -> None:
         self.K = channels
         self.found = Survey()
-        self.squares = self.differences = 0.0
+        self.squares = self.fourth = self.differences = 0.0
         self.correlation = np.zeros(SEGMENT)
         self.shift: list[np.ndarray] = []
         self.spectra: list[tuple[float, float, np.ndarray]] = []
@@ -124,6 +129,7 @@ class _Work:
         f.duration_s = float(piece.t[-1]) - self.first
         self.count += n
         self.squares += float((r**2).sum())
+        self.fourth += float((r**4).sum())
         if n > 8:
             second = r[:, 2:] - 2 * r[:, 1:-1] + r[:, :-2]
             self.differences += float((second**2).sum()) / 6 * n / (n - 2)
@@ -181,6 +187,7 @@ class _Work:
         f = self.found
         total = max(self.count * self.K, 1)
         f.variance, f.fast = self.squares / total, self.differences / total
+        f.kurtosis = total * self.fourth / self.squares**2 if self.squares > 0 else f.kurtosis
         rho = self.correlation / max(self.correlation[0], 1e-300)
         stop = next((k for k in range(1, SEGMENT) if rho[k] < UNCORRELATED), SEGMENT)
         f.inflation = float(max(1.0, 1.0 + 2.0 * rho[1:stop].sum()))
@@ -222,7 +229,7 @@ class _Work:
         f.stale_power = tail_z / self.K if late.any() else 0.0
         one_sided = float(np.sign(z[late]).mean()) if late.any() else 0.0
         far = exceeds(rest, max(self.K - 1, 1), quiet * limit)
-        f.spike_p = as_many(_events(spikes), far * len(rest))
+        f.spike_p = as_many(_events(spikes), TAIL_KNOWN * far * len(rest))
         relative = z**2 / expected
         far, events = exceeds(relative, 1, SPIKE**2), _events(late)
         sides = round(0.5 * (1 + abs(one_sided)) * events)

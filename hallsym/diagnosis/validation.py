@@ -15,7 +15,7 @@ from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.selection import Selected, Selection
 from hallsym.diagnosis.setup import Floor, Setup
 from hallsym.diagnosis.shrinkage import Judged, foreseen
-from hallsym.diagnosis.survey import survey
+from hallsym.diagnosis.survey import Survey, survey
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +148,17 @@ def validate(setup: Setup, selection: Selection) -> Validation:
         slow=slow_share(kept.variance, kept.fast),
         fast=float(np.sqrt(kept.fast)),
         inflation=kept.inflation,
-        error=_error(kept.colour, float(after.count.sum()) * len(setup.fit.model.pose)),
+        error=_error(kept, float(after.count.sum()) * len(setup.fit.model.pose)),
     )
 
 
-def _error(colour: np.ndarray, values: float) -> float:
-    """Return the standard error of an rms of so many values, over itself, for noise with a memory."""
-    return float(np.sqrt((1 + 2 * (colour[1:] ** 2).sum()) / (2 * max(values, 1.0))))
+def _error(left: Survey, values: float) -> float:
+    """Return the standard error of an rms of so many values, over itself, for noise as what is left.
+
+    Of coloured noise and of noise with heavy tails as many values tell less.
+    """
+    alone = 1 + 2 * (left.colour[1:] ** 2).sum()
+    return float(np.sqrt((max(left.kurtosis, 3.0) - 1) * alone / (4 * max(values, 1.0))))
 
 
 # -- effects -------------------------------------------------------------------------------------------------
