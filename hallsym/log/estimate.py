@@ -47,7 +47,8 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
     Valid for noise that is independent from sample to sample: drift, 1/f noise and hum below about a tenth of
     the sampling rate look like motion and are not seen. A channel that is constant within all runs gives 0.
     """
-    steps: dict[str, list[float]] = {name: [] for name in channels}
+    turning = {name for name in channels if si_unit(name) == "rad"}
+    steps: list[Array] = []
     alike: dict[tuple[int, bool], list[tuple[Array, Array]]] = {}
     timed = "t_s" in log.columns
     taken: dict[int, int] = {}
@@ -64,8 +65,8 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
         t = part["t_s"] if timed else np.arange(len(part[RUN]), dtype=float)
         rows = np.empty((len(channels), len(t)))
         for k, name in enumerate(channels):
-            rows[k] = unwrapped(part[name], _TURN) if si_unit(name) == "rad" else part[name]
-            steps[name].append(_coarse_step(rows[k]))
+            rows[k] = unwrapped(part[name], _TURN) if name in turning else part[name]
+        steps.append(_coarse_steps(rows))
         alike.setdefault((len(t), _is_even(t)), []).append((t, rows))
     found = [
         _even_spreads([rows for _, rows in blocks]) if even
@@ -73,16 +74,29 @@ def estimate_noise(log: Log, channels: Sequence[str], *, enough: int = _ENOUGH) 
         for (_, even), blocks in alike.items()
     ]  # fmt: skip
     spreads = np.concatenate(found) if found else np.empty((0, len(channels), len(_ORDERS)))
+    combined = _combined(spreads)
+    for name in (n for n, spread in zip(channels, combined, strict=True) if np.isnan(spread)):
+        raise InputError(
+            f"Noise of {name} cannot be estimated from {log.name}: no run has {_FEWEST + 2} samples in a row;"
+            f" state it with --noise {name}=..., in the column file's [noise] table or in meta.json."
+        )
+    coarse = medians(np.transpose(steps)) / np.sqrt(12.0)
     return Noise({
-        n: Sigma(_combine(n, spreads[:, k], steps[n], log.name), "estimated") for k, n in enumerate(channels)
+        n: Sigma(float(value), "estimated")
+        for n, value in zip(channels, np.maximum(combined, coarse), strict=True)
     })  # fmt: skip
 
 
 def _is_even(t: Array) -> bool:
     """Return whether samples are evenly spaced."""
     step = np.diff(t)
-    usual = median(step) if len(step) else 0.0
-    return bool(usual > 0 and np.abs(step / usual - 1).max(initial=0.0) <= _UNEVEN)
+    if not len(step):
+        return False
+    low, high = float(step.min()), float(step.max())
+    if low > 0 and high <= (1 + 0.5 * _UNEVEN) * low:  # then the usual step lies so near to all of them
+        return True
+    usual = median(step)
+    return bool(usual > 0 and np.abs(step / usual - 1).max() <= _UNEVEN)
 
 
 def _even_spreads(blocks: list[Array]) -> Array:
@@ -186,21 +200,29 @@ def _clean(size: Array, sigma: float, reach: int) -> Array:
     return size[within]
 
 
-def _coarse_step(values: Array) -> float:
-    """Return the ADC step where readings repeat so often that it matters, else 0."""
-    step = np.abs(np.diff(values))
-    changes = step[step > 0]
-    return float(changes.min()) if len(changes) and len(changes) < 0.8 * len(step) else 0.0
+def _coarse_steps(rows: Array) -> Array:
+    """Return the ADC step of each row (c, n) where readings repeat so often that it matters, else 0; (c,)."""
+    step = np.abs(np.diff(rows, axis=1))
+    changes = np.count_nonzero(step > 0, axis=1)
+    coarse = (changes > 0) & (changes < 0.8 * step.shape[1])
+    out = np.zeros(len(rows))
+    for k in np.flatnonzero(coarse):
+        out[k] = step[k][step[k] > 0].min()
+    return out
 
 
-def _combine(channel: str, table: Array, steps: list[float], where: str) -> float:
-    """Return the noise from spreads (blocks, orders)."""
-    known = ~np.isnan(table)
-    usable = [float(np.median(table[known[:, i], i])) for i in range(len(_ORDERS)) if known[:, i].any()]
-    if not usable:
-        raise InputError(
-            f"Noise of {channel} cannot be estimated from {where}: no run has {_FEWEST + 2} samples in a row;"
-            f" state it with --noise {channel}=..., in the column file's [noise] table or in meta.json."
-        )
-    chosen = next(value for value in usable if value <= _SLACK * min(usable))
-    return max(chosen, float(np.median(steps)) / np.sqrt(12.0))
+def _combined(spreads: Array) -> Array:
+    """Return the noise of each channel from spreads (blocks, channels, orders); nan where all are nan."""
+    blocks, channels, orders = spreads.shape
+    rows = spreads.transpose(1, 2, 0).reshape(channels * orders, blocks)
+    known = ~np.isnan(rows)
+    middle = np.full(len(rows), np.nan)
+    some = known.any(axis=1)
+    whole = known.all(axis=1) & some
+    middle[whole] = medians(rows[whole])
+    for k in np.flatnonzero(some & ~whole):
+        middle[k] = median(rows[k, known[k]])
+    by_order = middle.reshape(channels, orders)
+    least = np.where(np.isnan(by_order), np.inf, by_order).min(axis=1)
+    chosen = np.argmax(by_order <= _SLACK * least[:, None], axis=1)  # the first that holds
+    return np.where(np.isfinite(least), by_order[np.arange(channels), chosen], np.nan)
