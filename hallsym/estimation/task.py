@@ -53,11 +53,9 @@ ROUNDS = 12
 """Of taking outliers out and fitting again, at most."""
 
 
-QUICKLY = 4
-"""Stretches of 1024 samples that tell the noise where time counts: to 1.2 %, and 16 of them to 0.6 %."""
 QUICKLY_KNOWN = 1.06
-"""Residual over a noise that was told so from which on a log is looked at in full: three times 1.2 %, and up
-to 3 % by which the least of several estimates is below their mean."""
+"""Residual over a noise that was estimated quickly from which on a log is looked at in full: three times its
+1.2 %, and up to 3 % by which the least of several estimates is below their mean."""
 
 
 def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = (), *, quick: bool = False) -> Noise:
@@ -70,8 +68,7 @@ def noise_of(log: Log, model: Model | None, holdout: Sequence[int] = (), *, quic
     log = continuous(log, model) if model else log
     missing = [c for c in columns if c not in log.noise]
     used = without(log, Drop(runs=frozenset(holdout))) if missing and holdout else log
-    enough = {"enough": QUICKLY} if quick else {}
-    noise = log.noise.merged(estimate_noise(used, missing, **enough)) if missing else log.noise
+    noise = log.noise.merged(estimate_noise(used, missing, quick=quick)) if missing else log.noise
     sigmas = {c: noise[c] for c in columns}
     for c in model.channels if model else ():
         sigmas[c] = replace(sigmas[c], value=max(sigmas[c].value, LEAST_SIGMA))

@@ -29,7 +29,11 @@ def medians(rows: np.ndarray) -> np.ndarray:
     >>> medians(np.array([[3.0, 1.0, 2.0, 10.0], [1.0, 1.0, 1.0, 9.0]]))
     array([2.5, 1. ])
     """
-    half, odd = rows.shape[1] // 2, rows.shape[1] % 2
-    ordered = np.sort(rows, axis=1)
+    return middles(np.sort(rows, axis=1))
+
+
+def middles(ordered: np.ndarray) -> np.ndarray:
+    """Return the median of each row (c, n) of ascending numbers; nan where one of them, the last, is nan."""
+    half, odd = ordered.shape[1] // 2, ordered.shape[1] % 2
     middle = ordered[:, half] if odd else 0.5 * (ordered[:, half - 1] + ordered[:, half])
     return np.where(np.isnan(ordered[:, -1]), np.nan, middle)
