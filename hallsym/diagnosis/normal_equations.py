@@ -7,7 +7,7 @@ the decoded pose (what the gap metric measures). The zeros of a run are eliminat
 matrices any set of effects can be fitted, cross-validated and judged without reading the log again.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -52,7 +52,7 @@ class NormalEquations:
 
     Over a whole run they add up to 0. None where every unit is a whole run."""
 
-    def units(self, runs: Sequence[int]) -> np.ndarray:
+    def units(self, runs: Iterable[int]) -> np.ndarray:
         """Return the index of the units whose runs are all among `runs`."""
         known = set(runs)
         return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
