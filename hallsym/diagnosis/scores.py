@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hallsym.diagnosis.measurement_error import shared_noise
-from hallsym.diagnosis.normal_equations import NormalEquations, normal_equations
+from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
 from hallsym.diagnosis.residuals import Base
@@ -18,7 +19,6 @@ from hallsym.errors import InputError
 from hallsym.estimation import pseudo_inverse
 from hallsym.estimation.decoding import columns_of
 from hallsym.model import Effect, Facts, Model, Variant
-
 
 Values = float | np.ndarray
 
@@ -126,7 +126,7 @@ def scores(
 class Screen:
     """The catalogue scored beside one fit, from one pass over the log.
 
-    One pass for all candidates, or for as many as have `COLUMNS` parameters together. `scores`: best first,
+    One pass for all candidates, or for as many as have `PRODUCTS` together. `scores`: best first,
     by BIC. `significance`: that any of them is there at all. `tables`: the products of each pass. `top`:
     the largest statistic of all with each draw of signs, that of the log first.
     """
@@ -148,7 +148,7 @@ class Screen:
         length = (
             stretch(base.log.rows / len(base.log.runs) * len(runs), len(runs)) if colour is not None else None
         )
-        for part in _parts(tried):
+        for part in _parts(tried, len(base.free)):
             plain = {key: (c.model, c.new) for key, c in part.items()}
             t = normal_equations(base, plain, length)
             table = Table(t, part, len(base.model.channels))
@@ -158,7 +158,7 @@ class Screen:
             self.tables.append(table)
             for key, scored in table.scored([runs], inflation):
                 c, absorbed = part[key], bool(scored.absorbed[0])
-                z = None if absorbed or flips is None else flips.statistic(table.at(key))
+                z = None if absorbed or flips is None else flips.statistic(key)
                 if z is not None:
                     # numbers that were searched elsewhere, and are not among the variants
                     flipped.append(searched(z, c.variant.tried / variants[c.effect.name]))
@@ -209,7 +209,7 @@ class Screen:
         """Return the squared decoded errors of the runs of `group` as `runs` foresee them with a choice."""
         table, key = (choice.table, choice.key) if choice else (self.tables[0], None)
         (by,) = Training(table, table.among(runs)[None]).solved(key).by
-        squares = np.einsum("i,uij,j->u", by, table.columns(table.t.output, key), by)
+        squares = np.einsum("i,uij,j->u", by, table.t.of(key, decoded=True), by)
         out: dict[tuple[int, ...], float] = {}
         for own, value in zip(table.t.runs, squares.tolist(), strict=True):
             if not group.isdisjoint(own):
@@ -226,20 +226,21 @@ EVENTS = 10.0
 """What the p-value of a single event is multiplied by, to stand beside those by signs (weighted Bonferroni).
 
 An event such as a step lies in one run, of which signs know nothing. A tenth of the error rate is its own."""
-COLUMNS = 400
-"""Parameters of candidates that are screened in one pass: 1.3 MB for the products of each run, twice."""
+PRODUCTS = 160_000
+"""Products of a run that are kept from one pass, 1.3 MB, twice."""
 
 
-def _parts(tried: dict[str, Candidate]) -> Iterator[dict[str, Candidate]]:
-    """Yield the candidates in parts of at most `COLUMNS` parameters, in order."""
+def _parts(tried: dict[str, Candidate], own: int) -> Iterator[dict[str, Candidate]]:
+    """Yield the candidates in parts of at most `PRODUCTS` beside `own` columns, in order."""
     part: dict[str, Candidate] = {}
     size = 0
     for key, c in tried.items():
-        if part and size + len(c.new) > COLUMNS:
+        more = len(c.new) * (own + 1 + len(c.new))
+        if part and size + more > PRODUCTS:
             yield part
             part, size = {}, 0
         part[key] = c
-        size += len(c.new)
+        size += more
     yield part
 
 
@@ -285,7 +286,7 @@ class Training:
     def solved(self, key: str | None) -> "Solved":
         """Fit a candidate (None: nothing) and the model's own parameters to each stack of units."""
         table, n = self.table, self.table.own
-        M = np.tensordot(self.units, table.columns(table.t.likelihood, key), 1)
+        M = np.tensordot(self.units, table.t.of(key), 1)
         through = self.inverse @ M[:, :n, n:]
         left = M[:, n:, n:] - M[:, n:, :n] @ through
         raw, squares = (np.diagonal(x, axis1=1, axis2=2)[:, :-1] for x in (M[:, n:, n:], left))
@@ -300,7 +301,7 @@ class Training:
 
 
 class Solved(NamedTuple):
-    """Fits to F stacks of units: `by` (F, n + k + 1) makes what is left of [parameters | candidate | residual].
+    """Fits to F stacks of units: `by` (F, n + k + 1) makes what is left of the columns.
 
     `plain`, `left`: (F,) squares without and with the candidate; `absorbed`: the parameters can do the same.
     """
@@ -319,15 +320,6 @@ class Table:
         self.own = t.span[""].stop
         self.run = np.array([unit[0] for unit in t.runs])
         self.known: tuple[tuple[int, ...], Training | None] = ((), None)
-
-    def at(self, key: str) -> np.ndarray:
-        """Return the columns of a candidate."""
-        return np.arange(self.t.span[key].start, self.t.span[key].stop)
-
-    def columns(self, products: np.ndarray, key: str | None) -> np.ndarray:
-        """Return the products (units, p, p) of the model's parameters, a candidate (None: none), residual."""
-        at = np.concatenate([np.arange(self.own), self.at(key) if key else [], [products.shape[1] - 1]])
-        return products[:, at.astype(int)[:, None], at.astype(int)]
 
     def limits(self, key: str) -> tuple[np.ndarray, ...]:
         """Return the bounds of the parameters of a candidate."""
@@ -352,7 +344,7 @@ class Table:
         if self.known[0] != tuple(runs):
             self.known = tuple(runs), Training(self, self.among(runs) & ~left_out)
         assert self.known[1] is not None
-        M = np.tensordot(left_out.astype(float), self.columns(self.t.output, key), 1)
+        M = np.tensordot(left_out.astype(float), self.t.of(key, decoded=True), 1)
         u = self.known[1].solved(key).by
         none = self.known[1].solved(None).by
         pick = np.append(np.arange(self.own), M.shape[1] - 1)
