@@ -1,6 +1,6 @@
 """Steady tones in what a model leaves: lines of its spectrum that do not scatter as noise does."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -24,7 +24,7 @@ STEADY = 0.5
 The power of noise, also of a resonance that noise excites, scatters in each line by as much as it is."""
 
 
-def tones(base: Base, runs: Sequence[int]) -> float:
+def tones(base: Base, runs: Iterable[int]) -> float:
     """Return by how much the gap metric of `runs` falls without the steady tones of the decoded error."""
     model, spread, back = base.model, decoding_gain(base.model), np.linalg.inv(base.whiten)
     of_run: dict[int, list[np.ndarray]] = {}
