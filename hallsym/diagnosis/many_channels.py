@@ -4,30 +4,44 @@ A parameter of one channel has one row, so a candidate of a sensor array has as 
 pair of channels on its own would be thousands of products of one row.
 """
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 
-def by_candidate(
-    work: Any, near: np.ndarray, rows: list[np.ndarray], precision: np.ndarray, D: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return products (blocks, c, c) under `precision` (K, K), and mapped to the pose by D.
+class Shared:
+    """What all candidates share of some blocks: columns of zeros, parameters and residual, and products.
 
-    `work`: the `Accumulator`. `near`: (own, K, blocks, samples) of zeros, parameters and residual, `rows`:
-    (rows, blocks, samples) of each channel, `D`: (n_pose, K, blocks, samples).
+    `near`: (own, K, blocks, samples), `D`: (n_pose, K, blocks, samples) maps them to the pose, `precision`:
+    (K, K), `whiten` its root.
     """
-    first, at, blocks = work.z + work.n, work.near, near.shape[2]
-    white, decoded = np.tensordot(work.whiten, near, axes=(1, 1)).swapaxes(0, 1), _decoded(D, near)
-    grams = [_gram(columns) for columns in (white, decoded)]
-    out = [np.zeros((blocks, work.size, work.size)) for _ in grams]
-    for M, gram in zip(out, grams, strict=True):
+
+    def __init__(self, near: np.ndarray, D: np.ndarray, whiten: np.ndarray, precision: np.ndarray) -> None:
+        self.near, self.D, self.precision = near, D, precision
+        self.decoded = _decoded(D, near)
+        white = np.tensordot(whiten, near, axes=(1, 1)).swapaxes(0, 1)
+        self.grams = [_gram(columns) for columns in (white, self.decoded)]
+
+    @cached_property
+    def mapped(self) -> tuple[np.ndarray, np.ndarray]:
+        """The columns (own, K, blocks, samples) under the precision, and under the metric of the pose."""
+        metric = np.tensordot(self.precision, self.near, axes=(1, 1)).swapaxes(0, 1)
+        return metric, np.einsum("ikbs,oibs->okbs", self.D, self.decoded)
+
+
+def by_candidate(work: Any, shared: Shared, rows: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return products (blocks, c, c) under the precision, and mapped to the pose.
+
+    `work`: the `Accumulator`. `rows`: (rows, blocks, samples) of each channel.
+    """
+    first, at, precision, D = work.z + work.n, work.near, shared.precision, shared.D
+    out = [np.zeros((D.shape[2], work.size, work.size)) for _ in shared.grams]
+    for M, gram in zip(out, shared.grams, strict=True):
         M[:, at[:, None], at] = gram
     if not any(map(len, rows)):
         return out[0], out[1]
-    metric = np.tensordot(precision, near, axes=(1, 1)).swapaxes(0, 1)
-    mapped = np.einsum("ikbs,oibs->okbs", D, decoded)
-    for M, columns in zip(out, (metric, mapped), strict=True):
+    for M, columns in zip(out, shared.mapped, strict=True):
         for k, block in enumerate(rows):
             if len(block):
                 across = block.swapaxes(0, 1) @ columns[:, k].transpose(1, 2, 0)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
-from hallsym.diagnosis.many_channels import by_candidate
+from hallsym.diagnosis.many_channels import Shared, by_candidate
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.estimation.decoding import columns_of, decoding_gain
@@ -32,7 +32,8 @@ TOGETHER = 16
 class NormalEquations:
     """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
 
-    `likelihood`, `output`: (units, c, c). `count`: (units,) samples. `runs`: the runs of each unit.
+    `likelihood`, `output`: (units, c, c); the latter means nothing where it was not asked for.
+    `count`: (units,) samples. `runs`: the runs of each unit.
     `span`: columns of each candidate, by its key; the base's parameters are under "".
     """
 
@@ -84,16 +85,34 @@ def normal_equations(
     base: Base,
     candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
     length: int | None = None,
+    *,
+    decoded: bool = True,
 ) -> NormalEquations:
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
     New parameters are taken at their nominal value, where they have no effect. `length`: samples of a unit,
-    where a run is to be several.
+    where a run is to be several. `decoded`: with `output`, which a fit on its way has no need of.
     """
-    work = Accumulator(base, candidates, length)
-    for batch, weights in work.weighed():
-        work.add(batch, weights)
-    return work.result()
+    return of_parts(base, [candidates or {}], length, decoded=decoded)[0]
+
+
+def of_parts(
+    base: Base,
+    parts: Sequence[Mapping[str, tuple[Model, Sequence[str]]]],
+    length: int | None = None,
+    *,
+    decoded: bool = True,
+) -> list[NormalEquations]:
+    """Return the same for each of some parts of the candidates; the model is evaluated once for all."""
+    works = [Accumulator(base, part, length, decoded=decoded) for part in parts]
+    first = works[0]
+    first.models = tuple(dict.fromkeys(model for work in works for model in work.models))
+    first.most = min(work.most for work in works)
+    for batch, weights in first.weighed():
+        near = first.near_of(batch, weights)
+        for work in works:
+            work.add(near, weights)
+    return [work.result() for work in works]
 
 
 def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -118,6 +137,26 @@ class Stretch:
     size: float
 
 
+class Group(NamedTuple):
+    """Some blocks of a batch, `first` to `last` (exclusive): what lays samples out by block, what it makes of
+    the columns of the model and of their metric, and products of these where channels are many."""
+
+    first: int
+    last: int
+    lay: Callable[[np.ndarray], np.ndarray]
+    own: np.ndarray
+    metric: np.ndarray
+    many: Shared | None
+
+
+@dataclass(frozen=True, eq=False)
+class Near:
+    """What all candidates share of a batch, by groups of blocks: columns of the model, and the residual."""
+
+    batch: Batch
+    groups: list[Group]
+
+
 class Accumulator:
     """Accumulates the products of each run."""
 
@@ -126,11 +165,12 @@ class Accumulator:
         base: Base,
         candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
         length: int | None = None,
+        *,
+        decoded: bool = True,
     ) -> None:
-        self.base, self.length = base, length
+        self.base, self.length, self.decoded = base, length, decoded
         model = base.model
         self.read = reading_and_derivatives(model)
-        self.gain = decoding_gain(model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
         self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
@@ -165,21 +205,32 @@ class Accumulator:
             for piece, at in batch.pieces(self.most):
                 yield piece, None if weights is None else weights[at]
 
-    def add(self, batch: Batch, weights: np.ndarray | None) -> None:
-        """Add a batch to the runs that it belongs to."""
+    def near_of(self, batch: Batch, weights: np.ndarray | None) -> Near:
+        """Return what all candidates share of a batch that goes on where the last one ended."""
         if self.length:
             batch = batch.cut(self.length, self.seen if batch.blocks[0].run == self.run else 0)
-        near, D = self._near(batch, weights)
-        rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
-        metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY else D
-        for first, last in batch.groups(max(1, TOGETHER * MANY // max(len(rows), MANY))):
+        A, K = self._near(batch, weights), len(self.base.model.channels)
+        D = self._to_pose(batch)
+        metric = np.einsum("iks,ils->kls", D, D) if K <= MANY and self.decoded else D
+        groups = []
+        for first, last in batch.groups(max(1, TOGETHER * MANY // max(K, MANY))):
             lay = batch.layout(first, last)
-            own, others = lay(near), [lay(r) for r in rows]
-            if len(rows) > MANY:
-                white, out = by_candidate(self, own, others, self.precision, lay(metric))
+            own, by = lay(A), lay(metric)
+            many = Shared(own, by, self.whiten, self.precision) if K > MANY else None
+            groups.append(Group(first, last, lay, own, by, many))
+        return Near(batch, groups)
+
+    def add(self, near: Near, weights: np.ndarray | None) -> None:
+        """Add a batch to the runs that it belongs to."""
+        batch = near.batch
+        rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
+        for first, last, lay, own, metric, many in near.groups:
+            others = [lay(r) for r in rows]
+            if many:
+                white, out = by_candidate(self, many, others)
             else:
                 white = self._products(own, others, self.precision[:, :, None, None])
-                out = self._products(own, others, lay(metric))
+                out = self._products(own, others, metric) if self.decoded else white
             for k, block in enumerate(batch.blocks[first:last]):
                 part = slice(batch.edges[first + k], batch.edges[first + k + 1])
                 count = float(part.stop - part.start if weights is None else weights[part].sum())
@@ -228,11 +279,18 @@ class Accumulator:
             if k != j:
                 M[:, to[:, None], at] += P.swapaxes(1, 2)
 
-    def _near(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Columns of zeros, parameters and residual, (own + 1, K, samples), and what maps them to the pose.
+    def _to_pose(self, batch: Batch) -> np.ndarray:
+        """What turns readings into the decoded pose, rotation as length: (pose, K, samples), 0 for none."""
+        base, model = self.base, self.base.model
+        if not self.decoded:
+            return np.zeros((0, len(model.channels), len(batch)))
+        pose, state = batch.columns(model.references), batch.columns(model.state)
+        (spread,) = decoding_gain(model)(base.p, pose, state, base.weight)
+        spread = spread.reshape(len(model.channels), len(model.pose), len(batch))
+        return spread.swapaxes(0, 1) * base.pose_weights[:, None, None]
 
-        The second, (pose, K, samples), turns them into the decoded pose, rotation as length.
-        """
+    def _near(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
+        """Columns of zeros, parameters and residual, (own + 1, K, samples)."""
         base, model = self.base, self.base.model
         samples, K, own = len(batch), len(model.channels), self.z + self.n
         pose, state = batch.columns(model.references), batch.columns(model.state)
@@ -244,9 +302,7 @@ class Accumulator:
         A[-1] = np.array(batch.columns(model.channels)) - reading
         if weights is not None:
             A *= np.sqrt(weights)
-        (spread,) = self.gain(base.p, pose, state, base.weight)
-        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * base.pose_weights[:, None, None]
-        return A, D
+        return A
 
     def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
         """Return all columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
@@ -254,7 +310,7 @@ class Accumulator:
 
     def whitener(self, batch: Batch, weights: np.ndarray | None) -> Callable[[slice], np.ndarray]:
         """Return what gives all columns, whitened, of some samples: of all at once they may be 1 GB."""
-        near, _ = self._near(batch, weights)
+        near = self._near(batch, weights)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
 
         def white(part: slice) -> np.ndarray:
@@ -341,18 +397,19 @@ class Accumulator:
     def result(self) -> NormalEquations:
         """Return what has been gathered."""
         self._close()
-        parts = any(u.offsets is not None for u in self.done)
+        done, self.done = self.done, []  # their memory goes as the arrays are made
+        parts = any(u.offsets is not None for u in done)
         none = np.zeros((self.z, self.size - self.z))
         return NormalEquations(
-            np.array([u.white for u in self.done]),
-            np.array([u.out for u in self.done]),
-            np.array([u.samples for u in self.done]),
-            tuple(u.runs for u in self.done),
+            np.array([u.white for u in done]),
+            np.array([u.out for u in done]),
+            np.array([u.samples for u in done]),
+            tuple(u.runs for u in done),
             self.span,
             np.array(self.follow),
             tuple(self.order),
             frozenset(self.slopes.spoiled),
-            np.array([none if u.offsets is None else u.offsets for u in self.done]) if parts else None,
+            np.array([none if u.offsets is None else u.offsets for u in done]) if parts else None,
         )
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hallsym.diagnosis.measurement_error import shared_noise
-from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, normal_equations
+from hallsym.diagnosis.normal_equations import NormalEquations, coefficients, of_parts
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
@@ -123,8 +123,8 @@ def scores(
 class Screen:
     """The catalogue scored beside one fit, from one pass over the log.
 
-    One pass for all candidates, or for as many as have `COLUMNS` parameters together. `scores`: best first,
-    by BIC. `significance`: that any of them is there at all. `tables`: the products of each pass. `top`:
+    `scores`: best first, by BIC. `significance`: that any of them is there at all. `tables`: the products of
+    the candidates, in parts of as many as have `COLUMNS` parameters together, or of fewer (`NUMBERS`). `top`:
     the largest statistic of all with each draw of signs, that of the log first.
     """
 
@@ -145,13 +145,13 @@ class Screen:
         length = (
             stretch(base.log.rows / len(base.log.runs) * len(runs), len(runs)) if colour is not None else None
         )
-        for part in _parts(tried):
-            plain = {key: (c.model, c.new) for key, c in part.items()}
-            t = normal_equations(base, plain, length)
+        parts = list(_parts(tried, base.log.rows // length if length else len(base.log.runs)))
+        plain = [{key: (c.model, c.new) for key, c in part.items()} for part in parts]
+        made = of_parts(base, plain, length)
+        shared = shared_noise(base, plain, length, colour) if colour is not None else [{} for _ in parts]
+        for part, t, noise in zip(parts, made, shared, strict=True):
             table = Table(t, part, len(base.model.channels))
-            flips = (
-                SignFlips(t, runs, shared_noise(base, plain, length, colour)) if colour is not None else None
-            )
+            flips = SignFlips(t, runs, noise) if colour is not None else None
             self.tables.append(table)
             for key, score in table.fast(runs, inflation):
                 at, name = table.at(key), score.effect.name
@@ -230,16 +230,21 @@ EVENTS = 10.0
 """What the p-value of a single event is multiplied by, to stand beside those by signs (weighted Bonferroni).
 
 An event such as a step lies in one run, of which signs know nothing. A tenth of the error rate is its own."""
-COLUMNS = 400
-"""Parameters of candidates that are screened in one pass: 1.3 MB for the products of each run, twice."""
+FEWEST, COLUMNS = 100, 400
+"""Parameters of candidates whose products are one table: of 1.3 MB for each run, twice, at most."""
+NUMBERS = 12_500_000
+"""Products of all candidates that are held, twice: 200 MB. Those of two candidates are nil, so that smaller
+tables hold the same in less; in tables of fewer than `FEWEST` parameters the model's own are most."""
 
 
-def _parts(tried: dict[str, Candidate]) -> Iterator[dict[str, Candidate]]:
-    """Yield the candidates in parts of at most `COLUMNS` parameters, in order."""
+def _parts(tried: dict[str, Candidate], units: int) -> Iterator[dict[str, Candidate]]:
+    """Yield the candidates in order, in parts of so many parameters that `NUMBERS` is kept."""
+    everything = sum(len(c.new) for c in tried.values())
+    most = int(np.clip(NUMBERS // max(1, units * everything), FEWEST, COLUMNS))
     part: dict[str, Candidate] = {}
     size = 0
     for key, c in tried.items():
-        if part and size + len(c.new) > COLUMNS:
+        if part and size + len(c.new) > most:
             yield part
             part, size = {}, 0
         part[key] = c

@@ -111,7 +111,7 @@ def test_noise_that_columns_share_with_the_residual_is_measured():
     chosen = [e for e in effects(STAGE_FAMILY).values() if e.name == "odd_nonlinearity"]
     tried, _ = candidates(base, chosen, Facts(60.0, log.columns))
     plain = {key: (c.model, c.new) for key, c in tried.items()}
-    found = sum(shared_noise(base, plain, None).values())
+    found = sum(shared_noise(base, [plain], None)[0].values())
     columns, rng, draws = {c: log.array(c) for c in log.columns}, np.random.default_rng(0), []
     for _ in range(12):
         by = {c: base.sigma[c] * rng.standard_normal(log.rows) for c in names}
