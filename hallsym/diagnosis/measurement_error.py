@@ -87,8 +87,8 @@ def shared_noise(
 ) -> list[dict[tuple[int, int], np.ndarray]]:
     """Return (run, stretch) -> what noise alone makes of the whitened products with the residual, (columns,).
 
-    One for each of the parts of the candidates; columns are [parameters | candidates of it]. `length`: samples
-    of a stretch, None for whole runs. `colour`: autocorrelation of the residual at lags 0, 1, ...
+    One for each of the parts of the candidates; columns are [parameters | candidates of it]. `length`:
+    samples of a stretch, None for whole runs. `colour`: autocorrelation of the residual at lags 0, 1, ...
     """
     model = base.model
     noisy = with_noise(base, colour)
