@@ -81,25 +81,26 @@ def with_noise(base: Base, colour: np.ndarray = WHITE) -> Base | None:
 
 def shared_noise(
     base: Base,
-    parts: Sequence[Mapping[str, tuple[Model, Sequence[str]]]],
+    candidates: Mapping[str, tuple[Model, Sequence[str]]],
     length: int | None,
     colour: np.ndarray = WHITE,
-) -> list[dict[tuple[int, int], np.ndarray]]:
+) -> dict[tuple[int, int], np.ndarray]:
     """Return (run, stretch) -> what noise alone makes of the whitened products with the residual, (columns,).
 
-    One for each of the parts of the candidates; columns are [parameters | candidates of it]. `length`:
-    samples of a stretch, None for whole runs. `colour`: autocorrelation of the residual at lags 0, 1, ...
+    Columns are [parameters | candidates]. `length`: samples of a stretch, None for whole runs.
+    `colour`: autocorrelation of the residual at lags 0, 1, ...
     """
     model = base.model
     noisy = with_noise(base, colour)
-    slopes = [Slopes(model, base.p, candidates) for candidates in parts]
-    sums: list[dict[tuple[int, int], np.ndarray]] = [{} for _ in parts]
-    if noisy is None or not any(own.columns for own in slopes):
-        return sums
-    wide, others = model, [m for candidates in parts for m, _ in candidates.values()]
-    for other in others:
+    slopes = Slopes(model, base.p, candidates)
+    if noisy is None or not slopes.columns:
+        return {}
+    wide = model
+    for other, _ in candidates.values():
         wide = wide.with_columns(*other.computed)
-    wanted = tuple(dict.fromkeys(c for m in (model, *others) for c in columns_of(m)))
+    wanted = tuple(
+        dict.fromkeys(c for m in (model, *(m for m, _ in candidates.values())) for c in columns_of(m))
+    )
     read, precision = reading_and_derivatives(model), np.linalg.inv(base.covariance)
     n, K = len(base.free), len(model.channels)
     every = max(1, base.log.rows // SAMPLES)
@@ -107,8 +108,10 @@ def shared_noise(
     def batches_of(log: Any) -> Iterator[Batch]:
         return batches(extended(log, wide, base.sigma, base.values), wanted)
 
-    def columns_at(batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Own columns (n, K, samples) and the residual (K, samples)."""
+    def columns_at(
+        batch: Batch, weights: np.ndarray | None
+    ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+        """Own columns (n, K, samples), rows of the candidates, and the residual (K, samples)."""
         zeros = base.zeros_of(batch)
         pose, state = batch.columns(model.references), batch.columns(model.state)
         reading, slope, *_ = read(base.p, zeros, pose, state)
@@ -116,30 +119,28 @@ def shared_noise(
         residual = np.array(batch.columns(model.channels)) - reading
         if weights is not None:
             own, residual = own * np.sqrt(weights), residual * np.sqrt(weights)
-        return own, residual
+        return own, slopes.rows(batch, zeros, weights), residual
 
+    sums: dict[tuple[int, int], np.ndarray] = {}
     moved = batches_of(noisy.log)
     seen: dict[int, int] = {}
     for down, up in zip(batches_of(base.log), moved, strict=True):
         weights = down.weights(base.keep)
-        weights = None if weights is None else weights[::every]
-        both = [_thinned(b, every) for b in (up, down)]
-        zeros = [base.zeros_of(b) for b in both]
-        (own, residual), (own2, residual2) = (columns_at(b, weights) for b in both)
+        own, rows, residual = columns_at(_thinned(up, every), None if weights is None else weights[::every])
+        own2, rows2, residual2 = columns_at(
+            _thinned(down, every), None if weights is None else weights[::every]
+        )
         change = precision @ (residual - residual2)
-        of_own = np.einsum("cks,ks->cs", own - own2, change)
+        products = np.zeros((n + slopes.columns, change.shape[1]))
+        products[:n] = np.einsum("cks,ks->cs", own - own2, change)
+        for k, column in enumerate(slopes.column):
+            products[n + column] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
         keys, first, counts = _stretches(up, seen, length)
-        low = np.minimum(-(-np.array(first) // every), change.shape[1] - 1)
-        high = np.minimum(-(-(np.array(first) + counts) // every), change.shape[1])
-        share = np.array(counts) / np.maximum(high - low, 1)
-        for slope, total in zip(slopes, sums, strict=True):
-            rows, rows2 = (slope.rows(b, z, weights) for b, z in zip(both, zeros, strict=True))
-            products = np.zeros((n + slope.columns, change.shape[1]))
-            products[:n] = of_own
-            for k, column in enumerate(slope.column):
-                products[n + column] += (rows[k] - rows2[k]) * change[k]  # a column has one row a channel
-            for key, own_part in zip(keys, (np.add.reduceat(products, low, axis=1) * share).T, strict=True):
-                total[key] = total.get(key, 0.0) + own_part
+        low = np.minimum(-(-np.array(first) // every), products.shape[1] - 1)
+        high = np.minimum(-(-(np.array(first) + counts) // every), products.shape[1])
+        parts = np.add.reduceat(products, low, axis=1) * (np.array(counts) / np.maximum(high - low, 1))
+        for key, own_part in zip(keys, parts.T, strict=True):
+            sums[key] = sums.get(key, 0.0) + own_part
     return sums
 
 

@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
-from hallsym.diagnosis.many_channels import Shared, by_candidate
+from hallsym.diagnosis.many_channels import by_candidate
+from hallsym.diagnosis.products import NormalEquations, Products
 from hallsym.diagnosis.residuals import Base
-from hallsym.estimation import eliminate, pseudo_inverse
+from hallsym.estimation import pseudo_inverse, solve
 from hallsym.estimation.decoding import columns_of, decoding_gain
 from hallsym.log.batches import Batch, batches
 from hallsym.log.derived import extended
@@ -26,37 +27,6 @@ UNITS = 64
 """Runs whose matrices are kept one by one; beyond that neighbouring runs are pooled."""
 TOGETHER = 16
 """Blocks whose products are made in one call: a matrix each, of some 0.5 MB with the whole catalogue."""
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Products of the columns [parameters | effects | residual], the zeros of each run eliminated.
-
-    `likelihood`, `output`: (units, c, c); the latter means nothing where it was not asked for.
-    `count`: (units,) samples. `runs`: the runs of each unit.
-    `span`: columns of each candidate, by its key; the base's parameters are under "".
-    """
-
-    likelihood: np.ndarray
-    output: np.ndarray
-    count: np.ndarray
-    runs: tuple[tuple[int, ...], ...]
-    span: dict[str, slice]
-    follow: np.ndarray
-    """(runs, zeros, c): how the zeros of a run follow the other columns; none with candidates."""
-    order: tuple[int, ...]
-    """The runs of `follow`."""
-    spoiled: frozenset[str] = frozenset()
-    """Candidates whose slope is not finite somewhere; their columns are 0."""
-    offsets: np.ndarray | None = None
-    """(units, zeros, c): products with the run's own zeros, in units in which these are orthonormal.
-
-    Over a whole run they add up to 0. None where every unit is a whole run."""
-
-    def units(self, runs: Sequence[int]) -> np.ndarray:
-        """Return the index of the units whose runs are all among `runs`."""
-        known = set(runs)
-        return np.array([k for k, unit in enumerate(self.runs) if known.issuperset(unit)], dtype=int)
 
 
 MANY = 6
@@ -70,15 +40,16 @@ class Unit(NamedTuple):
     """Runs, products for the likelihood and in the output, samples, and products with the zeros."""
 
     runs: tuple[int, ...]
-    white: np.ndarray
-    out: np.ndarray
+    white: Products
+    out: Products
     samples: float
     offsets: np.ndarray | None = None
 
     def plus(self, other: "Unit") -> "Unit":
         """Return both together."""
         runs = tuple(dict.fromkeys((*self.runs, *other.runs)))
-        return Unit(runs, self.white + other.white, self.out + other.out, self.samples + other.samples)
+        white, out = self.white.plus(other.white), self.out.plus(other.out)
+        return Unit(runs, white, out, self.samples + other.samples)
 
 
 def normal_equations(
@@ -91,40 +62,18 @@ def normal_equations(
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
     New parameters are taken at their nominal value, where they have no effect. `length`: samples of a unit,
-    where a run is to be several. `decoded`: with `output`, which a fit on its way has no need of.
+    where a run is to be several. `decoded`: with the products mapped to the pose; a step of a fit has no
+    need of them, and without them they mean nothing.
     """
-    return of_parts(base, [candidates or {}], length, decoded=decoded)[0]
-
-
-def of_parts(
-    base: Base,
-    parts: Sequence[Mapping[str, tuple[Model, Sequence[str]]]],
-    length: int | None = None,
-    *,
-    decoded: bool = True,
-) -> list[NormalEquations]:
-    """Return the same for each of some parts of the candidates; the model is evaluated once for all."""
-    works = [Accumulator(base, part, length, decoded=decoded) for part in parts]
-    first = works[0]
-    first.models = tuple(dict.fromkeys(model for work in works for model in work.models))
-    first.most = min(work.most for work in works)
-    for batch, weights in first.weighed():
-        near = first.near_of(batch, weights)
-        for work in works:
-            work.add(near, weights)
-    return [work.result() for work in works]
+    work = Accumulator(base, candidates, length, decoded=decoded)
+    for batch, weights in work.weighed():
+        work.add(batch, weights)
+    return work.result()
 
 
 def coefficients(M: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return the coefficients of `columns` that explain the last column in least squares, from products."""
     return pseudo_inverse(M[np.ix_(columns, columns)]) @ M[columns, -1]
-
-
-def eliminated(M: np.ndarray, follow: np.ndarray) -> np.ndarray:
-    """Return products (..., c - z, c - z) once the first z columns follow the others as `follow` says."""
-    z = len(follow)
-    half = (M[..., z:, :z] + 0.5 * follow.T @ M[..., :z, :z]) @ follow
-    return M[..., z:, z:] + half + half.swapaxes(-1, -2)
 
 
 @dataclass
@@ -135,26 +84,6 @@ class Stretch:
     start_s: float
     products: np.ndarray
     size: float
-
-
-class Group(NamedTuple):
-    """Some blocks of a batch, `first` to `last` (exclusive): what lays samples out by block, what it makes of
-    the columns of the model and of their metric, and products of these where channels are many."""
-
-    first: int
-    last: int
-    lay: Callable[[np.ndarray], np.ndarray]
-    own: np.ndarray
-    metric: np.ndarray
-    many: Shared | None
-
-
-@dataclass(frozen=True, eq=False)
-class Near:
-    """What all candidates share of a batch, by groups of blocks: columns of the model, and the residual."""
-
-    batch: Batch
-    groups: list[Group]
 
 
 class Accumulator:
@@ -179,6 +108,11 @@ class Accumulator:
         self.span = {"": slice(0, self.n)}
         self.span |= {k: slice(self.n + s.start, self.n + s.stop) for k, s in self.slopes.span.items()}
         self.near = np.array([*range(own), self.size - 1])
+        widths = {k: s.stop - s.start for k, s in self.slopes.span.items()}
+        ends = np.cumsum([0, *(k * k for k in widths.values())]).tolist()
+        self.places = {key: slice(*ends[j : j + 2]) for j, key in enumerate(widths)}
+        pairs = [np.indices((k, k)).reshape(2, -1) + self.span[c].start for c, k in widths.items()]
+        self.pairs = np.concatenate([np.zeros((2, 0), dtype=int), *pairs], axis=1)
         rows = max(len(self.near) * len(model.channels), sum(map(len, self.slopes.column)))
         self.most = max(FEWEST, ENTRIES // rows)
         self.precision = np.linalg.inv(base.covariance)
@@ -205,46 +139,46 @@ class Accumulator:
             for piece, at in batch.pieces(self.most):
                 yield piece, None if weights is None else weights[at]
 
-    def near_of(self, batch: Batch, weights: np.ndarray | None) -> Near:
-        """Return what all candidates share of a batch that goes on where the last one ended."""
+    def add(self, batch: Batch, weights: np.ndarray | None) -> None:
+        """Add a batch to the runs that it belongs to."""
         if self.length:
             batch = batch.cut(self.length, self.seen if batch.blocks[0].run == self.run else 0)
-        A, K = self._near(batch, weights), len(self.base.model.channels)
-        D = self._to_pose(batch)
-        metric = np.einsum("iks,ils->kls", D, D) if K <= MANY and self.decoded else D
-        groups = []
-        for first, last in batch.groups(max(1, TOGETHER * MANY // max(K, MANY))):
-            lay = batch.layout(first, last)
-            own, by = lay(A), lay(metric)
-            many = Shared(own, by, self.whiten, self.precision) if K > MANY else None
-            groups.append(Group(first, last, lay, own, by, many))
-        return Near(batch, groups)
-
-    def add(self, near: Near, weights: np.ndarray | None) -> None:
-        """Add a batch to the runs that it belongs to."""
-        batch = near.batch
+        near, D = self._near(batch, weights), self._to_pose(batch)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
-        for first, last, lay, own, metric, many in near.groups:
-            others = [lay(r) for r in rows]
-            if many:
-                white, out = by_candidate(self, many, others)
+        metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY and self.decoded else D
+        for first, last in batch.groups(max(1, TOGETHER * MANY // max(len(rows), MANY))):
+            lay = batch.layout(first, last)
+            own, others = lay(near), [lay(r) for r in rows]
+            if len(rows) > MANY:
+                white, out = by_candidate(self, own, others, self.precision, lay(metric))
             else:
                 white = self._products(own, others, self.precision[:, :, None, None])
-                out = self._products(own, others, metric) if self.decoded else white
+                out = self._products(own, others, lay(metric)) if self.decoded else white
             for k, block in enumerate(batch.blocks[first:last]):
                 part = slice(batch.edges[first + k], batch.edges[first + k + 1])
                 count = float(part.stop - part.start if weights is None else weights[part].sum())
-                self._gather(Unit((block.run,), white[k], out[k], count), part.stop - part.start)
+                unit = Unit((block.run,), white.block(k), out.block(k), count)
+                self._gather(unit, part.stop - part.start)
 
-    def _products(self, near: np.ndarray, rows: list[np.ndarray], metric: np.ndarray) -> np.ndarray:
-        """Products (blocks, c, c) of all columns with zeros, parameters and residual, and of each candidate
-        with itself, under `metric` (K, K, blocks or 1, samples or 1).
+    def nil(self, blocks: int) -> Products:
+        """Return products of so many blocks, still nil."""
+        return Products(
+            np.zeros((blocks, len(self.near), self.size)), np.zeros((blocks, self.pairs.shape[1]))
+        )
 
-        `near`: (own, K, blocks, samples); `rows`: (rows, blocks, samples) of each channel. Products between
-        two candidates are nobody's business and stay 0.
+    def own_of(self, made: Products, key: str) -> np.ndarray:
+        """Return a view (blocks, k, k) of the products of a candidate's columns with each other."""
+        k = self.slopes.span[key].stop - self.slopes.span[key].start
+        return made.inner[:, self.places[key]].reshape(-1, k, k)
+
+    def _products(self, near: np.ndarray, rows: list[np.ndarray], metric: np.ndarray) -> Products:
+        """Products of all columns with zeros, parameters and residual, and of each candidate with itself,
+        under `metric` (K, K, blocks or 1, samples or 1).
+
+        `near`: (own, K, blocks, samples); `rows`: (rows, blocks, samples) of each channel.
         """
         own, K = len(near), near.shape[1]
-        M = np.zeros((near.shape[2], self.size, self.size))
+        M = self.nil(near.shape[2])
         mapped = np.zeros_like(near)
         for k in range(K):
             for j in range(K):
@@ -253,34 +187,31 @@ class Accumulator:
         inner = np.zeros((near.shape[2], own, own))
         for k in range(K):
             inner += _dot(near[:, k], mapped[:, k])
-        M[:, self.near[:, None], self.near] = inner
+        M.border[:, :, self.near] = inner
         first = self.z + self.n
         for k, block in enumerate(rows):
             if len(block):
-                across = _dot(block, mapped[:, k])
-                M[:, (first + self.slopes.column[k])[:, None], self.near] += across
-        M[:, self.near[:-1], first:-1] = M[:, first:-1, self.near[:-1]].swapaxes(1, 2)
-        M[:, -1, first:-1] = M[:, first:-1, -1]
+                M.border[:, :, first + self.slopes.column[k]] += _dot(mapped[:, k], block)
         for k in range(K):
             for j in range(k, K):
                 if len(rows[k]) and len(rows[j]) and np.any(metric[k, j]):
                     self._own(M, rows[k] * metric[k, j], rows[j], k, j)
         return M
 
-    def _own(self, M: np.ndarray, left: np.ndarray, right: np.ndarray, k: int, j: int) -> None:
+    def _own(self, M: Products, left: np.ndarray, right: np.ndarray, k: int, j: int) -> None:
         """Add the products of each candidate's rows in channel k with its own in channel j."""
-        first = self.z + self.n
-        for a, b in zip(self.slopes.parts[k], self.slopes.parts[j], strict=True):
+        slopes = self.slopes
+        for key, a, b in zip(slopes.span, slopes.parts[k], slopes.parts[j], strict=True):
             if a.start == a.stop or b.start == b.stop:
                 continue
-            P = _dot(left[a], right[b])
-            at, to = first + self.slopes.column[k][a], first + self.slopes.column[j][b]
-            M[:, at[:, None], to] += P
+            P, into = _dot(left[a], right[b]), self.own_of(M, key)
+            at, to = (slopes.column[c][part] - slopes.span[key].start for c, part in ((k, a), (j, b)))
+            into[:, at[:, None], to] += P
             if k != j:
-                M[:, to[:, None], at] += P.swapaxes(1, 2)
+                into[:, to[:, None], at] += P.swapaxes(1, 2)
 
     def _to_pose(self, batch: Batch) -> np.ndarray:
-        """What turns readings into the decoded pose, rotation as length: (pose, K, samples), 0 for none."""
+        """What turns readings into the decoded pose, rotation as length: (pose, K, samples), or no row."""
         base, model = self.base, self.base.model
         if not self.decoded:
             return np.zeros((0, len(model.channels), len(batch)))
@@ -362,26 +293,29 @@ class Accumulator:
         """Eliminate the zeros of a run: they follow the likelihood, also where the output is measured."""
         if not self.open:
             return
-        z, total = self.z, np.sum([u.white for u in self.open], axis=0)
-        own, follow = eliminate(total, z)
+        z = self.z
+        across = np.sum([u.white.border[:z] for u in self.open], axis=0)
+        follow = -solve(across[:, :z], across[:, z:]) if z else np.zeros((0, self.size))
         # candidates are scored, not stepped to: with them nobody asks, and a log may have many runs
         self.follow.append(follow[:, :0] if self.slopes.columns else follow)
-        if len(self.open) == 1:
-            (unit,) = self.open
-            self.done.append(unit._replace(white=own, out=eliminated(unit.out, follow)))
-        else:
-            root = np.linalg.cholesky(pseudo_inverse(total[:z, :z])).T if z else np.zeros((0, 0))
-            self.done += [
-                u._replace(
-                    white=eliminated(u.white, follow),
-                    out=eliminated(u.out, follow),
-                    offsets=root @ (u.white[:z, z:] + u.white[:z, :z] @ follow),
-                )
-                for u in self.open
-            ]
+        whole = len(self.open) == 1
+        root = np.linalg.cholesky(pseudo_inverse(across[:, :z])).T if z and not whole else np.zeros((z, z))
+        for u in self.open:
+            rest = u.white.border[:z, z:] + u.white.border[:z, :z] @ follow
+            white, out = (self._eliminated(p, follow) for p in (u.white, u.out))
+            self.done.append(u._replace(white=white, out=out, offsets=None if whole else root @ rest))
         self.open = []
         if len(self.done) > 2 * UNITS and not self.length:
             self._pool()
+
+    def _eliminated(self, p: Products, follow: np.ndarray) -> Products:
+        """Return products once the zeros follow the other columns as `follow` (zeros, c) says."""
+        z, rows = self.z, self.near[self.z :] - self.z
+        half = p.border[:z, z:] + 0.5 * p.border[:z, :z] @ follow
+        border = p.border[z:, z:] + half[:, rows].T @ follow + follow[:, rows].T @ half
+        i, j = self.pairs
+        inner = (half[:, i] * follow[:, j] + follow[:, i] * half[:, j]).sum(axis=0)
+        return Products(border, p.inner + inner)
 
     def _pool(self) -> None:
         """Pool neighbouring units of the same side."""
@@ -397,20 +331,24 @@ class Accumulator:
     def result(self) -> NormalEquations:
         """Return what has been gathered."""
         self._close()
-        done, self.done = self.done, []  # their memory goes as the arrays are made
-        parts = any(u.offsets is not None for u in done)
+        parts = any(u.offsets is not None for u in self.done)
         none = np.zeros((self.z, self.size - self.z))
         return NormalEquations(
-            np.array([u.white for u in done]),
-            np.array([u.out for u in done]),
-            np.array([u.samples for u in done]),
-            tuple(u.runs for u in done),
+            _stacked([u.white for u in self.done]),
+            _stacked([u.out for u in self.done]),
+            np.array([u.samples for u in self.done]),
+            tuple(u.runs for u in self.done),
             self.span,
+            self.places,
             np.array(self.follow),
             tuple(self.order),
             frozenset(self.slopes.spoiled),
-            np.array([none if u.offsets is None else u.offsets for u in done]) if parts else None,
+            np.array([none if u.offsets is None else u.offsets for u in self.done]) if parts else None,
         )
+
+
+def _stacked(made: Sequence[Products]) -> Products:
+    return Products(np.array([p.border for p in made]), np.array([p.inner for p in made]))
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
