@@ -37,15 +37,18 @@ class Sized:
     reason: str = ""
 
 
-def sized(truth: SimulatedMachine, injection: Injection, ratio: float) -> Sized:
-    """Scale an injection until its noise-free gap with the floor is `ratio` times the floor."""
+def sized(truth: SimulatedMachine, injection: Injection, ratio: float, *, anywhere: bool = False) -> Sized:
+    """Scale an injection until its noise-free gap with the floor is `ratio` times the floor.
+
+    On the held-out runs; `anywhere`: on the fitted runs, or in the readings, where it is larger there.
+    """
     wanted = truth.floor_m * float(np.sqrt(ratio**2 - 1))
     amount, slope, seen = min(injection.start, injection.most), 1.0, [(0.0, 0.0)]
     for _ in range(SEARCH):
         readings = injection.make(amount, 0.0)
         if not np.isfinite(readings).all():
             return Sized(amount, 0.0, "its readings are not finite on this log")
-        gap, raw = truth.gap(readings)
+        gap, raw = truth.gap(readings, anywhere=anywhere)
         hidden = gap < NEAR * raw and raw > truth.floor_m
         if hidden or (amount >= injection.most and gap < (1 - NEAR) * wanted):
             return Sized(amount, gap, _invisible(gap, raw, gap_unit(truth.base.model.pose)))

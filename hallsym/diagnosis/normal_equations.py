@@ -56,13 +56,16 @@ def normal_equations(
     base: Base,
     candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
     length: int | None = None,
+    *,
+    decoded: bool = True,
 ) -> NormalEquations:
     """Read the log once and return the tangents of `candidates`: key -> (extended model, new parameters).
 
     New parameters are taken at their nominal value, where they have no effect. `length`: samples of a unit,
-    where a run is to be several.
+    where a run is to be several. `decoded`: with the products mapped to the pose; a step of a fit has no
+    need of them, and without them they mean nothing.
     """
-    work = Accumulator(base, candidates, length)
+    work = Accumulator(base, candidates, length, decoded=decoded)
     for batch, weights in work.weighed():
         work.add(batch, weights)
     return work.result()
@@ -91,11 +94,12 @@ class Accumulator:
         base: Base,
         candidates: Mapping[str, tuple[Model, Sequence[str]]] | None = None,
         length: int | None = None,
+        *,
+        decoded: bool = True,
     ) -> None:
-        self.base, self.length = base, length
+        self.base, self.length, self.decoded = base, length, decoded
         model = base.model
         self.read = reading_and_derivatives(model)
-        self.gain = decoding_gain(model)
         self.z, self.n = len(base.model.zeros), len(base.free)
         self.slopes = Slopes(base.model, base.p, candidates or {})
         self.models = (base.model, *(model for model, _ in (candidates or {}).values()))
@@ -139,9 +143,9 @@ class Accumulator:
         """Add a batch to the runs that it belongs to."""
         if self.length:
             batch = batch.cut(self.length, self.seen if batch.blocks[0].run == self.run else 0)
-        near, D = self._near(batch, weights)
+        near, D = self._near(batch, weights), self._to_pose(batch)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
-        metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY else D
+        metric = np.einsum("iks,ils->kls", D, D) if len(rows) <= MANY and self.decoded else D
         for first, last in batch.groups(max(1, TOGETHER * MANY // max(len(rows), MANY))):
             lay = batch.layout(first, last)
             own, others = lay(near), [lay(r) for r in rows]
@@ -149,7 +153,7 @@ class Accumulator:
                 white, out = by_candidate(self, own, others, self.precision, lay(metric))
             else:
                 white = self._products(own, others, self.precision[:, :, None, None])
-                out = self._products(own, others, lay(metric))
+                out = self._products(own, others, lay(metric)) if self.decoded else white
             for k, block in enumerate(batch.blocks[first:last]):
                 part = slice(batch.edges[first + k], batch.edges[first + k + 1])
                 count = float(part.stop - part.start if weights is None else weights[part].sum())
@@ -206,11 +210,18 @@ class Accumulator:
             if k != j:
                 into[:, to[:, None], at] += P.swapaxes(1, 2)
 
-    def _near(self, batch: Batch, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Columns of zeros, parameters and residual, (own + 1, K, samples), and what maps them to the pose.
+    def _to_pose(self, batch: Batch) -> np.ndarray:
+        """What turns readings into the decoded pose, rotation as length: (pose, K, samples), or no row."""
+        base, model = self.base, self.base.model
+        if not self.decoded:
+            return np.zeros((0, len(model.channels), len(batch)))
+        pose, state = batch.columns(model.references), batch.columns(model.state)
+        (spread,) = decoding_gain(model)(base.p, pose, state, base.weight)
+        spread = spread.reshape(len(model.channels), len(model.pose), len(batch))
+        return spread.swapaxes(0, 1) * base.pose_weights[:, None, None]
 
-        The second, (pose, K, samples), turns them into the decoded pose, rotation as length.
-        """
+    def _near(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
+        """Columns of zeros, parameters and residual, (own + 1, K, samples)."""
         base, model = self.base, self.base.model
         samples, K, own = len(batch), len(model.channels), self.z + self.n
         pose, state = batch.columns(model.references), batch.columns(model.state)
@@ -222,9 +233,7 @@ class Accumulator:
         A[-1] = np.array(batch.columns(model.channels)) - reading
         if weights is not None:
             A *= np.sqrt(weights)
-        (spread,) = self.gain(base.p, pose, state, base.weight)
-        D = spread.reshape(K, len(model.pose), samples).swapaxes(0, 1) * base.pose_weights[:, None, None]
-        return A, D
+        return A
 
     def whitened(self, batch: Batch, weights: np.ndarray | None) -> np.ndarray:
         """Return all columns [zeros | parameters | candidates | residual], whitened, (c, K, samples)."""
@@ -232,7 +241,7 @@ class Accumulator:
 
     def whitener(self, batch: Batch, weights: np.ndarray | None) -> Callable[[slice], np.ndarray]:
         """Return what gives all columns, whitened, of some samples: of all at once they may be 1 GB."""
-        near, _ = self._near(batch, weights)
+        near = self._near(batch, weights)
         rows = self.slopes.rows(batch, self.base.zeros_of(batch), weights)
 
         def white(part: slice) -> np.ndarray:

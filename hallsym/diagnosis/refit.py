@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,8 +27,8 @@ UNSEEN = 1e-3
 class Refitted:
     """A model fitted on some runs: where it is, its tangents there, and what it leaves.
 
-    `cost`: whitened squares over the fitted runs. `output`: (units,) sums of squared decoded errors.
-    `covariance`: of the free parameters if the residual is white and of unit variance.
+    `cost`: whitened squares over the fitted runs. `covariance`: of the free parameters if the residual is
+    white and of unit variance.
     """
 
     base: Base
@@ -35,10 +36,18 @@ class Refitted:
     fitted: np.ndarray
     cost: float
 
+    @cached_property
+    def decoded(self) -> np.ndarray:
+        """Products of the tangents mapped to the pose, rotation as length: (units, c, c).
+
+        Made when they are asked for: steps on the way to a fit, and fits that are rejected, have no need.
+        """
+        return normal_equations(self.base).output
+
     @property
     def output(self) -> np.ndarray:
         """Sum of squared decoded errors of each unit, rotation as length."""
-        return self.tangents.output[:, -1, -1]
+        return self.decoded[:, -1, -1]
 
     def gap(self, units: np.ndarray) -> float:
         """Return the gap metric over some units."""
@@ -101,7 +110,7 @@ def refit(base: Base, runs: Sequence[int], most: int = MOST) -> Refitted:
     """
 
     def linearised(at: Base) -> Refitted:
-        t = normal_equations(at)
+        t = normal_equations(at, decoded=False)
         units = t.units(runs)
         return Refitted(at, t, units, float(t.likelihood[units, -1, -1].sum()))
 

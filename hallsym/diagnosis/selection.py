@@ -83,7 +83,7 @@ def moved(fit: Refitted, by: np.ndarray) -> float:
     units, model = fit.fitted, fit.base.model
     free = list(fit.base.free)
     step = by[free]
-    O = fit.tangents.output[units].sum(axis=0)[: len(step), : len(step)]
+    O = fit.decoded[units].sum(axis=0)[: len(step), : len(step)]
     mounting = np.array([model.names[k] in model.period for k in free], dtype=bool)
     if mounting.any():
         follow = np.linalg.lstsq(O[np.ix_(mounting, mounting)], O[mounting] @ step, rcond=None)[0]

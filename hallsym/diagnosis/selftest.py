@@ -96,7 +96,7 @@ class Bench:
             every = [i for i in self.injections(repeat) if i.sized and i.name not in FAULTS]
             found: list[tuple[str, np.ndarray]] = []
             for k in rng.permutation(len(every)):
-                size = sized(self.truth, every[k], float(np.hypot(1.0, IMPERFECT)))
+                size = sized(self.truth, every[k], float(np.hypot(1.0, IMPERFECT)), anywhere=True)
                 if not size.reason:
                     found.append((every[k].name, every[k].make(size.amount, 0.0) - self.truth.clean))
                 if len(found) == 2:  # one of them is another than the effect that is injected

@@ -95,12 +95,12 @@ def foreseen(fit: Refitted, groups: Sequence[frozenset[int]]) -> dict[tuple[int,
     """
     t = fit.tangents
     fitted = set(fit.fitted.tolist())
-    out = {t.runs[u]: float(t.output[u, -1, -1]) for u in range(len(t.runs)) if u not in fitted}
+    out = {t.runs[u]: float(fit.output[u]) for u in range(len(t.runs)) if u not in fitted}
     for group in groups:
         tested = [u for u in fit.fitted if not group.isdisjoint(t.runs[u])]
         others = [u for u in fit.fitted if group.isdisjoint(t.runs[u])]
         v = np.append(-inside_bounds(fit.base, t.likelihood[others].sum(axis=0)), 1.0)
-        out |= {t.runs[u]: float(v @ t.output[u] @ v) for u in tested}
+        out |= {t.runs[u]: float(v @ fit.decoded[u] @ v) for u in tested}
     return out
 
 

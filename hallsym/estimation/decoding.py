@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import casadi as ca
 import numpy as np
 
 from hallsym.estimation.parts import by_parts, shared_out, whole_runs
@@ -86,6 +87,8 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
     """
     if len(model.channels) == 1:
         return lambda p, pose, state, weight: [np.ones((1, np.size(pose[0])))]
+    if model.typical and len(model.channels) > len(model.pose) > WRITTEN_OUT:
+        return model.remember("gain of many readings", lambda: _gain_of_many(model))
     if model.typical:
         return model.remember("gain at any pose, on arrays", lambda: on_arrays(model.noise_gain_at))
     still = model.remember("gain at rest, on arrays", lambda: on_arrays(model.noise_gain))
@@ -97,6 +100,35 @@ def decoding_gain(model: Model) -> Callable[..., list[np.ndarray]]:
         return [np.broadcast_to(still(p, state, weight)[0].reshape(size, 1), (size, np.size(pose[0])))]
 
     return same
+
+
+WRITTEN_OUT = 3
+"""Coordinates whose equations are solved in the expression itself, by Cramer's rule; of more, in numbers."""
+
+
+def _gain_of_many(model: Model) -> Callable[..., list[np.ndarray]]:
+    """Return the same for more readings than coordinates: least squares in numbers, not in expressions.
+
+    Written out, the solution of six equations and its products with all readings are most of the graph.
+    """
+    s = model.symbols
+    reading = ca.substitute(s.full(s.reading), s.zeros, ca.SX.zeros(len(model.zeros)))
+    slope = on_arrays(
+        ca.Function("slope", [s.parameters, s.pose, s.state], [ca.densify(ca.jacobian(reading, s.pose))])
+    )
+
+    def gain(p: np.ndarray, pose: list, state: list, weight: np.ndarray) -> list[np.ndarray]:
+        (flat,) = slope(p, pose, state)
+        J = flat.reshape(len(model.pose), len(model.channels), -1).transpose(2, 0, 1)  # (samples, pose, K)
+        weighted = J * weight
+        normal = weighted @ J.swapaxes(1, 2)
+        try:
+            found = np.linalg.solve(normal, weighted)
+        except np.linalg.LinAlgError:  # where no reading sees a coordinate
+            found = np.linalg.pinv(normal) @ weighted
+        return [found.transpose(2, 1, 0).reshape(len(model.channels) * len(model.pose), -1)]
+
+    return gain
 
 
 def knows_rails(model: Model) -> bool:

@@ -85,7 +85,7 @@ def on_arrays(function: ca.Function, real: type = float) -> Callable[..., list[n
     def evaluated(inputs: Sequence[Sequence], shape: tuple[int, ...]) -> list[np.ndarray]:
         work: list = [None] * function.sz_w()
         out: list[list] = [[0.0] * n for n in rows]
-        for kind, op, a, b, target in program:
+        for kind, op, a, b, target in zip(*program, strict=True):
             if kind == "binary":
                 work[target] = op(work[a], work[b])
             elif kind == "unary":
@@ -142,10 +142,11 @@ def on_vectors(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     return run
 
 
-def _compile(function: ca.Function, real: type) -> list[tuple]:
-    """Return each instruction as kind, operation, two places it reads and the one it writes.
+def _compile(function: ca.Function, real: type) -> tuple[list, ...]:
+    """Return of all instructions the kind, the operation, two places they read and the one they write.
 
-    The numbers of places are shared: a graph has hundreds of thousands of instructions.
+    A list of each, and the numbers of places are shared: a graph has hundreds of thousands of instructions,
+    and the many graphs of a diagnosis are most of its memory.
     """
     program: list[tuple] = []
     most = max(function.sz_w(), function.nnz_in(), function.nnz_out())
@@ -164,7 +165,7 @@ def _compile(function: ca.Function, real: type) -> list[tuple]:
             program.append(("unary", UNARY[code], of[i[0]], 0, of[o[0]]))
         else:
             raise NotImplementedError(f"operation {code} of {function.name()} has no array form")
-    return program
+    return tuple(list(values) for values in zip(*program, strict=True))
 
 
 def _stack(entries: list, shape: tuple[int, ...]) -> np.ndarray:

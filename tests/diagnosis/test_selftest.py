@@ -9,6 +9,7 @@ import pytest
 from gap_twins import Inject, Motion, U, gains, machine
 
 import hallsym
+from hallsym import NoiseModel
 from hallsym.cli.main import main
 from hallsym.diagnosis import (
     NO_EFFECT,
@@ -32,10 +33,13 @@ from hallsym.diagnosis import (
 )
 from hallsym.families import effects
 from hallsym.families.faults import ages
+from hallsym.families.halbach.models import FAMILY as HALBACH
+from hallsym.families.halbach.models import halbach
 from hallsym.families.stage import FAMILY as STAGE_FAMILY
 from hallsym.log import Log, Noise
 from hallsym.report.figures import save_detection
 from hallsym.report.text.selftest import selftest_text
+from hallsym.simulation import campaign_from
 
 CATALOGUE = tuple(e for e in effects(STAGE_FAMILY).values() if e.diagnosed)
 FLOOR = 1.4e-6
@@ -92,6 +96,21 @@ def test_a_linear_effect_doubles_with_its_parameters() -> None:
     assert effect.size(0.2)["even_nonlinearity2_A"][0] == pytest.approx(
         2 * effect.size(0.1)["even_nonlinearity2_A"][0]
     )
+
+
+def test_an_imperfection_is_small_in_the_readings_too_and_on_all_runs() -> None:
+    """An offset that three columns a third of a wavelength apart have in common moves no decoded pose."""
+    model, noise = halbach(), dict.fromkeys(("col_0_v", "col_1_v", "col_2_v"), 1e-3)
+    noise |= {"x_ref_m": 1e-7, "z_ref_m": 1e-7}
+    campaign = campaign_from({**HALBACH.example.campaign, "step_s": 0.02}, "the example")
+    made = hallsym.simulate(model, HALBACH.example.values, campaign, NoiseModel(noise), seed=1)
+    log = Log.from_arrays(made, Noise.given(noise, tuple(made)))
+    truth = machine_of(prepare(log, model, holdout=[1]).base, FLOOR)
+    drift = 2e-3 * (truth.columns["run"] != 1)
+    gap, _ = truth.gap(truth.clean + drift)
+    anywhere, _ = truth.gap(truth.clean + drift, anywhere=True)
+    assert anywhere == pytest.approx(FLOOR * 2e-3 / 1e-3, rel=0.01)
+    assert gap < 0.01 * anywhere
 
 
 def test_what_cannot_be_seen_says_why() -> None:

@@ -158,7 +158,7 @@ def rigid(s: Signals, p: Mapping[str, ca.SX]) -> Callable[[tuple[ca.SX, ...]], t
 def field(s: Signals, p: Mapping[str, ca.SX], layout: Layout) -> None:
     """Set the field at each channel: harmonics 1 and 5 of its array along its sensors' axes."""
     s["rigid"] = rigid(s, p)
-    s["seen"] = lambda k: seen_by(s, p, layout, k)
+    s["seen"] = cache(lambda k: seen_by(s, p, layout, k))
     s["harmonic"] = lambda k, h, a, b: harmonic(s, k, h, a, b)
     s["crest"], s["amplitude"] = ca.SX(0), p["a1"]
     rows = []

@@ -83,4 +83,11 @@ def _sentences(found: PeriodicError, noun: str, factor: float, unit: str, over: 
     ]
     if found.slope:
         lines.append(f"the scale of the reference differs by {100 * found.slope:+.2g} %; left out above")
-    return [*lines, f"does not repeat, and is part of every rms: {factor * found.rest:.2g} {unit} (noise)"]
+    rest, after = (f"{factor * size:.2g} {unit}" for size in (found.rest, found.rest_calibrated))
+    if rest == after:
+        return [*lines, f"does not repeat, and is part of every rms: {rest} (noise)"]
+    return [
+        *lines,
+        f"does not repeat, and is part of every rms: {rest} with nominal parameters, {after} (noise) with "
+        "this calibration",
+    ]

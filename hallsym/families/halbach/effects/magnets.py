@@ -3,12 +3,13 @@
 What is fixed to the mover repeats from run to run and moves with x; what is fixed to the board does not.
 """
 
+from functools import cache
 from math import pi
 
 import casadi as ca
 import numpy as np
 
-from hallsym.families.halbach.layout import arrays, sensors
+from hallsym.families.halbach.layout import Array, arrays, sensors
 from hallsym.families.halbach.links import Seen
 from hallsym.families.mechanisms import P, free
 from hallsym.model import Facts, Model, Parameter, Signals, Way, effect
@@ -66,25 +67,34 @@ def magnet_fields(
 
 def _of_element(s: Signals, e: Seen, which: list[int]) -> dict[int, tuple[ca.SX, ca.SX]]:
     array, n = e.array, e.array.magnets_per_period
-    q, pitch = array.wavenumber, array.wavelength_m / n
-    filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-q * array.height))
-    size = s["amplitude"] * np.exp(q * array.level_m) / filled / (2 * pi)
+    if not which:
+        return {}
+    filled = np.sin(pi / n) / (pi / n) * (1 - np.exp(-array.wavenumber * array.height))
+    size = s["amplitude"] * np.exp(array.wavenumber * array.level_m) / filled / (2 * pi)
+    pairs = _magnets(array, tuple(which))(e.u - s["crest"], e.height, e.up, e.along, size)
+    return dict(zip(which, zip(*map(ca.vertsplit, pairs), strict=True), strict=True))
+
+
+@cache
+def _magnets(array: Array, which: tuple[int, ...]) -> ca.Function:
+    """`(u, height, up, along, size) -> stronger, turned`: of each magnet; made once, it is called often."""
+    u, height, up, along, size = symbols = [ca.SX.sym(n) for n in ("u", "height", "up", "along", "size")]
+    n = array.magnets_per_period
     corners = []
     for edge in (*which, which[-1] + 1):
-        away = e.u - s["crest"] - (edge - 0.5) * pitch
-        low, high = (away**2 + g**2 for g in (e.height, e.height + array.height))
-        turn = ca.atan2(away, e.height + array.height) - ca.atan2(away, e.height)  # less a constant
+        away = u - (edge - 0.5) * array.wavelength_m / n
+        low, high = (away**2 + g**2 for g in (height, height + array.height))
+        turn = ca.atan2(away, height + array.height) - ca.atan2(away, height)  # less a constant
         corners.append((ca.log(high / low) / 2, turn))
-    out = {}
+    stronger, turned = [], []
     for j, i in enumerate(which):
         re, im = (corners[j][c] - corners[j + 1][c] for c in (0, 1))
         angle = pi / 2 - 2 * pi / n * i  # of the magnet's direction from the period's axis
         cos, sin = np.cos(angle), np.sin(angle)
         real, imag = cos * re - sin * im, sin * re + cos * im  # of m Q: Bw and Bu times 2 pi
-        stronger = size * (e.up * real + e.along * imag)
-        turned = size * (-e.up * imag + e.along * real)
-        out[i] = stronger, turned
-    return out
+        stronger.append(size * (up * real + along * imag))
+        turned.append(size * (-up * imag + along * real))
+    return ca.Function("magnets", symbols, [ca.vertcat(*stronger), ca.vertcat(*turned)])
 
 
 def _of_magnets(model: Model, name: str, part: int, meaning: str, unit: str) -> Model:
