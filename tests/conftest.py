@@ -3,6 +3,7 @@
 Output has the width of a pipe, none, whatever the terminal that the tests are started from.
 """
 
+import gc
 import os
 from collections.abc import Iterator
 
@@ -13,6 +14,12 @@ from hallsym.cli import progress
 
 settings.register_profile("hallsym", deadline=None, derandomize=True)
 settings.load_profile("hallsym")
+
+
+def pytest_collection_finish() -> None:
+    """Leave out what lives as long as the tests, modules and items, of every later search for garbage."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

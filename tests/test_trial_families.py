@@ -167,7 +167,7 @@ def test_the_waves_of_an_error_over_x_are_counted():
     assert "waves per period of x [um]" in diagnosis_text(found)
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("axis", [pytest.param("x", marks=pytest.mark.slow), "y"])
 def test_a_wave_of_error_is_found_over_its_own_coordinate(axis):
     """Of two periodic coordinates one has a second harmonic, by the array along it."""
     model = PLANE.models[0]()

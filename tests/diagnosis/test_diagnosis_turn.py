@@ -66,6 +66,7 @@ def test_a_knot_that_is_a_spike_is_judged_among_its_neighbours(of_a_table, direc
     assert found.metric.after < 1.3 * of_a_table.metric.after
 
 
+@pytest.mark.slow
 def test_a_table_is_taken_apart_by_its_waves(of_a_table):
     """One, two and four waves a turn by causes that make them, the stepper's pattern by the reference."""
     d = of_a_table
@@ -115,7 +116,8 @@ def test_waves_of_no_known_cause_are_no_cause():
     assert (d.verdict, d.effects) == ("unexplained", ())
 
 
-@pytest.mark.parametrize("model", ["rotary", pytest.param("rotary_ideal", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["rotary", "rotary_ideal"])
 def test_an_overdriven_input_is_clipping_beside_latency_and_a_short_reference(model):
     """As of a resolver: 4x of 8 deg by the rails, 34 ms from forward against backward, 0.86 deg in a turn."""
     d = diagnose(overdriven(0.654, 0.034, -0.0024), model)

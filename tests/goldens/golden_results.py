@@ -301,7 +301,7 @@ COMMANDS: dict[str, Golden] = {
     "tolerances": Golden(command("tolerances", "--samples", "64"), "json"),
     "selftest": Golden(
         command("selftest", ENCODER, "--effects", "hysteresis,time_skew", "--sizes", "1.5", "--quick"),
-        "diagnosis",
+        "diagnosis", slow=True,
     ),
     "selftest_stage": Golden(
         on_log(

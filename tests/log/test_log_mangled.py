@@ -26,6 +26,12 @@ def columns() -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
+def files(columns: dict[str, np.ndarray]) -> dict[str, tuple[str, bytes]]:
+    """Name of a file and its bytes, by what is mangled."""
+    return variants(columns)
+
+
+@pytest.fixture(scope="module")
 def usual(columns: dict[str, np.ndarray]) -> Fit:
     """The fit of the same arrays."""
     return fit(Log.from_arrays(columns), "stage31", solver="direct")
@@ -41,9 +47,13 @@ def _names() -> list[str]:
 
 @pytest.mark.parametrize("name", _names())
 def test_mangled_text_is_the_same_log(
-    tmp_path: Path, columns: dict[str, np.ndarray], usual: Fit, name: str
+    tmp_path: Path,
+    columns: dict[str, np.ndarray],
+    files: dict[str, tuple[str, bytes]],
+    usual: Fit,
+    name: str,
 ) -> None:
-    file, data = variants(columns)[name]
+    file, data = files[name]
     path = tmp_path / file
     path.write_bytes(data)
     log = read_log(path)
@@ -80,14 +90,14 @@ def test_a_workbook_with_several_tables_asks_which(tmp_path: Path) -> None:
         read_log(tmp_path / "log.xlsx", sheet="Munday")
 
 
-def test_what_was_recognised_is_said_in_one_line(tmp_path: Path, columns: dict[str, np.ndarray]) -> None:
+def test_what_was_recognised_is_said_in_one_line(tmp_path: Path, files: dict[str, tuple[str, bytes]]) -> None:
     for name, words in {
         "utf-16": ("UTF-16", "semicolons", "decimal comma", "names in line 1 with units in line 2"),
         "lines above the names": ("names in line 4", "2 lines above them not used"),
         "words below": ("the last 3 lines left out ('End of measurement: 60 s')",),
         "thousands": ("decimal comma and '.' between thousands",),
     }.items():
-        file, data = variants(columns)[name]
+        file, data = files[name]
         (tmp_path / file).write_bytes(data)
         (note,) = read_log(tmp_path / file).notes
         assert all(word in note for word in words), note
