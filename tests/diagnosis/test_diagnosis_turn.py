@@ -79,6 +79,7 @@ def test_a_table_is_taken_apart_by_its_waves(of_a_table):
     assert np.degrees(d.metric.after) < 0.02
 
 
+@pytest.mark.slow
 def test_no_cause_is_many_times_as_large_as_the_error(of_a_table):
     """Offset and eccentricity of the reference, 8 deg each against each other, would fit as well."""
     for e in of_a_table.effects:
@@ -87,6 +88,7 @@ def test_no_cause_is_many_times_as_large_as_the_error(of_a_table):
                 assert abs(p.value) < 2 * 1.3 * DEG, (e.name, name, p.value)
 
 
+@pytest.mark.slow
 def test_waves_are_what_was_put_in(of_a_table):
     """Amplitudes to what the noise leaves (0.01 deg over 200 knots: 1.4 mdeg of standard deviation)."""
     found = {w.per_turn: w for w in of_a_table.waves}
@@ -131,6 +133,7 @@ def test_an_overdriven_input_is_clipping_beside_latency_and_a_short_reference(mo
     assert abs(found["reference_scale_error"]["scale"]) == pytest.approx(0.0024, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_the_same_delay_is_called_by_its_usual_name():
     """At one speed a delay and a low-pass are the same: one group, the delay first."""
     d = diagnose(overdriven(None, 0.034, -0.0024), "rotary")
@@ -180,6 +183,7 @@ def test_all_folds_but_one_leave_nothing_where_nothing_is():
     assert others(folds)[5, 2, 2] == 0.0
 
 
+@pytest.mark.slow
 def test_a_table_without_time_speaks_of_no_time(of_a_table):
     """Neither of seconds, runs and delays, although a counter stands for time."""
     said = re.sub(r"computed in .* s\.", "", diagnosis_text(of_a_table))

@@ -130,7 +130,9 @@ def stated(part: float) -> Noise:
 NOISES = {"white": {}, "correlated": {"correlation_s": 0.1}, "heavy": {"degrees_of_freedom": 4.0}}
 
 
-@pytest.mark.parametrize("kind", NOISES)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=pytest.mark.slow if k == "white" else ()) for k in NOISES]
+)
 @settings(max_examples=2, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**31))
 def test_residuals_that_are_only_noise_get_no_statement(kind: str, seed: int) -> None:

@@ -100,6 +100,7 @@ def test_a_gap_is_not_taken_for_noise(inject: Inject) -> None:
     assert d.verdict == "unexplained"
 
 
+@pytest.mark.slow
 def test_an_effect_beside_larger_noise_is_explained() -> None:
     def cubic(m: Motion, _: np.random.Generator) -> None:
         m.reading = m.reading * (1 + 4e5 * m.reading**2)

@@ -393,6 +393,7 @@ def apart(log: Log, held: np.ndarray) -> Log:
     return Log.from_arrays({"run": held[order].astype(int), **columns})
 
 
+@pytest.mark.slow
 def test_recorded_encoders_calibrate_to_what_their_reference_repeats():
     """AS5047D on stepper motors: held-out knots keep what knots keep that were fitted themselves.
 
