@@ -3,6 +3,7 @@
 Output has the width of a pipe, none, whatever the terminal that the tests are started from.
 """
 
+import gc
 import os
 from collections.abc import Iterator
 
@@ -11,8 +12,17 @@ from hypothesis import settings
 
 from hallsym.cli import progress
 
-settings.register_profile("hallsym", deadline=None, derandomize=True)
+MANY = 100 if os.environ.get("CI") == "true" else 40
+"""Examples of a property whose test states no number: the first of the same sequence."""
+
+settings.register_profile("hallsym", deadline=None, derandomize=True, max_examples=MANY)
 settings.load_profile("hallsym")
+
+
+def pytest_collection_finish() -> None:
+    """Leave out what lives as long as the tests, modules and items, of every later search for garbage."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

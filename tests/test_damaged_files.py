@@ -16,7 +16,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     return Workshop(tmp_path_factory.mktemp("damaged"))
 
 
-@settings(max_examples=120)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10**9), name=st.sampled_from(sorted(READERS)))
 def test_a_damaged_file_is_refused_or_says_what_it_is(workshop: Workshop, seed: int, name: str) -> None:
     outcome = workshop.case(READERS[name], seed)

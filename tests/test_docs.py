@@ -37,11 +37,12 @@ LISTED = (
     "data/encoder/README.md",
 )  # fmt: skip
 LONG = {
-    "budget", "concepts", "controller", "diagnose", "encoder", "fleet", "halbach", "howto", "logs", "plan",
-    "report", "rotary", "selftest", "sensitivity", "stage", "tolerances", "trajectory", "watch",
+    "budget", "campaign", "codegen", "concepts", "controller", "diagnose", "encoder", "fleet", "halbach",
+    "howto", "logs", "plan", "report", "rotary", "selftest", "sensitivity", "sorting", "stage", "tolerances",
+    "trajectory", "watch",
 }  # fmt: skip
-"""Pages whose examples take more than 2 s of a processor: they run with the slow tests; what they name is
-always looked up."""
+"""Pages whose examples take more than a second of a processor: they run with the slow tests; what they name
+is always looked up."""
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COMMANDS = (
     "demo",

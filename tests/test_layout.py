@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -30,18 +31,24 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-def imported(name: str) -> set[str]:
+@cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Return all nodes of a module."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@cache
+def imported(name: str) -> frozenset[str]:
     """Return the modules of the house that a module imports, type checking and functions included."""
-    tree = ast.parse(MODULES[name].read_text(encoding="utf-8"))
     out = set()
-    for node in ast.walk(tree):
+    for node in nodes(MODULES[name]):
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
                 out.add(whole if whole in MODULES else node.module)
         elif isinstance(node, ast.Import):
             out |= {alias.name for alias in node.names}
-    return {m for m in out if m in MODULES and m != name}
+    return frozenset(m for m in out if m in MODULES and m != name)
 
 
 def package(name: str) -> str | None:
@@ -98,9 +105,8 @@ def test_no_module_runs_away() -> None:
 
 def code_with_family_names(path: Path) -> list[str]:
     """Return the names in a module that belong to one family; what is said to people does not count."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     words = []
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.Name | ast.FunctionDef | ast.ClassDef | ast.arg | ast.alias | ast.Attribute):
             words.append(getattr(node, "id", None) or getattr(node, "attr", None)
                          or getattr(node, "arg", None) or node.name)  # fmt: skip

@@ -96,7 +96,7 @@ def changed(data: Any, path: tuple[Any, ...], value: Any) -> Any:
 def test_what_a_schema_refuses_is_refused_in_one_sentence(kind, tmp_path):
     check, record = validator(kind), records(kind)[0]
     tried = refused = 0
-    for path in list(places(record))[:: 11 if kind == "calibration" else 3]:
+    for path in list(places(record))[:: 23 if kind == "calibration" else 3]:
         for value in (..., "no", -1.5, {}, None):
             data = changed(record, path, value)
             tried += 1

@@ -29,6 +29,8 @@ BOX = {
     | dict.fromkeys(("rx_rad", "ry_rad", "rz_rad"), (-5e-3, 5e-3)),
 }
 each_trial = pytest.mark.parametrize("family", TRIALS, ids=str)
+one_trial = pytest.mark.parametrize("family", [ARRAY, pytest.param(PLANE, marks=pytest.mark.slow)], ids=str)
+"""Where two take another path through the house no more than one."""
 each_family = pytest.mark.parametrize("family", [*FAMILIES, *TRIALS], ids=str)
 
 
@@ -167,7 +169,7 @@ def test_the_waves_of_an_error_over_x_are_counted():
     assert "waves per period of x [um]" in diagnosis_text(found)
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("axis", [pytest.param("x", marks=pytest.mark.slow), "y"])
 def test_a_wave_of_error_is_found_over_its_own_coordinate(axis):
     """Of two periodic coordinates one has a second harmonic, by the array along it."""
     model = PLANE.models[0]()
@@ -182,7 +184,7 @@ def test_a_page_of_a_fit_is_drawn(family):
     assert fit_page(log, fit).startswith("<!doctype html>")
 
 
-@each_trial
+@one_trial
 def test_pictures_of_a_fit_are_drawn(family, tmp_path):
     from hallsym.report.figures import save_pictures
 
@@ -211,7 +213,7 @@ def test_a_position_has_an_uncertainty(family):
     assert np.isfinite(found.expanded).all()
 
 
-@each_trial
+@one_trial
 def test_a_tolerance_has_a_worth(family):
     pytest.importorskip("SALib")
     model = family.models[0]().with_parameters({n: {"nominal": v} for n, v in family.example.values.items()})

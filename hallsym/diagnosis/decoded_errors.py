@@ -11,7 +11,7 @@ from hallsym.estimation.decoding import columns_of, nominal_variance, pose_error
 from hallsym.log import Block
 from hallsym.log.batches import Weigh, batches
 from hallsym.log.derived import extended
-from hallsym.log.phase import designed
+from hallsym.log.phase import decoding, designed
 
 BLOCKS = 400
 """Blocks that a log is cut into for resampling, none shorter than 50 samples."""
@@ -106,28 +106,31 @@ def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
     bases = [base for base in (plain, model, after) if base is not None]
     orders = [n for n in sorted({*range(1, FIRST + 1), *known}) if 2 * n <= model.log.rows]
     periodic = [k for k, c in enumerate(pose) if c in model.model.period]
-    sizes = [_amplitudes(base, periodic, orders) for base in bases] if periodic else []
+    found = [_amplitudes(base, periodic, orders) for base in bases] if periodic else []
     out = []
     for j, k in enumerate(periodic):
-        largest = max(float(s[j].max(initial=0.0)) for s in sizes)
-        for n, amplitudes in zip(orders, np.array([s[j] for s in sizes]).T.tolist(), strict=True):
+        plainly = decoding(found[0][1][j], found[1][1][j])
+        sizes = np.array([size[j] for size, _ in found[0 if plainly else 1 :]])
+        largest = float(sizes.max(initial=0.0))
+        for n, amplitudes in zip(orders, sizes.T.tolist(), strict=True):
             if max(amplitudes) >= SHOWN * largest > 0:
-                own, left, *rest = amplitudes
+                own, left, *rest = amplitudes if plainly else (None, *amplitudes)
                 name = pose[k] if len(pose) > 1 else ""
                 out.append(Waves(n, own, left, rest[0] if rest else None, known.get(n, ()), name))
     return tuple(out)
 
 
-def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> np.ndarray:
-    """Amplitudes of waves of the decoded error of each periodic coordinate over its own period, SI.
+def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitudes of waves of the decoded error of each periodic coordinate over its own period; the rest, SI.
 
-    Shape (periodic, orders); fitted together, over all samples of the log. 0 where the log does not cover the
-    period.
+    Amplitudes (periodic, orders), fitted together, over all samples of the log; 0 where the log does not
+    cover the period. Rest (periodic,): rms of the error without them.
     """
     model, decode = base.model, errors_of(base)
     columns = [model.references[k] for k in periodic]
     size = 1 + 2 * len(orders)
     M, b = np.zeros((len(columns), size, size)), np.zeros((len(columns), size))
+    squares = np.zeros(len(columns))
     for batch in batches(extended(base.log, model, base.sigma, base.values), columns_of(model)):
         weights = batch.weights(base.keep)
         for block, at in batch.parts():
@@ -138,9 +141,12 @@ def _amplitudes(base: Base, periodic: Sequence[int], orders: Sequence[int]) -> n
                 wx = x if weights is None else x * weights[at]
                 M[j] += wx @ x.T
                 b[j] += wx @ errors[k]
-    out = np.zeros((len(columns), len(orders)))
+                squares[j] += wx[0] @ errors[k] ** 2
+    out, rest = np.zeros((len(columns), len(orders))), np.zeros(len(columns))
     for j in range(len(columns)):
         long = [0, *(1 + n + k * len(orders) for k in (0, 1) for n in range(min(LONG, len(orders))))]
         if np.linalg.eigvalsh(M[j][np.ix_(long, long)])[0] > COVERED * M[j, 0, 0]:
-            out[j] = np.hypot(*np.linalg.lstsq(M[j], b[j], rcond=1e-9)[0][1:].reshape(2, -1))
-    return out
+            solved = np.linalg.lstsq(M[j], b[j], rcond=1e-9)[0]
+            out[j] = np.hypot(*solved[1:].reshape(2, -1))
+            rest[j] = np.sqrt(max(squares[j] - b[j] @ solved, 0.0) / M[j, 0, 0])
+    return out, rest

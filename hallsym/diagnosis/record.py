@@ -241,13 +241,14 @@ class Separation:
 class Waves:
     """Amplitude of the harmonic of the error that repeats `per_turn` times per period of a coordinate. SI.
 
-    `designed`: of the nominal sensor, only its zeros fitted; `model`: of the diagnosed model; `after`: with
+    `designed`: of the nominal sensor, only its zeros fitted, None where nominal parameters do not decode the
+    readings; `model`: of the diagnosed model; `after`: with
     the effects that were found, None where there are none. `causes`: effects of the catalogue that make this
     harmonic. `coordinate`: of a pose of several coordinates, the one that is periodic.
     """
 
     per_turn: int
-    designed: float
+    designed: float | None
     model: float
     after: float | None
     causes: tuple[str, ...]
@@ -256,7 +257,7 @@ class Waves:
     @property
     def absorbed(self) -> bool:
         """Whether the model's own parameters absorb most of it, so no effect can be told from them."""
-        return self.model < 0.5 * self.designed
+        return self.designed is not None and self.model < 0.5 * self.designed
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,9 @@ from hallsym.model.arrays import on_arrays
 from hallsym.units import readable
 
 CHUNK = 65_536
+LOST = 2.0
+"""Where calibration makes what does not repeat smaller by more than this factor, that is no noise: the
+nominal parameters do not decode the readings (their circle does not go round the nominal centre, say)."""
 
 
 def wrapped(values: np.ndarray, period: float) -> np.ndarray:
@@ -47,6 +50,15 @@ def designed(model: Model, p: np.ndarray) -> np.ndarray:
     if these.any() and (p[these] * out[these] > 0).all():
         out[these] *= np.exp(np.log(p[these] / out[these]).mean())
     return out
+
+
+def decoding(rest: float, calibrated: float) -> bool:
+    """Return whether nominal parameters decode readings at all.
+
+    `rest`, `calibrated`: rms of the decoded error that does not repeat over the period, with the nominal and
+    with the fitted parameters.
+    """
+    return not rest > LOST * calibrated
 
 
 def near(model: Model, pose: np.ndarray, reference: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:

@@ -10,6 +10,7 @@ from hallsym.units import parameter_unit, readable, scaled, typeset
 
 LEVEL = 1e-6
 """Vertical positions [m, rad] closer than this are one setting."""
+NOT_DECODED = "the nominal parameters do not decode these readings"
 MINUS = "\N{MINUS SIGN}"
 
 

@@ -220,7 +220,7 @@ def test_a_log_that_leaves_parameters_open_exits_with_3(capsys, here, tmp_path):
 
 
 def test_pictures_are_written(capsys, here, tmp_path):
-    said = ran(capsys, "calib.json", "log.csv", "--plots", str(tmp_path / "new"))
+    said = ran(capsys, "calib.json", "log.csv", "--plots", str(tmp_path / "new"), "--plot-formats", "png")
     for name in ("budget.png", "uncertainty_map.png"):
         assert f"wrote {tmp_path / 'new' / name}" in said
         assert (tmp_path / "new" / name).stat().st_size > 10_000
@@ -286,7 +286,7 @@ def curve(here: Fit) -> str:
 
 def test_a_budget_file_takes_a_curve(capsys, curve, tmp_path):
     capsys.readouterr()
-    said = ran(capsys, PUBLISHED, "--curve", curve, "--plots", str(tmp_path))
+    said = ran(capsys, PUBLISHED, "--curve", curve, "--plots", str(tmp_path), "--plot-formats", "png")
     assert "control points are enough: the curve adds at most 2 %" in said
     assert "instead of 500.9 nm" in said
     assert (tmp_path / "curve_worth.png").exists()

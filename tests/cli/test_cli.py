@@ -462,7 +462,10 @@ def test_ctrl_c_in_the_global_stage_keeps_the_best_so_far(capsys, written, tmp_p
 
 
 @pytest.mark.skipif(not CASES.exists(), reason="the independent cases are not beside this checkout")
-@pytest.mark.parametrize("case", [f"dev_{k:03d}" for k in range(1, 16)])
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(f"dev_{k:03d}", marks=pytest.mark.slow if k % 5 else ()) for k in range(1, 16)],
+)
 def test_independent_campaigns(capsys, case):
     """Errors on held-out runs are those of the base model's best fit, computed independently."""
     label = json.loads((CASES / "labels.json").read_text())[case]

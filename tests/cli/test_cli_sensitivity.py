@@ -108,10 +108,11 @@ def test_a_plan_by_model_and_by_calibration(folder, capsys):
 
 
 def test_pictures_are_written(folder, capsys, tmp_path):
-    code, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", "--plots", tmp_path / "p")
+    words = ("--plots", tmp_path / "p", "--plot-formats", "svg")
+    code, out, _ = run(capsys, folder / "calib.json", folder / "log.csv", *words)
     assert code == 0
     written = sorted(p.name for p in (tmp_path / "p").iterdir())
-    assert "correlation.png" in written
+    assert "correlation.svg" in written
     assert all(f"{tmp_path / 'p' / name}" in out for name in written)
 
 

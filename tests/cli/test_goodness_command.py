@@ -62,6 +62,7 @@ def test_the_right_model_is_no_news(capsys):
     assert "goodness of fit: cost per degree of freedom 1.01" in out
 
 
+@pytest.mark.slow
 def test_the_next_command_runs_as_it_is_printed(capsys, plain):
     words = shlex.split(load_fit(plain).goodness.next_command)
     code, out, _ = run(capsys, *words[1:])

@@ -44,7 +44,8 @@ def run(capsys, *arguments) -> tuple[int, str, str]:
 
 def test_a_plan_is_written_simulated_fitted_and_continued(capsys, ranges, tmp_path):
     campaign, log = tmp_path / "next.toml", tmp_path / "log.csv"
-    code, out, err = run(capsys, "plan", ranges(), "-o", campaign, "--plots", tmp_path / "pictures")
+    pictures = ("--plots", tmp_path / "pictures", "--plot-formats", "png")
+    code, out, err = run(capsys, "plan", ranges(), "-o", campaign, *pictures)
     assert (code, err) == (0, "")
     assert "8 runs of 1 s" in out
     assert "Table 6" in out

@@ -147,7 +147,7 @@ def instruction(compiler):
     return ["-mfma"] if info.exists() and re.search(r"\bfma\b", info.read_text()) else []
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("compiler", ["gcc", pytest.param("clang", marks=pytest.mark.slow)])
 def test_the_same_bits_with_and_without_the_instruction(folder, tmp_path, compiler):
     need(compiler)
     for options in {(), tuple(instruction(compiler))}:

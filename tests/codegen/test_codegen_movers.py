@@ -20,6 +20,9 @@ from hallsym.families.halbach.layout import Array, Sensor
 from hallsym.families.halbach.planar import halbach_planar
 from hallsym.model import on_arrays
 
+pytestmark = pytest.mark.slow
+"""C that takes 15 s to generate: travel in one coordinate, and six without it, are always tested."""
+
 VALUES = {"a1": 0.62, "a5": -6e-4, "edges": 1.0, "rx0": 1e-3, "ry0": -2e-3, "rz0": 5e-4, "x0": 1e-3}
 CENTRES = {"X1": (-0.06, 0.07), "X2": (0.06, -0.07), "Y1": (0.07, 0.06), "Y2": (-0.07, -0.06)}
 REACH, GAPS, TILT = 0.03, (0.004, 0.007), 0.005
@@ -70,7 +73,6 @@ def stepped(inputs):
     return made().backend.step(np.clip(inputs, low, high).astype(np.float32))
 
 
-@pytest.mark.slow
 def test_readings_give_six_coordinates_back_over_all_of_the_board():
     pose = poses(4000)
     near = LENGTH * np.random.default_rng(1).uniform(-0.25, 0.25, (2, 4000))
@@ -106,7 +108,6 @@ def test_the_reference_is_least_squares_over_all_readings():
     assert np.abs(made().decoupler.exact(inputs_of(pose)) - pose).max() < 1e-9
 
 
-@pytest.mark.slow
 def test_the_decoder_of_the_model_gives_the_same():
     """hallsym's own decoder: weighted least squares of the finite field, from its own start."""
     fit, pose = fit_of(), poses(150)
@@ -126,7 +127,6 @@ def test_stated_errors_hold_and_rounding_is_small():
         assert code.bounds.error[column] < (1e-7 if column.endswith("_m") else 1e-6)
 
 
-@pytest.mark.slow
 def test_rounding_stays_within_its_bound():
     """The same arithmetic in float32 and in double."""
     single, double = made().backend, hallsym.generate(fit_of(), accuracy=5e-6, double=True).backend
@@ -157,7 +157,6 @@ def test_whatever_the_bits_the_pose_is_finite():
     assert np.isfinite(found).all()
 
 
-@pytest.mark.slow
 def test_integers_are_refused_in_one_sentence():
     with pytest.raises(InputError, match="use float"):
         hallsym.generate(fit_of(), arithmetic="q31")
@@ -183,7 +182,6 @@ MOST = 4000
 """Instructions of any call, 24 sums."""
 
 
-@pytest.mark.slow
 def test_instructions_and_bits_on_a_cortex_m4f(tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm", "make")
     made().write(tmp_path / "fw")
@@ -192,7 +190,6 @@ def test_instructions_and_bits_on_a_cortex_m4f(tmp_path):
     assert ran(tmp_path / "fw", "make", "qemu").count("as stated") == 2
 
 
-@pytest.mark.slow
 def test_arrays_that_end_beyond_all_sensors_are_decoded_as_fixed_patches():
     code = hallsym.generate(fit_of(length=12 * LENGTH, reach=0.01), accuracy=2e-5)
     assert "COVER" not in [flag.name for flag in code.decoupler.flags]

@@ -178,8 +178,8 @@ def test_another_order_of_operations_is_refused_where_the_compiler_tells(image, 
         ran(image, compiler, *COMPILED, *flags)
 
 
-HARMLESS = [(c, f) for c in ("gcc", "clang") for f in (("-fno-signed-zeros",), ("-fno-trapping-math",))]
-UNDONE = [("clang", flags) for flags in REORDERED]
+HARMLESS = [(compiler, ("-fno-signed-zeros", "-fno-trapping-math")) for compiler in ("gcc", "clang")]
+UNDONE = [pytest.param("clang", flags, marks=pytest.mark.slow) for flags in REORDERED]
 
 
 @pytest.mark.parametrize(("compiler", "flags"), [*HARMLESS, *UNDONE])

@@ -80,7 +80,10 @@ def test_recalibrations_within_half_of_all_bounds_are_taken_or_refused_by_name()
     assert counted["same"] > 0
 
 
-@pytest.mark.parametrize("case", ["meng angle", "meng volts", "ellipse volts"])
+@pytest.mark.parametrize(
+    "case",
+    [*(pytest.param(c, marks=pytest.mark.slow) for c in ("meng angle", "meng volts")), "ellipse volts"],
+)
 def test_an_encoder_that_moved_a_little_has_the_same_code(case, tmp_path):
     fit = fit_of(case)
     first = generate(fit, arithmetic="q31")

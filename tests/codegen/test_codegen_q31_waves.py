@@ -114,7 +114,7 @@ def test_heights_beyond_the_box_raise_the_flag_and_those_within_do_not():
         assert ((status & 0x40000000) != 0).mean() == raised, gap
 
 
-@pytest.mark.parametrize("case", ["three sums", QUICK])
+@pytest.mark.parametrize("case", [pytest.param("three sums", marks=pytest.mark.slow), QUICK])
 def test_whatever_the_bits_nothing_overflows(case):
     backend = made(case).backend
     pose, status = backend.step(backend.sample(np.arange(30_000)))  # raises OverflowError beyond 32 bits

@@ -88,7 +88,7 @@ def test_a_fault_of_samples_is_named(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["bump", *(pytest.param(n, marks=SLOW) for n in ("ripple", "wander", "speed_gain"))]
+    "name", [pytest.param(n, marks=SLOW) for n in ("bump", "ripple", "wander", "speed_gain")]
 )
 def test_what_no_catalogue_lists_is_unexplained_and_gets_no_name(name: str) -> None:
     found = diagnose(hidden(name, "raster", kind=unlisted))

@@ -59,7 +59,7 @@ def base_with(other: str, over: str, orders: tuple[int, ...], size: float = 2e-2
 
 
 @pytest.mark.parametrize(("other", "over"), [("y", "x"), ("y", "y"), ("z", "x")])
-@pytest.mark.parametrize("orders", [(3,), (3, 5)])
+@pytest.mark.parametrize("orders", [pytest.param((3,), marks=pytest.mark.slow), (3, 5)])
 def test_waves_of_a_period_are_named_with_their_coordinate(other: str, over: str, orders) -> None:
     base = base_with(other, over, orders)
     first, *_ = located(base, base.log.runs).statements

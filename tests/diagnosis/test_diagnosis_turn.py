@@ -66,6 +66,7 @@ def test_a_knot_that_is_a_spike_is_judged_among_its_neighbours(of_a_table, direc
     assert found.metric.after < 1.3 * of_a_table.metric.after
 
 
+@pytest.mark.slow
 def test_a_table_is_taken_apart_by_its_waves(of_a_table):
     """One, two and four waves a turn by causes that make them, the stepper's pattern by the reference."""
     d = of_a_table
@@ -78,6 +79,7 @@ def test_a_table_is_taken_apart_by_its_waves(of_a_table):
     assert np.degrees(d.metric.after) < 0.02
 
 
+@pytest.mark.slow
 def test_no_cause_is_many_times_as_large_as_the_error(of_a_table):
     """Offset and eccentricity of the reference, 8 deg each against each other, would fit as well."""
     for e in of_a_table.effects:
@@ -86,6 +88,7 @@ def test_no_cause_is_many_times_as_large_as_the_error(of_a_table):
                 assert abs(p.value) < 2 * 1.3 * DEG, (e.name, name, p.value)
 
 
+@pytest.mark.slow
 def test_waves_are_what_was_put_in(of_a_table):
     """Amplitudes to what the noise leaves (0.01 deg over 200 knots: 1.4 mdeg of standard deviation)."""
     found = {w.per_turn: w for w in of_a_table.waves}
@@ -115,7 +118,8 @@ def test_waves_of_no_known_cause_are_no_cause():
     assert (d.verdict, d.effects) == ("unexplained", ())
 
 
-@pytest.mark.parametrize("model", ["rotary", pytest.param("rotary_ideal", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["rotary", "rotary_ideal"])
 def test_an_overdriven_input_is_clipping_beside_latency_and_a_short_reference(model):
     """As of a resolver: 4x of 8 deg by the rails, 34 ms from forward against backward, 0.86 deg in a turn."""
     d = diagnose(overdriven(0.654, 0.034, -0.0024), model)
@@ -129,6 +133,7 @@ def test_an_overdriven_input_is_clipping_beside_latency_and_a_short_reference(mo
     assert abs(found["reference_scale_error"]["scale"]) == pytest.approx(0.0024, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_the_same_delay_is_called_by_its_usual_name():
     """At one speed a delay and a low-pass are the same: one group, the delay first."""
     d = diagnose(overdriven(None, 0.034, -0.0024), "rotary")
@@ -178,6 +183,7 @@ def test_all_folds_but_one_leave_nothing_where_nothing_is():
     assert others(folds)[5, 2, 2] == 0.0
 
 
+@pytest.mark.slow
 def test_a_table_without_time_speaks_of_no_time(of_a_table):
     """Neither of seconds, runs and delays, although a counter stands for time."""
     said = re.sub(r"computed in .* s\.", "", diagnosis_text(of_a_table))

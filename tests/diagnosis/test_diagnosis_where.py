@@ -52,7 +52,7 @@ def found(name: str, campaign: str, kind=listed) -> Located:
         ("height_quadratic", "grid", "height Z"),
         pytest.param("gain_temperature_drift", "multisine", "temperature", marks=pytest.mark.slow),
         ("hysteresis", "multisine", "direction of motion"),
-        ("time_skew", "grid", "velocity"),
+        pytest.param("time_skew", "grid", "velocity", marks=pytest.mark.slow),
         ("odd_nonlinearity", "raster", "the reading itself"),
         pytest.param("motor_stray_field", "multisine", "acceleration", marks=pytest.mark.slow),
         pytest.param("gain_time_drift", "grid", "time in the campaign", marks=pytest.mark.slow),
@@ -130,7 +130,9 @@ def stated(part: float) -> Noise:
 NOISES = {"white": {}, "correlated": {"correlation_s": 0.1}, "heavy": {"degrees_of_freedom": 4.0}}
 
 
-@pytest.mark.parametrize("kind", NOISES)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=pytest.mark.slow if k == "white" else ()) for k in NOISES]
+)
 @settings(max_examples=2, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**31))
 def test_residuals_that_are_only_noise_get_no_statement(kind: str, seed: int) -> None:
@@ -246,7 +248,7 @@ def test_a_gain_of_every_run_is_told_from_noise() -> None:
     assert explained == pytest.approx(float(((gains * r.sensed) ** 2).sum()), rel=0.1)
 
 
-@pytest.mark.parametrize("make", [Smooth, FineMap])
+@pytest.mark.parametrize("make", [pytest.param(Smooth, marks=pytest.mark.slow), FineMap])
 def test_p_values_of_noise_are_spread_evenly(make) -> None:
     """Blocks with noise of very different size and with memory: never smaller than they should be.
 

@@ -62,6 +62,7 @@ def test_what_is_only_resembled_is_said_in_words(partly_late):
     assert "verdict: behaves like" in said
 
 
+@pytest.mark.slow
 def test_the_right_cause_is_named():
     log = machine("multisine", (listed(np.random.default_rng(3))["time_skew"],), seed=3, thin=6)
     d = diagnose(log, "stage31")

@@ -25,7 +25,7 @@ CLOSE = 0.02
 reference's noise differs by what the effects change of the gains."""
 PIECES = 0.35
 """The same where pieces of one recording judged, which the command fits: few samples judge."""
-QUICK = ("rotary_third_wave", "stage31_late", "rotary_ideal_offset")
+QUICK = ("rotary_third_wave", "rotary_ideal_offset")
 
 
 def option(words: tuple[str, ...], name: str) -> list[str]:

@@ -87,12 +87,20 @@ def sweep(m: Motion, _: np.random.Generator) -> None:
     m.reading = m.reading + 1.2e-6 * np.sin(2 * np.pi * (2 + 4 * m.t) * m.t + np.array([[0.0], [1.0], [2.0]]))
 
 
-@pytest.mark.parametrize("inject", [tone(23.7), sweep, unlisted(np.random.default_rng(5))["wander"]])
+@pytest.mark.parametrize(
+    "inject",
+    [
+        tone(23.7),
+        pytest.param(sweep, marks=pytest.mark.slow),
+        pytest.param(unlisted(np.random.default_rng(5))["wander"], marks=pytest.mark.slow),
+    ],
+)
 def test_a_gap_is_not_taken_for_noise(inject: Inject) -> None:
     d = diagnose(machine("multisine", (inject,), seed=5, thin=6, pink=0.0, curvature=0.0))
     assert d.verdict == "unexplained"
 
 
+@pytest.mark.slow
 def test_an_effect_beside_larger_noise_is_explained() -> None:
     def cubic(m: Motion, _: np.random.Generator) -> None:
         m.reading = m.reading * (1 + 4e5 * m.reading**2)

@@ -402,7 +402,9 @@ def test_few_runs_judge_without_an_interval():
     assert enough.shrinkage.interval[0] < enough.shrinkage.value < enough.shrinkage.interval[1]
 
 
-@pytest.mark.parametrize("gates", [{"used_up": -np.inf}, {"holds": np.inf}])
+@pytest.mark.parametrize(
+    "gates", [{"used_up": -np.inf}, pytest.param({"holds": np.inf}, marks=pytest.mark.slow)]
+)
 def test_an_effect_that_leaves_its_shape_behind_is_no_cause(gates):
     kept, off = without(machine(square_wave), "ellipse", **gates)
     assert (kept.verdict, kept.ranked) == ("unexplained", ())

@@ -159,7 +159,7 @@ def test_a_log_may_ask_for_more():
     assert not asked.material
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3])
+@pytest.mark.parametrize("samples", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3))])
 @pytest.mark.parametrize("runs", [6, 57])
 def test_a_reference_that_is_late(samples, runs):
     """By one sample of 10 ms the values are 35 standard deviations off; the fit itself converges."""

@@ -201,7 +201,10 @@ def test_a_fit_finds_an_effect_that_was_simulated(effect, values):
 
 @pytest.mark.parametrize(
     ("effect", "name", "late"),
-    [("time_skew", "delay", 8e-4), ("first_order_lag", "tau_lag", 4e-4)],
+    [
+        pytest.param("time_skew", "delay", 8e-4, marks=pytest.mark.slow),
+        ("first_order_lag", "tau_lag", 4e-4),
+    ],
 )
 def test_readings_that_come_late(effect, name, late):
     """A delay is the field of an earlier pose; a low-pass the mean of earlier fields, exp(-t / tau) / tau."""

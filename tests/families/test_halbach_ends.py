@@ -123,7 +123,9 @@ def swept(wide, values, gaps):
     return Log.from_arrays(made, Noise.given(noise, tuple(made)))
 
 
-@pytest.mark.parametrize("cause", ["forbidden_harmonics", "array_edges"])
+@pytest.mark.parametrize(
+    "cause", ["forbidden_harmonics", pytest.param("array_edges", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("gaps", [pytest.param((4.2e-3,), marks=pytest.mark.slow), (4.2e-3, 5.2e-3)])
 def test_the_puzzle_of_the_thesis(cause, gaps):
     """At one gap a second harmonic and sensors chosen anew look alike; a second gap tells them apart."""

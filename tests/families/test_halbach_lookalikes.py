@@ -17,7 +17,9 @@ from hallsym.simulation import NoiseModel, campaign_from
 LC_M = 0.03 / 2 / np.pi
 
 
-@pytest.mark.parametrize("cause", ["sensor_tilt", "sensor_position_error"])
+@pytest.mark.parametrize(
+    "cause", ["sensor_tilt", pytest.param("sensor_position_error", marks=pytest.mark.slow)]
+)
 def test_a_tilt_and_a_place_of_sensors(cause):
     """1 rad of tilt is lc of place; at gaps where the fifth harmonic has faded nothing tells them apart."""
     model, tilts = halbach(), {"0": 12e-3, "2": -9e-3}

@@ -160,6 +160,7 @@ def test_a_measured_field_is_diagnosed_with_its_period():
     assert found.gap_after.rmse["x_m"] < found.gap_before.rmse["x_m"] / 4
 
 
+@pytest.mark.slow
 def test_a_gap_that_never_moves_is_diagnosed():
     """A column without any noise, smoothed, is rounding: it is no coordinate."""
     model, log = read(along(made_up("corrected"), "y"), [5e-3])

@@ -334,7 +334,8 @@ def test_every_command_works_on_an_encoder(form, tmp_path, monkeypatch, capsys):
     assert main(["simulate", "--model", "rotary", *machine, "-o", "log.csv", "--seed", "1"]) == 0
     assert main(["info", "log.csv"]) == 0
     assert "angle_ref_rad" in capsys.readouterr().out
-    assert main(["fit", "log.csv", "--solver", "direct", "-o", "calib.json", "--plots", "pictures"]) == 0
+    drawn = ["--plots", "pictures", "--plot-formats", "png"]
+    assert main(["fit", "log.csv", "--solver", "direct", "-o", "calib.json", *drawn]) == 0
     text = capsys.readouterr().out
     assert "rmse angle [deg]" in text
     assert "pictures/measured.png" in text
@@ -392,6 +393,7 @@ def apart(log: Log, held: np.ndarray) -> Log:
     return Log.from_arrays({"run": held[order].astype(int), **columns})
 
 
+@pytest.mark.slow
 def test_recorded_encoders_calibrate_to_what_their_reference_repeats():
     """AS5047D on stepper motors: held-out knots keep what knots keep that were fitted themselves.
 

@@ -38,7 +38,7 @@ def test_the_spread_is_that_of_the_devices_and_not_of_the_estimates():
     assert np.std([f.mean for f in found], ddof=1) == pytest.approx(stated, rel=3 / np.sqrt(80))
 
 
-@pytest.mark.parametrize("devices", [3, 5, 20, 200])
+@pytest.mark.parametrize("devices", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 20)), 200])
 @pytest.mark.parametrize("size", [0.1, 1.0])
 def test_intervals_and_bounds_hold_what_they_say(devices, size):
     """Of 300 fleets: the interval of tau holds it in 95 %, the bounds 9,999 of 10,000 next devices in 95 %.

@@ -385,7 +385,7 @@ LOGS: dict[str, Recorded] = {
     "stage30_table6": Recorded(
         lambda: stage(2, model="stage30", truth=STAGE15, campaign=table6()), DIRECT
     ),
-    "stage31_table6": Recorded(lambda: stage(3, campaign=table6()), ("--seed", "1"), "always"),
+    "stage31_table6": Recorded(lambda: stage(3, campaign=table6()), ("--seed", "1")),
     "stage31_mixed": Recorded(lambda: stage(4), DIRECT, "always"),
     "stage31_tied": Recorded(lambda: stage(5, model="stage31_tied", truth=TIED), DIRECT),
     "stage31_slow_noise": Recorded(lambda: stage(6, noise="slow"), DIRECT),
@@ -398,8 +398,8 @@ LOGS: dict[str, Recorded] = {
         (*DIRECT, "--effect", "exact_rotation"),
     ),
     # stages with a hidden effect
-    "stage30_vertical": Recorded(lambda: stage(10, base="stage30"), DIRECT, "always"),
-    "stage31_late": Recorded(lambda: stage(11, late), (*DIRECT, "--effect", "time_skew"), "always"),
+    "stage30_vertical": Recorded(lambda: stage(10, base="stage30"), DIRECT),
+    "stage31_late": Recorded(lambda: stage(11, late), (*DIRECT, "--effect", "time_skew")),
     "stage31_lag": Recorded(lambda: stage(12, low_passed), (*DIRECT, "--effect", "first_order_lag")),
     "stage31_play": Recorded(
         lambda: stage(13, play), (*DIRECT, "--effect", "hysteresis:half_width_m=1e-05"),

@@ -217,8 +217,10 @@ CODE: dict[str, tuple[str, tuple[str, ...]]] = {
     "third_wave_series": ("rotary_third_wave", ("--correction", "series")),
 }
 """Folders of C by name: the calibration, and options of `codegen`."""
-FAST_CODE = {"stage31", "stage31_q31", "rotary_angle", "rotary_volts_q31"}
-"""Both arithmetics, each of both kinds of decoder; the others are generated with the slow tests."""
+FAST_CODE = {"stage31_q31", "rotary_angle"}
+"""Both arithmetics and both kinds of decoder; the others are generated with the slow tests."""
+FAST_EFFECTS = {"stage31_bent", "stage31_rails"}
+"""Logs that are fitted with an effect in every run: one with linear parameters, one with a saturation."""
 TEXTS = {
     "stage31_fma",
     "stage31_double", "stage31_q31", "stage31_jacobian", "rotary_volts", "rotary_volts_q31", "rotary_angle",
@@ -269,7 +271,9 @@ def save_calibrations() -> None:
 def _of_logs() -> dict[str, Golden]:
     found: dict[str, Golden] = {}
     for name, log in LOGS.items():
-        found[f"fit/{name}"] = Golden(lambda n=name: fit_of(n), "fit")
+        found[f"fit/{name}"] = Golden(
+            lambda n=name: fit_of(n), "fit", "--effect" in log.fit and name not in FAST_EFFECTS
+        )
         if log.diagnosed != "never":
             found[f"diagnosis/{name}"] = Golden(
                 lambda n=name: diagnosis_of(n), "diagnosis", log.diagnosed == "slow"
@@ -301,7 +305,7 @@ COMMANDS: dict[str, Golden] = {
     "tolerances": Golden(command("tolerances", "--samples", "64"), "json"),
     "selftest": Golden(
         command("selftest", ENCODER, "--effects", "hysteresis,time_skew", "--sizes", "1.5", "--quick"),
-        "diagnosis",
+        "diagnosis", slow=True,
     ),
     "selftest_stage": Golden(
         on_log(

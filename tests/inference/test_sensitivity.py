@@ -384,7 +384,7 @@ def test_no_verdict_contradicts_the_null_directions_of_a_simulated_log(name):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=[pytest.mark.slow] if n == "halbach_planar" else [])
+        pytest.param(n, marks=[pytest.mark.slow] if n in ("halbach_planar", "planar_h5") else [])
         for n in sorted(families.models())
     ],
 )

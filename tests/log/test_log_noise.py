@@ -53,7 +53,14 @@ MOTIONS = {
 
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 @pytest.mark.parametrize(
-    "faults", [{}, {"jitter": 0.3}, {"lost": 0.02}, {"runs": 40, "samples": 150}], ids=str
+    "faults",
+    [
+        {},
+        {"jitter": 0.3},
+        pytest.param({"lost": 0.02}, marks=pytest.mark.slow),
+        pytest.param({"runs": 40, "samples": 150}, marks=pytest.mark.slow),
+    ],
+    ids=str,
 )
 def test_unbiased_on_white_noise(motion: Any, faults: dict[str, float]) -> None:
     assert mean_ratio(motion, **faults) == pytest.approx(1.0, abs=0.05)

@@ -91,7 +91,12 @@ HEALED = [m for m in MISTAKES if "on the rails" in m.name or "frozen" in m.name 
 
 @pytest.mark.parametrize(
     ("mistake", "name"),
-    [pytest.param(m, n, id=f"{m.name}, {n}") for m in HEALED for n in m.on if n in STAGE],
+    [
+        pytest.param(m, n, id=f"{m.name}, {n}", marks=pytest.mark.slow if n != STAGE[0] else ())
+        for m in HEALED
+        for n in m.on
+        if n in STAGE
+    ],
 )
 def test_gains_are_right_without_the_bad_samples(mistake: Mistake, name: str) -> None:
     """Within five standard uncertainties; with them eta is up to hundreds off."""

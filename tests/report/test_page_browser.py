@@ -147,8 +147,15 @@ def test_a_script_that_is_not_its_own_is_refused_and_the_charts_stay_without_it(
     assert shown.count('class="plane"') == 6
 
 
-@pytest.mark.parametrize("name", ["fit", "diagnosis"])
-@pytest.mark.parametrize("width", [390, 1100])
+@pytest.mark.parametrize(
+    ("name", "width"),
+    [
+        ("fit", 390),
+        pytest.param("fit", 1100, marks=pytest.mark.slow),
+        pytest.param("diagnosis", 390, marks=pytest.mark.slow),
+        ("diagnosis", 1100),
+    ],
+)
 def test_no_label_overlaps_or_is_cut_off_and_the_page_does_not_scroll_sideways(chromium, pages, name, width):
     answer = json.loads(chromium.framed(pages[name], width, f"tell({OVERLAPS})"))
     assert answer["labels"] > 100

@@ -1,5 +1,6 @@
 """The error of a sensor over its period, split by what removes it, where the truth is known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import hallsym
 from hallsym.estimation import as_read
 from hallsym.report.data.periodic import periodic_error
+from hallsym.report.text.periodic import periodic_text
 
 DEG = np.pi / 180
 REAL = Path(__file__).parents[3] / "shared" / "real" / "rotary-mechaduino-luts"
@@ -51,11 +53,16 @@ def test_a_table_of_knots_is_split_into_encoder_reference_and_noise():
     assert "2 per turn may come from gain_mismatch" in text
 
 
-def test_voltages_about_half_the_supply_are_not_split_by_a_nominal_centre_of_zero():
+def half_supply(centre: float):
+    """Return voltages about a centre [V] that a nominal centre of zero does not expect."""
     angle = 2 * np.pi * np.arange(2000) / 400
     noise = np.random.default_rng(2).normal(0, 0.004, (2, angle.size))
-    columns = {"v_sin_v": 2.5 + np.sin(angle) + noise[0], "v_cos_v": 2.5 + np.cos(angle) + noise[1]}
-    fit, found = of(columns | {"angle_ref_rad": angle})
+    volts = {"v_sin_v": centre + np.sin(angle) + noise[0], "v_cos_v": centre + np.cos(angle) + noise[1]}
+    return volts | {"angle_ref_rad": angle}
+
+
+def test_voltages_about_half_the_supply_are_not_split_by_a_nominal_centre_of_zero():
+    fit, found = of(half_supply(2.5))
     assert found.rest_calibrated == pytest.approx(0.004, rel=0.1)
     assert found.rest > 10 * found.rest_calibrated
     text = fit.summary()
@@ -130,3 +137,18 @@ def test_real_encoders_have_the_waves_that_are_known_of_them(name, waves):
     by_order = {h.per_period: h.amplitude / DEG for h in found.harmonics}
     for n, amplitude in waves.items():
         assert by_order[n] == pytest.approx(amplitude, abs=0.006)
+
+
+def test_a_diagnosis_says_as_a_fit_does_that_nominal_parameters_do_not_decode():
+    found = hallsym.diagnose(half_supply(2.5), "rotary")
+    assert all(w.designed is None and not w.absorbed for w in found.waves)
+    words = " ".join(found.summary().split())
+    assert "No nominal waves: the nominal parameters do not decode these readings." in words
+    assert max((w.model for w in found.waves), default=0.0) < 0.1 * DEG
+
+
+@pytest.mark.parametrize(("ratio", "decodes"), [(1.8, True), (2.2, False)])
+def test_nominal_parameters_decode_while_they_leave_less_than_twice_what_fitted_ones_do(ratio, decodes):
+    fit, found = of(table({1: 0.35, 2: 0.4}))
+    text = periodic_text(replace(found, rest=ratio * found.rest_calibrated), fit.model.family)
+    assert ("do not decode these readings" not in text) == decodes

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 import reports
 from matplotlib import style
@@ -11,12 +12,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from test_plots_layout import PICTURES, apart
-from twins import record, with_noise
+from twins import SIGMAS, TRUTH, record, with_noise
 
 from hallsym.cli.main import main
 from hallsym.errors import InputError
 from hallsym.estimation import fit
+from hallsym.families import build
+from hallsym.inference import identify
 from hallsym.report import figures as plots
+from hallsym.simulation import paper_campaign
 
 FIT = {
     "measured": lambda log, found, survey: plots.measured(log, found, survey),
@@ -46,8 +50,17 @@ def drawings() -> dict[str, Callable[[], Figure]]:
 NAMES = [*FIT, *(f"{p} {w}" for p in PICTURES for w in WHICH if (p, w) != ("profiles", "level"))]
 
 
-@pytest.mark.parametrize("columns", [1, 2])
-@pytest.mark.parametrize("name", NAMES)
+def listed() -> list:
+    """All pictures one column wide; two are wider than they need, and one report stands for the others."""
+    return [
+        pytest.param(name, columns, marks=pytest.mark.slow if later else ())
+        for name in NAMES
+        for columns in (1, 2)
+        for later in [name.endswith(" level") or (columns == 2 and name not in FIT)]
+    ]
+
+
+@pytest.mark.parametrize(("name", "columns"), listed())
 def test_words_stand_apart_and_on_the_canvas(name: str, columns: int, tmp_path: Path) -> None:
     said: list[str] = []
     drawn: list[Figure] = []
@@ -106,12 +119,85 @@ def test_a_number_of_six_digits_has_the_room_that_ticks_leave_it() -> None:
     assert plots.text_width("123456") <= plots.NUMBER
 
 
+def test_the_narrowest_axes_hold_a_number_and_the_lowest_the_label_of_their_y_axis() -> None:
+    assert plots.text_width("123456") <= plots.TIGHT < 1.3 * plots.text_width("123456")
+    label = plots.text_width("error in x [um]")
+    assert label <= plots.LOW < 1.2 * label
+
+
+def beside(title: str, label: str) -> tuple[float, float]:
+    """Inches that a title takes above axes, and numbers and a label below them."""
+    with style.context(["default", plots.STYLE]):
+        figure = Figure(figsize=(3.5, 3.0))
+        ax = figure.add_axes((0.2, 0.4, 0.7, 0.3))
+        ax.set(title=title, xlabel=label)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        inner, outer = ax.get_window_extent(canvas.get_renderer()), ax.get_tightbbox(canvas.get_renderer())
+        assert outer is not None
+        return (outer.y1 - inner.y1) / figure.dpi, (inner.y0 - outer.y0) / figure.dpi
+
+
+def test_stacked_panels_leave_room_for_a_title_of_two_lines_and_a_label_of_one() -> None:
+    above, below = beside("one line\nand another", "time in the run [s]")
+    higher, lower = beside("one line\nanother\nand a third", "time in\nthe run [s]")
+    assert above <= plots.HEAD < higher
+    assert below <= plots.LABEL < lower
+
+
+def stacked(lines: int) -> float:
+    """Height of a picture of panels that are lowered to a page, with a legend of so many lines [inches]."""
+    with style.context(["default", plots.STYLE]), plots.laid_out(1):
+        figure, axes = plots.panels(3, 2, 5.0, top=0.3, bottom=0.5)
+        assert figure.get_size_inches()[1] < plots.PAGE
+        names = [f"{'a name as long as the column is wide'} {k}" for k in range(lines)]
+        plots.legend(figure, [axes[0, 0].plot([0, 1], label=name)[0] for name in names], "lower center")
+        return float(figure.get_size_inches()[1])
+
+
+def test_panels_leave_a_page_the_lines_of_a_legend() -> None:
+    assert stacked(5) <= plots.PAGE
+    with pytest.raises(plots.NoRoomError):
+        stacked(7)
+
+
+def test_many_correlations_in_one_column_are_several_files_each_with_all_rows(tmp_path: Path) -> None:
+    model = build("stage31", added=("cross_axis_sensitivity", "odd_nonlinearity", "height_quadratic"))
+    report = identify(model, paper_campaign(0.05), values=TRUTH, noise=SIGMAS)
+    known = int(np.isfinite(np.diag(report.correlation)).sum())
+    said: list[str] = []
+    drawn: list[Figure] = []
+
+    def draw() -> Figure:
+        drawn.append(plots.correlation(report))
+        return drawn[-1]
+
+    files = plots.save_figures({"c": draw}, plots.Place(tmp_path, ("svg",), told=said.append, columns=(1,)))
+    assert said == []
+    assert known > 30
+    assert len(files) > 1
+    axes = [figure.axes[0] for figure in drawn[-len(files) :]]
+    names = [[label.get_text() for label in ax.get_xticklabels()] for ax in axes]
+    rows = [[label.get_text() for label in ax.get_yticklabels()] for ax in axes]
+    assert [name for part in names for name in part] == rows[0]
+    assert all(row == rows[0] for row in rows)
+    assert len(rows[0]) == known
+    for figure in drawn[-len(files) :]:
+        with style.context(["default", plots.STYLE]):
+            FigureCanvasAgg(figure).draw()
+            reports.inside(figure, plots.WIDTHS[1])
+            apart(figure)
+        assert figure.get_size_inches()[1] <= PAGE
+        assert min(t.get_fontsize() for t in figure.findobj(Text) if t.get_text()) >= 7.0
+
+
 def test_both_widths_have_names_of_their_own_and_the_same_bytes(tmp_path: Path) -> None:
     draw = {"spectrum": drawings()["spectrum full"]}
-    place = plots.Place(tmp_path, plots.SUFFIXES, "campaign/log.parquet, stage31", columns=(1, 2))
+    suffixes = ("pdf", "svg")
+    place = plots.Place(tmp_path, suffixes, "campaign/log.parquet, stage31", columns=(1, 2))
     written = plots.save_figures(draw, place)
     assert [p.name for p in written] == [
-        f"{stem}.{suffix}" for stem in ("spectrum", "spectrum_1column") for suffix in plots.SUFFIXES
+        f"{stem}.{suffix}" for stem in ("spectrum", "spectrum_1column") for suffix in suffixes
     ]
     first = [p.read_bytes() for p in written]
     assert [p.read_bytes() for p in plots.save_figures(draw, place)] == first

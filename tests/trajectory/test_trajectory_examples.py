@@ -52,7 +52,9 @@ def raster(s: np.ndarray) -> np.ndarray:
     ("text", "span", "values", "tolerance"),
     [
         ("x = r*(cos(t) + t*sin(t)); y = r*(sin(t) - t*cos(t))", "0:1.2", {"r": 5e-3}, 0.05e-6),
-        ("x = a*sin(3*t + pi/4); y = a*sin(2*t)", "0:2*pi", {"a": 2e-3}, 0.1e-6),
+        pytest.param(
+            "x = a*sin(3*t + pi/4); y = a*sin(2*t)", "0:2*pi", {"a": 2e-3}, 0.1e-6, marks=pytest.mark.slow
+        ),
     ],
     ids=["involute", "lissajous"],
 )

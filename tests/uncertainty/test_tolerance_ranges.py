@@ -145,7 +145,7 @@ def test_without_salib_one_sentence_says_what_to_install(model, somewhere, monke
 def test_the_command_prints_the_ranking_first(capsys, tmp_path):
     (tmp_path / "drawing.toml").write_text('others = "exact"\n[tolerance]\nH1x_um = 20\neta_A_percent = 2\n')
     words = ["tolerances", "--ranges", str(tmp_path / "drawing.toml"), "--samples", "32"]
-    assert main([*words, "--plots", str(tmp_path / "pictures")]) == 0
+    assert main([*words, "--plots", str(tmp_path / "pictures"), "--plot-formats", "png"]) == 0
     out = capsys.readouterr().out
     assert out.index("errors of the nominal decoder") < out.index("worth") < out.index("Sobol indices")
     rows = [line.split()[0] for line in out.splitlines() if line.startswith(("eta_A ", "H1x "))]

@@ -26,7 +26,19 @@ from hallsym.report.figures.errors import errors_before_after
 from hallsym.report.figures.estimates import COVERAGE, parameters
 from hallsym.report.figures.evaluation import save_evaluation
 from hallsym.report.figures.intervals import intervals
-from hallsym.report.figures.layout import NUMBER, WIDTH, WIDTHS, laid_out
+from hallsym.report.figures.layout import (
+    HEAD,
+    LABEL,
+    LATER,
+    LOW,
+    NUMBER,
+    PAGE,
+    TIGHT,
+    WIDTH,
+    WIDTHS,
+    NoRoomError,
+    laid_out,
+)
 from hallsym.report.figures.measured import measured
 from hallsym.report.figures.plan import coverage, criterion_by_runs, save_plan_pictures
 from hallsym.report.figures.profiles import ends_in_words, profiles
@@ -34,7 +46,7 @@ from hallsym.report.figures.saving import SUFFIXES, Place, save_figures
 from hallsym.report.figures.sensitivity import drawable, save_sensitivity_pictures
 from hallsym.report.figures.sorting import save_sorting
 from hallsym.report.figures.spectrum import sorts, spectrum
-from hallsym.report.figures.style import DPI, STYLE, broken, legend, text_width
+from hallsym.report.figures.style import DPI, STYLE, broken, legend, panels, text_width
 from hallsym.report.figures.tolerances import save_tolerances, tolerances
 from hallsym.report.figures.uncertainty import budget_bars, save_budget_pictures, uncertainty_picture
 from hallsym.report.figures.verdicts import LOOKS
@@ -43,12 +55,19 @@ from hallsym.report.figures.watch import control_chart, save_watch
 __all__ = [
     "COVERAGE",
     "DPI",
+    "HEAD",
+    "LABEL",
+    "LATER",
     "LOOKS",
+    "LOW",
     "NUMBER",
+    "PAGE",
     "STYLE",
     "SUFFIXES",
+    "TIGHT",
     "WIDTH",
     "WIDTHS",
+    "NoRoomError",
     "Place",
     "blocks",
     "broken",
@@ -68,6 +87,7 @@ __all__ = [
     "laid_out",
     "legend",
     "measured",
+    "panels",
     "parameters",
     "profiles",
     "save_budget_pictures",

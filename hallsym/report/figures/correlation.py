@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from hallsym.inference.verdict import TRADED
 from hallsym.report.data import blocks
 from hallsym.report.figures.captions import caption, height
-from hallsym.report.figures.layout import layout
+from hallsym.report.figures.layout import LATER, PAGE, layout
 from hallsym.report.figures.style import (
     AFTER,
     BEFORE,
@@ -41,32 +42,38 @@ def correlation(report: Identifiability) -> Figure:
     """Draw the correlation of every two determined parameters: squares above the diagonal, numbers below.
 
     The area of a square is the size of the correlation; negative ones are hollow. Parameters that hang
-    together by correlations of `TRADED` and more stand side by side, in a box.
+    together by correlations of `TRADED` and more stand side by side, in a box. Where the columns of all
+    parameters have no room beside each other, each of several files has a share of them, and all rows.
     """
     groups = blocks(report.correlation)
     order = [k for group in groups for k in group]
     names = [report.model.names[k] for k in order]
     values = report.correlation[np.ix_(order, order)]
     n, left = len(order), 0.1 + max(map(text_width, names))
-    cell = min(LARGEST, (layout().width - left - 0.1) / n)
-    layout().need(62 * cell, FONT)  # names keep their size
+    shown = layout().share(range(n))
     lines = _caption(report, any(len(group) > 1 for group in groups))
+    top, bottom = left + LINE + 0.14, 0.1 + height(lines)
+    cell = min(LARGEST, (layout().width - left - 0.1) / len(shown))
+    if layout().stacked:
+        cell = min(cell, (PAGE - LATER - top - bottom) / n)
+    layout().need(62 * cell, FONT)  # names keep their size
     figure, axes = panels(
-        1, 1, cell * n, left=left, right=layout().width - left - cell * n,
-        top=left + LINE + 0.14, bottom=0.1 + height(lines), gaps=(0, 0),
+        1, 1, cell * n, left=left, right=layout().width - left - cell * len(shown), top=top, bottom=bottom,
+        gaps=(0, 0),
     )  # fmt: skip
     ax = axes[0, 0]
-    _squares(ax, values, both=cell < WRITTEN)
+    ax.set(xlim=(shown[0] - 0.5, shown[-1] + 0.5), ylim=(n - 0.5, -0.5))
+    _squares(ax, values, shown, both=cell < WRITTEN)
     if cell >= WRITTEN:
-        _numbers(ax, values)
-    _boxes(ax, [len(group) for group in groups])
-    _names(ax, names, min(FONT, 62 * cell))
+        _numbers(ax, values, shown)
+    _boxes(ax, [len(group) for group in groups], shown)
+    _names(ax, names, shown, min(FONT, 62 * cell))
     caption(figure, lines)
     _legend(figure)
     return figure
 
 
-def _squares(ax: Axes, values: np.ndarray, *, both: bool) -> None:
+def _squares(ax: Axes, values: np.ndarray, shown: Sequence[int], *, both: bool) -> None:
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 
@@ -74,21 +81,20 @@ def _squares(ax: Axes, values: np.ndarray, *, both: bool) -> None:
     for positive, face, edge in ((True, AFTER, AFTER), (False, "white", BEFORE)):
         squares = []
         for row, column in np.argwhere((values >= 0) if positive else (values < 0)).tolist():
-            if row == column or (row > column and not both):
+            if column not in shown or row == column or (row > column and not both):
                 continue
             side = 0.9 * float(np.sqrt(min(abs(values[row, column]), 1.0)))
             squares.append(Rectangle((column - side / 2, row - side / 2), side, side))
         ax.add_collection(PatchCollection(squares, facecolor=face, edgecolor=edge, linewidths=0.9, zorder=2))
-    grid = np.arange(n + 1) - 0.5
-    ax.hlines(grid, -0.5, n - 0.5, color=SHADE, lw=0.5, zorder=1)
-    ax.vlines(grid, -0.5, n - 0.5, color=SHADE, lw=0.5, zorder=1)
-    ax.plot(np.arange(n), np.arange(n), ls="none", marker=".", ms=2, color=GREY, zorder=2)
-    ax.set(xlim=(-0.5, n - 0.5), ylim=(n - 0.5, -0.5))
+    first, last = shown[0] - 0.5, shown[-1] + 0.5
+    ax.hlines(np.arange(n + 1) - 0.5, first, last, color=SHADE, lw=0.5, zorder=1)
+    ax.vlines(np.arange(first, last + 1), -0.5, n - 0.5, color=SHADE, lw=0.5, zorder=1)
+    ax.plot(shown, shown, ls="none", marker=".", ms=2, color=GREY, zorder=2)
 
 
-def _numbers(ax: Axes, values: np.ndarray) -> None:
-    for row in range(len(values)):
-        for column in range(row):
+def _numbers(ax: Axes, values: np.ndarray, shown: Sequence[int]) -> None:
+    for column in shown:
+        for row in range(column + 1, len(values)):
             value = float(values[row, column])
             strong = abs(value) >= TRADED
             ax.text(
@@ -105,21 +111,25 @@ def _short(value: float) -> str:
     return (MINUS if value < 0 else "") + text
 
 
-def _boxes(ax: Axes, sizes: list[int]) -> None:
+def _boxes(ax: Axes, sizes: list[int], shown: Sequence[int]) -> None:
+    """Draw the boxes; one that goes on in another file is open on that side."""
     from matplotlib.patches import Rectangle
 
     first = 0
     for size in sizes:
-        if size > 1:
+        inner = {first, first + size - 1} & set(shown)
+        if size > 1 and (inner or first < shown[0] < first + size):
             at = (first - 0.5, first - 0.5)
             ax.add_patch(
-                Rectangle(at, size, size, fill=False, edgecolor=BLACK, lw=1.1, zorder=4, clip_on=False)
+                Rectangle(
+                    at, size, size, fill=False, edgecolor=BLACK, lw=1.1, zorder=4, clip_on=len(inner) < 2
+                )
             )
         first += size
 
 
-def _names(ax: Axes, names: list[str], size: float) -> None:
-    ax.set_xticks(range(len(names)), names, rotation=90, fontsize=size)
+def _names(ax: Axes, names: list[str], shown: Sequence[int], size: float) -> None:
+    ax.set_xticks(shown, [names[k] for k in shown], rotation=90, fontsize=size)
     ax.set_yticks(range(len(names)), names, fontsize=size)
     ax.tick_params(length=0, top=True, bottom=False, labeltop=True, labelbottom=False)
     for spine in ax.spines.values():

@@ -12,7 +12,7 @@ from hallsym.report.page.content import Heading, Section, Table, Words
 from hallsym.report.page.diagnosis_words import changed, percent
 from hallsym.report.page.shared import Gap
 from hallsym.report.text.diagnosis import shrinks_text
-from hallsym.report.words import amount, scale, three
+from hallsym.report.words import NOT_DECODED, amount, scale, three
 from hallsym.report.words import name as named_column
 from hallsym.units import readable
 
@@ -73,9 +73,10 @@ def _waves(d: Diagnosis, coordinate: str) -> list[Any]:
         f"waves per {per}", f"nominal [{unit}]", f"model [{unit}]", f"with the effects [{unit}]",
         "effects found", "causes",
     ]  # fmt: skip
+    lost = any(w.designed is None for w in d.waves if w.coordinate == coordinate)
     caption = (
-        "amplitude of the error over all runs: of the nominal sensor with only its zeros fitted, of the "
-        "model, and with the effects found"
+        f"amplitude of the error over all runs: of the nominal sensor with only its zeros fitted"
+        f"{f' (none: {NOT_DECODED})' if lost else ''}, of the model, and with the effects found"
     )
     return [Heading(f"By waves per {per}"), Table(head, rows, caption, wordy=(4, 5))]
 

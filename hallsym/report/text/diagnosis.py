@@ -22,6 +22,7 @@ from hallsym.diagnosis import (
 )
 from hallsym.errors import counted
 from hallsym.report.tables import concise, error_rows, grid
+from hallsym.report.words import NOT_DECODED
 from hallsym.terminal import prose_width
 from hallsym.units import parameter_unit, readable
 
@@ -163,8 +164,10 @@ def _waves(d: Diagnosis) -> list[str]:
             sizes = ["" if a is None else f"{factor * a:.2g}" for a in (w.designed, w.model, w.after)]
             rows.append([str(w.per_turn), *sizes, ", ".join(found)])
         lines += ["", grid(rows, left=1)]
-        most = max(mine, key=lambda w: w.designed)
-        if most.absorbed and most.causes:
+        if any(w.designed is None for w in mine):
+            lines.append(_wrapped(f"No nominal waves: {NOT_DECODED}."))
+        most = max(mine, key=lambda w: w.designed or 0.0)
+        if most.designed and most.absorbed and most.causes:
             size = f"{factor * most.designed:.2g} {unit}"
             lines.append(
                 _wrapped(

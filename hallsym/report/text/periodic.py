@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from math import hypot
 
+from hallsym.log.phase import decoding
 from hallsym.model import Family
 from hallsym.report.data.periodic import PeriodicError, Size
 from hallsym.report.tables import grid
+from hallsym.report.words import NOT_DECODED
 from hallsym.units import readable
-
-LOST = 2.0
-"""Where calibration makes what does not repeat smaller by more than this factor, that is no noise: the
-nominal parameters do not decode the readings (their circle does not go round the nominal centre, say)."""
 
 
 def periodic_text(found: PeriodicError, family: Family) -> str:
@@ -19,10 +17,10 @@ def periodic_text(found: PeriodicError, family: Family) -> str:
     factor, unit, name = readable(found.coordinate, {found.coordinate})
     noun = family.noun or "machine"
     over = "turn" if unit == "deg" else f"period of {name}"
-    if found.rest > LOST * found.rest_calibrated:
+    if not decoding(found.rest, found.rest_calibrated):
         rest = found.rest_calibrated
         return (
-            f"error of the {noun}: not split by cause, the nominal parameters do not decode these readings; "
+            f"error of the {noun}: not split by cause, {NOT_DECODED}; "
             f"with this calibration rms {factor * hypot(found.calibrated.rms, rest):.3g} {unit}, of which "
             f"{factor * rest:.3g} {unit} do not repeat (noise)"
         )
