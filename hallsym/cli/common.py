@@ -135,13 +135,13 @@ def log_options(parser: ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def workers_options(parser: ArgumentParser) -> None:
-    """Options of commands that share passes over a log in parts out."""
-    group = parser.add_argument_group("log in parts")
-    group.add_argument(
-        "--workers", type=int, metavar="N",
-        help="processes that make run statistics and error tables of the parts; same numbers as without",
-    )  # fmt: skip
+OF_PARTS = "processes that make run statistics and error tables of the parts; same numbers as without"
+
+
+def workers_options(parser: ArgumentParser, title: str = "log in parts", what: str = OF_PARTS) -> None:
+    """Options of commands that share work out: passes over a log in parts, or `what` else."""
+    group = parser.add_argument_group(title)
+    group.add_argument("--workers", type=int, metavar="N", help=what)
     group.add_argument(
         "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead: tcp://host:8786"
     )

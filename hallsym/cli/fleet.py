@@ -5,12 +5,19 @@ from pathlib import Path
 from typing import Any
 
 from hallsym.cli import NOT_DESCRIBED, OK
-from hallsym.cli.common import command, log_options, model_options, progress_of, reading_of, say
-from hallsym.errors import InputError
+from hallsym.cli.common import (
+    command,
+    log_options,
+    model_options,
+    progress_of,
+    reading_of,
+    say,
+    workers_of,
+    workers_options,
+)
 from hallsym.families.machine_file import read_machine
 from hallsym.files import atomic_write
 from hallsym.fleets import fleet, machine_file, tolerance_file
-from hallsym.fleets.page import save_page
 from hallsym.fleets.row import GOOD
 from hallsym.report.text.fleet import fleet_text
 
@@ -49,17 +56,13 @@ def add(sub: Any) -> None:
     )
     group.add_argument("--solver", default="direct", help="as for 'hallsym fit' (default: direct)")
     group.add_argument("--loss", default="auto", help="as for 'hallsym fit' (default: auto)")
-    group.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
-    group.add_argument(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead: tcp://host:8786"
-    )
+    workers_options(parser, "processes", "processes that fit devices (default: one a core)")
     log_options(parser)
 
 
 def run(options: Namespace) -> int:
     """Carry the command out."""
-    if options.workers is not None and options.workers < 1:
-        raise InputError(f"--workers must be 1 or more; instead received {options.workers}.")
+    workers_of(options)  # refuses a number of processes that is none before anything is read
     machine = read_machine(options.machine)
     found = fleet(
         options.logs,
@@ -83,6 +86,8 @@ def run(options: Namespace) -> int:
             atomic_write(path, make(found))
             wrote.append(path)
     if options.page:
+        from hallsym.report.page.fleet_page import save_page  # and what draws, when it is asked for
+
         save_page(found, options.page)
         wrote.append(options.page)
     say(options, found.to_dict(), lambda: fleet_text(found), wrote=wrote)

@@ -2,7 +2,7 @@
 
 `sources` lists the devices, `row` is what one device gives, `journal` keeps what is done, `fleet` puts these
 in order and spreads them over `hallsym.workers`; `spread` says how parameters differ between devices and
-which devices differ from the others, `batch` what to expect of the next ones, `page` shows it.
+which devices differ from the others, `batch` what to expect of the next ones.
 """
 
 from hallsym.fleets.batch import machine_file, tolerance_file

@@ -95,13 +95,13 @@ class Log:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the data file, or of the columns where there is no file; computed on first use."""
-        if self.path is None:
-            return _hash_columns(self)
-        if self.path.is_dir():
-            return _hash_columns(self)
-        with open(self.path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        """SHA-256 of the data file, of a log in parts that of their digests; of the columns where there is
+        no file. Computed on first use."""
+        if self.path is not None and not self.path.is_dir():
+            return _hash_file(self.path)
+        parts = [part.path for part in self.table.source.parts]
+        digests = [_hash_file(path) for path in parts if path is not None]
+        return hashlib.sha256(" ".join(digests).encode()).hexdigest() if digests else _hash_columns(self)
 
     def blocks(self, columns: Sequence[str] | None = None, size: int = CHUNK_ROWS) -> Iterator[Block]:
         """Yield consecutive blocks of one run each, of at most `size` samples, with `columns` (or all).
@@ -187,6 +187,11 @@ def _float(values: Array) -> Array:
 
 def _few(runs: tuple[int, ...]) -> str:
     return ", ".join(map(str, runs[:12])) + (", ..." if len(runs) > 12 else "")
+
+
+def _hash_file(path: Path) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _hash_columns(log: Log) -> str:

@@ -26,6 +26,8 @@ WRITTEN = 0.1
 class Guarded(Source):
     """The columns of one file as `open` reads them; each call of the library is inside the boundary."""
 
+    path: Path
+
     def __init__(self, path: Path, open: Callable[[Path], Source], fault: str, remedy: str) -> None:
         """Open the file: its names, rows and what is left out are known then."""
         self.path, self.fault, self.remedy = path, fault, remedy

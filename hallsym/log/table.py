@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ class Source(ABC):
     name. `aliases`: short names by long name, a path in a struct or a group. `units`: what the file states
     beside a name, by name (`hallsym.units`). `notes`: what has to be said about the file; `recognised`: what
     it is, where that had to be found out. `unstated`: what has to be stated before samples are read together.
-    `read_with`: the options that it was read with, by name.
+    `read_with`: the options that it was read with, by name. `path`: where the file is on a disk.
     """
 
     names: tuple[str, ...]
@@ -42,6 +43,7 @@ class Source(ABC):
     notes: tuple[str, ...] = ()
     unstated: str = ""
     read_with: Mapping[str, str] = {}
+    path: Path | None = None
     parts: Sequence[Source] = ()
     """Files that it is read from one after the other, where it is a log in parts."""
 

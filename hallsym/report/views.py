@@ -342,7 +342,7 @@ def _fleet_brief(fleet: Fleet) -> list[str]:
 
 
 def _fleet_figure(fleet: Fleet, log: Any) -> Figure:
-    from hallsym.fleets.page import distributions
+    from hallsym.report.figures.fleet import distributions
 
     return distributions(fleet)
 

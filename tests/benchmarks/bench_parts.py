@@ -1,6 +1,6 @@
 """A log in parts that is larger than memory: run statistics made by two workers of 1 GB, beside one pass.
 
-    python tests/benchmarks/bench_parts.py                      200 million samples: 6 GB on the disk
+    python tests/benchmarks/bench_parts.py                      200 million samples: 3.4 GB on the disk
     python tests/benchmarks/bench_parts.py --samples 50000000 --keep dataset
 
 `hallsym simulate --part-rows` writes an encoder's log. It is fitted in one pass, then by two workers; every

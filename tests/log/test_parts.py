@@ -1,5 +1,6 @@
 """A log in parts: a folder or URL of Parquet files is one log, and a fit of it that of one file."""
 
+import hashlib
 import shutil
 import tracemalloc
 
@@ -46,6 +47,13 @@ def test_parts_are_whole_runs_and_one_log(dataset):
     assert parts.runs == whole.runs
     for column in whole.columns:
         assert np.array_equal(parts.array(column), whole.array(column))
+
+
+def test_the_digest_of_parts_is_that_of_their_files(dataset):
+    folder = dataset / "dataset"
+    files = sorted(folder.glob("part-*.parquet"))
+    digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+    assert read_log(folder).sha256 == hashlib.sha256(" ".join(digests).encode()).hexdigest()
 
 
 @pytest.mark.usefixtures("streamed")

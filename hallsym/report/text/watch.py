@@ -38,8 +38,11 @@ def watch_text(found: Watch, words: Sequence[str] = ()) -> str:
 def _head(found: Watch) -> str:
     judged = len(found.logs) - len(found.not_judged)
     said = f"{len(found.changed)} of {judged} logs do not belong" if found.changed else "every log belongs"
-    if judged == 1:
+    if len(found.logs) == 1:
         said = "the log does not belong" if found.changed else "the log belongs"
+    elif found.not_judged:
+        which = f"{len(found.changed)} of them do not belong" if found.changed else "all of them belong"
+        said = f"{judged} of {len(found.logs)} logs could be judged; {which}"
     if not judged:
         return f"no log could be judged against the calibration {found.calibration} ({found.model})"
     return f"{said} to the calibration {found.calibration} ({found.model})"

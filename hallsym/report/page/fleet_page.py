@@ -4,23 +4,21 @@ import io
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from matplotlib.figure import Figure
-
-from hallsym.errors import InputError, counted
+from hallsym.errors import counted
 from hallsym.files import atomic_write
-from hallsym.fleets.result import Fleet
-from hallsym.fleets.row import GOOD, VALUE, VERDICTS
-from hallsym.fleets.sources import ORDER_COLUMN
-from hallsym.fleets.spread import Spread
+from hallsym.fleets import Fleet, Spread
+from hallsym.fleets.row import VERDICTS
+from hallsym.fleets.spread import Trend
+from hallsym.report.figures.fleet import CAPTION, distribution
+from hallsym.report.tables import concise
 from hallsym.units import parameter_unit
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
 table { border-collapse: collapse; margin: .6rem 0 1.4rem; }
-td, th { padding: .2rem .7rem; text-align: right; }
+td, th { padding: .2rem .7rem; text-align: right; vertical-align: top; }
+td:not(.words) { white-space: nowrap; }
 th { border-bottom: 1px solid #999; font-weight: 600; }
 td:first-child, th:first-child, td.words, th.words { text-align: left; }
 figure { margin: .5rem 0 1.5rem; }
@@ -44,25 +42,25 @@ def page_of(fleet: Fleet) -> str:
         parts += ["<h2>Spread of the parameters</h2>", _spreads(fleet)]
         trends = [(s, t) for s in fleet.spreads for t in s.trends if t.significant]
         if trends:
-            rows = [
-                [s.name, t.column, f"{t.slope:.3g} +- {t.std:.2g} {s.unit}", f"{t.chance:.1e}"]
-                for s, t in trends
+            rows = [[s.name, t.column, _slope(s, t), f"{t.chance:.1e}"] for s, t in trends]
+            parts += [
+                "<h2>Trends</h2>",
+                _table(["parameter", "follows", "per 1 of it (1 sigma)", "p of no trend"], rows),
             ]
-            parts += ["<h2>Trends</h2>", _table(["parameter", "follows", "per 1 of it", "by chance"], rows)]
     if fleet.outlying:
         rows = [[device, why] for device, why in list(fleet.outlying.items())[:MOST_LISTED]]
         parts += ["<h2>Devices to look at</h2>", _table(["device", "why"], rows, words=(1,))]
-    if fleet.groups:
+    if any(row.get("diagnosis") for row in fleet.rows):
         rows = [
             [key, str(len(d)), ", ".join(d[:12]) + (", ..." if len(d) > 12 else "")]
             for key, d in fleet.groups.items()
         ]
         parts += [
-            "<h2>Groups</h2>",
-            _table(["what they have in common", "devices", "which"], rows, words=(2,)),
+            "<h2>Devices of the same diagnosis</h2>",
+            _table(["diagnosis", "devices", "which"], rows, words=(2,)),
         ]
     if fleet.spreads:
-        parts += ["<h2>Distributions</h2>"]
+        parts += ["<h2>Distributions</h2>", f"<p>{CAPTION}</p>"]
         parts += [_figure(fleet, spread) for spread in fleet.spreads]
     body = "\n".join(parts)
     return (
@@ -82,13 +80,18 @@ def _spreads(fleet: Fleet) -> str:
         factor, unit = parameter_unit(s.unit)
         low, high = (factor * v for v in s.interval)
         rows.append([
-            s.name, f"{factor * s.mean:.6g}", f"{factor * s.std:.3g}", f"{low:.3g} to {high:.3g}",
-            f"{factor * s.scatter:.3g}", f"{factor * s.typical_std:.2g}", unit, str(s.devices),
+            s.name, concise(factor * s.mean, factor * s.mean_std), f"{factor * s.std:.3g}",
+            f"{low:.3g} .. {high:.3g}", f"{factor * s.typical_std:.2g}", unit, str(s.devices),
             str(len(s.outlying)),
         ])  # fmt: skip
-    head = ["parameter", "mean", "spread (1 sigma)", "95 %", "scatter of estimates", "uncertainty of one",
+    head = ["parameter", "mean (1 sigma)", "spread (1 sigma)", "95 % of the spread", "1 sigma of one fit",
             "unit", "devices", "outlying"]  # fmt: skip
     return _table(head, rows)
+
+
+def _slope(spread: Spread, trend: Trend) -> str:
+    factor, unit = parameter_unit(spread.unit)
+    return f"{concise(factor * trend.slope, factor * trend.std)} {unit}"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = ()) -> str:
@@ -101,43 +104,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[i
 
 
 def _figure(fleet: Fleet, spread: Spread) -> str:
-    figure = Figure(figsize=(9.0, 2.6), layout="constrained")
-    _draw(figure.subplots(1, 2), fleet, spread)
     stream = io.StringIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None})
+    distribution(fleet, spread).savefig(stream, format="svg", metadata={"Date": None})
     svg = stream.getvalue()
     return f"<figure>{svg[svg.index('<svg') :]}</figure>"
-
-
-def distributions(fleet: Fleet) -> Figure:
-    """Return the histogram of every parameter and its course over production, a line of a figure each."""
-    if not fleet.spreads:
-        raise InputError("No parameter has a spread to draw: three good devices at least must determine it.")
-    figure = Figure(figsize=(9.0, 2.3 * len(fleet.spreads)), layout="constrained")
-    for axes, spread in zip(
-        figure.subplots(len(fleet.spreads), 2, squeeze=False), fleet.spreads, strict=True
-    ):
-        _draw(axes, fleet, spread)
-    return figure
-
-
-def _draw(axes: Any, fleet: Fleet, spread: Spread) -> None:
-    """Draw the histogram of a parameter with its fitted distribution, beside its course over production."""
-    left, right = axes
-    factor, unit = parameter_unit(spread.unit)
-    good = np.array([row["verdict"] == GOOD for row in fleet.rows])
-    values, order = factor * fleet.column(VALUE + spread.name)[good], fleet.column(ORDER_COLUMN)[good]
-    known = np.isfinite(values)
-    left.hist(values[known], bins="auto", density=True, color="#9ab")
-    width = factor * np.hypot(spread.std, spread.typical_std)
-    at = np.linspace(values[known].min(), values[known].max(), 200)
-    if width > 0:
-        bell = np.exp(-0.5 * ((at - factor * spread.mean) / width) ** 2) / (width * np.sqrt(2 * np.pi))
-        left.plot(at, bell, color="#225")
-    left.set_xlabel(f"{spread.name} [{unit}]")
-    left.set_yticks([])
-    out = np.isin(np.array(fleet.devices)[good], list(spread.outlying))
-    right.plot(order[known & ~out], values[known & ~out], ".", ms=3, color="#567")
-    right.plot(order[known & out], values[known & out], "x", ms=6, color="#b30")
-    right.set_xlabel("production order")
-    right.set_ylabel(f"{spread.name} [{unit}]")
