@@ -16,7 +16,7 @@ from math import log
 import numpy as np
 
 from hallsym.diagnosis.normal_equations import Accumulator, coefficients
-from hallsym.diagnosis.policy import Policy
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import count_of, distance
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.regression import NIL
@@ -32,8 +32,6 @@ from hallsym.model import Model
 SHOWN = 2
 """Sets that stand beside the same effects at most, of one size none with an effect of another: most further
 ones only exchange a member for one like it."""
-KEPT = 6
-"""Sets that are grown further at each size: those that explain most."""
 COLUMNS = 400
 """Parameters of effects that are screened together, those that explain most alone: 1.3 MB of products."""
 SAMPLES = 200_000
@@ -261,7 +259,7 @@ def _proposals(setup: Setup, found: Validation, P: _Products) -> Iterator[_Propo
                 bic = (left - least) / variance + log(max(P.count / found.inflation, 2.0)) * (
                     len(theta) - sum(len(P.selected[n]) for n in of)
                 )
-                if bic < policy.reason and not (size == len(keys) == 1 and names[0] in known[of[0]]):
+                if bic < 2 * policy.as_good and not (size == len(keys) == 1 and names[0] in known[of[0]]):
                     searched = sum(P.searched[k] for k in keys)
                     places = (searched, *sorted(P.places[k] for k in keys))
                     yield _Proposal(of, keys, names, float(bic), places)
@@ -303,7 +301,7 @@ def _sets(
 ) -> list[tuple[tuple[str, ...], np.ndarray, float]]:
     """Return sets that leave at most `enough`, with their coefficients and what they leave.
 
-    Grown one effect at a time from the `KEPT` best of each size: once from effects that search no number,
+    Grown one effect at a time from the best few of each size: once from effects that search no number,
     which sets with flexible effects would crowd out, and once from all.
     """
     seen = {
@@ -344,7 +342,7 @@ def _grown(
         for keys in ranked:
             if tried[keys][1] > enough:
                 best.setdefault(tuple(sorted(P.names[k] for k in keys)), keys)
-        grown = list(best.values())[:KEPT]
+        grown = list(best.values())[: POLICY.most_refits]
     return out
 
 

@@ -249,7 +249,7 @@ def _parameters(
     freedom: tuple[Freedom, Freedom] = ({}, {}),
 ) -> tuple[ParameterChange, ...]:
     """Compare parameters by name; `count`: how many are compared in all."""
-    return changes(one, two, POLICY.changed / max(count, 1), freedom)
+    return changes(one, two, POLICY.false_alarm / max(count, 1), freedom)
 
 
 def _places(one: Sequence[Statement], two: Sequence[Statement]) -> tuple[PlaceChange, ...]:

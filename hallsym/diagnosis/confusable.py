@@ -68,7 +68,7 @@ def separation(
         return plain
     sigma = np.sqrt(squared / variance)
     plain = replace(plain, tried={r.text: float(s) for r, s in zip(tried, sigma, strict=True)})
-    best = int(np.argmax(sigma >= policy.nearly_best * sigma.max()))
+    best = int(np.argmax(sigma >= policy.mostly * sigma.max()))
     gain = float(squared[best])
     runs = max(int(np.ceil(max(needed - distance, 0.0) / gain)), 1) if gain > 0 else policy.most_runs + 1
     if runs > policy.most_runs:
@@ -220,7 +220,7 @@ def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[E
     one = selected.exact
     rivals = _not_excluded(setup, selected, inflation)
     if setup.base.model.family.pairs:  # parameters for which the log gives no reason make no rival
-        rivals = [r for r in rivals if r.bic - one.bic < setup.policy.reason]
+        rivals = [r for r in rivals if r.bic - one.bic < 2 * setup.policy.as_good]
     close = [(r, distance(one.fit, r.fit)) for r in rivals]
     limit = _limit(setup, one, inflation)
     return [(r, d) for r, d in close if d < limit][:SHOWN]
@@ -274,7 +274,7 @@ def smaller_findings(
     for score in by_name(selection.last):
         p, shrinkage = score.p_value, 1 - score.ratio
         # what is worth more was judged, and not selected
-        small = setup.policy.smallest * setup.threshold <= shrinkage < setup.threshold
+        small = setup.policy.minor * setup.threshold <= shrinkage < setup.threshold
         if p < setup.policy.certain and small and score.effect.name not in known:
             out.append(SmallerFinding(score.effect.name, shrinkage, p))
     return tuple(out)

@@ -33,10 +33,6 @@ SPIKES = 0.3
 
 A stale sample is off along the direction of motion only and leaves none; a spike of one of K readings has
 1 - 1/K of its power in the others on average (2/3 for three). Half of that."""
-BURSTS = 0.5
-"""Share of far samples with others around them from which on they are no faults of single samples.
-
-A majority: rare faults have none around."""
 SMOOTH = 0.25
 """Correlation of neighbouring time shifts from which on they are no jitter, which has none.
 
@@ -75,7 +71,7 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     out = []
     variance = max(found.variance, 1e-12)
     tail = found.spike_power + found.stale_power
-    rare = found.bursts < BURSTS
+    rare = found.bursts < POLICY.half
     if rare and certain(found.spike_p) and found.spike_power > SPIKES * tail:
         out.append(
             Fault("outliers", f"{100 * found.spike_share:.2g} % of the samples are spikes",

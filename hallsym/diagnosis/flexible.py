@@ -19,7 +19,7 @@ from hallsym.diagnosis.features import Features, powers
 from hallsym.diagnosis.normal_equations import reading_and_derivatives
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.record import Resemblance
-from hallsym.diagnosis.regression import others
+from hallsym.diagnosis.regression import FOLDS, others
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
@@ -27,8 +27,6 @@ from hallsym.estimation import eliminate, pseudo_inverse
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import rate
 
-FOLDS = 13
-"""Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
 DEGREE, TOGETHER = 3, 2
 """Highest power of a coordinate that the strength of an effect follows; of several coordinates together."""
 FINER = 2
@@ -49,14 +47,14 @@ PAST = ("the past",)
 def resemblances(setup: Setup, found: Validation) -> dict[str, Resemblance]:
     """Return, for each effect that the machine only behaves like, the alternative that beats it most.
 
-    An alternative must be certain, and its misfit must be material (`Policy.behaves_like`).
+    An alternative must be certain, and its misfit must be material (`Policy.minor`).
     """
     out: dict[str, Resemblance] = {}
     for held in found.effects:
         tried = flexible(setup, found, held)
-        sure = [f for f in tried if f.p_value < setup.policy.beaten]
+        sure = [f for f in tried if f.p_value < setup.policy.beyond_doubt]
         best = max(sure, key=lambda f: f.misfit, default=None)
-        if best is not None and best.misfit >= setup.policy.behaves_like:
+        if best is not None and best.misfit >= setup.policy.minor:
             out[held.selected.name] = best
     return out
 
@@ -64,7 +62,7 @@ def resemblances(setup: Setup, found: Validation) -> dict[str, Resemblance]:
 def flexible(setup: Setup, found: Validation, held: Held) -> list[Resemblance]:
     """Return the flexible alternatives to an effect, all others in place."""
     base, known = found.end, frozenset(setup.runs)
-    if len(known) < setup.policy.fewest_folds:
+    if len(known) < setup.policy.fewest:
         return []
     work = _Work(base, held, known, _moving(setup, held))
     for piece in pieces(base, known):

@@ -139,7 +139,7 @@ def _simpler_first(exact: list[Exact], scored: Sequence[Score], policy: Policy) 
 def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> bool:
     return (
         e.score.size < best.score.size
-        and e.bic - best.bic <= (1 - policy.simpler_gain) * best.score.gain
+        and e.bic - best.bic <= policy.negligible * best.score.gain
         and e.gap <= best.gap * (1 + policy.simpler_gap)
         and not any(
             s.effect is best.score.effect
@@ -185,7 +185,7 @@ def plain_pairs_first(
         return exact
     _, first, left = min(found, key=lambda f: f[0])
     second = _second(best, catalogue, runs, facts, policy)
-    if second is not None and best.fit.cost - second.gain < policy.no_substitute * left:
+    if second is not None and best.fit.cost - second.gain < policy.half * left:
         return exact
     return _first(first, exact)
 

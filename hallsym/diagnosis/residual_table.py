@@ -14,6 +14,7 @@ from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.sign_flips import FEWEST_UNITS, stretch
 from hallsym.diagnosis.survey import ENOUGH, MAINS
 from hallsym.estimation.decoding import decoding_gain
+from hallsym.estimation.residual_columns import STILL
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 
@@ -202,12 +203,6 @@ def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, Residua
 def phase(reference: str) -> str:
     """Return the column of the place of a reference within its period."""
     return f"phase_{reference}"
-
-
-STILL = 5.0
-"""An axis that moves less than this many sigma of its noise (rms) is at rest.
-
-Its logged place is then noise to 4 % of its variance, and that noise is in the residual too."""
 
 
 def at_rest(x: np.ndarray, sigma: float) -> np.ndarray:

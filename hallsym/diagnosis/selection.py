@@ -358,7 +358,7 @@ class _Search:
 
     def judged(self, before: Squares, after: Squares) -> Judged:
         """Return how far the gap of these runs shrinks."""
-        return Judged.of(before, after, self.policy.fewest_judges)
+        return Judged.of(before, after, self.policy.fewest)
 
     def refit(self, effects: Iterable[Selected]) -> Refitted:
         """Return the fit with some of the effects."""

@@ -20,6 +20,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import gammaincc, ndtr, ndtri, stdtr
 
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.regression import NIL
 from hallsym.estimation import pseudo_inverse
@@ -160,8 +161,6 @@ LEAST = 0.01
 What a fit to few units leaves nothing of would be divided by rounding."""
 
 
-FEWEST_SIGNS = 6
-"""Units from which on their signs may say something: of fewer all signs alike are no evidence."""
 LEAST_SKEW = 0.05
 """Least skewness of the gamma distribution that stands for the one over the signs; 0 would be Gaussian."""
 
@@ -187,7 +186,7 @@ def moments(q: np.ndarray) -> tuple[float, float]:
 
 def of_sums(sums: np.ndarray, variance: float, third: float, units: int) -> np.ndarray:
     """Return sums (1 + FLIPS,) of products over signs as normal scores; -inf where there is no evidence."""
-    if variance <= 0 or units < FEWEST_SIGNS:
+    if variance <= 0 or units < POLICY.fewest:
         return np.full(len(sums), -np.inf)
     shape = 4 / max(third / variance**1.5, LEAST_SKEW) ** 2  # gamma with mean 0, variance 1, this skewness
     x = np.maximum(shape + sums / np.sqrt(variance) * np.sqrt(shape), 0.0)

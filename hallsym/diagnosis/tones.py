@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.estimation.decoding import decoding_gain
 
@@ -18,10 +19,6 @@ SLOWEST = 4
 """Frequencies of a segment that are drift and no line."""
 CERTAIN = 8.0
 """Standard deviations of the mean power of noise by which a line stands out."""
-STEADY = 0.5
-"""Variance of a line's power within runs, over its square and over that of noise, below which it is a tone.
-
-The power of noise, also of a resonance that noise excites, scatters in each line by as much as it is."""
 
 
 def tones(base: Base, runs: Iterable[int]) -> float:
@@ -68,4 +65,4 @@ def _steady(of_run: Sequence[Sequence[np.ndarray]], certain: np.ndarray) -> bool
         return True
     # the median: a few frequencies beside a line have a part of its power
     usual = float(np.median(varies[noise] / squares[noise]))
-    return bool(varies[certain].sum() < STEADY * usual * squares[certain].sum())
+    return bool(varies[certain].sum() < POLICY.half * usual * squares[certain].sum())
