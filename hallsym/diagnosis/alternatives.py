@@ -15,7 +15,7 @@ from math import log
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import Accumulator, coefficients
+from hallsym.diagnosis.normal_equations import ENTRIES, Accumulator, coefficients
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import count_of, distance
 from hallsym.diagnosis.refit import Refitted, refit, with_model
@@ -36,13 +36,10 @@ COLUMNS = 400
 """Parameters of effects that are screened together, those that explain most alone: 1.3 MB of products."""
 SAMPLES = 200_000
 """Samples that products are made of; of a longer log, batches spread over it."""
-NUMBERS = 4_000_000
-"""Entries of the columns that are held at once: 32 MB."""
 BEYOND = 2.0
 """Times its bounds that a parameter of a set may be to first order: refitted exactly it would stop there."""
-FIRST, PASSES = 2, 12
-"""Linearisations after which a set must leave less than at its start, and those at most from there on: three
-or four are usual."""
+FIRST = 2
+"""Linearisations after which a set must leave less than at its start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +213,7 @@ def _contributions(
 
 
 def _slices(part: slice, columns: int) -> Iterator[slice]:
-    step = max(1, NUMBERS // columns)
+    step = max(1, ENTRIES // columns)
     for low in range(part.start, part.stop, step):
         yield slice(low, min(low + step, part.stop))
 
@@ -372,7 +369,7 @@ def _exact(
     near = refit(start, setup.runs, FIRST)
     if near.base is start:
         return None  # the step that leaves as little to first order leaves more: it does not say what is left
-    fit = refit(near.base, setup.runs, PASSES)
+    fit = refit(near.base, setup.runs)
     values, new = fit.base.values, [n for n in fit.base.model.names if n not in known]
     if not all(s.effect.possible(values) for s in scores) or cancels(fit, new, policy.cancelling):
         return None

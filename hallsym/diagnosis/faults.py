@@ -14,7 +14,7 @@ from hallsym.diagnosis.p_values import beyond, statistic_at
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.survey import Survey
+from hallsym.diagnosis.survey import FAR, Survey
 from hallsym.estimation.outliers import residuals
 from hallsym.families.faults import FAULTS
 from hallsym.log import Block, Log
@@ -24,10 +24,6 @@ TAILS = ("outliers", "dropped_samples")
 """Faults of few samples, which can be left out."""
 OF_VALUES = ("cordic_steps",)
 """Faults that the values of the readings tell, whatever a model leaves: their error is known."""
-FAR = 42.0
-"""Squared whitened distance of a sample, over its typical one, from which on it is left out.
-
-Chi-square of three readings exceeds it with 4e-9: of a million Gaussian samples none is lost."""
 SPIKES = 0.3
 """Part of the power of far samples from which on spikes, which no delay explains, are the cause.
 

@@ -24,6 +24,7 @@ from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
 from hallsym.estimation import eliminate, pseudo_inverse
+from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import rate
 
@@ -37,8 +38,6 @@ LONGEST = 0.1
 """Time constant of the slowest of these, over the length of a run."""
 PRIORS = tuple(10.0**k for k in range(-4, 1))
 """Inverse variances of the prior, for features of unit length; the evidence chooses one."""
-SHORT = 16
-"""Samples of a stretch below which it has no past to respond to."""
 
 
 PAST = ("the past",)
@@ -124,7 +123,7 @@ class _Work:
                 rows = np.vstack([basis, basis * bare[k], own])[:, piece.used]
                 sums = self.shares.setdefault(by, [np.zeros((len(rows),) * 2) for _ in made])
                 sums[k] += rows @ rows.T
-        if self.moving and self.base.timed and len(piece.t) >= SHORT:
+        if self.moving and self.base.timed and len(piece.t) >= 2 * FEWEST_SAMPLES:
             span = float(piece.t[-1] - piece.t[0])
             step = span / (len(piece.t) - 1)
             lasting = np.geomspace(step, max(LONGEST * span, 2 * step), MEMORIES)

@@ -36,11 +36,7 @@ from hallsym.diagnosis.shares import (
 from hallsym.diagnosis.sign_flips import Joint
 from hallsym.diagnosis.words import percent, plain, shown
 
-SMALL = 0.02
-"""Excess over the noise [share of its power] below which nothing is said."""
 MOST = 5
-NEARLY = 0.92
-"""Of coordinates that explain at least this part of what the best one explains the most telling is named."""
 RATHER = 0.6
 """A gain of its own in every run is named only where no coordinate explains this part of what it does."""
 
@@ -78,7 +74,7 @@ def located(
     """
     fitted, held = both(base, runs)
     steps = _steps([r for r in (fitted, held) if r is not None])
-    if fitted is None or fitted.excess <= SMALL * fitted.residual.size:
+    if fitted is None or fitted.excess <= POLICY.negligible * fitted.residual.size:
         return Located(tuple(steps), (), fitted, held)
     tried = _Tried(base, fitted, top, colour)
     statements, curves, alone = _coordinates(tried)
@@ -185,7 +181,7 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Shar
             break
         if not good:
             break
-        first = next(c for c in good if c.explained >= NEARLY * best)
+        first = next(c for c in good if c.explained >= (1 - POLICY.minor) * best)
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
         if share < POLICY.negligible:
             break

@@ -173,9 +173,6 @@ class Policy:
 
     # comparison of two records
 
-    floors_differ: float = 1.2
-    """Ratio of two noise floors from which on a comparison notes it. A choice."""
-
 
 POLICY = Policy()
 """The thresholds of `diagnose`."""

@@ -20,8 +20,6 @@ from hallsym.model.arrays import on_arrays
 
 MAINS_DRIFT = 0.3
 """Distance from the mains [Hz] that they and a clock may drift by."""
-STRETCH = 32
-"""Samples that a stretch must have."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class Spectrum:
     def add(self, piece: Piece) -> None:
         """Add a stretch of one run."""
         n = len(piece.t)
-        if n < STRETCH or self.seen > ENOUGH:
+        if n < 2 * FEWEST_SAMPLES or self.seen > ENOUGH:
             return
         self.seen += n
         r = np.where(piece.used, piece.residual, 0.0)

@@ -29,8 +29,6 @@ FLIPS = 1999
 """Random signs that are drawn: p-values go down to 0.0005, and one of 0.05 is good to 0.005."""
 FEWEST_UNITS = 24
 """Runs from which on runs are the units; of fewer, stretches are, so that there are about as many."""
-SAME = 1e-8
-"""Part of the largest eigenvalue below which a direction of an effect repeats another one."""
 
 
 def stretch(samples: float, runs: int) -> int | None:
@@ -105,7 +103,7 @@ class SignFlips:
         columns = self.t.span[key].start + np.flatnonzero(seen)  # of all candidates
         d = np.sqrt(np.diag(G))
         values, V = np.linalg.eigh(G / np.outer(d, d))
-        kept = values > SAME * values[-1]
+        kept = values > NIL * values[-1]
         V = V[:, kept] / np.sqrt(values[kept]) / d[:, None]
         to_own = M[:, at, :n]
         across = to_own - P.T @ self.known  # (units, k, n) left of T'J
@@ -237,7 +235,7 @@ class Joint:
 
     def p_value(self, statistic: float) -> float:
         """Return the share of draws in which the largest statistic of all is as large as one."""
-        return float((self.top >= statistic - SAME).mean())
+        return float((self.top >= statistic - NIL).mean())
 
 
 def adjusted(statistics: np.ndarray) -> tuple[np.ndarray, float]:
@@ -248,5 +246,5 @@ def adjusted(statistics: np.ndarray) -> tuple[np.ndarray, float]:
     if not len(statistics):
         return np.zeros(0), 1.0
     top = statistics.max(axis=0)
-    p = (top[None, :] >= statistics[:, :1] - SAME).mean(axis=1)
+    p = (top[None, :] >= statistics[:, :1] - NIL).mean(axis=1)
     return p, float(p.min())

@@ -31,11 +31,13 @@ KNOWN_VALUES = 20_000
 """Different readings of a channel that are kept; some more, as a block is added whole."""
 FEWEST = 200
 """Samples from which on faults of single ones are judged."""
-WAVE_BLOCKS, WAVE_SAMPLES, WAVE_DEGREE = 256, 16, 6
-"""Blocks that mains lines are looked for in, samples that each must have, and the number of coefficients of
-the polynomial that is taken out of each."""
-FAR, QUIETEST = 40.0, 0.25
-"""Square of a sample over the median, and the least median, from which on it is far from the others."""
+WAVE_BLOCKS, WAVE_DEGREE = 256, 6
+"""Blocks that mains lines are looked for in, and the number of coefficients of the polynomial that is taken
+out of each."""
+FAR, QUIETEST = 42.0, 0.25
+"""Square of a sample over the typical one, and the least median, from which on it is far from the others.
+
+Chi-square of three readings exceeds it with 4e-9: of a million Gaussian samples none is lost."""
 WHOLE = 0.02
 """How near to whole, in steps, the distance of two readings must be for ADC steps."""
 WINDOW = 9
@@ -146,7 +148,7 @@ class _Work:
     def _spectrum(self, t: np.ndarray, r: np.ndarray) -> None:
         """Fourier amplitudes of the mains bands, kept per block with its middle time (blocks <= 8192)."""
         middle = 0.5 * (t[0] + t[-1])
-        if len(t) < WAVE_SAMPLES or len(self.spectra) >= WAVE_BLOCKS:
+        if len(t) < 2 * FEWEST_SAMPLES or len(self.spectra) >= WAVE_BLOCKS:
             return
         x = np.arange(len(t)) / len(t) - 0.5
         basis = np.linalg.qr(np.vander(x, WAVE_DEGREE))[0]

@@ -319,8 +319,8 @@ def test_floors_that_differ_are_noted():
     def floor(times: float) -> dict:
         return diagnosis(metric={"before": 3e-6, "after": 1.5e-6, "floor": times * 1e-6})
 
-    assert not compare(floor(1.0), floor(POLICY.floors_differ - 0.01)).notes
-    assert "noise floors differ" in compare(floor(1.0), floor(POLICY.floors_differ + 0.01)).notes[0]
+    assert not compare(floor(1.0), floor(1 + POLICY.unstructured - 0.01)).notes
+    assert "noise floors differ" in compare(floor(1.0), floor(1 + POLICY.unstructured + 0.01)).notes[0]
 
 
 def test_a_change_is_significant_at_five_per_cent():
