@@ -13,7 +13,7 @@ import numpy as np
 
 from hallsym.diagnosis.alternatives import Alternative, alternatives
 from hallsym.diagnosis.findings import EITHER
-from hallsym.diagnosis.further import further_recordings, with_readings
+from hallsym.diagnosis.further import added, further_recordings, recording, with_readings
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, count_of, distance
@@ -28,7 +28,6 @@ from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import Verdict
 from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError
-from hallsym.estimation import pseudo_inverse
 from hallsym.log import Log
 from hallsym.model import ways_text
 
@@ -100,17 +99,8 @@ def simulated(fits: Sequence[Refitted]) -> tuple[list[Recording], np.ndarray]:
 
 def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> np.ndarray:
     """Return the squared distance of b from the readings of a, b refitted to the log and the run at once."""
-    log = recorded(span, tried, a.base)
-    n = len(b.base.free)
-    known = b.tangents.likelihood[b.fitted].sum(axis=0)[:n, :n]
-    zeros = np.zeros(len(b.base.model.zeros))
-    there = replace(b.base, log=log, zeros=dict.fromkeys(log.runs, zeros), keep=None, holdout=frozenset())
-    M = normal_equations(there).likelihood[1:]
-    out = []
-    for run in M:
-        both = pseudo_inverse(known + run[:n, :n])
-        out.append(max(float(run[n, n] - run[:n, n] @ both @ run[:n, n]), 0.0))
-    return np.array(out)
+    there = recording(b.base, recorded(span, tried, a.base))
+    return np.array([added(M, there, b) for M in normal_equations(there).likelihood[1:]])
 
 
 def recorded(span: Range, tried: Sequence[Recording], base: Base) -> Log:

@@ -19,7 +19,7 @@ from hallsym.diagnosis.features import Features, powers
 from hallsym.diagnosis.normal_equations import reading_and_derivatives
 from hallsym.diagnosis.p_values import beyond
 from hallsym.diagnosis.record import Resemblance
-from hallsym.diagnosis.regression import FOLDS, others
+from hallsym.diagnosis.regression import others
 from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
@@ -28,6 +28,8 @@ from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import rate
 
+FOLDS = 13
+"""Groups of runs left out in turn; a prime, so that they do not fall in step with settings that recur."""
 DEGREE, TOGETHER = 3, 2
 """Highest power of a coordinate that the strength of an effect follows; of several coordinates together."""
 FINER = 2

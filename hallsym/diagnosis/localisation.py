@@ -37,6 +37,8 @@ from hallsym.diagnosis.sign_flips import Joint
 from hallsym.diagnosis.words import percent, plain, shown
 
 MOST = 5
+NEARLY = 0.92
+"""Of coordinates that explain at least this part of what the best one explains the most telling is named."""
 RATHER = 0.6
 """A gain of its own in every run is named only where no coordinate explains this part of what it does."""
 
@@ -181,7 +183,7 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Shar
             break
         if not good:
             break
-        first = next(c for c in good if c.explained >= (1 - POLICY.minor) * best)
+        first = next(c for c in good if c.explained >= NEARLY * best)
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
         if share < POLICY.negligible:
             break

@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.scores import Score, bic, by_name, candidates, scores
+from hallsym.diagnosis.scores import Score, Screen, bic, by_name, candidates
 from hallsym.model import Effect, Facts
 
 
@@ -85,7 +85,7 @@ def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: 
     if finer is None:
         return score
     tried, _ = candidates(base, [finer], facts)
-    ranked, _ = scores(base, tried, runs, policy.inflation)
+    ranked = Screen(base, tried, runs, policy.inflation).scores
     best = min([score, *ranked], key=lambda s: s.bic)
     return replace(best, effect=score.effect, p_value=score.p_value)
 
@@ -195,7 +195,7 @@ def _second(
 ) -> Score | None:
     """Return the best second effect beside one, by its score."""
     tried, _ = candidates(e.fit.base, catalogue, facts)
-    ranked, _ = scores(e.fit.base, tried, runs, policy.inflation)
+    ranked = Screen(e.fit.base, tried, runs, policy.inflation).scores
     return next((s for s in ranked if not s.absorbed), None)
 
 
