@@ -58,7 +58,7 @@ from hallsym.diagnosis.remainder import Band, CurveShape, ModelLeft, NotExcluded
 from hallsym.diagnosis.report import unexplained
 from hallsym.diagnosis.residual_table import ResidualTable, Spectrum, both, residual_table
 from hallsym.diagnosis.residuals import Base
-from hallsym.diagnosis.scores import Score, Screen, candidates, scores
+from hallsym.diagnosis.scores import Score, Screen, candidates
 from hallsym.diagnosis.selection import Selected, cancelled, select
 from hallsym.diagnosis.selftest import NO_EFFECT, RATIOS, ROWS, Bench, Findable, SelfTest, Trial, selftest
 from hallsym.diagnosis.setup import Floor, base_of
@@ -99,7 +99,7 @@ __all__ = [
     "instants", "knot_group", "knots", "lack_of_fit", "load_effects", "located", "machine_of", "model_on",
     "noise_of_rest", "noise_text", "normal_equations", "of_products", "operations", "ordered", "others",
     "prepare", "rails_of", "range_of", "readings_of", "recorded", "recordings", "refit", "remains",
-    "resemblances", "residual_table", "run_gains", "scores", "searched", "select", "selftest", "separation",
+    "resemblances", "residual_table", "run_gains", "searched", "select", "selftest", "separation",
     "shape", "shared_noise", "shown", "simulated_noise", "sized", "sizes", "smaller_findings", "split",
     "stretch", "student", "survey", "unexplained", "used_up", "validate", "watch", "waves_per_period",
     "wiring_p", "wirings", "with_model", "with_readings",

@@ -15,8 +15,8 @@ from math import log
 
 import numpy as np
 
-from hallsym.diagnosis.normal_equations import Accumulator, coefficients
-from hallsym.diagnosis.policy import Policy
+from hallsym.diagnosis.normal_equations import ENTRIES, Accumulator, coefficients
+from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import count_of, distance
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.regression import NIL
@@ -32,19 +32,14 @@ from hallsym.model import Model
 SHOWN = 2
 """Sets that stand beside the same effects at most, of one size none with an effect of another: most further
 ones only exchange a member for one like it."""
-KEPT = 6
-"""Sets that are grown further at each size: those that explain most."""
 COLUMNS = 400
 """Parameters of effects that are screened together, those that explain most alone: 1.3 MB of products."""
 SAMPLES = 200_000
 """Samples that products are made of; of a longer log, batches spread over it."""
-NUMBERS = 4_000_000
-"""Entries of the columns that are held at once: 32 MB."""
 BEYOND = 2.0
 """Times its bounds that a parameter of a set may be to first order: refitted exactly it would stop there."""
-FIRST, PASSES = 2, 12
-"""Linearisations after which a set must leave less than at its start, and those at most from there on: three
-or four are usual."""
+FIRST = 2
+"""Linearisations after which a set must leave less than at its start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +213,7 @@ def _contributions(
 
 
 def _slices(part: slice, columns: int) -> Iterator[slice]:
-    step = max(1, NUMBERS // columns)
+    step = max(1, ENTRIES // columns)
     for low in range(part.start, part.stop, step):
         yield slice(low, min(low + step, part.stop))
 
@@ -261,7 +256,7 @@ def _proposals(setup: Setup, found: Validation, P: _Products) -> Iterator[_Propo
                 bic = (left - least) / variance + log(max(P.count / found.inflation, 2.0)) * (
                     len(theta) - sum(len(P.selected[n]) for n in of)
                 )
-                if bic < policy.reason and not (size == len(keys) == 1 and names[0] in known[of[0]]):
+                if bic < 2 * policy.as_good and not (size == len(keys) == 1 and names[0] in known[of[0]]):
                     searched = sum(P.searched[k] for k in keys)
                     places = (searched, *sorted(P.places[k] for k in keys))
                     yield _Proposal(of, keys, names, float(bic), places)
@@ -303,7 +298,7 @@ def _sets(
 ) -> list[tuple[tuple[str, ...], np.ndarray, float]]:
     """Return sets that leave at most `enough`, with their coefficients and what they leave.
 
-    Grown one effect at a time from the `KEPT` best of each size: once from effects that search no number,
+    Grown one effect at a time from the best few of each size: once from effects that search no number,
     which sets with flexible effects would crowd out, and once from all.
     """
     seen = {
@@ -344,7 +339,7 @@ def _grown(
         for keys in ranked:
             if tried[keys][1] > enough:
                 best.setdefault(tuple(sorted(P.names[k] for k in keys)), keys)
-        grown = list(best.values())[:KEPT]
+        grown = list(best.values())[: POLICY.most_refits]
     return out
 
 
@@ -374,7 +369,7 @@ def _exact(
     near = refit(start, setup.runs, FIRST)
     if near.base is start:
         return None  # the step that leaves as little to first order leaves more: it does not say what is left
-    fit = refit(near.base, setup.runs, PASSES)
+    fit = refit(near.base, setup.runs)
     values, new = fit.base.values, [n for n in fit.base.model.names if n not in known]
     if not all(s.effect.possible(values) for s in scores) or cancels(fit, new, policy.cancelling):
         return None

@@ -10,11 +10,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import stdtr
 
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 
-FEWEST_OTHERS = 5
-"""Other runs whose steps one is held against, at least: their scatter has to be known."""
 SCATTER, KNOWN = 0.6, 10
 """Standard deviation of the logarithm of the largest step of a run of noise (simulated: 0.54 for white
 noise, 0.60 and 0.69 for a memory of 3 and 10 samples), and the runs that this counts for."""
@@ -49,7 +48,7 @@ def change_points(*tables: ResidualTable) -> tuple[ChangePoint, ...]:
                 step, level = _largest(r, slice(low, high))
                 found.append(step)
                 levels.append(level)
-    if len(found) <= FEWEST_OTHERS:
+    if len(found) < POLICY.fewest:
         return ()
     each = np.array(levels)
     p = [min(1.0, len(each) * _beyond(v, np.delete(each, k))) for k, v in enumerate(each)]

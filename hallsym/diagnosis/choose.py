@@ -65,7 +65,7 @@ def _shown(log: Log, known: Fit, effect: Effect) -> Model:
     ranked = Screen(base, tried, runs, POLICY.inflation, colour=seen.colour).scores if tried else []
     exact = refitted(base, ranked, runs, facts, lambda s: s.p_value < POLICY.certain)
     if not exact:
-        reason = trouble[0].reason if trouble else "nothing in what the model leaves looks like it"
+        reason = trouble.get(effect.name, "nothing in what the model leaves looks like it")
         raise InputError(
             f"Effect {effect.name} cannot be found in {log.name}: {reason}; give its numbers as "
             f"{effect.name}:{effect.lacking(effect.name)[0]}=..., or leave it out."

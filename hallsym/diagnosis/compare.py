@@ -249,7 +249,7 @@ def _parameters(
     freedom: tuple[Freedom, Freedom] = ({}, {}),
 ) -> tuple[ParameterChange, ...]:
     """Compare parameters by name; `count`: how many are compared in all."""
-    return changes(one, two, POLICY.changed / max(count, 1), freedom)
+    return changes(one, two, POLICY.false_alarm / max(count, 1), freedom)
 
 
 def _places(one: Sequence[Statement], two: Sequence[Statement]) -> tuple[PlaceChange, ...]:
@@ -268,7 +268,7 @@ def _notes(old: Diagnosis, new: Diagnosis) -> tuple[str, ...]:
         notes.append(
             f"The thresholds differ: {100 * old.threshold:g} % before, {100 * new.threshold:g} % after."
         )
-    unit, most = gap_unit(old.gap_before.rmse), POLICY.floors_differ
+    unit, most = gap_unit(old.gap_before.rmse), 1 + POLICY.unstructured
     a, b = old.metric.floor, new.metric.floor
     if not 1 / most < b / max(a, 1e-300) < most:
         notes.append(

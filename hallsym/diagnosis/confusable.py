@@ -13,7 +13,7 @@ import numpy as np
 
 from hallsym.diagnosis.alternatives import Alternative, alternatives
 from hallsym.diagnosis.findings import EITHER
-from hallsym.diagnosis.further import further_recordings, with_readings
+from hallsym.diagnosis.further import added, further_recordings, recording, with_readings
 from hallsym.diagnosis.normal_equations import normal_equations
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.ranking import Exact, count_of, distance
@@ -28,7 +28,6 @@ from hallsym.diagnosis.validation import Validation
 from hallsym.diagnosis.verdict import Verdict
 from hallsym.diagnosis.words import SHOWN
 from hallsym.errors import InputError
-from hallsym.estimation import pseudo_inverse
 from hallsym.log import Log
 from hallsym.model import ways_text
 
@@ -68,7 +67,7 @@ def separation(
         return plain
     sigma = np.sqrt(squared / variance)
     plain = replace(plain, tried={r.text: float(s) for r, s in zip(tried, sigma, strict=True)})
-    best = int(np.argmax(sigma >= policy.nearly_best * sigma.max()))
+    best = int(np.argmax(sigma >= policy.mostly * sigma.max()))
     gain = float(squared[best])
     runs = max(int(np.ceil(max(needed - distance, 0.0) / gain)), 1) if gain > 0 else policy.most_runs + 1
     if runs > policy.most_runs:
@@ -100,17 +99,8 @@ def simulated(fits: Sequence[Refitted]) -> tuple[list[Recording], np.ndarray]:
 
 def _told(span: Range, tried: Sequence[Recording], a: Refitted, b: Refitted) -> np.ndarray:
     """Return the squared distance of b from the readings of a, b refitted to the log and the run at once."""
-    log = recorded(span, tried, a.base)
-    n = len(b.base.free)
-    known = b.tangents.likelihood[b.fitted].sum(axis=0)[:n, :n]
-    zeros = np.zeros(len(b.base.model.zeros))
-    there = replace(b.base, log=log, zeros=dict.fromkeys(log.runs, zeros), keep=None, holdout=frozenset())
-    M = normal_equations(there).likelihood[1:]
-    out = []
-    for run in M:
-        both = pseudo_inverse(known + run[:n, :n])
-        out.append(max(float(run[n, n] - run[:n, n] @ both @ run[:n, n]), 0.0))
-    return np.array(out)
+    there = recording(b.base, recorded(span, tried, a.base))
+    return np.array([added(M, there, b) for M in normal_equations(there).likelihood[1:]])
 
 
 def recorded(span: Range, tried: Sequence[Recording], base: Base) -> Log:
@@ -220,7 +210,7 @@ def _members(setup: Setup, selected: Selected, inflation: float) -> list[tuple[E
     one = selected.exact
     rivals = _not_excluded(setup, selected, inflation)
     if setup.base.model.family.pairs:  # parameters for which the log gives no reason make no rival
-        rivals = [r for r in rivals if r.bic - one.bic < setup.policy.reason]
+        rivals = [r for r in rivals if r.bic - one.bic < 2 * setup.policy.as_good]
     close = [(r, distance(one.fit, r.fit)) for r in rivals]
     limit = _limit(setup, one, inflation)
     return [(r, d) for r, d in close if d < limit][:SHOWN]
@@ -274,7 +264,7 @@ def smaller_findings(
     for score in by_name(selection.last):
         p, shrinkage = score.p_value, 1 - score.ratio
         # what is worth more was judged, and not selected
-        small = setup.policy.smallest * setup.threshold <= shrinkage < setup.threshold
+        small = setup.policy.minor * setup.threshold <= shrinkage < setup.threshold
         if p < setup.policy.certain and small and score.effect.name not in known:
             out.append(SmallerFinding(score.effect.name, shrinkage, p))
     return tuple(out)

@@ -6,8 +6,8 @@ from math import pi, tau
 import numpy as np
 
 from hallsym.diagnosis.p_values import as_often
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.regression import NIL
-from hallsym.diagnosis.survey import MOSTLY
 from hallsym.families.cordic import Levels, levels, worst_of
 
 STEPS = range(4, 15)
@@ -52,13 +52,13 @@ def cordic(values: np.ndarray, spread: float, step: float = 0.0) -> Cordic | Non
         k
         for k in known
         if WORTH * spread**2 < k.rms**2 < MOST * spread**2
-        and MOSTLY * len(v) <= 4 * len(k.angles)  # rounded to counts a level has two at most
+        and (1 - POLICY.minor) * len(v) <= 4 * len(k.angles)  # rounded to counts a level has two at most
         and (step >= 0.9 * _distance(k) or step <= 0.5 * _distance(k))
     ]
     for k in tried:
         near, off, bins = _hits(v, k)
         p = min(1.0, as_often(near, len(v), _covered(k)) * bins * len(tried))
-        if near >= MOSTLY * len(v) and p < 1.0 and off < _off_even(v, _distance(k), bins):
+        if near >= (1 - POLICY.minor) * len(v) and p < 1.0 and off < _off_even(v, _distance(k), bins):
             return Cordic(k, p)
     return None
 

@@ -4,22 +4,18 @@ import numpy as np
 
 from hallsym.diagnosis.coordinates import unit_of
 from hallsym.diagnosis.curves import MEMORIES, Curve
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Statement
 from hallsym.diagnosis.remainder import Band, CurveShape
 from hallsym.diagnosis.residual_table import ResidualTable, phase
-from hallsym.diagnosis.words import percent, plain, shown
+from hallsym.diagnosis.words import SHOWN, percent, plain, shown
 from hallsym.estimation.calibration import coverage_factor
 from hallsym.units import readable
 
-ALIKE = 0.9
-"""Part of the largest wave's power from which on a slower one is as likely, see `waves_per_period`."""
 SLOWEST = 5
 """Waves per range from which on a line that holds most of a map is a ripple with a period."""
-MOST_ORDERS, FASTEST, TENTH = 3, 104, 0.1
-"""Waves that are named at most, the most per period that are looked for, and the part of an error's squares
-that each holds. 104 are the waves of a stepper of 50 pole pairs and their neighbours."""
-ABOVE_ALL = 0.7
-"""Part of a curve that one sensor, or the gain, must have to be named."""
+FASTEST = 104
+"""The most waves per period that are looked for: those of a stepper of 50 pole pairs and their neighbours."""
 
 
 def described(r: ResidualTable, c: Curve, share: float, p: float, further: bool) -> Statement:
@@ -68,7 +64,7 @@ def _part(r: ResidualTable, c: Curve) -> str:
 
 def _gain_or_offset(gain: float, offset: float) -> str:
     """Return which of two squares is meant above all, if one is."""
-    least = ABOVE_ALL * (gain + offset)
+    least = POLICY.mostly * (gain + offset)
     return "the gain" if gain > least else "the offset" if offset > least else ""
 
 
@@ -89,10 +85,10 @@ def waves_per_period(at: np.ndarray, error: np.ndarray) -> tuple[int, ...]:
     columns = [np.ones_like(at)]
     said: list[int] = []
     rest = error - error.mean()
-    least = TENTH * float(rest @ rest)
-    while len(said) < MOST_ORDERS:
+    least = POLICY.minor * float(rest @ rest)
+    while len(said) < SHOWN:
         power = 2 * np.abs(waves @ rest) ** 2 / len(at)
-        k = int(np.argmax(power >= ALIKE * power.max()))
+        k = int(np.argmax(power >= (1 - POLICY.minor) * power.max()))
         if power[k] <= least:
             break
         said.append(k + 1)
@@ -145,7 +141,7 @@ def _mostly(r: ResidualTable, c: Curve) -> str | None:
     """Return the sensor that sees most of a curve, if there is one."""
     seen = (c.predicted**2).sum(axis=1) * np.diag(r.precision)
     k = int(np.argmax(seen))
-    return r.channels[k] if seen[k] > ABOVE_ALL * seen.sum() else None
+    return r.channels[k] if seen[k] > POLICY.mostly * seen.sum() else None
 
 
 # -- a curve as data ---------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from hallsym.diagnosis.coordinates import Coordinate, hats, knots
 from hallsym.diagnosis.regression import NIL, RIDGE, others, regression, ridge
 from hallsym.diagnosis.residual_table import PARTS, ResidualTable
 from hallsym.diagnosis.sign_flips import drawn, moments, of_products, of_sums
+from hallsym.estimation.residual_columns import MEMORIES
 from hallsym.families.play import stop_operator
 
 BENDS = (0.01, 0.3, 10.0)
@@ -27,8 +28,6 @@ BENDS = (0.01, 0.3, 10.0)
 
 The curve that predicts runs left out best is taken: a free one runs wild beyond its runs, a stiff one follows
 no bend."""
-MEMORIES = (0.05, 0.15, 0.4, 1.0)
-"""Half-widths of the play that is looked for, over the standard deviation of what a sensor senses."""
 FINE = 96
 """Bins of a fine map, at most; none narrower than 8 sigma of what places it, which is in the residual."""
 

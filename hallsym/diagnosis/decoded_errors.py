@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Waves
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import columns_of, nominal_variance, pose_errors
@@ -88,8 +89,6 @@ def block_errors(base: Base, runs: Sequence[int], rows: int, keep: Weigh | None)
 
 FIRST = 12
 """Waves per period up to which all are looked at, beside those that an effect is known by."""
-SHOWN = 0.03
-"""Part of the largest amplitude of a coordinate from which on a wave is shown."""
 COVERED = 0.01
 """Least eigenvalue of the mean products of 1 and the first `LONG` waves where a log covers the period."""
 LONG = 3
@@ -113,7 +112,7 @@ def waves(model: Base, after: Base | None) -> tuple[Waves, ...]:
         sizes = np.array([size[j] for size, _ in found[0 if plainly else 1 :]])
         largest = float(sizes.max(initial=0.0))
         for n, amplitudes in zip(orders, sizes.T.tolist(), strict=True):
-            if max(amplitudes) >= SHOWN * largest > 0:
+            if max(amplitudes) >= POLICY.negligible * largest > 0:
                 own, left, *rest = amplitudes if plainly else (None, *amplitudes)
                 name = pose[k] if len(pose) > 1 else ""
                 out.append(Waves(n, own, left, rest[0] if rest else None, known.get(n, ()), name))

@@ -14,7 +14,7 @@ from hallsym.diagnosis.p_values import beyond, statistic_at
 from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Estimate
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.survey import Survey
+from hallsym.diagnosis.survey import FAR, Survey
 from hallsym.estimation.outliers import residuals
 from hallsym.families.faults import FAULTS
 from hallsym.log import Block, Log
@@ -24,19 +24,11 @@ TAILS = ("outliers", "dropped_samples")
 """Faults of few samples, which can be left out."""
 OF_VALUES = ("cordic_steps",)
 """Faults that the values of the readings tell, whatever a model leaves: their error is known."""
-FAR = 42.0
-"""Squared whitened distance of a sample, over its typical one, from which on it is left out.
-
-Chi-square of three readings exceeds it with 4e-9: of a million Gaussian samples none is lost."""
 SPIKES = 0.3
 """Part of the power of far samples from which on spikes, which no delay explains, are the cause.
 
 A stale sample is off along the direction of motion only and leaves none; a spike of one of K readings has
 1 - 1/K of its power in the others on average (2/3 for three). Half of that."""
-BURSTS = 0.5
-"""Share of far samples with others around them from which on they are no faults of single samples.
-
-A majority: rare faults have none around."""
 SMOOTH = 0.25
 """Correlation of neighbouring time shifts from which on they are no jitter, which has none.
 
@@ -75,7 +67,7 @@ def faults(base: Base, found: Survey, tested: int) -> list[Fault]:
     out = []
     variance = max(found.variance, 1e-12)
     tail = found.spike_power + found.stale_power
-    rare = found.bursts < BURSTS
+    rare = found.bursts < POLICY.half
     if rare and certain(found.spike_p) and found.spike_power > SPIKES * tail:
         out.append(
             Fault("outliers", f"{100 * found.spike_share:.2g} % of the samples are spikes",

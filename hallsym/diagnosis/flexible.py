@@ -24,6 +24,7 @@ from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.setup import Setup
 from hallsym.diagnosis.validation import Held, Validation
 from hallsym.estimation import eliminate, pseudo_inverse
+from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 from hallsym.model.derived import rate
 
@@ -39,8 +40,6 @@ LONGEST = 0.1
 """Time constant of the slowest of these, over the length of a run."""
 PRIORS = tuple(10.0**k for k in range(-4, 1))
 """Inverse variances of the prior, for features of unit length; the evidence chooses one."""
-SHORT = 16
-"""Samples of a stretch below which it has no past to respond to."""
 
 
 PAST = ("the past",)
@@ -49,14 +48,14 @@ PAST = ("the past",)
 def resemblances(setup: Setup, found: Validation) -> dict[str, Resemblance]:
     """Return, for each effect that the machine only behaves like, the alternative that beats it most.
 
-    An alternative must be certain, and its misfit must be material (`Policy.behaves_like`).
+    An alternative must be certain, and its misfit must be material (`Policy.minor`).
     """
     out: dict[str, Resemblance] = {}
     for held in found.effects:
         tried = flexible(setup, found, held)
-        sure = [f for f in tried if f.p_value < setup.policy.beaten]
+        sure = [f for f in tried if f.p_value < setup.policy.beyond_doubt]
         best = max(sure, key=lambda f: f.misfit, default=None)
-        if best is not None and best.misfit >= setup.policy.behaves_like:
+        if best is not None and best.misfit >= setup.policy.minor:
             out[held.selected.name] = best
     return out
 
@@ -64,7 +63,7 @@ def resemblances(setup: Setup, found: Validation) -> dict[str, Resemblance]:
 def flexible(setup: Setup, found: Validation, held: Held) -> list[Resemblance]:
     """Return the flexible alternatives to an effect, all others in place."""
     base, known = found.end, frozenset(setup.runs)
-    if len(known) < setup.policy.fewest_folds:
+    if len(known) < setup.policy.fewest:
         return []
     work = _Work(base, held, known, _moving(setup, held))
     for piece in pieces(base, known):
@@ -126,7 +125,7 @@ class _Work:
                 rows = np.vstack([basis, basis * bare[k], own])[:, piece.used]
                 sums = self.shares.setdefault(by, [np.zeros((len(rows),) * 2) for _ in made])
                 sums[k] += rows @ rows.T
-        if self.moving and self.base.timed and len(piece.t) >= SHORT:
+        if self.moving and self.base.timed and len(piece.t) >= 2 * FEWEST_SAMPLES:
             span = float(piece.t[-1] - piece.t[0])
             step = span / (len(piece.t) - 1)
             lasting = np.geomspace(step, max(LONGEST * span, 2 * step), MEMORIES)

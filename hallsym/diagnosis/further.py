@@ -59,15 +59,27 @@ def _told(further: Further, motion: dict[str, np.ndarray], a: Refitted, b: Refit
     one, other = (_read_as(further, fit.base) for fit in (a, b))
     if one is None or other is None:
         return 0.0
-    log = with_readings(columns, one)
-    blank = np.zeros(len(other.model.zeros))
-    there = replace(other, log=log, zeros=dict.fromkeys(log.runs, blank), keep=None, holdout=frozenset[int]())
-    M = normal_equations(there).likelihood.sum(axis=0)
-    n, own = len(there.free), len(b.base.free)
+    return added(
+        normal_equations(recording(other, with_readings(columns, one))).likelihood.sum(axis=0), other, b
+    )
+
+
+def recording(base: Base, log: Log) -> Base:
+    """Return a model on a recording that was not made yet, zeros at rest."""
+    zeros = dict.fromkeys(log.runs, np.zeros(len(base.model.zeros)))
+    return replace(base, log=log, zeros=zeros, keep=None, holdout=frozenset[int]())
+
+
+def added(M: np.ndarray, there: Base, known: Refitted) -> float:
+    """Return the squares that products M of a recording add once `there` is fitted to it and to the log.
+
+    `known`: the same model, or one with fewer parameters, fitted to the log.
+    """
+    n, own = len(there.free), len(known.base.free)
     place = {there.model.names[k]: j for j, k in enumerate(there.free)}
-    at = np.array([place[b.base.model.names[k]] for k in b.base.free])
+    at = np.array([place[known.base.model.names[k]] for k in known.base.free])
     both = M[:n, :n].copy()
-    both[at[:, None], at] += b.tangents.likelihood[b.fitted].sum(axis=0)[:own, :own]
+    both[at[:, None], at] += known.tangents.likelihood[known.fitted].sum(axis=0)[:own, :own]
     return max(float(M[n, n] - M[:n, n] @ pseudo_inverse(both) @ M[:n, n]), 0.0)
 
 

@@ -15,7 +15,7 @@ def worth_reporting(floor: Floor, threshold: float, policy: Policy) -> float:
 def shaped(found: LackOfFit, threshold: float, policy: Policy) -> bool:
     """Return whether a residual has a shape, or tones, that are worth the threshold by themselves."""
     need = 1 - (1 - threshold) / (1 + policy.floor_known)
-    best = found.best(policy.shape_certain)
+    best = found.best(policy.false_alarm)
     return found.tones >= need or (best is not None and best.drop >= need)
 
 
@@ -56,7 +56,7 @@ def used_up(
     """
     power, left = _powers(before, metric_before), _powers(after, metric_after)
     gain = max(metric_before**2 - metric_after**2, 1e-300)
-    holding = [by for by in power if power[by] > 0 and power[by] - left.get(by, 0.0) >= policy.holds * gain]
+    holding = [by for by in power if power[by] > 0 and power[by] - left.get(by, 0.0) >= policy.mostly * gain]
     return min((1 - left.get(by, 0.0) / power[by] for by in holding), default=1.0)
 
 

@@ -83,7 +83,7 @@ def injections(
 ) -> tuple[list[Injection], dict[str, str]]:
     """Return everything that can be injected into this log, and why the others cannot."""
     base = truth.base
-    tried, trouble = candidates(base, catalogue, _facts(truth, draw("mount_slip")))
+    tried, reasons = candidates(base, catalogue, _facts(truth, draw("mount_slip")))
     t = normal_equations(base, {key: (model, new) for key, (_, _, model, new) in tried.items()})
 
     def strength(key: str) -> np.ndarray:
@@ -91,7 +91,6 @@ def injections(
         return np.sqrt(np.maximum(squares / t.count.sum(), 0.0))
 
     recording = _recording(truth)
-    reasons = {t.name: t.reason for t in trouble}
     out = []
 
     def add(known: Effect | RecordingFault, made: Injection | str) -> None:

@@ -10,16 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hallsym.diagnosis.faults import Fault
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.record import Share, Statement
 from hallsym.diagnosis.residual_table import ResidualTable
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score, by_name
-from hallsym.diagnosis.shares import LEAST, LEVEL, Found, outputs
+from hallsym.diagnosis.shares import Found, outputs
 from hallsym.diagnosis.words import percent
 from hallsym.model import LINKS
-
-AS_GOOD = 0.9
-"""Of links that take up at least this part of what the best one does each is named."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequ
             add(_link_of(base, s), s.effect.name, (1 - s.ratio**2) * whole / excess, s.p_value)
     for f in faults:
         add(f.link, f.name, f.power, f.p_value)
-    top = max((f.share for f in found.values() if f.p_value < LEVEL), default=0.0)
+    top = max((f.share for f in found.values() if f.p_value < POLICY.false_alarm), default=0.0)
     rows, said = [], []
     for link in (*LINKS, *(k for k in found if k not in LINKS)):
         if link not in found:
@@ -60,7 +58,7 @@ def of_links(base: Base, scored: Sequence[Score], r: ResidualTable, faults: Sequ
         own = found[link]
         text = f"{own.name}; another link: {_best_of({k: f for k, f in found.items() if k != link})}"
         rows.append(Share("link", link, own.share, own.p_value, text))
-        if own.p_value < LEVEL and own.share >= max(LEAST, AS_GOOD * top):
+        if own.p_value < POLICY.false_alarm and own.share >= max(POLICY.negligible, (1 - POLICY.minor) * top):
             text = f"{percent(own.share)} of the excess can come from the {link} ({text})"
             said.append(Statement("link", link, own.share, own.p_value, text, kind="link"))
     # of links that take up the same the first of the chain stands first, whatever the rounding

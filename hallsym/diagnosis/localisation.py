@@ -26,9 +26,6 @@ from hallsym.diagnosis.residual_table import ResidualTable, both, residual_table
 from hallsym.diagnosis.residuals import Base
 from hallsym.diagnosis.scores import Score
 from hallsym.diagnosis.shares import (
-    CERTAIN,
-    LEAST,
-    LEVEL,
     means,
     of_frequencies,
     of_powers,
@@ -39,8 +36,6 @@ from hallsym.diagnosis.shares import (
 from hallsym.diagnosis.sign_flips import Joint
 from hallsym.diagnosis.words import percent, plain, shown
 
-SMALL = 0.02
-"""Excess over the noise [share of its power] below which nothing is said."""
 MOST = 5
 NEARLY = 0.92
 """Of coordinates that explain at least this part of what the best one explains the most telling is named."""
@@ -81,7 +76,7 @@ def located(
     """
     fitted, held = both(base, runs)
     steps = _steps([r for r in (fitted, held) if r is not None])
-    if fitted is None or fitted.excess <= SMALL * fitted.residual.size:
+    if fitted is None or fitted.excess <= POLICY.negligible * fitted.residual.size:
         return Located(tuple(steps), (), fitted, held)
     tried = _Tried(base, fitted, top, colour)
     statements, curves, alone = _coordinates(tried)
@@ -115,7 +110,7 @@ def _steps(tables: Sequence[ResidualTable]) -> list[Statement]:
     for s in change_points(*tables):
         r = side[s.run]
         share = float(np.clip(s.squares / r.excess, 0.0, 1.0)) if r.excess > 0 else 0.0
-        if s.p_value < POLICY.certain and share >= LEAST:
+        if s.p_value < POLICY.certain and share >= POLICY.negligible:
             size = shown(abs(s.size), unit_of(r.channels[s.channel]))
             text = f"{percent(share)} of the excess is a step of {plain(r.channels[s.channel])} by {size}"
             at = f"run {s.run} at {s.instant_s:.6g} s"
@@ -157,7 +152,7 @@ class _Tried:
 
 def _clear(r: ResidualTable) -> bool:
     """Whether the excess is more than chance: block by block, so that memory of the noise does not count."""
-    return beyond(means(r.squares - len(r.residual), r.part)) < CERTAIN
+    return beyond(means(r.squares - len(r.residual), r.part)) < POLICY.beyond_doubt
 
 
 # -- coordinates -------------------------------------------------------------------------------------------
@@ -177,7 +172,11 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Shar
         if not k:
             alone, joint = _alone(tried, found, run), tried.joint
         chance = tried.joint.p_value
-        good = [c for c in found if chance(c.statistic[0]) < LEVEL and c.explained > LEAST * excess]
+        good = [
+            c
+            for c in found
+            if chance(c.statistic[0]) < POLICY.false_alarm and c.explained > POLICY.negligible * excess
+        ]
         best = max((c.explained for c in good), default=0.0)
         if run and RATHER * run.share * excess > best:
             statements.append(run)
@@ -186,7 +185,7 @@ def _coordinates(tried: _Tried) -> tuple[list[Statement], list[Curve], list[Shar
             break
         first = next(c for c in good if c.explained >= NEARLY * best)
         share = min(first.explained / excess, 1.0 - sum(s.share for s in statements))
-        if share < LEAST:
+        if share < POLICY.negligible:
             break
         statements.append(described(r, first, share, chance(first.statistic[0]), bool(statements)))
         curves.append(first)
@@ -215,7 +214,7 @@ def _alone(tried: _Tried, found: Sequence[Curve], run: Statement | None) -> list
 
 
 def _own_gain(share: float, p: float) -> Statement | None:
-    if p >= LEVEL or share <= LEAST:
+    if p >= POLICY.false_alarm or share <= POLICY.negligible:
         return None
     share = min(share, 1.0)
     text = f"{percent(share)} of the excess is a gain that differs from run to run and follows nothing logged"

@@ -18,16 +18,11 @@ import numpy as np
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation.decoding import columns_of
+from hallsym.estimation.residual_columns import ROOM
 from hallsym.log import Block
 from hallsym.log.batches import Batch, batches, is_held
 from hallsym.log.derived import extended, share_windows
 from hallsym.model import Model
-
-SAMPLES = 8_000
-"""Samples that are moved; of a longer log one of so many.
-
-The bias is a few standard deviations of a score at most, and this many samples tell it to about 1 %."""
-
 
 WHITE = np.array([1.0, 0.0])
 """Autocorrelation of white noise."""
@@ -106,7 +101,7 @@ def shared_noise(
     )
     read, precision = reading_and_derivatives(model), np.linalg.inv(base.covariance)
     n, K = len(base.free), len(model.channels)
-    every = max(1, base.log.rows // SAMPLES)
+    every = max(1, base.log.rows // ROOM)
 
     def batches_of(log: Any) -> Iterator[Batch]:
         return batches(extended(log, wide, base.sigma, base.values), wanted)

@@ -16,6 +16,7 @@ import numpy as np
 from hallsym.diagnosis.derivatives import Slopes, reading_and_derivatives
 from hallsym.diagnosis.many_channels import by_candidate
 from hallsym.diagnosis.products import NormalEquations, Products
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.residuals import Base
 from hallsym.estimation import pseudo_inverse, solve
 from hallsym.estimation.decoding import columns_of, decoding_gain
@@ -301,8 +302,10 @@ class Accumulator:
         whole = len(self.open) == 1
         root = np.linalg.cholesky(pseudo_inverse(across[:, :z])).T if z and not whole else np.zeros((z, z))
         for u in self.open:
-            rest = u.white.border[:z, z:] + u.white.border[:z, :z] @ follow
             white, out = (self._eliminated(p, follow) for p in (u.white, u.out))
+            if whole:
+                self._clear(u.white, white, out)
+            rest = u.white.border[:z, z:] + u.white.border[:z, :z] @ follow
             self.done.append(u._replace(white=white, out=out, offsets=None if whole else root @ rest))
         self.open = []
         if len(self.done) > 2 * UNITS and not self.length:
@@ -316,6 +319,15 @@ class Accumulator:
         i, j = self.pairs
         inner = (half[:, i] * follow[:, j] + follow[:, i] * half[:, j]).sum(axis=0)
         return Products(border, p.inner + inner)
+
+    def _clear(self, before: Products, *left: Products) -> None:
+        """Set to 0 the columns of which the zeros of a run leave rounding: a step between runs is one."""
+        i, j = self.pairs
+        own = i == j
+        nil = i[own][left[0].inner[own] <= NIL * before.inner[own]]
+        for p in left:
+            p.border[:, nil] = 0.0
+            p.inner[np.isin(i, nil) | np.isin(j, nil)] = 0.0
 
     def _pool(self) -> None:
         """Pool neighbouring units of the same side."""

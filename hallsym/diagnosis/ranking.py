@@ -8,7 +8,7 @@ import numpy as np
 from hallsym.diagnosis.policy import POLICY, Policy
 from hallsym.diagnosis.refit import Refitted, refit, with_model
 from hallsym.diagnosis.residuals import Base, pieces
-from hallsym.diagnosis.scores import Score, bic, by_name, candidates, scores
+from hallsym.diagnosis.scores import Score, Screen, bic, by_name, candidates
 from hallsym.model import Effect, Facts
 
 
@@ -85,7 +85,7 @@ def _finer(base: Base, score: Score, runs: Sequence[int], facts: Facts, policy: 
     if finer is None:
         return score
     tried, _ = candidates(base, [finer], facts)
-    ranked, _ = scores(base, tried, runs, policy.inflation)
+    ranked = Screen(base, tried, runs, policy.inflation).scores
     best = min([score, *ranked], key=lambda s: s.bic)
     return replace(best, effect=score.effect, p_value=score.p_value)
 
@@ -139,7 +139,7 @@ def _simpler_first(exact: list[Exact], scored: Sequence[Score], policy: Policy) 
 def _simpler(e: Exact, best: Exact, scored: Sequence[Score], policy: Policy) -> bool:
     return (
         e.score.size < best.score.size
-        and e.bic - best.bic <= (1 - policy.simpler_gain) * best.score.gain
+        and e.bic - best.bic <= policy.negligible * best.score.gain
         and e.gap <= best.gap * (1 + policy.simpler_gap)
         and not any(
             s.effect is best.score.effect
@@ -185,7 +185,7 @@ def plain_pairs_first(
         return exact
     _, first, left = min(found, key=lambda f: f[0])
     second = _second(best, catalogue, runs, facts, policy)
-    if second is not None and best.fit.cost - second.gain < policy.no_substitute * left:
+    if second is not None and best.fit.cost - second.gain < policy.half * left:
         return exact
     return _first(first, exact)
 
@@ -195,7 +195,7 @@ def _second(
 ) -> Score | None:
     """Return the best second effect beside one, by its score."""
     tried, _ = candidates(e.fit.base, catalogue, facts)
-    ranked, _ = scores(e.fit.base, tried, runs, policy.inflation)
+    ranked = Screen(e.fit.base, tried, runs, policy.inflation).scores
     return next((s for s in ranked if not s.absorbed), None)
 
 

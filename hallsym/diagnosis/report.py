@@ -259,7 +259,7 @@ def sentence(
         remains = f"{percent(left.share)} of the excess over the noise"
         return f"{said}. With {named} it falls to {after}; {remains} has no known cause: {left.text}."
     rest = "" if verdict == "explained" else "; the rest has no known cause"
-    open_ = closed(gap.before, gap.after, gap.floor) < POLICY.closes
+    open_ = closed(gap.before, gap.after, gap.floor) < 1 - POLICY.minor
     if verdict == "explained" and open_ and noise is not None and noise.larger:
         rest = f"; what is left follows nothing that is logged: noise, {noise.ratio:.3g} x the noise floor"
     return f"{said}. With {named} it falls to {after}{rest}."

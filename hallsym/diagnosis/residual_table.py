@@ -14,13 +14,12 @@ from hallsym.diagnosis.residuals import Base, Piece, pieces
 from hallsym.diagnosis.sign_flips import FEWEST_UNITS, stretch
 from hallsym.diagnosis.survey import ENOUGH, MAINS
 from hallsym.estimation.decoding import decoding_gain
+from hallsym.estimation.residual_columns import STILL
 from hallsym.log.quality.runs import FEWEST_SAMPLES
 from hallsym.model.arrays import on_arrays
 
 MAINS_DRIFT = 0.3
 """Distance from the mains [Hz] that they and a clock may drift by."""
-STRETCH = 32
-"""Samples that a stretch must have."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class Spectrum:
     def add(self, piece: Piece) -> None:
         """Add a stretch of one run."""
         n = len(piece.t)
-        if n < STRETCH or self.seen > ENOUGH:
+        if n < 2 * FEWEST_SAMPLES or self.seen > ENOUGH:
             return
         self.seen += n
         r = np.where(piece.used, piece.residual, 0.0)
@@ -202,12 +201,6 @@ def both(base: Base, runs: Sequence[int]) -> tuple[ResidualTable | None, Residua
 def phase(reference: str) -> str:
     """Return the column of the place of a reference within its period."""
     return f"phase_{reference}"
-
-
-STILL = 5.0
-"""An axis that moves less than this many sigma of its noise (rms) is at rest.
-
-Its logged place is then noise to 4 % of its variance, and that noise is in the residual too."""
 
 
 def at_rest(x: np.ndarray, sigma: float) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hallsym.diagnosis.measurement_error import shared_noise
 from hallsym.diagnosis.normal_equations import normal_equations
-from hallsym.diagnosis.policy import POLICY, Policy
+from hallsym.diagnosis.policy import Policy
 from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.record import Significance
 from hallsym.diagnosis.regression import FOLDS, NIL
@@ -56,20 +56,12 @@ class Score:
     statistic: float = -np.inf
 
 
-@dataclass(frozen=True, eq=False)
-class Trouble:
-    """An effect that could not be tried, and why."""
-
-    name: str
-    reason: str
-
-
 def candidates(
     base: Base, catalogue: Sequence[Effect], facts: Facts
-) -> tuple[dict[str, Candidate], list[Trouble]]:
-    """Return every variant of every effect that this log can show, and the effects that it cannot."""
+) -> tuple[dict[str, Candidate], dict[str, str]]:
+    """Return every variant of every effect that this log can show, and why it cannot show others."""
     out: dict[str, Candidate] = {}
-    trouble = []
+    trouble: dict[str, str] = {}
     for effect in catalogue:
         if effect.name in base.model.effects:
             continue
@@ -77,9 +69,9 @@ def candidates(
             for candidate in _variants(base.model, effect, facts):
                 out[f"{effect.name}|{candidate.variant.label}"] = candidate
         except InputError as error:
-            trouble.append(Trouble(effect.name, str(error)))
+            trouble[effect.name] = str(error)
         except Exception as error:  # a user's effect may raise anything: the others still run
-            trouble.append(Trouble(effect.name, f"raised {type(error).__name__}: {error}"))
+            trouble[effect.name] = f"raised {type(error).__name__}: {error}"
     return out, trouble
 
 
@@ -113,14 +105,6 @@ def _extended(model: Model, effect: Effect, variant: Variant) -> tuple[Model, li
     if not new:
         raise InputError(f"Effect {effect.name} adds no parameter, so there is nothing to test.")
     return wide, new
-
-
-def scores(
-    base: Base, tried: dict[str, Candidate], runs: Sequence[int], inflation: float = POLICY.inflation
-) -> tuple[list[Score], frozenset[str]]:
-    """Score every candidate on `runs`, best first, without p-values; and those that are not finite."""
-    screen = Screen(base, tried, runs, inflation)
-    return screen.scores, screen.spoiled
 
 
 class Screen:

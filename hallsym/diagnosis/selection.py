@@ -275,7 +275,7 @@ class _Search:
         screen = Screen(at.base, tried, self.runs, self.policy.inflation, colour=found.colour)
         ranked = screen.scores
         self.screened.append(Screened(at, ranked, screen.significance, screen.top, found.colour))
-        self.not_testable |= {t.name: t.reason for t in trouble}
+        self.not_testable |= trouble
         not_finite = "its readings are not finite on this log"
         self.not_testable |= {tried[key].effect.name: not_finite for key in screen.spoiled}
         if at is self.start:
@@ -358,7 +358,7 @@ class _Search:
 
     def judged(self, before: Squares, after: Squares) -> Judged:
         """Return how far the gap of these runs shrinks."""
-        return Judged.of(before, after, self.policy.fewest_judges)
+        return Judged.of(before, after, self.policy.fewest)
 
     def refit(self, effects: Iterable[Selected]) -> Refitted:
         """Return the fit with some of the effects."""

@@ -17,21 +17,12 @@ from hallsym.diagnosis.residual_table import Band, ResidualTable
 from hallsym.diagnosis.sign_flips import of_means
 from hallsym.diagnosis.words import percent, plain
 
-LEVEL = 0.05
-"""Significance that a statement must have, all that was tried counted: of logs in which nothing depends on
-anything one in 20 has a statement. Where it is not below `Policy.certain` the statement says "perhaps"."""
-LEAST = 0.03
-"""Share of the excess that a statement must have."""
-CERTAIN = 1e-3
-"""Significance of the excess as a whole, and of a single run among many."""
-MORE = 0.1
-"""Share beyond its part of the noise from which on an output or a sensor is named."""
 CLIP = 9.0
 """Whitened square per reading at which a sample stops counting when runs are compared."""
 TOLD, HALF = 0.8, 0.5
 """Shares that coordinates have told of from which on runs, and bands of frequency, add nothing."""
-FEWEST_RUNS, FEWEST_FOR_ONE = 4, 6
-"""Runs from which on frequencies, and a single run, are judged."""
+FEWEST_RUNS = 4
+"""Runs from which on frequencies are judged."""
 ONE_RUN = 3.0
 """Times its part that a single run must have of the excess."""
 TWICE = 2.0
@@ -96,7 +87,7 @@ def of_powers(p: Powers, p_values: Sequence[float]) -> Found:
     for k, (name, chance) in enumerate(zip(p.names, p_values, strict=False)):
         share = float(np.clip(p.shares[k], 0.0, 1.0))
         rows.append(Share(p.kind, name, share, chance))
-        if chance < LEVEL and share > p.parts[k] + MORE:
+        if chance < POLICY.false_alarm and share > p.parts[k] + POLICY.minor:
             seen = "is seen by" if p.kind == "sensor" else "lies in"
             text = f"{percent(share)} of the excess {seen} {plain(name)}, one of {len(p.names)} {p.kind}s"
             said.append(Statement(p.kind, name, share, chance, text, kind=p.kind))
@@ -116,12 +107,12 @@ def of_runs(r: ResidualTable, told: float) -> Found:
     sums, counts = np.bincount(index, squares), np.bincount(index)
     level = np.log(sums / counts + len(r.residual))
     k, U = int(np.argmax(level)), len(order)
-    if U < FEWEST_FOR_ONE or sums[k] <= 0:
+    if POLICY.fewest > U or sums[k] <= 0:
         return [], []
     p = min(1.0, U * beyond_one(float(level[k]), np.delete(level, k)))
     share = float(np.clip(sums[k] / max(squares.sum(), 1e-300), 0.0, 1.0))
     rows = [Share("run", f"run {order[k]}", share, p)]
-    if p >= CERTAIN or share < max(ONE_RUN / U, 2 * LEAST) or told >= TOLD:
+    if p >= POLICY.beyond_doubt or share < max(ONE_RUN / U, 2 * POLICY.negligible) or told >= TOLD:
         return rows, []
     text = f"{percent(share)} of the excess lies in run {order[k]}, one of {U} fitted runs"
     return rows, [Statement("run", f"run {order[k]}", share, p, text, kind="run")]
@@ -145,8 +136,8 @@ def of_frequencies(r: ResidualTable, told: float) -> Found:
         share = float(over.sum()) / excess
         p = min(1.0, len(white) * beyond(over / everything))
         rows.append(Share("frequency", band.name, float(np.clip(share, 0.0, 1.0)), p))
-        named = band.kind == "mains" or told <= HALF
-        if p < POLICY.certain and share >= max(TWICE * part, part + MORE) and named:
+        named = band.kind == "mains" or told <= POLICY.half
+        if p < POLICY.certain and share >= max(TWICE * part, part + POLICY.minor) and named:
             worth.append((share, band, p))
     return rows, _frequencies(worth)
 
@@ -156,7 +147,7 @@ def _frequencies(worth: Sequence[tuple[float, Band, float]]) -> list[Statement]:
     for share, band, p in sorted(worth, key=lambda w: -w[0])[:NAMED]:
         share = min(share, rest)  # bands below the noise make the others more than the whole
         rest -= share
-        if share >= LEAST:
+        if share >= POLICY.negligible:
             text = f"{percent(share)} of the excess lies at {band.name}"
             said.append(Statement("frequency", band.name, share, p, text, kind=band.kind))
     return said
@@ -176,7 +167,7 @@ def sizes(
     for side, r in residues.items():
         if r is None:
             continue
-        clear = beyond(means(r.squares - len(r.residual), r.part)) < CERTAIN
+        clear = beyond(means(r.squares - len(r.residual), r.part)) < POLICY.beyond_doubt
         rms = np.sqrt(errors[side].squares.sum(axis=0) / max(errors[side].count.sum(), 1.0))
         noise = np.array([floor.get(c, 0.0) for c in r.pose])
         seen = sensors(r)

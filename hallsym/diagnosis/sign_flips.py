@@ -20,6 +20,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import gammaincc, ndtr, ndtri, stdtr
 
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.products import NormalEquations
 from hallsym.diagnosis.regression import NIL
 from hallsym.estimation import pseudo_inverse
@@ -28,8 +29,6 @@ FLIPS = 1999
 """Random signs that are drawn: p-values go down to 0.0005, and one of 0.05 is good to 0.005."""
 FEWEST_UNITS = 24
 """Runs from which on runs are the units; of fewer, stretches are, so that there are about as many."""
-SAME = 1e-8
-"""Part of the largest eigenvalue below which a direction of an effect repeats another one."""
 
 
 def stretch(samples: float, runs: int) -> int | None:
@@ -104,7 +103,7 @@ class SignFlips:
         columns = self.t.span[key].start + np.flatnonzero(seen)  # of all candidates
         d = np.sqrt(np.diag(G))
         values, V = np.linalg.eigh(G / np.outer(d, d))
-        kept = values > SAME * values[-1]
+        kept = values > NIL * values[-1]
         V = V[:, kept] / np.sqrt(values[kept]) / d[:, None]
         to_own = M[:, at, :n]
         across = to_own - P.T @ self.known  # (units, k, n) left of T'J
@@ -160,8 +159,6 @@ LEAST = 0.01
 What a fit to few units leaves nothing of would be divided by rounding."""
 
 
-FEWEST_SIGNS = 6
-"""Units from which on their signs may say something: of fewer all signs alike are no evidence."""
 LEAST_SKEW = 0.05
 """Least skewness of the gamma distribution that stands for the one over the signs; 0 would be Gaussian."""
 
@@ -187,7 +184,7 @@ def moments(q: np.ndarray) -> tuple[float, float]:
 
 def of_sums(sums: np.ndarray, variance: float, third: float, units: int) -> np.ndarray:
     """Return sums (1 + FLIPS,) of products over signs as normal scores; -inf where there is no evidence."""
-    if variance <= 0 or units < FEWEST_SIGNS:
+    if variance <= 0 or units < POLICY.fewest:
         return np.full(len(sums), -np.inf)
     shape = 4 / max(third / variance**1.5, LEAST_SKEW) ** 2  # gamma with mean 0, variance 1, this skewness
     x = np.maximum(shape + sums / np.sqrt(variance) * np.sqrt(shape), 0.0)
@@ -238,7 +235,7 @@ class Joint:
 
     def p_value(self, statistic: float) -> float:
         """Return the share of draws in which the largest statistic of all is as large as one."""
-        return float((self.top >= statistic - SAME).mean())
+        return float((self.top >= statistic - NIL).mean())
 
 
 def adjusted(statistics: np.ndarray) -> tuple[np.ndarray, float]:
@@ -249,5 +246,5 @@ def adjusted(statistics: np.ndarray) -> tuple[np.ndarray, float]:
     if not len(statistics):
         return np.zeros(0), 1.0
     top = statistics.max(axis=0)
-    p = (top[None, :] >= statistics[:, :1] - SAME).mean(axis=1)
+    p = (top[None, :] >= statistics[:, :1] - NIL).mean(axis=1)
     return p, float(p.min())

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from hallsym.diagnosis.p_values import as_many, as_often, chance, exceeds, statistic_at, student
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residuals import Base, Piece, found_once, pieces
 from hallsym.estimation import pseudo_inverse
 from hallsym.log.quality.runs import FEWEST_SAMPLES
@@ -30,11 +31,15 @@ KNOWN_VALUES = 20_000
 """Different readings of a channel that are kept; some more, as a block is added whole."""
 FEWEST = 200
 """Samples from which on faults of single ones are judged."""
-WAVE_BLOCKS, WAVE_SAMPLES, WAVE_DEGREE = 256, 16, 6
-"""Blocks that mains lines are looked for in, samples that each must have, and the number of coefficients of
-the polynomial that is taken out of each."""
-FAR, QUIETEST = 40.0, 0.25
-"""Square of a sample over the median, and the least median, from which on it is far from the others."""
+WAVE_BLOCKS, WAVE_DEGREE = 256, 6
+"""Blocks that mains lines are looked for in, and the number of coefficients of the polynomial that is taken
+out of each."""
+FAR, QUIETEST = 42.0, 0.25
+"""Square of a sample over the typical one, and the least median, from which on it is far from the others.
+
+Chi-square of three readings exceeds it with 4e-9: of a million Gaussian samples none is lost."""
+WHOLE = 0.02
+"""How near to whole, in steps, the distance of two readings must be for ADC steps."""
 WINDOW = 9
 """Samples of the running median that takes out what changes smoothly: stale stretches of up to 4 stay."""
 FILTERED, FILTERED_QUARTILE = 0.945, 0.917
@@ -51,8 +56,6 @@ QUARTILE_ERROR = 2.4
 """Standard error of that quartile, over the quartile, of one sample: 2.4 / sqrt(n) of n."""
 BINS = 12
 """Bins of speed in which the scatter of the samples is measured, each of as many samples."""
-WHOLE, MOSTLY = 0.02, 0.9
-"""How near to whole, in steps, the distance of two readings must be, and how many of them, for ADC steps."""
 
 
 @dataclass(eq=False)
@@ -151,7 +154,7 @@ class _Work:
     def _spectrum(self, t: np.ndarray, r: np.ndarray) -> None:
         """Fourier amplitudes of the mains bands, kept per block with its middle time (blocks <= 8192)."""
         middle = 0.5 * (t[0] + t[-1])
-        if len(t) < WAVE_SAMPLES or len(self.spectra) >= WAVE_BLOCKS:
+        if len(t) < 2 * FEWEST_SAMPLES or len(self.spectra) >= WAVE_BLOCKS:
             return
         x = np.arange(len(t)) / len(t) - 0.5
         basis = np.linalg.qr(np.vander(x, WAVE_DEGREE))[0]
@@ -316,4 +319,4 @@ def _step(v: np.ndarray) -> tuple[float, float]:
     ratio = gaps / q
     whole = np.abs(ratio - np.round(ratio)) < WHOLE
     p = as_often(int(whole.sum()), len(gaps), 2 * WHOLE)
-    return (q, p) if whole.mean() > MOSTLY else (0.0, p)
+    return (q, p) if whole.mean() > 1 - POLICY.minor else (0.0, p)

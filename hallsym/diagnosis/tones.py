@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
+from hallsym.diagnosis.policy import POLICY
 from hallsym.diagnosis.residuals import Base, pieces
 from hallsym.estimation.decoding import decoding_gain
 
@@ -18,10 +19,6 @@ SLOWEST = 4
 """Frequencies of a segment that are drift and no line."""
 CERTAIN = 8.0
 """Standard deviations of the mean power of noise by which a line stands out."""
-STEADY = 0.5
-"""Variance of a line's power within runs, over its square and over that of noise, below which it is a tone.
-
-The power of noise, also of a resonance that noise excites, scatters in each line by as much as it is."""
 
 
 def tones(base: Base, runs: Iterable[int]) -> float:
@@ -70,5 +67,5 @@ def _steady(of_run: Sequence[Sequence[np.ndarray]], certain: np.ndarray) -> bool
     # the median: a few frequencies beside a line have a part of its power
     others = varies[noise] / squares[noise]
     beside = np.convolve(certain, np.ones(3), mode="same")[noise] > 0
-    steadiest = min(STEADY * float(np.median(others)), float(others[~beside].min(initial=np.inf)))
+    steadiest = min(POLICY.half * float(np.median(others)), float(others[~beside].min(initial=np.inf)))
     return bool(varies[certain].sum() < steadiest * squares[certain].sum())

@@ -175,7 +175,7 @@ def _held(setup: Setup, selection: Selection, effect: Selected, before: BlockErr
     errors = before if alone else _errors(setup, without.base.on_all)
     judged = _judged(setup, selection, without, nested=alone)
     p = effect.exact.score.p_value
-    if effect.exact.fit.cost < setup.policy.bent * effect.first_order:
+    if effect.exact.fit.cost < setup.policy.half * effect.first_order:
         p = judged.p_value
     return Held(effect, without, errors, p, judged)
 
@@ -187,7 +187,7 @@ def _dropped(effect: Selected) -> SmallerFinding:
 
 def _judged(setup: Setup, selection: Selection, without: Refitted, *, nested: bool = True) -> Judged:
     """Return all effects against the fit `without` some, on runs that took no part."""
-    search, fewest = selection.nested, setup.policy.fewest_judges
+    search, fewest = selection.nested, setup.policy.fewest
     after = search.after(selection.fit) if nested else foreseen(selection.fit, search.groups)
     return Judged.of(foreseen(without, search.groups), after, fewest)
 

@@ -44,7 +44,7 @@ def decide(
     judged, certain = found.judged, setup.policy.certain
     held = judged is None or judged.holds or min(e.p_value for e in found.effects) < certain
     before, after, stepped = found.before.metric, found.metric, False
-    if found.effects and closed(before, after, found.floor.metric) < setup.policy.closes:
+    if found.effects and closed(before, after, found.floor.metric) < 1 - setup.policy.minor:
         before, after, stepped = _without_steps(setup, found)
     named = found.named and held and 1 - after / before >= setup.threshold
     base, metric = (found.base, found.metric) if named else (found.start.base, found.before.metric)
@@ -58,9 +58,9 @@ def decide(
     main = max(found.effects, key=lambda h: h.errors.metric, default=None)
     ended = {found.base.model.names[k] for k in found.fit.at_bound()}
     only_like = main is not None and (main.selected.name in resembled or bool(ended & set(main.added)))
-    if gap and (stepped or share < setup.policy.closes):
+    if gap and (stepped or share < 1 - setup.policy.minor):
         structured = stepped or shaped(rest, setup.threshold, setup.policy)
-        most = share >= setup.policy.partly and structured and not only_like
+        most = share >= setup.policy.half and structured and not only_like
         return "partly explained" if most else "unexplained"
     return "behaves like" if only_like else "explained"
 
@@ -91,7 +91,7 @@ def all_noise(setup: Setup, found: Validation, rest: LackOfFit, metric: float, n
     if metric <= worth_reporting(floor, threshold, policy) or shaped(rest, threshold, policy):
         return False
     half = policy.half * threshold
-    if rest.tones >= half or any(s.p_value < policy.shape_certain and s.drop >= half for s in rest.shapes):
+    if rest.tones >= half or any(s.p_value < policy.false_alarm and s.drop >= half for s in rest.shapes):
         return False
     slow_on_top = not noise.white and abs(found.fast - 1.0) < policy.floor_known
     known = replace(floor, metric=floor.metric * in_outputs(found.base, noise))

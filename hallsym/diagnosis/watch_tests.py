@@ -10,13 +10,12 @@ from scipy.special import chdtrc, fdtrc, ndtri
 
 from hallsym.diagnosis.compare import ParameterChange, changes, welch
 from hallsym.diagnosis.record import Estimate
+from hallsym.diagnosis.regression import NIL
 from hallsym.diagnosis.watch_record import PARAMETER, RESIDUAL, TOGETHER, WatchTest
 from hallsym.errors import InputError
 from hallsym.estimation import Fit, GoodnessOfFit, noise_at
 from hallsym.estimation.covariance import BY_RUNS
 
-SINGULAR = 1e-9
-"""Least eigenvalue of a correlation matrix, of the largest, in whose direction parameters are compared."""
 SMALLEST = 1e-300
 """Least p-value, so that its score is a number."""
 TWO_SIDED = 0.975
@@ -147,7 +146,7 @@ def _together(
     covariance = (factors[0] * known.covariance + factors[1] * after.covariance)[np.ix_(at, at)]
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > SINGULAR * values[-1]
+    kept = values > NIL * values[-1]
     score = vectors[:, kept].T @ ((after.values - known.values)[at] / scale)
     distance, count = float(np.sum(score**2 / values[kept])), int(np.count_nonzero(kept))
     dof = min(

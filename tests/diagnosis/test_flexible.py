@@ -49,7 +49,7 @@ def test_a_partial_lag_only_behaves_like_one(partly_late):
     first = next(e for e in d.effects if e.behaves_like)
     assert d.verdict == "behaves like"
     assert first.behaves_like.by == PAST
-    assert first.behaves_like.misfit > POLICY.behaves_like
+    assert first.behaves_like.misfit > POLICY.minor
     assert f"behaves like {first.name}" in d.sentence
     assert Diagnosis.from_dict(d.to_dict()).effects == d.effects
 
@@ -109,6 +109,6 @@ def verdict(**gates: float) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gate", [{"behaves_like": 1.0}, {"beaten": 0.0}, {"fewest_folds": 9}])
+@pytest.mark.parametrize("gate", [{"minor": 1.0}, {"beyond_doubt": 0.0}, {"fewest": 9}])
 def test_thresholds_decide(gate):
     assert verdict(**gate) == "explained"

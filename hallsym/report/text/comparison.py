@@ -17,7 +17,9 @@ def comparison_text(c: Comparison) -> str:
     rows = [p for e in c.effects for p in e.parameters]
     if rows:
         parts += ["", parameters_text(rows)]
-        parts.append(f"significant: at {100 * POLICY.changed:g} % over all {len(rows)} parameters together")
+        parts.append(
+            f"significant: at {100 * POLICY.false_alarm:g} % over all {len(rows)} parameters together"
+        )
     if c.where:
         parts += ["", "where the gap lies (share of the excess, before and after):", *map(_place, c.where)]
     return "\n".join([*parts, *(f"note: {note}" for note in c.notes)])

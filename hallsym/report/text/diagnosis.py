@@ -224,7 +224,7 @@ def shrinks_text(d: Diagnosis) -> str:
         known = "" if s.interval is None else f" (95 % of recordings like it: {_ends(s.interval)} %)"
         return f"The gap shrinks by {_percent(s.value)}{known}. {alone}" if known else alone
     known = (
-        f"no 95 % interval: it needs at least {POLICY.fewest_judges} {piece}s"
+        f"no 95 % interval: it needs at least {POLICY.fewest} {piece}s"
         if s.interval is None
         else f"95 % of recordings like it: {_ends(s.interval)} %"
     )
