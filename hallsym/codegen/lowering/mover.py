@@ -14,7 +14,7 @@ from hallsym.codegen.box import Box
 from hallsym.codegen.decoupler import Decoupler, Flag, Step
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.intervals import Enclosure
-from hallsym.codegen.lowering.adjoints import rounding
+from hallsym.codegen.lowering.adjoints import Floats, rounding
 from hallsym.codegen.lowering.arrays import FIELD, NEAR, SAFE, TILTED, TRIALS, Assembly, ends_and_leaves
 from hallsym.codegen.lowering.mover_fit import Mover, ends, mover_of
 from hallsym.codegen.lowering.mover_steps import MoverPieces
@@ -173,6 +173,6 @@ class PoseByPose:
         entries |= {f"zero_{short(c)}": 0.0 for c in model.pose}
         columns = [short(c) for c in (*model.channels, *self.nears)]
         inputs = dict(zip(columns, self.drawn(np.random.default_rng(6), BOUNDED), strict=True))
-        values, errors = rounding(self.steps, inputs, entries, digits, len(model.pose))
+        values, errors = rounding(self.steps, inputs, entries, Floats(digits), len(model.pose))
         ends = (values.min(axis=1), values.max(axis=1), ROOM * errors.max(axis=1))
         return {c: Enclosure(*map(float, e)) for c, *e in zip(model.pose, *ends, strict=True)}
