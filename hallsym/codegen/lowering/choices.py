@@ -10,6 +10,9 @@ import casadi as ca
 
 from hallsym.codegen.lowering.wave_steps import Collected, Pair
 
+ROUNDED = 1e-3
+"""Room for rounding beyond the ends of a logarithm."""
+
 
 def at_least(made: Collected, value: ca.SX, low: ca.SX) -> ca.SX:
     """Return the greater of two."""
@@ -52,7 +55,11 @@ def inverse(made: Collected, value: ca.SX, name: str, ends: tuple[float, float],
     log_of = made.step(f"log_{name}", ca.log(ca.fmin(ca.fmax(value, low), high)))
     level = made.entry(f"log_{name}_middle", log(middle), "1", f"logarithm of {name} in the middle")
     per = made.entry(f"per_{name}_middle", 1 / middle, f"1/{unit}", f"1 over {name} in the middle")
-    return made.step(f"per_{name}", per * made.step(f"ratio_{name}", ca.exp(level - log_of)))
+    reach = log(ends[1] / ends[0]) / 2 * (1 + ROUNDED)  # known, but not to an analysis of the C
+    away = made.held(
+        level - log_of, f"farthest_log_{name}", reach, "1", f"of logarithms of {name} from there"
+    )
+    return made.step(f"per_{name}", per * made.step(f"ratio_{name}", ca.exp(away)))
 
 
 def logarithm_of_ratio(

@@ -2,8 +2,9 @@
 
 Where weights multiply readings and what they are compared with, an interval takes the errors of both as
 independent, and an error that grows takes bits of every number after it. Here a range is that of the integers
-themselves, rounding included, so that nothing overflows whatever the readings; and the error of the pose is the
-sum of what every operation rounds times the derivative of the pose by it (`lowering.adjoints`), for many poses.
+themselves, rounding included, so that nothing overflows whatever the readings. The error of the pose is the
+sum of what every operation rounds, times the derivative of the pose by it (`lowering.adjoints`), for many
+poses.
 """
 
 from collections.abc import Callable, Mapping, Sequence

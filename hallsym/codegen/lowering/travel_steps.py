@@ -32,7 +32,7 @@ from hallsym.codegen.lowering.wave_steps import (
 BEYOND = 1.5
 """Times what poses of the box reach: where integers hold a value whose range is not known otherwise."""
 HELD = 1.25
-"""Times the longest phasor of the box in every round, within which integers hold its parts: powers need bits."""
+"""Times the longest phasor of the box, within which integers hold its parts: their powers need bits."""
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
 TRIALS = 2000
