@@ -10,6 +10,10 @@ import casadi as ca
 
 from hallsym.codegen.lowering.wave_steps import Collected, Pair
 
+BEYOND = 1.5
+"""Times what poses of the box reach: where integers hold a value whose range is not known otherwise."""
+HELD = 1.25
+"""Times the longest phasor of the box, within which integers hold its parts: their powers need bits."""
 ROUNDED = 1e-3
 """Room for rounding beyond the ends of a logarithm."""
 
@@ -42,22 +46,28 @@ def period_count(made: Collected, count: ca.SX, tag: str, periods: int) -> ca.SX
     return made.step(f"counted{tag}", ca.if_else(count < 0.0, 0.0, ca.if_else(count > most, most, count)))
 
 
-def inverse(made: Collected, value: ca.SX, name: str, ends: tuple[float, float], unit: str) -> ca.SX:
-    """Add the steps of 1 / `value` in integers, held between `ends` [unit]; returns it.
+def held_logarithm(
+    made: Collected, value: ca.SX, name: str, ends: tuple[float, float], unit: str, tag: str = ""
+) -> ca.SX:
+    """Add the logarithm, in integers, of a value held between `ends` [unit]; returns it."""
+    for side, end in zip(("smallest", "largest"), ends, strict=True):
+        if f"{side}_{name}" not in made.symbols:
+            made.entry(f"{side}_{name}", end, unit, f"{side} value of {name}")
+    low, high = (made.symbols[f"{side}_{name}"] for side in ("smallest", "largest"))
+    return made.step(f"log_{name}{tag}", ca.log(ca.fmin(ca.fmax(value, low), high)))
 
-    A logarithm, and the exponential of its distance from the middle of the ends.
+
+def inverse(made: Collected, log_of: ca.SX, name: str, ends: tuple[float, float], unit: str) -> ca.SX:
+    """Add the steps of 1 / a value in integers, from its `held_logarithm`; returns it.
+
+    The exponential of the distance from the logarithm in the middle of the ends.
     """
-    low, high = (
-        made.entry(f"{side}_{name}", end, unit, f"{side} value of {name}")
-        for side, end in zip(("least", "most"), ends, strict=True)
-    )
     middle = sqrt(ends[0] * ends[1])
-    log_of = made.step(f"log_{name}", ca.log(ca.fmin(ca.fmax(value, low), high)))
     level = made.entry(f"log_{name}_middle", log(middle), "1", f"logarithm of {name} in the middle")
     per = made.entry(f"per_{name}_middle", 1 / middle, f"1/{unit}", f"1 over {name} in the middle")
     reach = log(ends[1] / ends[0]) / 2 * (1 + ROUNDED)  # known, but not to an analysis of the C
     away = made.held(
-        level - log_of, f"farthest_log_{name}", reach, "1", f"of logarithms of {name} from there"
+        level - log_of, f"farthest_log_{name}", reach, "1", f"from the logarithm of {name}"
     )
     return made.step(f"per_{name}", per * made.step(f"ratio_{name}", ca.exp(away)))
 

@@ -10,8 +10,11 @@ import numpy as np
 from hallsym.codegen.decoupler import Whole
 from hallsym.codegen.entries import short, unit
 from hallsym.codegen.lowering.choices import (
+    BEYOND,
+    HELD,
     at_least,
     at_most,
+    held_logarithm,
     inverse,
     logarithm_of_ratio,
     period_count,
@@ -29,10 +32,6 @@ from hallsym.codegen.lowering.wave_steps import (
     logarithm_steps,
 )
 
-BEYOND = 1.5
-"""Times what poses of the box reach: where integers hold a value whose range is not known otherwise."""
-HELD = 1.25
-"""Times the longest phasor of the box, within which integers hold its parts: their powers need bits."""
 PERIODS = 1 << 12
 """Added to whole periods, so that they are no negative number."""
 TRIALS = 2000
@@ -52,21 +51,19 @@ class Pieces:
         """Add all steps and entries; the last two steps are the pose."""
         row, made = self.row, self.made
         self.names = [short(c) for c in row.model.channels]
-        lc = made.entry("lc", row.lc, "m", "wavelength over 2 pi")
-        whole = made.entry("wavelength", row.wavelength, "m", "wavelength")
-        per = made.entry("per_wave", 1 / row.wavelength, "1/m", "periods per metre")
+        self.lc = made.entry("lc", row.lc, "m", "wavelength over 2 pi")
+        self.whole = made.entry("wavelength", row.wavelength, "m", "wavelength")
+        self.per = made.entry("per_wave", 1 / row.wavelength, "1/m", "periods per metre")
         least_inside(made, (self.wave,))
         self._table()
         near = self._near(self._middle())
-        x = self._place(self._all(), near, lc, whole, per, "_first")
+        x = self._place(self._all(), near, "_first", self._least_of_all)
         u, log = self._vector(self._weights(x))
-        place = self._place(u, x, lc, whole, per, "")
-        if made.native:
-            made.least |= {"phase_first": self._least_of_all, "phase": self._least_wide}
+        place = self._place(u, x, "", self._least_wide)
         along, height = row.model.pose
         middle = made.entry("middle", float(row.middle[1]), "m", f"{height} at which the phasor is 1")
         level = middle + made.symbols[f"zero_{short(height)}"]
-        rise = lc * log
+        rise = self.lc * log
         made.step(short(along), place + made.symbols[f"zero_{short(along)}"], f"[{unit(along)}]")
         made.step(short(height), level + rise if row.rising > 0 else level - rise, f"[{unit(height)}]")
 
@@ -118,19 +115,20 @@ class Pieces:
         seen = row.readings(row.poses(np.random.default_rng(3), TRIALS)) - row.offset[:, None]
         energy = (seen**2).sum(axis=0)
         ends = float(energy.min()) / BEYOND, float(energy.max()) * BEYOND
-        return inverse(self.made, total, "all_energy", ends, "V2")
+        log = held_logarithm(self.made, total, "all_energy", ends, "V2")
+        return inverse(self.made, log, "all_energy", ends, "V2")
 
-    def _place(self, u: Pair, near: ca.SX, lc: ca.SX, whole: ca.SX, per: ca.SX, tag: str) -> ca.SX:
-        """The place of a phase in the period next to another place."""
+    def _place(self, u: Pair, near: ca.SX, tag: str, least: float) -> ca.SX:
+        """The place of a phase in the period next to another place; `least`: length of u, of integers."""
         made = self.made
-        phase = arctangent_steps(made, self.wave, u, tag)
-        place = made.step(f"in_wave{tag}", lc * phase)
-        count = made.step(f"periods{tag}", (near - place) * per + (PERIODS + 0.5))
+        phase = arctangent_steps(made, self.wave, u, tag, least)
+        place = made.step(f"in_wave{tag}", self.lc * phase)
+        count = made.step(f"periods{tag}", (near - place) * self.per + (PERIODS + 0.5))
         held = period_count(made, count, tag, PERIODS)
         name = f"whole{tag}"
         made.steps.append(Whole(name, held))
         number = made.symbols.setdefault(name, ca.SX.sym(name))
-        return made.step(f"place{tag}", place + whole * (number - float(PERIODS)), "[m]")
+        return made.step(f"place{tag}", place + self.whole * (number - float(PERIODS)), "[m]")
 
     def _weights(self, x: ca.SX) -> list[ca.SX]:
         """Weight of each sensor: 1 well under the wave, 0 beyond, smooth."""
@@ -165,7 +163,8 @@ class Pieces:
         low, high = self._covers
         least = made.entry("least_cover", low, "V4", "share of the least of the box")
         if made.native:
-            per = inverse(made, cover, "held_cover", (low, high), "V4")
+            log_cover = held_logarithm(made, cover, "held_cover", (low, high), "V4")
+            per = inverse(made, log_cover, "held_cover", (low, high), "V4")
         else:
             per = made.step("per_cover", 1.0 / made.step("held_cover", at_least(made, cover, least)))
         cross = {n: self._cross(n, sums) for n in row.harmonics} if row.rounds else {}
@@ -201,7 +200,6 @@ class Pieces:
             u = held(wide, f"_{row.rounds}")
             return u, logarithm_steps(made, self.wave, u)
         wide = made.step("wide_cos", wide[0]), made.step("wide_sin", wide[1])
-        log_cover = made.symbols["log_held_cover"]
         return wide, logarithm_of_ratio(made, wide, log_cover, self._least_wide, ("log", "inside"))
 
     def _cross(self, n: int, sums: Callable[[str, Sequence[ca.SX]], Pair]) -> tuple[Pair, Pair]:

@@ -86,6 +86,10 @@ class Waves(Compiler):
             return self._logarithm_of_number(args[0])
         return super()._other(operation, args, step)
 
+    def _add(self, a: Fixed, b: Fixed, minus: bool = False) -> Fixed:
+        """Whole numbers of the code take the exponent of the other, so that nothing of it is lost."""
+        return super()._add(self._like(a, b), self._like(b, a), minus)
+
     def _mul(self, a: Fixed, b: Fixed) -> Fixed:
         """Whole numbers are multiplied in 32 bits: nothing is lost but bits that do not fit."""
         for whole, other in ((a, b), (b, a)):

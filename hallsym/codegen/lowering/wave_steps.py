@@ -367,13 +367,17 @@ def least_inside(made: Collected, waves: Sequence[Wave]) -> None:
     made.entry("least_inside", float(value), "1", about)
 
 
-def arctangent_steps(made: Collected, wave: Wave, u: Pair, tag: str = "") -> ca.SX:
+def arctangent_steps(
+    made: Collected, wave: Wave, u: Pair, tag: str = "", least: float | None = None
+) -> ca.SX:
     """Add the steps of the angle of u by quadrants; returns it [rad].
+
+    `least`: length of u where no flag is set, that of a phasor if it is not given.
 
     Correct rounding keeps |b - a| <= b + a of two magnitudes, so no tangent is beyond 1.
     """
     if made.native:
-        made.least[f"phase{tag}"] = wave.least
+        made.least[f"phase{tag}"] = wave.least if least is None else least
         return made.step(f"phase{tag}", ca.atan2(u[1], u[0]), "[rad] angle of the phasor")
     across, up = (made.step(f"{n}{tag}", ca.fabs(v)) for n, v in zip(("across", "up"), u, strict=True))
     t = made.step(f"turned{tag}", (up - across) / ((up + across) + TINY), "[1] tangent of the angle - pi / 4")
