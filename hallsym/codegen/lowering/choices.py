@@ -28,6 +28,11 @@ def at_most(made: Collected, value: ca.SX, high: ca.SX) -> ca.SX:
     return ca.fmin(value, high) if made.native else ca.if_else(value < high, value, high)
 
 
+def above_minus(made: Collected, value: ca.SX, end: ca.SX) -> ca.SX:
+    """Return the greater of a value and -end."""
+    return ca.fmax(value, -end) if made.native else ca.if_else(value > -end, value, -end)
+
+
 def smooth_weight(made: Collected, depth: ca.SX, name: str) -> ca.SX:
     """Add the steps of w^2 (3 - 2 w), w = `depth` between 0 and 1; returns it."""
     if made.native:  # about 1/2, where ranges tell that it is hardly more than 1
@@ -66,9 +71,7 @@ def inverse(made: Collected, log_of: ca.SX, name: str, ends: tuple[float, float]
     level = made.entry(f"log_{name}_middle", log(middle), "1", f"logarithm of {name} in the middle")
     per = made.entry(f"per_{name}_middle", 1 / middle, f"1/{unit}", f"1 over {name} in the middle")
     reach = log(ends[1] / ends[0]) / 2 * (1 + ROUNDED)  # known, but not to an analysis of the C
-    away = made.held(
-        level - log_of, f"farthest_log_{name}", reach, "1", f"from the logarithm of {name}"
-    )
+    away = made.held(level - log_of, f"farthest_log_{name}", reach, "1", f"from the logarithm of {name}")
     return made.step(f"per_{name}", per * made.step(f"ratio_{name}", ca.exp(away)))
 
 

@@ -13,6 +13,7 @@ from hallsym.codegen.lowering.arrays_steps import PERIODS, Pieces
 from hallsym.codegen.lowering.choices import (
     BEYOND,
     HELD,
+    above_minus,
     at_least,
     at_most,
     held_logarithm,
@@ -152,7 +153,7 @@ class MoverPieces(Pieces):
         most = made.entry(f"most_{column}", self.most_turn, "rad", f"largest {column} that is taken out")
         turn = made.step(f"seen_{column}", self.total(k, values), "[rad] first estimate")
         up = made.step(f"above_{column}", at_most(made, turn, most))
-        return made.step(f"first_{column}", at_least(made, up, -most))
+        return made.step(f"first_{column}", above_minus(made, up, most))
 
     @property
     def most_turn(self) -> float:
@@ -213,7 +214,7 @@ class MoverPieces(Pieces):
 
     def _held_part(self, v: ca.SX, name: str) -> ca.SX:
         most = self.made.symbols["longest"]
-        low = self.made.step(f"above_{name}", at_least(self.made, v, -most))
+        low = self.made.step(f"above_{name}", above_minus(self.made, v, most))
         return self.made.step(f"held_{name}", at_most(self.made, low, most))
 
     def _first_phasor(self, name: str) -> Pair:

@@ -12,6 +12,7 @@ from hallsym.codegen.entries import short, unit
 from hallsym.codegen.lowering.choices import (
     BEYOND,
     HELD,
+    above_minus,
     at_least,
     at_most,
     held_logarithm,
@@ -56,8 +57,9 @@ class Pieces:
         self.per = made.entry("per_wave", 1 / row.wavelength, "1/m", "periods per metre")
         least_inside(made, (self.wave,))
         self._table()
+        everything = self._all()
         near = self._near(self._middle())
-        x = self._place(self._all(), near, "_first", self._least_of_all)
+        x = self._place(everything, near, "_first", self._least_of_all)
         u, log = self._vector(self._weights(x))
         place = self._place(u, x, "", self._least_wide)
         along, height = row.model.pose
@@ -143,8 +145,11 @@ class Pieces:
             out.append(smooth_weight(made, depth, name))
         return out
 
-    def _vector(self, weights: Sequence[ca.SX]) -> Pair:
-        """Weighted least squares of what the sensors read, higher harmonics taken off by rounds."""
+    def _vector(self, weights: Sequence[ca.SX]) -> tuple[Pair, ca.SX]:
+        """Weighted least squares of what the sensors read, higher harmonics taken off by rounds.
+
+        Returns the phasor, of integers times the cover, and its logarithm.
+        """
         made, row = self.made, self.row
         wc = [made.step(f"wcos_{n}", w * c) for n, w, c in zip(self.names, weights, self.cos, strict=True)]
         ws = [made.step(f"wsin_{n}", w * s) for n, w, s in zip(self.names, weights, self.sin, strict=True)]
@@ -179,7 +184,7 @@ class Pieces:
             """The phasor, no longer than any of the box is."""
             re, im = (made.step(f"raw_{a}{tag}", v * per) for a, v in zip(AXES, wide, strict=True))
             low = [
-                made.step(f"held_{a}_low{tag}", at_least(made, v, -most))
+                made.step(f"held_{a}_low{tag}", above_minus(made, v, most))
                 for a, v in zip(AXES, (re, im), strict=True)
             ]
             re, im = (
